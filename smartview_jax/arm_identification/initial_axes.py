@@ -30,7 +30,7 @@ The upper limit stays below pi: a rotation by more than pi has the opposite axis
 """
 
 MAX_VIEWS = 300
-"""The largest number of views of which all pairs are examined."""
+"""The largest number of views whose pairs are all examined."""
 
 
 class ProductOfExponentials(eqx.Module):
@@ -63,7 +63,7 @@ class ProductOfExponentials(eqx.Module):
 
         The step has five numbers per joint (translation along x and y of the axis frame, rotation
         about x and y, change of the ratio), then the six of a twist of `home`. Translation along an
-        axis and rotation about it leave the axis as it is and are not parameters.
+        axis and rotation about it do not change the axis, so they are no parameters.
         """
         per_joint = step[:-6].reshape(-1, 5)
         zeros = jnp.zeros(len(per_joint))
@@ -81,8 +81,8 @@ def axes_from_motions(
 ) -> ProductOfExponentials:
     """Find the joint axes in order, each from views between which no later joint moves.
 
-    Once the motion of the earlier joints is removed, the target moves about (or along) that axis
-    alone between two such views.
+    Between two such views, once the motion of the earlier joints is removed, the target moves about
+    (or along) that axis alone.
 
     Raises:
         ValueError: no pair of views determines a joint's axis; the message names the joint.
@@ -95,9 +95,9 @@ def axes_from_motions(
         )
         if frame is None:
             raise ValueError(
-                f"no two views determine the axis of joint {1 + k}: it has to move by "
-                f"{MIN_JOINT_MOTION} rad or m, or more, while the joints after it rest; or give "
-                "start=, the nominal arm"
+                f"no two views determine the axis of joint {1 + k}: it has to move by at least "
+                f"{MIN_JOINT_MOTION} rad or m while the joints after it rest; or give start=, the "
+                "nominal arm"
             )
         frames_found.append(frame)
         # Remove this joint's motion: remaining <- F_k exp(-q_k z) F_k^-1 remaining. What remains is
@@ -116,8 +116,8 @@ def axes_from_arm(
     """Return a known arm's axes, its base and the target positioned to match measured poses.
 
     The model is `P = X B Y` for every view, with P the measured pose, B the arm's forward
-    kinematics, X the pose of its base and Y that of the target on its flange. The rotation part is
-    linear in the rotation matrices of X and of inverse Y; given these, the translation part is
+    kinematics, X the pose of its base and Y the pose of the target on its flange. The rotation part
+    is linear in the rotation matrices of X and of inverse Y; given these, the translation part is
     linear in their translations.
     """
     B, P = (np.asarray(p.as_matrix()) for p in (start.base_from_tool(joints), poses))
@@ -187,10 +187,10 @@ def _joint_axis_frame(
     remaining: Float[np.ndarray, "views 4 4"],
     is_prismatic: bool,
 ) -> Float[np.ndarray, "4 4"] | None:
-    """Return a frame on the axis common to the rigid motions between pairs of views, or None.
+    """Return a frame on the axis that the rigid motions between pairs of views share, or None.
 
-    None means that no pair of views has a large enough motion of this joint with all later joints
-    at rest.
+    The result is None if no pair of views has a large enough motion of this joint while all later
+    joints are at rest.
     """
     i, j = np.triu_indices(len(readings), 1)
     displacement = readings[j] - readings[i]

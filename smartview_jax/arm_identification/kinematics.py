@@ -98,12 +98,12 @@ def fit_kinematics(
             later joint moves.
         free_ratios: whether the joint ratios are fitted; if not, they are one, and the direction of
             each axis gives the sign of its motion.
-        prismatic: which joints are prismatic; by default those of `start`, or none.
+        prismatic: which joints are prismatic; by default as in `start`, or none.
         metres_per_radian: weight of orientations: an error of 1 rad counts as this many metres.
 
     Raises:
-        ValueError: shapes that do not match, fewer measured numbers than free parameters, or
-            no start given and none found; the message names the joint.
+        ValueError: the shapes do not match, the free parameters outnumber the measured numbers, or
+            no axis is found without `start`; the message names the joint.
     """
     joints, poses = np.asarray(joints, dtype=float), as_se3(camera_from_target)
     if joints.ndim != 2 or poses.get_batch_axes() != joints.shape[:1]:
@@ -150,8 +150,8 @@ def _free_parameters(
 ) -> tuple[list[str], Int[np.ndarray, "n"]]:
     """Return the names of the free parameters, and their indices among all.
 
-    All are five per joint, then six of the target. Of a prismatic joint's axis only the direction
-    is free: its position has no effect.
+    The parameters are five per joint and six of the target. Of a prismatic joint's axis only the
+    direction is free, because its position has no effect.
     """
     names, free = [], []
     for k, is_prismatic in enumerate(prismatic):
@@ -179,8 +179,8 @@ def _solve(
 ) -> tuple[ProductOfExponentials, Float[Array, "views 6"], Float[Array, "views 6 n"], optx.RESULTS]:
     """Minimise the weighted pose residuals by Levenberg-Marquardt.
 
-    Parameters that are not free have zero derivatives, and the damping leaves them where they are:
-    one program serves whatever is free, and any kind of joints.
+    Parameters that are not free have zero derivatives, and the damping keeps them unchanged: one
+    program serves any free parameters and any kinds of joints.
 
     Returns:
         Fitted axes, unweighted residuals (m, rad), Jacobian of the weighted residuals, and the
@@ -223,9 +223,9 @@ def _uncertainty(
     """Return standard deviations by name, and the directions that the data do not determine.
 
     The weights are not the inverse noise variances. Translations and rotations each have their own
-    variance, estimated from the residuals, and the covariance is that of the weighted estimate
-    under this noise: `J^+ S J^+^T`, with `J^+` the pseudo-inverse of the weighted Jacobian and S
-    the noise covariance of the weighted residuals.
+    variance, estimated from the residuals. Under this noise the covariance of the weighted estimate
+    is `J^+ S J^+^T`, with `J^+` the pseudo-inverse of the weighted Jacobian and S the noise
+    covariance of the weighted residuals.
     """
     rows = jacobian.reshape(-1, len(names))
     U, singular_values, Vt = np.linalg.svd(rows, full_matrices=False)
@@ -270,7 +270,7 @@ def _as_fit(
     arm_with_ends = arm_from_axes(
         frames[:, :3, 3], frames[:, :3, 2], np.asarray(axes.home.as_matrix()), prismatic
     )
-    # The fixed transforms at both ends of the arm become those of the base and of the target.
+    # The fixed transforms at both ends of the arm become the poses of the base and of the target.
     arm = eqx.tree_at(
         lambda a: (a.base_from_first, a.flange_from_tool),
         arm_with_ends,

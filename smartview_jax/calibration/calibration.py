@@ -2,11 +2,11 @@
 
     pixel = camera.project(camera_from_tool @ tool_from_base(command) @ base_from_world @ p_world)
 
-is the chain for a camera on the hand (Eq. 10). For a camera that stands beside the arm and sees a
-target on the tool it is `camera_from_base @ base_from_tool(command) @ tool_from_world`. One class
-serves both: the camera is on its *mount* (the tool, or the base) and the target in its *holder*
-(the base, or the tool). A fitted robot error is part of the chain: predictions and commands use the
-true tool pose, not the reported one.
+is the chain for a camera on the hand (Eq. 10). For a camera that is fixed next to the arm and sees
+a target on the tool, the chain is `camera_from_base @ base_from_tool(command) @ tool_from_world`.
+One class serves both: the camera is on its *mount* (the tool, or the base) and the target in its
+*holder* (the base, or the tool). A fitted robot error is part of the chain: predictions and
+commands use the true tool pose, not the reported one.
 """
 
 import dataclasses
@@ -45,7 +45,7 @@ _MIN_PROJECTED = 16, 128
 
 
 class Calibration(eqx.Module):
-    """A calibrated camera on or beside a robot arm, which predicts pixels from robot poses.
+    """A calibrated camera on a robot arm or next to it, which predicts pixels from robot poses.
 
     Instances are made by `eye_in_hand` or `eye_to_hand`, or by a fit. Every numerical method works
     under `jit`, `grad` and `vmap`.
@@ -56,10 +56,10 @@ class Calibration(eqx.Module):
         holder_from_world: `base_from_world`, or `tool_from_world` for eye-to-hand.
         target_scale: true size of the target over its stated size.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        robot_error: model of the error of reported poses; None if they are taken as exact.
+        robot_error: model of the error of reported poses; None if they are assumed to be exact.
         region: region from which the target was seen in the fitted data; None if not fitted.
-        target_shape: how the target's points deviate from where they are stated; None if they do
-            not.
+        target_shape: deviation of the target's points from their stated places; None if there is
+            none.
     """
 
     camera: Camera
@@ -82,12 +82,12 @@ class Calibration(eqx.Module):
         region: ViewedRegion | None = None,
         target_shape: TargetShape | None = None,
     ):
-        """Store the parts of the chain; arguments as in the class's attributes.
+        """Store the parts of the chain; arguments as the class's attributes.
 
         Raises:
             ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
         """
-        # Raises for an unknown mount, before any fit starts.
+        # Refuse an unknown mount before any fit starts.
         mount_frames(mount)
         self.camera = camera
         self.camera_from_mount = camera_from_mount
@@ -149,7 +149,7 @@ class Calibration(eqx.Module):
         )
 
     def true_points(self, points: Float[AnyArray, "*points 3"]) -> Float[Array, "*points 3"]:
-        """Return where points of the target truly are in its frame: of its true shape and size.
+        """Return the true positions of target points in its frame, with its true shape and size.
 
         Args:
             points: points as stated, m.
@@ -210,7 +210,7 @@ class Calibration(eqx.Module):
 
         Args:
             base_from_tool: what the robot reports: poses, or `arm.command(joints)`.
-            corrected: apply the robot error, if one was fitted; False takes poses as reported.
+            corrected: apply the robot error, if one was fitted; False uses the reported poses.
         """
         reported, error = as_command(base_from_tool), self.robot_error if corrected else None
         return chain_of_transforms(
@@ -283,7 +283,9 @@ class Calibration(eqx.Module):
         # With the robot error applied; without it a command has no joint angles.
         joints = self.robot_command_for(camera_from_world, near=near).joints
         if joints is None:
-            raise ValueError("this calibration knows no arm; robots.joints_near finds joint angles")
+            raise ValueError(
+                "this calibration knows no arm; robots.joints_for_pose finds joint angles"
+            )
         return joints
 
     def _base_from_tool_for(self, camera_from_world: PoseLike) -> SE3:
@@ -294,13 +296,13 @@ class Calibration(eqx.Module):
         """
         # The inverse of Eq. 19: tool_from_base = tool_from_camera @ camera_from_world
         # @ world_from_base; with mount and holder it holds for both mounts.
-        wanted, ends = as_se3(camera_from_world), (self.camera_from_mount, self.holder_from_world)
-        if not is_traced(wanted, ends):
+        pose, ends = as_se3(camera_from_world), (self.camera_from_mount, self.holder_from_world)
+        if not is_traced(pose, ends):
             # A product of matrices: nothing to compile for every number of views.
             mount_from_camera, world_from_holder = map(np.linalg.inv, map(host_matrices, ends))
-            robot = mount_from_camera @ host_matrices(wanted) @ world_from_holder
+            robot = mount_from_camera @ host_matrices(pose) @ world_from_holder
             return as_se3(np.linalg.inv(robot) if self.mount == "eye_in_hand" else robot)
-        robot = ends[0].inverse() @ wanted @ ends[1].inverse()
+        robot = ends[0].inverse() @ pose @ ends[1].inverse()
         return mount_from_holder(self.mount, robot)
 
     def points_in_camera(
@@ -326,7 +328,7 @@ class Calibration(eqx.Module):
         Args:
             base_from_tool: what the robot reports, `(*views)` poses, or `arm.command(joints)`.
             points: `(N, 3)` for all views or `(*views, N, 3)`, in the target frame, m.
-            corrected: apply the robot error, if one was fitted; False takes poses as reported.
+            corrected: apply the robot error, if one was fitted; False uses the reported poses.
 
         Returns:
             pixels `(*views, N, 2)`, NaN where `valid` `(*views, N)` is False.
@@ -371,7 +373,7 @@ class Calibration(eqx.Module):
         Args:
             content: the dictionary.
             lens: a lens of a class of your own; its numbers are read from `content`.
-            field: a robot error field of a class of your own, likewise.
+            field: a robot error field of a class of your own; its numbers are read from `content`.
 
         Raises:
             ValueError: naming the entry that is missing or wrong.
@@ -394,7 +396,7 @@ class Calibration(eqx.Module):
             path: of the file.
             run: name of the run that produced this, written to all its files.
             warnings: sentences such as a fit's `warnings`; for human readers, not read back.
-            source: where the calibration is from, such as the data set's name; likewise.
+            source: where the calibration is from, such as the data set's name; for human readers.
             uncertainty: how well it is known, as `JointFit.save` writes it.
             pictures: digests of the pictures that it was fitted to, by `dataset.picture_digests`.
 
@@ -422,7 +424,7 @@ class Calibration(eqx.Module):
         Args:
             path: of the file.
             lens: a lens of a class of your own; its numbers are read from the file.
-            field: a robot error field of a class of your own, likewise.
+            field: a robot error field of a class of your own; its numbers are read from the file.
 
         Raises:
             FileNotFoundError: the file is missing.
@@ -447,7 +449,7 @@ def _points_in_camera(
     calibration: Calibration, reported: Command, points: Float[Array, "*points 3"], corrected: bool
 ) -> Float[Array, "*transformed 3"]:
     """Return target points in the camera frame by Eq. 1, compiled."""
-    # Eq. 1: x_camera = R x_world + t, with R and t of camera_from_world. The scale is that of the
-    # target about its own origin, so it acts before any transform.
+    # Eq. 1: x_camera = R x_world + t, with R and t of camera_from_world. The scale acts on the
+    # target about its own origin, so it is applied before any transform.
     camera_from_world = calibration.camera_from_world(reported, corrected=corrected)
     return transform_points(camera_from_world, calibration.true_points(points))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 FORMAT_VERSION = 2
 """Version of the file format.
 
-Files of version 1 have no end mark; `schemas.calibration` says which of them load."""
+Files of version 1 have no end mark; `schemas.calibration` defines which of them load."""
 
 _END_MARK = "smartview_calibration"
 """Value of the last entry of a file, by which a truncated file is recognised."""
@@ -72,8 +72,8 @@ def parts_of(
 
     Args:
         content: what `content_of` returns.
-        lens: a lens of a class of the user's own; its numbers are read from `content`.
-        field: a robot error field of a class of the user's own, likewise.
+        lens: a lens of a user-defined class; its numbers are read from `content`.
+        field: a robot error field of a user-defined class; its numbers are read from `content`.
 
     Raises:
         ValueError: naming the entry that is missing or wrong.

@@ -1,4 +1,4 @@
-"""Name the frames of camera and target: on the hand or beside the arm."""
+"""Name the frames of camera and target for a camera on the hand, and for one next to the arm."""
 
 import numpy as np
 from jaxlie import SE3
@@ -41,7 +41,7 @@ def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
 
     The function is its own inverse: applied to its result it returns `base_from_tool`.
     """
-    # Eye-in-hand: tool_from_base, the inverse of what the robot reports. Eye-to-hand: the camera is
+    # Eye-in-hand: tool_from_base, the inverse of the reported pose. Eye-to-hand: the camera is
     # on the base and the target on the tool, so the reported pose itself is the link between them.
     return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
 

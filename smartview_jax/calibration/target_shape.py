@@ -1,9 +1,10 @@
 """The shape of a flat target: it bows a little, and is printed a little wider than high.
 
-A sheet on a board is never flat: bows of 0.1 to 0.3 mm are usual, and they cost as much of a
-hand-eye calibration as everything else together. Five numbers, in metres at the target's edge,
-describe what a sheet does at first: it bends about two axes and twists, and it is stretched along
-one axis more than along the other, or sheared. Equal stretch of both axes is the target's scale.
+A sheet on a board is never flat: bows of 0.1 to 0.3 mm are usual, and they cost as much accuracy of
+a hand-eye calibration as everything else together. Five numbers, in metres at the target's edge,
+describe the lowest order of the deviation: the sheet bends about two axes and twists, and it is
+stretched along one axis more than along the other, or sheared. Equal stretch of both axes is the
+target's scale.
 """
 
 import equinox as eqx
@@ -21,24 +22,23 @@ BOW, PRINT = slice(0, 3), slice(3, 5)
 """The coefficients out of the target's plane and within it."""
 
 PLANE_TOLERANCE = 1e-6
-"""Heights of two points, m, that differ by less lie in one plane."""
+"""Points whose heights differ by less than this, m, are in one plane."""
 
 MIN_POINTS_PER_PLANE = 4
-"""Smallest number of points per plane, on average, of a target that is taken for flat."""
+"""Smallest number of points per plane, on average, of a target that is treated as flat."""
 
 EDGE = 1.25
-"""Distance from the centre, in half sizes, beyond which the shape goes on as it is there."""
+"""Distance from the centre, in half sizes, beyond which the shape keeps its value."""
 
 
 class TargetShape(eqx.Module):
-    """The deviation of a flat target's points from where they are stated.
+    """The deviation of a flat target's points from their stated places.
 
     Attributes:
         centre: centre of the target in its plane (x, y), m.
         half_size: half of its longer side, m.
         mean_products: means of x^2, x y and y^2 over its points, x and y being distances from the
-            centre over the half size. The bow is about the plane in which the points lie on
-            average.
+            centre over the half size. The bow is relative to the mean plane of the points.
         coefficients: displacement at the edge by each of `SHAPE_NAMES`, m.
     """
 
@@ -48,7 +48,7 @@ class TargetShape(eqx.Module):
     coefficients: Float[Array, "5"]
 
     def displaced(self, points: Float[AnyArray, "*points 3"]) -> Float[Array, "*points 3"]:
-        """Return the points where they truly are, for a target of its stated size.
+        """Return the true positions of points, for a target of its stated size.
 
         Args:
             points: points as stated, in the target's frame, m.
@@ -85,23 +85,23 @@ class TargetShape(eqx.Module):
 def flat_shape(
     points: Float[np.ndarray, "views points 3"], visible: Bool[np.ndarray, "views points"]
 ) -> TargetShape | None:
-    """Return the shape of a target that is exactly as stated; None for one that is not flat.
+    """Return the shape of a target that is exactly as stated; None if the target is not flat.
 
     A target may lie in several parallel planes, as a board does that is seen at several heights.
 
     Args:
         points: points of the target in its frame in each view, m.
-        visible: mask of the points that were seen.
+        visible: mask of the visible points.
     """
-    seen = np.unique(np.round(points[visible] / PLANE_TOLERANCE), axis=0) * PLANE_TOLERANCE
-    planes = len(np.unique(np.round(seen[:, 2] / PLANE_TOLERANCE))) if len(seen) else 1
-    if len(seen) < MIN_POINTS_PER_PLANE * planes:
+    distinct = np.unique(np.round(points[visible] / PLANE_TOLERANCE), axis=0) * PLANE_TOLERANCE
+    planes = len(np.unique(np.round(distinct[:, 2] / PLANE_TOLERANCE))) if len(distinct) else 1
+    if len(distinct) < MIN_POINTS_PER_PLANE * planes:
         return None
-    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    low, high = distinct[:, :2].min(axis=0), distinct[:, :2].max(axis=0)
     half_size = 0.5 * float((high - low).max())
     if not half_size > 0.0:
         return None
-    x, y = ((seen[:, :2] - 0.5 * (low + high)) / half_size).T
+    x, y = ((distinct[:, :2] - 0.5 * (low + high)) / half_size).T
     arrays = (
         0.5 * (low + high),
         np.asarray(half_size),
@@ -124,7 +124,7 @@ def shape_to_dict(shape: TargetShape) -> dict[str, object]:
 
 
 def shape_from_dict(entry: dict) -> TargetShape:
-    """Return the shape that `shape_to_dict` described."""
+    """Return the shape from the result of `shape_to_dict`."""
     coefficients = [entry["coefficients"][name] for name in SHAPE_NAMES]
     numbers = (entry["centre"], entry["half_size"], entry["mean_products"], coefficients)
     return TargetShape(*(to_device(np.array(x, dtype=float)) for x in numbers))

@@ -1,4 +1,4 @@
-"""Find by bisection where polynomials of lenses reach a value or stop increasing."""
+"""Find by bisection where a lens polynomial reaches a value or stops increasing."""
 
 from collections.abc import Callable
 
@@ -14,10 +14,10 @@ def bisected(
     high: Float[Array, "*batch"],
     steps: int,
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Return the intervals that contain the solutions after so many halvings.
+    """Return the intervals that contain the solutions after a number of halvings.
 
     Args:
-        is_below: tells of arguments whether each is smaller than its solution.
+        is_below: returns for each argument whether it is smaller than its solution.
         low: lower ends of the first intervals.
         high: upper ends.
         steps: number of halvings.
@@ -42,8 +42,8 @@ def end_of_increase(
 
     Args:
         derivative: of the function, or a positive multiple of it.
-        grid: increasing arguments, between two of which the first change of sign is found.
-        otherwise: what is returned where the function increases on the whole grid.
+        grid: increasing arguments, in which the first change of sign is searched for.
+        otherwise: result if the function increases on the whole grid.
     """
     # A grid finds the interval of the derivative's first sign change, and bisection refines it.
     # `argmin` of truth values gives the index of the first False.

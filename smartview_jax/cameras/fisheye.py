@@ -16,8 +16,8 @@ class Fisheye(AbstractLens):
 
         theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8)
 
-    The angle is computed from the ray itself, so that points beside and behind the camera
-    (`z <= 0`) are valid as long as the polynomial increases.
+    The angle is computed from the ray itself, so that points at the side of the camera and behind
+    it (`z <= 0`) are valid as long as the polynomial increases.
 
     Reference: Kannala, Brandt, PAMI 28(8), 2006.
     """
@@ -83,8 +83,8 @@ class Fisheye(AbstractLens):
     ) -> Float[Array, "*batch"]:
         """Return the angle below the fold at which theta_d has a given value, rad.
 
-        Bisection finds a start and Newton's method the solution. Derivatives follow from the
-        implicit function theorem and not from these iterations.
+        Bisection finds a start and Newton's method the solution. Derivatives are computed by the
+        implicit function theorem, not through these iterations.
         """
 
         def solve(residual, guess):

@@ -18,9 +18,9 @@ def implicit_inverse(
 ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
     """Solve `function(x) = target` for each point and report where the solution is valid.
 
-    A user's lens model that defines one direction obtains the other one here. Derivatives with
-    respect to `target`, and to any parameter that `function` closes over, are those of the
-    solution itself and not of the iterations, so that they cost one 2 x 2 solve.
+    A lens model that defines one direction obtains the other one here. Derivatives with respect to
+    `target`, and to any parameter that `function` closes over, are computed at the solution and not
+    through the iterations, so that they cost one 2 x 2 solve.
 
     Args:
         function: maps `(*batch, 2)` to `(*batch, 2)`, each point independently.

@@ -23,8 +23,8 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
 
     and p1, p2 add the tangential part. See the documentation of OpenCV's calib3d module. The model
     is valid up to the smallest radius at which the radial part stops increasing; beyond it OpenCV
-    itself returns wrong pixels without a warning. Every such lens has k1, k2, p1 and p2; what it
-    has besides is its own.
+    itself returns wrong pixels without a warning. Every such lens has k1, k2, p1 and p2; subclasses
+    add the others.
     """
 
     k1: Float[Array, ""] = eqx.field(converter=as_float_array, default=0.0)
@@ -84,9 +84,9 @@ class AbstractOpenCVLens(AbstractPerspectiveLens):
         return end_of_increase(self._radial_derivative, _FOLD_SEARCH_RADII, np.inf)
 
     def _radial_derivative(self, radius: Float[Array, "*grid"]) -> Float[Array, "*grid"]:
-        """Return a positive multiple of the derivative of the distorted radius by the ideal one.
+        """Return a positive multiple of the derivative of the distorted by the ideal radius.
 
-        It is -1 where the denominator of the radial part is not positive, since the model ends
+        It is -1 where the denominator of the radial part is not positive, because the model ends
         there, too.
         """
         # r' = r a(s) / b(s), with s = r^2, the numerator a and the denominator b, has

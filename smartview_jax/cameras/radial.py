@@ -56,7 +56,7 @@ def _radius_ratio(strength: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     with g = 1 at q = 0. The result has full precision up to a strength of 1e6.
     """
     # Four Halley steps, g <- g - f f' / (f'^2 - f f'' / 2) with f = g + q g^3 - 1.
-    # The transcendental forms of the root were tried: they cost eight times as much.
+    # Closed forms with transcendental functions cost eight times as much.
     # For q < 0 the initial value is exact at q = 0 and at the fold, and behaves as the square root
     # of the distance to the fold, as the root does; for q > 0 it is exact at q = 0.
     fold_distance_root = jnp.sqrt(jnp.maximum(1.0 + strength / _FOLD_STRENGTH, 0.0))

@@ -53,8 +53,8 @@ def initial_lens(name: str | AbstractLens, fitted: AbstractLens) -> AbstractLens
 
     A lens of the same model is returned unchanged. Of another model only k1 is transferred. The
     models differ in direction: the paper's and Weng's map distorted to ideal coordinates, so that a
-    small k1 there is about -k1 of OpenCV's. The fisheye starts without distortion, as does every
-    model after a fisheye, and a user's own lens starts as it is given.
+    small k1 there is about -k1 of OpenCV's. A fisheye starts without distortion, as does every
+    model after a fisheye. A user's own lens starts as it is given.
 
     Args:
         name: a key of `LENSES`, or a lens.

@@ -11,7 +11,7 @@ _PINHOLE_PARAMETERS = ("alpha_u", "alpha_v", "u0", "v0")
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
-    """Return all parameters of a camera by name: pinhole in px, and those of the lens."""
+    """Return all parameters of a camera by name: pinhole parameters (px) and lens coefficients."""
     lens = {name: float(value) for name, value in vars(camera.lens).items()}
     return {
         "image_size": list(camera.image_size),
@@ -29,10 +29,10 @@ def camera_from_dict(content: dict[str, Any], lens: AbstractLens | None) -> Came
             this library.
 
     Raises:
-        ValueError: an unknown lens model, or other numbers than the lens has.
+        ValueError: an unknown lens model, or names of numbers that are not the lens's names.
         KeyError: a number is missing.
     """
-    # The coefficients of a lens are its attributes, so that a template of its model names them.
+    # The coefficients of a lens are its attributes, so a template of its model has their names.
     numbers = dict(content["lens"])
     model = numbers.pop("model")
     template = lens_by_name(model) if lens is None else lens

@@ -34,7 +34,7 @@ _AXIS_STD = 0.05
 _LENS_STD = 3.0
 """Standard deviation of w1, w2 and w3, with distances in parts of half the picture's diagonal.
 
-It only keeps them finite where a small target does not tell them; an equidistant fisheye that
+It only keeps them finite where a small target does not determine them; an equidistant fisheye that
 reaches 100 degrees at the picture's corners has w1 = -1.0.
 """
 
@@ -95,7 +95,7 @@ def fit_symmetric_lens(
         pixels: px.
         image_size: width and height, px.
         used: mask of the points to fit to; residuals are returned for all.
-        noise: standard deviation of a good point, px, beyond which a point counts less.
+        noise: standard deviation of a good point, px, beyond which a point has less weight.
         refine: whether to minimise distances in the picture; otherwise the linear solution is
             returned.
     """
@@ -119,7 +119,7 @@ def fit_symmetric_lens(
         parameters = least_squares(
             cost, parameters, loss="soft_l1", x_scale="jac", max_nfev=_MAX_EVALUATIONS
         ).x
-    # The scale of M has no meaning.
+    # M has no scale, so it has one parameter less.
     return SymmetricLensFit(_residuals(problem, parameters), len(parameters) - 1)
 
 
@@ -150,7 +150,7 @@ def _residuals(problem: _Problem, parameters: np.ndarray) -> np.ndarray:
     w1, w2, w3 = parameters[-5:-2]
     rays = problem.x @ M.T
     across = np.linalg.norm(rays[:, :2], axis=1)
-    # The angle off the axis grows with the distance from it; beyond a maximum it is kept.
+    # The angle off the axis grows with the distance from it; beyond a maximum it is held constant.
     square = _RADII**2
     angles = np.arctan2(_RADII, 1.0 + square * (w1 + square * (w2 + square * w3)))
     angles = np.maximum.accumulate(angles) + 1e-9 * _RADII

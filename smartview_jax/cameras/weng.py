@@ -40,8 +40,8 @@ class Weng(AbstractPerspectiveLens):
         self, distorted: Float[Array, "*batch 2"]
     ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
         """Return ideal from distorted normalised coordinates, and whether each is valid."""
-        # A point beyond a fold may pass the test for folds itself, so that points between the
-        # centre and it are tested, too.
+        # A point beyond a fold may pass the test for folds itself, so points between the centre and
+        # it are tested, too.
         valid = jnp.ones(distorted.shape[:-1], dtype=bool)
         for fraction in (0.25, 0.5, 0.75, 1.0):
             valid &= is_unfolded(self._undistort_unchecked, fraction * distorted)

@@ -1,8 +1,8 @@
-"""Describe how corners look, so that those of different views can be compared.
+"""Describe how corners look, so that corners of different views can be compared.
 
 A patch around each corner is sampled along directions that are the same in the world for all views,
-and through the lens: a roll of the camera or the distortion at the picture's border does not change
-it. What a change of viewpoint does to a slanted surface is left.
+and through the lens: neither a roll of the camera nor the distortion at the picture's border
+changes it. The foreshortening of a slanted surface remains.
 """
 
 from typing import NamedTuple
@@ -33,10 +33,10 @@ class Appearance(NamedTuple):
     """The appearance of the corners of one picture.
 
     Attributes:
-        patches: grey levels with mean zero and unit length: the product of two is their normalised
-            correlation. Zero for a patch without contrast or beyond the picture's border.
-        directions: angles of the segments that meet in each corner, rad, in the patches' frame;
-            NaN where there are fewer.
+        patches: grey levels with mean zero and unit length, so that the product of two patches is
+            their normalised correlation. Zero for a patch without contrast or outside the picture.
+        directions: angles of the segments that meet in each corner, rad, in the patches' frame,
+            padded with NaN.
     """
 
     patches: Float[np.ndarray, "corners samples"]
@@ -49,18 +49,18 @@ def describe(
     features: Features,
     reference: Float[np.ndarray, "3"],
 ) -> Appearance:
-    """Return how the corners of a picture look.
+    """Return the appearance of a picture's corners.
 
     Args:
         picture: the picture in which the features were found.
         camera: the camera that took it.
         features: of this picture.
-        reference: a direction in the camera's frame, of any length, along which the patches' first
-            axis lies; the same direction of the world for all views that are compared. It should
-            be across the line of sight.
+        reference: direction in the camera's frame, of any length, for the patches' first axis; the
+            same direction of the world for all views that are compared, roughly perpendicular to
+            the line of sight.
 
     Raises:
-        ValueError: the picture is not one of the camera, as for `find`.
+        ValueError: the picture does not fit the camera, as for `find`.
     """
     plane = IdealPlane(camera)
     smooth = cv2.GaussianBlur(grey_levels(picture, camera), (0, 0), PATCH_SMOOTHING)
@@ -79,16 +79,16 @@ def similarities(
 def _patch_axes(
     plane: IdealPlane, corners: Float[np.ndarray, "corners 2"], reference: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "corners 2 2"]:
-    """Return the steps of the patches' two axes in pixels, as the columns of matrices."""
+    """Return the steps of the patches' axes in pixels, as matrix columns."""
     ideal = plane.from_pixels(corners)
     rays = plane.rays(ideal)
-    # Both axes are at a right angle to the ray, the first as near as possible to the reference.
+    # Both axes are perpendicular to the ray, the first as near as possible to the reference.
     across = reference - rays * (rays @ reference)[:, None]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     down = np.cross(rays, across)
     x, y, z = rays.T
-    # A step s of the ray moves (x / z, y / z) by (s_x - x / z s_z, s_y - y / z s_z) / z, and the
-    # pixel by the lens's derivative of that. Steps are in units of 1 / f, which are pixels.
+    # A step s of the ray moves (x / z, y / z) by (s_x - x / z s_z, s_y - y / z s_z) / z; the lens's
+    # derivative turns this into pixels. Steps are in units of 1 / f, which are pixels.
     slopes = np.stack([x / z, y / z], axis=1)
     by_ideal = plane.to_pixels(ideal)[1]
     steps = [
@@ -114,7 +114,7 @@ def _sampled_patches(
         levels[start : start + 30_000] = cv2.remap(
             picture, part[..., 0], part[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
-    # The centre of a patch counts more than its border, behind which other surfaces begin.
+    # The centre of a patch counts more than its border, where other surfaces may begin.
     weights = np.exp(-0.5 * (grid**2).sum(axis=1) / (0.7 * reach[-1]) ** 2)
     weights /= weights.sum()
     levels -= (levels @ weights)[:, None]
@@ -127,7 +127,7 @@ def _sampled_patches(
 def _joined_directions(
     features: Features, axes: Float[np.ndarray, "corners 2 2"]
 ) -> Float[np.ndarray, "corners joined"]:
-    """Return the angles in the patches' frame of the segments that meet in each corner."""
+    """Return the angles of the segments that meet in each corner, in the patches' frame."""
     joined = features.corner_segments
     angles = np.full(joined.shape, np.nan)
     corner, column = np.nonzero(joined >= 0)

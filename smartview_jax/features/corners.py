@@ -1,7 +1,7 @@
-"""Find corners: where straight segments meet, and where the gradient alone says so.
+"""Find corners: where straight segments meet, and where the gradient alone shows one.
 
-A corner of segments is the point of least squared distances from their lines, in the ideal plane,
-each weighted by the line's own covariance there. Other corners are peaks of the structure tensor's
+A corner of segments is the point with the least squared distances from their lines, in the ideal
+plane, each weighted by the line's variance there. Other corners are peaks of the structure tensor's
 determinant over its trace (Foerstner and Guelch, "A fast operator for detection and precise
 location of distinct points, corners and centres of circular features", 1987), and the vertices near
 them that OpenCV's cornerSubPix finds.
@@ -25,7 +25,7 @@ MIN_ANGLE = float(np.deg2rad(12.0))
 """Smallest angle between two segments that make a corner, rad."""
 
 MAX_MERGED_DISTANCE = 1.2
-"""Distance within which meeting points of pairs of segments are one corner, px."""
+"""Distance within which intersections of pairs of segments are the same corner, px."""
 
 MAX_CORNER_SIGMA = 1.0
 """Largest standard deviation of a corner of segments in its worst direction, px."""
@@ -37,42 +37,42 @@ INTEGRATION_SIGMA = 1.0
 """Standard deviation of the window over which the structure tensor is summed, px."""
 
 STRUCTURE_GATE = 50.0
-"""Smallest structure of a corner of the gradient, in variances of the gradient's noise."""
+"""Smallest strength of a gradient corner, in variances of the gradient's noise."""
 
 MIN_ROUNDNESS = 0.35
 """Smallest roundness 4 det / trace^2 of the structure tensor: 0 on an edge, 1 on a dot."""
 
 MAX_GRADIENT_CORNERS = 6000
-"""Largest number of corners of the gradient in a picture, the strongest."""
+"""Largest number of gradient corners in a picture; the strongest are kept."""
 
 REFINEMENT_RADIUS = 4
 """Half the width of the window in which a vertex is refined, px."""
 
 CORRELATED_AREA = 4.0 * np.pi * SMOOTHING**2
-"""Number of neighbouring pixels whose gradients count as one, because the picture was smoothed."""
+"""Number of pixels that count as one observation of the gradient: smoothing correlates them."""
 
 MAX_REFINEMENT = 2.5
-"""Largest distance by which refinement may move a corner, px; beyond it is another one's."""
+"""Largest distance by which refinement may move a corner, px; beyond it another corner is found."""
 
 CERTAIN_VERTEX_SIGMA = 0.3
-"""Standard deviation of a vertex, px, below which it takes the place of the peaks beside it."""
+"""Standard deviation of a vertex, px, below which it replaces the peaks next to it."""
 
 MAX_VERTEX_SIGMA = 1.2
-"""Largest standard deviation of a vertex, px; beyond it the edges do not meet in one point.
+"""Largest standard deviation of a vertex, px; above it the edges do not meet in one point.
 
-Blurred edges do not quite meet the equations of a vertex. Where several cross, those of both sides
-cancel; where two end, 0.8 to 1 px is left, though the vertex is within 0.4 px on drawn pictures.
-The peak of the structure is then 1.3 to 2.4 px inside, or farther with a texture beside it.
+Blurred edges do not quite satisfy the equations of a vertex. Where several cross, the errors of
+both sides cancel; where two end, 0.8 to 1 px remains, though the vertex is within 0.4 px on drawn
+pictures. The peak of the structure is then 1.3 to 2.4 px inside, or farther with texture nearby.
 """
 
 VERTEX_MODEL_SIGMA, PEAK_MODEL_SIGMA = 0.1, 0.3
-"""Standard deviations of vertices and of peaks beyond what noise explains, px.
+"""Standard deviations of vertices and of peaks beyond the noise, px.
 
-Blur rounds vertices off, and the peak of the structure is where a picture's pattern has it.
+Blur rounds vertices off, and the peak of the structure depends on the pattern of the picture.
 """
 
 MIN_PEAK_DISTANCE = 1.0
-"""Distance from a candidate, px, within which one that is less certain adds nothing."""
+"""Distance from a corner, px, within which a less certain corner is dropped."""
 
 
 class LineCorners(NamedTuple):
@@ -81,7 +81,7 @@ class LineCorners(NamedTuple):
     Attributes:
         points: ideal coordinates, px.
         covariances: px^2.
-        segments: indices of the segments that meet, -1 where there are fewer.
+        segments: indices of the segments that meet, padded with -1.
     """
 
     points: Float[np.ndarray, "corners 2"]
@@ -96,12 +96,12 @@ def line_corners(lines: Lines) -> LineCorners:
     points, covariances, joined = [], [], []
     for group in groups:
         members = np.unique(np.concatenate([first[group], second[group]]))
-        solved = _common_point(lines, members, meeting[group].mean(axis=0))
-        if solved is None:
+        solution = _common_point(lines, members, meeting[group].mean(axis=0))
+        if solution is None:
             continue
-        points.append(solved[0])
-        covariances.append(solved[1])
-        # As many columns for every corner, so that corners are one array.
+        points.append(solution[0])
+        covariances.append(solution[1])
+        # The same number of columns for every corner, so that corners form one array.
         row = np.full(MAX_SEGMENTS_PER_CORNER, -1)
         row[: len(members)] = members[:MAX_SEGMENTS_PER_CORNER]
         joined.append(row)
@@ -113,11 +113,11 @@ def line_corners(lines: Lines) -> LineCorners:
 
 
 def _meeting_points(lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pairs of segments that meet near an end of at least one, and where their lines do."""
+    """Return pairs of segments that meet near an end of at least one, and their intersections."""
     first, second = np.triu_indices(len(lines.centres), k=1)
     n, m = lines.normals[first], lines.normals[second]
     sine = n[:, 0] * m[:, 1] - n[:, 1] * m[:, 0]
-    # Nearly parallel lines meet anywhere.
+    # The intersection of nearly parallel lines is arbitrary.
     steep = np.abs(sine) > np.sin(MIN_ANGLE)
     first, second, n, m, sine = (x[steep] for x in (first, second, n, m, sine))
     # n . x = a and m . x = b: Cramer's rule.
@@ -131,7 +131,7 @@ def _meeting_points(lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _ends_near(lines: Lines, index: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return whether one of the ends of a segment is near a point."""
+    """Return whether either end of a segment is near a point."""
     distance = np.linalg.norm(lines.ends[index] - points[:, None], axis=2)
     return distance.min(axis=1) < MAX_END_GAP
 
@@ -142,7 +142,7 @@ def _groups(points: Float[np.ndarray, "points 2"]) -> list[np.ndarray]:
         return []
     neighbours = KDTree(points).query_ball_point(points, MAX_MERGED_DISTANCE)
     free, groups = np.ones(len(points), dtype=bool), []
-    # The points with the most neighbours collect theirs first.
+    # Points with the most neighbours form their groups first.
     for k in sorted(range(len(points)), key=lambda i: -len(neighbours[i])):
         group = [i for i in neighbours[k] if free[i]]
         if free[k]:
@@ -164,8 +164,8 @@ def _common_point(
         return None
     covariance = np.linalg.inv(information)
     point = covariance @ (normals / variances[:, None]).T @ distances
-    # Lines that miss their common point by more than they should are not of one vertex: the
-    # covariance grows by the excess, as that of a weighted mean does.
+    # Lines that miss their common point by more than their variance do not form one vertex: the
+    # covariance grows by the excess, as for a weighted mean.
     misses = (normals @ point - distances) ** 2 / variances
     excess = misses.sum() / max(len(members) - 2, 1) if len(members) > 2 else 1.0
     return point, covariance * max(excess, 1.0)
@@ -174,11 +174,11 @@ def _common_point(
 def gradient_corners(
     grey: Float[np.ndarray, "rows columns"], gradient: Gradient
 ) -> tuple[Float[np.ndarray, "corners 2"], Float[np.ndarray, "corners 2 2"]]:
-    """Return pixels and covariances (px^2) of the corners that the picture's gradient shows.
+    """Return pixels and covariances (px^2) of the corners in the picture's gradient.
 
-    The certain vertices come first: where the edges of a window meet in one point. Peaks of the
-    structure tensor that are no vertices follow, such as dots and the grain of a texture, and then
-    uncertain vertices, most of them of two edges that end in a corner.
+    Certain vertices come first, where the edges of a window meet in one point; then peaks of the
+    structure tensor that are no vertices, such as dots and the grain of a texture; then uncertain
+    vertices, mostly of two edges that end in a corner.
     """
     peaks = _structure_peaks(gradient)
     if not len(peaks):
@@ -187,8 +187,8 @@ def gradient_corners(
     sigmas = np.sqrt(np.linalg.eigvalsh(covariances)[:, 1])
     certain = _first_of_groups(vertices, sigmas < CERTAIN_VERTEX_SIGMA)
     is_uncertain = (sigmas >= CERTAIN_VERTEX_SIGMA) & (sigmas < MAX_VERTEX_SIGMA)
-    # A certain vertex stands for the peaks beside it; an uncertain one is only added, because dots
-    # and grain, too, have edges that seem to meet somewhere beside them.
+    # A certain vertex replaces the peaks next to it; an uncertain one is only added, because the
+    # edges of dots and grain, too, seem to meet somewhere nearby.
     peaks = peaks[_is_away(peaks, vertices[certain])]
     known = np.concatenate([vertices[certain], peaks])
     uncertain = _first_of_groups(vertices, is_uncertain)
@@ -202,17 +202,17 @@ def gradient_corners(
 
 
 def _first_of_groups(
-    points: Float[np.ndarray, "points 2"], wanted: Bool[np.ndarray, "points"]
+    points: Float[np.ndarray, "points 2"], selected: Bool[np.ndarray, "points"]
 ) -> Int[np.ndarray, "first"]:
-    """Return the first of the wanted points of each place, of which several may be found."""
-    index = np.flatnonzero(wanted)
+    """Return the first selected point of each place; several may be found at one place."""
+    index = np.flatnonzero(selected)
     return index[np.array([group.min() for group in _groups(points[index])], dtype=int)]
 
 
 def _is_away(
     points: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"]
 ) -> Bool[np.ndarray, "points"]:
-    """Return which points are no repetition of another one's place."""
+    """Return which points are not at the place of another point."""
     if not len(others):
         return np.ones(len(points), dtype=bool)
     return np.asarray(KDTree(others).query(points)[0]) > MIN_PEAK_DISTANCE
@@ -231,7 +231,7 @@ def _structure_peaks(gradient: Gradient) -> Float[np.ndarray, "peaks 2"]:
     is_peak &= 4.0 * determinant > MIN_ROUNDNESS * trace**2
     is_peak[[0, -1], :] = is_peak[:, [0, -1]] = False
     row, column = np.nonzero(is_peak)
-    # A textured picture has tens of thousands of peaks; the strongest are found again elsewhere.
+    # A textured picture has tens of thousands of peaks; the strongest are found in other views too.
     order = np.argsort(-strength[row, column])[:MAX_GRADIENT_CORNERS]
     row, column = row[order], column[order]
     shifts = [
@@ -242,7 +242,7 @@ def _structure_peaks(gradient: Gradient) -> Float[np.ndarray, "peaks 2"]:
 
 
 def _parabola_peak(before: np.ndarray, middle: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return where between neighbours a parabola through three values peaks, -0.5 to 0.5."""
+    """Return the peak of a parabola through three neighbouring values, -0.5 to 0.5."""
     curvature = before - 2.0 * middle + after
     shift = 0.5 * (before - after) / np.where(curvature < 0.0, curvature, -np.inf)
     return np.clip(shift, -0.5, 0.5)
@@ -253,27 +253,27 @@ def _vertices(
     gradient: Gradient,
     peaks: Float[np.ndarray, "peaks 2"],
 ) -> tuple[Float[np.ndarray, "vertices 2"], Float[np.ndarray, "vertices 2 2"]]:
-    """Return the points near peaks in which the edges around them meet, with covariances.
+    """Return the points near peaks in which the surrounding edges meet, with covariances.
 
-    They are in the order of the peaks, of which several may lead to one vertex.
+    They are in the order of the peaks; several peaks may lead to one vertex.
     """
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
     window = (REFINEMENT_RADIUS, REFINEMENT_RADIUS)
     start = peaks[:, None].astype(np.float32)
     refined = cv2.cornerSubPix(grey.astype(np.float32), start, window, (-1, -1), stop)
     refined = refined[:, 0].astype(float)
-    # A vertex far from its peak belongs to another one.
-    own = np.linalg.norm(refined - peaks, axis=1) <= MAX_REFINEMENT
-    return refined[own], _meeting_covariances(gradient, refined[own])
+    # A vertex far from its peak belongs to another peak.
+    near = np.linalg.norm(refined - peaks, axis=1) <= MAX_REFINEMENT
+    return refined[near], _meeting_covariances(gradient, refined[near])
 
 
 def _meeting_covariances(
     gradient: Gradient, vertices: Float[np.ndarray, "vertices 2"]
 ) -> Float[np.ndarray, "vertices 2 2"]:
-    """Return how well the edges of a window determine the point in which they meet.
+    """Return the covariance of the point in which the edges of a window meet.
 
     The gradient g at x of an edge through the vertex q has g . (q - x) = 0. Least squares over the
-    window has the covariance s^2 (sum w g g^T)^-1, with s^2 from the residuals of those equations.
+    window has the covariance s^2 (sum w g g^T)^-1, with s^2 from the residuals of these equations.
     """
     reach = np.arange(-REFINEMENT_RADIUS, REFINEMENT_RADIUS + 1)
     offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
@@ -286,7 +286,7 @@ def _meeting_covariances(
     residuals = np.einsum("nwk,nwk->nw", g, vertices[:, None] - cells)
     variance = (weights * residuals**2).sum(axis=1) / (weights.sum() - 2.0)
     information = np.einsum("w,nwi,nwj->nij", weights, g, g)
-    # A window that shows one edge only determines nothing along it.
+    # A window that shows only one edge determines nothing along it.
     ridge = 1e-6 * np.trace(information, axis1=1, axis2=2) + 1e-12
     inverse = np.linalg.inv(information + ridge[:, None, None] * np.eye(2))
     return (CORRELATED_AREA * variance)[:, None, None] * inverse

@@ -10,7 +10,7 @@ from .picture_checks import grey_levels
 
 
 def edge_map(picture: np.ndarray, camera: Camera) -> Bool[np.ndarray, "rows columns"]:
-    """Return which pixels have an edge point, by Canny's criteria; thresholds follow the noise.
+    """Return which pixels have an edge point by Canny's criteria; thresholds follow the noise.
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.

@@ -4,8 +4,7 @@ An edge point is where the gradient of the smoothed picture is largest along its
 (Canny, "A computational approach to edge detection", 1986). Its position between pixels follows
 from three gradients along the row or column that crosses the edge more steeply (as in Devernay,
 "A non-maxima suppression method for edge detection with sub-pixel accuracy", 1995), here by a
-parabola through their logarithms: the gradient of a blurred step is a Gaussian, for which that is
-exact.
+parabola through their logarithms, which is exact for a blurred step: its gradient is a Gaussian.
 """
 
 from typing import NamedTuple
@@ -65,21 +64,21 @@ def _peaks(
     Float[np.ndarray, "peaks"],
     Bool[np.ndarray, "peaks"],
 ]:
-    """Return in which of some pixels the gradient peaks: row, column, shift, whether along u.
+    """Return the given pixels where the gradient peaks: row, column, shift, whether along u.
 
-    The shift is where between pixels the peak is, along the axis that crosses the edge more
+    The shift is the position of the peak between pixels, along the axis that crosses the edge more
     steeply, px.
     """
     (by_u, by_v), size = gradient.at(row, column).T, gradient.magnitude[row, column]
     along_u = np.abs(by_u) >= np.abs(by_v)
     unit_u, unit_v = by_u / size, by_v / size
-    # The neighbour's gradient along this pixel's own direction: opposite edges do not mix.
-    beside = [(row + step * ~along_u, column + step * along_u) for step in (-1, 1)]
-    before, after = (unit_u * gradient.by_u[at] + unit_v * gradient.by_v[at] for at in beside)
+    # The neighbours' gradients along this pixel's own direction, so that opposite edges do not mix.
+    neighbours = [(row + step * ~along_u, column + step * along_u) for step in (-1, 1)]
+    before, after = (unit_u * gradient.by_u[at] + unit_v * gradient.by_v[at] for at in neighbours)
     is_peak = (size > before) & (size >= after)
     before, size, after = before[is_peak], size[is_peak], after[is_peak]
-    # A Gaussian's logarithm is a parabola: shift = (l- - l+) / (2 (l- - 2 l0 + l+)). It is curved
-    # downwards, as the value in the middle is the largest, but for rounding on a flat top.
+    # A Gaussian's logarithm is a parabola: shift = (l- - l+) / (2 (l- - 2 l0 + l+)). Its curvature
+    # is negative, since the middle value is the largest, except for rounding on a flat top.
     low, middle, high = (np.log(np.maximum(x, 1e-3 * size)) for x in (before, size, after))
     shift = 0.5 * (low - high) / np.minimum(low - 2.0 * middle + high, -np.finfo(float).eps)
     return row[is_peak], column[is_peak], np.clip(shift, -0.5, 0.5), along_u[is_peak]

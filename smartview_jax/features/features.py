@@ -1,4 +1,4 @@
-"""Find the straight segments and the corners of a picture, with what is known of each."""
+"""Find the straight segments and the corners of a picture, with their covariances."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from .picture_checks import grey_levels
 from .segments import Lines, find_lines
 
 SAME_CORNER_DISTANCE = 1.0
-"""Distance from a corner of segments within which one of the gradient is the same, px."""
+"""Distance from a corner of segments within which a gradient corner is the same, px."""
 
 SAME_END_DISTANCE = 2.5
 """Distance from a corner of segments within which a free end is the same, px."""
@@ -24,22 +24,23 @@ MIN_FREE_LENGTH = 15.0
 """Length of the shortest segment whose free ends are corners, px."""
 
 END_SIGMA = 1.0
-"""Standard deviation of a free end along its segment, px; an end at a corner has the corner's."""
+"""Standard deviation of a free end along its segment, px; an end at a corner has the corner's
+covariance."""
 
 
 class Features(NamedTuple):
     """Segments and corners of one picture; everything is finite.
 
-    Corners in which segments meet come first, then free ends of long segments, which have one
-    segment each and are uncertain along it, then corners of the gradient alone, which have none. A
-    segment that ends at a corner has its end there.
+    Corners in which segments meet come first; then free ends of long segments, with one segment
+    each, which are uncertain along it; then gradient corners, without segments. A segment that ends
+    at a corner has its end there.
 
     Attributes:
         corners: pixels.
         corner_covariances: px^2.
-        corner_segments: indices of the segments that meet in a corner, -1 where there are fewer.
-        segments: pixels of the two ends; the lighter side is to the left of the direction from
-            the first to the second, as seen in the picture.
+        corner_segments: indices of the segments that meet in a corner, padded with -1.
+        segments: pixels of the two ends; seen in the picture, the lighter side is to the left of
+            the direction from the first end to the second.
         end_covariances: covariances of the ends, px^2: small across the segment.
         lines: unit normals, in the camera's frame, of the planes through the camera's centre and
             the segments: `line @ point == 0` for points on the edge in space.
@@ -60,8 +61,8 @@ class Features(NamedTuple):
 def find(picture: np.ndarray, camera: Camera) -> Features:
     """Find straight segments and corners in a picture, with their covariances.
 
-    Edge points are found with sub-pixel accuracy, taken through the lens, and fitted where a
-    straight edge is straight.
+    Edge points are found with sub-pixel accuracy, undistorted, and fitted by lines where straight
+    edges are straight.
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
@@ -69,7 +70,7 @@ def find(picture: np.ndarray, camera: Camera) -> Features:
 
     Raises:
         ValueError: the array is not a picture of the camera's size, or the picture is blank,
-            over-exposed or under-exposed; the message says what was found.
+            over-exposed or under-exposed; the message says which.
     """
     grey = grey_levels(picture, camera)
     gradient = Gradient.of(grey)
@@ -82,7 +83,7 @@ def features_from_edge_points(
     edge_points: EdgePoints,
     camera: Camera,
 ) -> Features:
-    """Return the segments and corners of a picture whose edge points were found already.
+    """Return the segments and corners of a picture whose edge points are already known.
 
     Args:
         grey: grey levels of the picture.
@@ -99,15 +100,15 @@ def features_from_edge_points(
     corners, covariances = corners[inside], covariances[inside]
     ends, end_covariances, free = _end_pixels(lines, junctions, plane)
     normals, normal_covariances = _plane_normals(lines, plane)
-    # From the best known to the least: each kind adds corners only where none is yet.
+    # In order of certainty; each kind adds corners only where there is none yet.
     free_corners = _free_ends(ends, end_covariances, free, junctions.segments.shape[1], corners)
     junction_parts = (corners, covariances, junctions.segments)
     known = [np.concatenate(parts) for parts in zip(junction_parts, free_corners, strict=True)]
-    others, other_covariances = gradient_corners(grey, gradient)
-    new = _far_from(others, known[0], SAME_CORNER_DISTANCE)
+    candidates, other_covariances = gradient_corners(grey, gradient)
+    new = _far_from(candidates, known[0], SAME_CORNER_DISTANCE)
     joined = np.full((int(new.sum()), junctions.segments.shape[1]), -1)
     return Features(
-        np.concatenate([known[0], others[new]]),
+        np.concatenate([known[0], candidates[new]]),
         np.concatenate([known[1], other_covariances[new]]),
         np.concatenate([known[2], joined]),
         ends,
@@ -125,7 +126,7 @@ def _free_ends(
     columns: int,
     corners: Float[np.ndarray, "corners 2"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the ends of long segments where no corner is: pixels, covariances, segments."""
+    """Return the ends of long segments without a corner: pixels, covariances, segments."""
     # Short segments are often texture, whose ends mean nothing.
     long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= MIN_FREE_LENGTH
     segment, side = np.nonzero(free & long[:, None])
@@ -139,14 +140,14 @@ def _free_ends(
 def _is_inside(
     pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]
 ) -> Bool[np.ndarray, "points"]:
-    """Return which pixels are within the picture; NaN is not."""
+    """Return which pixels are within the picture; False for NaN."""
     with np.errstate(invalid="ignore"):
         inside = (pixels >= -0.5) & (pixels <= np.array(image_size) - 0.5)
     return np.asarray(inside.all(axis=1))
 
 
 def _corner_pixels(junctions: LineCorners, plane: IdealPlane) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels and covariances of corners of segments."""
+    """Return pixels and covariances of the corners of segments."""
     pixels, derivatives = plane.to_pixels(junctions.points)
     covariances = derivatives @ junctions.covariances @ derivatives.transpose(0, 2, 1)
     return pixels, covariances
@@ -159,21 +160,21 @@ def _end_pixels(
     Float[np.ndarray, "segments 2 2 2"],
     Bool[np.ndarray, "segments 2"],
 ]:
-    """Return pixels and covariances of the ends of segments, and whether no corner is there.
+    """Return pixels and covariances of the segments' ends, and whether they have no corner.
 
     An end at a corner has the corner's position.
     """
     count = len(lines.centres)
     index = np.repeat(np.arange(count), 2)
     ends = lines.ends.reshape(-1, 2).copy()
-    # Well known across the segment, poorly along it: edges fade out, they do not end.
+    # Accurate across the segment, inaccurate along it: edges fade out rather than end.
     across, along = lines.normals[index], lines.directions[index]
     covariances = lines.variances_at(index, ends)[:, None, None] * _outer(across)
     covariances = covariances + END_SIGMA**2 * _outer(along)
     free = np.ones(2 * count, dtype=bool)
     for k, corner in enumerate(junctions.points):
         for segment in junctions.segments[k][junctions.segments[k] >= 0]:
-            # The nearer end; the corner of a T is in the middle of one of its segments.
+            # Use the nearer end; the corner of a T is in the middle of one of its segments.
             gaps = np.linalg.norm(lines.ends[segment] - corner, axis=1)
             if gaps.min() <= MAX_END_GAP:
                 end = 2 * segment + int(np.argmin(gaps))
@@ -199,16 +200,16 @@ def _plane_normals(
 ) -> tuple[Float[np.ndarray, "segments 3"], Float[np.ndarray, "segments 3 3"]]:
     """Return the unit normals of the planes through lines and the camera's centre, with covariance.
 
-    A line n . x = d of the ideal plane at focal length f is seen in the plane of normal
-    (f n, -d) through the centre.
+    A line n . x = d of the ideal plane at focal length f lies in the plane through the centre with
+    the normal (f n, -d).
     """
     f, n, t = plane.focal_length, lines.normals, lines.directions
     d = (n * lines.centres).sum(axis=1)
     normals = np.column_stack([f * n, -d])
     lengths = np.linalg.norm(normals, axis=1)[:, None]
     normals = normals / lengths
-    # A shift by e across changes d by e. A turn by a about the centre c changes n by a t and d by
-    # a (t . c), since c stays on the line.
+    # A shift by e across the line changes d by e. A turn by a about the centre c changes n by a t
+    # and d by a (t . c), since c stays on the line.
     by_shift = np.column_stack([np.zeros_like(n), -np.ones(len(n))]) / lengths
     by_turn = np.column_stack([f * t, -(t * lines.centres).sum(axis=1)]) / lengths
     # The two errors of a line are independent about its centre, so their covariances add up.
@@ -217,7 +218,7 @@ def _plane_normals(
         (by_shift, lines.offset_variances),
         (by_turn, lines.angle_variances),
     ):
-        # The unit length holds only the part at a right angle to the normal.
+        # For a unit vector only the derivative perpendicular to it counts.
         tangent = derivative - normals * (normals * derivative).sum(axis=1, keepdims=True)
         covariances += variance[:, None, None] * tangent[:, :, None] * tangent[:, None, :]
     return normals, covariances

@@ -10,9 +10,9 @@ SMOOTHING = 1.0
 """Standard deviation of the smoothing before the gradient is taken, px."""
 
 MIN_NOISE = 0.6
-"""Smallest standard deviation of a picture's noise that is believed, grey levels.
+"""Smallest standard deviation of a picture's noise, grey levels; a smaller estimate is not used.
 
-Rounding to whole levels alone gives 0.3, and saturated regions have none.
+Rounding to whole levels alone gives 0.3, and saturated regions have no noise.
 """
 
 
@@ -38,7 +38,7 @@ class Gradient(NamedTuple):
         x = np.arange(-radius, radius + 1.0)
         smooth = np.exp(-0.5 * (x / SMOOTHING) ** 2)
         smooth /= smooth.sum()
-        # sepFilter2D correlates: with x G(x) the derivative has the sign of a rising ramp. It is
+        # sepFilter2D correlates, so that x G(x) gives a positive derivative on a rising ramp. It is
         # scaled to be exact on ramps.
         slope = x * smooth
         slope /= (x * slope).sum()
@@ -58,8 +58,8 @@ class Gradient(NamedTuple):
 def _noise(grey: Float[np.ndarray, "rows columns"]) -> float:
     """Return the standard deviation of a picture's noise, grey levels.
 
-    The median over the picture of a second difference of second differences, which is zero on
-    planes and along straight edges of the grid (Immerkaer, "Fast noise variance estimation", 1996).
+    It is the median over the picture of a mixed fourth difference, which is zero on planes and
+    along straight edges of the grid (Immerkaer, "Fast noise variance estimation", 1996).
     """
     kernel = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
     # The kernel's squares sum to 36; 0.6745 is the median of |x| for a standard normal x.

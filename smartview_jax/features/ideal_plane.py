@@ -1,8 +1,8 @@
 """Map pixels to the picture that a camera without distortion would take, and back.
 
-A straight edge is straight only there. Ideal coordinates are those of a pinhole camera with the
-mean focal length and the axis at the origin: `f (x / z, y / z)`, in px, so that distances and
-noise have almost the size that they have in the real picture.
+Straight edges are straight only there. Ideal coordinates belong to a pinhole camera with the mean
+focal length and the axis at the origin: `f (x / z, y / z)`, in px, so that distances and noise have
+almost the same size as in the real picture.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 
 POINTS_PER_BATCH = 4_096
-"""Number of points that are mapped at once, by one compiled program for any number of points."""
+"""Number of points that are mapped at once: one compiled program serves any number of points."""
 
 
 class IdealPlane:
@@ -32,7 +32,7 @@ class IdealPlane:
         self.focal_length: float = 0.5 * float(camera.alpha_u + camera.alpha_v)
 
     def from_pixels(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
-        """Return ideal coordinates; NaN where the lens has no ray or it is not in front."""
+        """Return ideal coordinates; NaN where the lens has no ray, or one that is not in front."""
         return self.focal_length * _in_batches(_to_normalised, self._camera, pixels)[0]
 
     def to_pixels(
@@ -47,7 +47,7 @@ class IdealPlane:
         return self.focal_length * _in_batches(_to_normalised, self._camera, pixels)[1]
 
     def rays(self, ideal: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
-        """Return the unit rays in the camera's frame of points of the ideal plane."""
+        """Return the unit rays to points of the ideal plane, in the camera's frame."""
         rays = np.column_stack([ideal, np.full(len(ideal), self.focal_length)])
         return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
@@ -56,7 +56,7 @@ def _in_batches(
     function: Callable[..., tuple[Array, Array]], camera: Camera, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Apply a compiled function to points, a fixed number at a time."""
-    # The last batch is padded with zeros, which every lens maps without harm.
+    # The last batch is padded with zeros, which every lens can map.
     values, derivatives = np.empty((len(points), 2)), np.empty((len(points), 2, 2))
     for start in range(0, len(points), POINTS_PER_BATCH):
         part = points[start : start + POINTS_PER_BATCH]
@@ -76,7 +76,7 @@ def _to_normalised(
 
     def normalised(points: Float[Array, "points 2"]) -> Float[Array, "points 2"]:
         rays, valid = camera.unproject(points)
-        # Rays to the side or behind have no place in the ideal plane.
+        # Rays to the side or behind do not meet the ideal plane.
         usable: Bool[Array, "points"] = valid & (rays[:, 2] > 0.0)
         # The inner `where` keeps the derivatives of other points finite.
         depth = jnp.where(usable, rays[:, 2], 1.0)
@@ -102,7 +102,7 @@ def _with_derivatives(
     points: Float[Array, "points 2"],
 ) -> tuple[Float[Array, "points 2"], Float[Array, "points 2 2"]]:
     """Return the values of a function that maps points one by one, and its derivatives."""
-    # Each point depends on itself only: two directional derivatives give all of them.
+    # Each point depends only on itself: two directional derivatives give all of them.
     columns = []
     value = function(points)
     for k in (0, 1):

@@ -1,7 +1,7 @@
 """Fit many straight lines to edge points at once, each along a proposal and beyond its ends.
 
-All proposals go through the same steps together, as flat arrays of members: pairs of a proposal and
-a point. A textured picture has thousands of proposals.
+All proposals go through the same steps together, as flat arrays of members (pairs of a proposal and
+a point). A textured picture has thousands of proposals.
 """
 
 from typing import NamedTuple
@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 BAND_HALF_WIDTHS = (2.5, 1.5, 1.2)
-"""Largest distances of edge points from the line, px, in the fits that follow one another."""
+"""Largest distances of edge points from the line, px, in successive fits."""
 
 MAX_EXTENSION = 30.0
-"""Length beyond twice its own by which a segment may grow in each of these fits, px."""
+"""Length, px, by which a segment may grow in each fit, in addition to doubling."""
 
 MAX_GAP = 4.0
 """Largest distance between neighbouring points of one segment, px."""
@@ -25,17 +25,17 @@ MIN_ALIGNMENT = float(np.cos(np.deg2rad(22.5)))
 """Smallest cosine between an edge point's gradient and the line's normal."""
 
 END_MARGIN = 3.0
-"""Length at either end of a segment that is not fitted, px: other edges bend it there."""
+"""Length at either end of a segment that is left out of the fit, px: other edges bend it there."""
 
 POINTS_PER_CELL = 3
-"""Largest number of points that are looked up in one cell of a pixel's size; few have two."""
+"""Largest number of points stored in one cell of a pixel's size; few have two."""
 
 LOOKUPS_PER_BATCH = 2_000_000
-"""Number of cells that are looked up at once, which bounds memory."""
+"""Number of cells that are looked up at once, to limit memory."""
 
 
 class Members(NamedTuple):
-    """Points near lines, those of each line together.
+    """Points near lines, sorted by line.
 
     Attributes:
         line: index of the line, ascending.
@@ -46,7 +46,7 @@ class Members(NamedTuple):
     point: Int[np.ndarray, "members"]
 
     def of(self, keep: Bool[np.ndarray, "members"]) -> "Members":
-        """Return some of the members."""
+        """Return the selected members."""
         return Members(self.line[keep], self.point[keep])
 
 
@@ -65,7 +65,7 @@ class CentredLines(NamedTuple):
 
     @classmethod
     def between(cls, ends: Float[np.ndarray, "lines 2 2"]) -> "CentredLines":
-        """Return the lines between two ends each; the sign of their normals is any."""
+        """Return the lines between two ends each; the sign of their normals is arbitrary."""
         spans = ends[:, 1] - ends[:, 0]
         lengths = np.linalg.norm(spans, axis=1)
         normals = np.column_stack([-spans[:, 1], spans[:, 0]]) / lengths[:, None]
@@ -77,7 +77,7 @@ class LineFits(NamedTuple):
 
     Attributes:
         lines: where each line is.
-        members: points of the lines, none of a line that was given up.
+        members: points of the lines; none for rejected lines.
     """
 
     lines: CentredLines
@@ -85,7 +85,7 @@ class LineFits(NamedTuple):
 
 
 class PointGrid:
-    """Edge points in cells of a pixel's size, of which those near a line are found."""
+    """Edge points in cells of a pixel's size, to look up the points near a line."""
 
     def __init__(
         self, points: Float[np.ndarray, "points 2"], normals: Float[np.ndarray, "points 2"]
@@ -95,7 +95,7 @@ class PointGrid:
         cells = np.rint(points).astype(int)
         self._origin = cells.min(axis=0, initial=0)
         self._size = cells.max(axis=0, initial=0) - self._origin + 1
-        # Row after row of cells, each with places for its points.
+        # Rows of cells, each with places for its points.
         self._strides = np.array([1, self._size[0]])
         flat = (cells - self._origin) @ self._strides
         order = np.argsort(flat, kind="stable")
@@ -112,20 +112,20 @@ class PointGrid:
         reaches: Float[np.ndarray, "lines"],
         half_width: float,
     ) -> Members:
-        """Return the points within a distance of lines, and within a reach of their centres."""
+        """Return the points within a distance of lines and within a reach of their centres."""
         directions = directions_of(normals)
-        # Along the axis to which a line is nearer it has one cell in each row or column.
+        # Along its major axis a line has one cell in each row or column.
         major = np.argmax(np.abs(directions), axis=1)
-        own = np.arange(len(centres))
-        # What is beside an end may be farther along the axis than the end itself.
-        spans = reaches * np.abs(directions[own, major]) + half_width
-        lows = np.rint(centres[own, major] - spans).astype(int)
-        counts = np.rint(centres[own, major] + spans).astype(int) - lows + 1
-        # Across by sqrt(2) more than the distance at most, and a cell for rounding.
-        beside = np.arange(-1, 2 * int(np.ceil(np.sqrt(2.0) * half_width)) + 2)
-        beside = beside - int(np.ceil(np.sqrt(2.0) * half_width))
-        batches = np.cumsum(counts) * len(beside) // LOOKUPS_PER_BATCH
-        slope = directions[own, 1 - major] / directions[own, major]
+        index = np.arange(len(centres))
+        # A point next to an end may be farther along the axis than the end.
+        spans = reaches * np.abs(directions[index, major]) + half_width
+        lows = np.rint(centres[index, major] - spans).astype(int)
+        counts = np.rint(centres[index, major] + spans).astype(int) - lows + 1
+        # Across, at most sqrt(2) times the distance, and a cell for rounding.
+        offsets = np.arange(-1, 2 * int(np.ceil(np.sqrt(2.0) * half_width)) + 2)
+        offsets = offsets - int(np.ceil(np.sqrt(2.0) * half_width))
+        batches = np.cumsum(counts) * len(offsets) // LOOKUPS_PER_BATCH
+        slope = directions[index, 1 - major] / directions[index, major]
         parts = [(np.zeros(0, dtype=int), np.zeros(0, dtype=int))]
         for batch in np.unique(batches):
             some = np.flatnonzero(batches == batch)
@@ -134,7 +134,7 @@ class PointGrid:
             step = lows[line] + np.arange(len(line)) - np.repeat(starts, counts[some])
             across = centres[line, 1 - major[line]]
             across = across + slope[line] * (step - centres[line, major[line]])
-            minor = np.rint(across).astype(int)[:, None] + beside
+            minor = np.rint(across).astype(int)[:, None] + offsets
             parts.append(self._in_cells(line, step, minor, major[line]))
         members = Members(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         gaps = self.points[members.point] - centres[members.line]
@@ -146,19 +146,19 @@ class PointGrid:
         self,
         line: Int[np.ndarray, "steps"],
         step: Int[np.ndarray, "steps"],
-        minor: Int[np.ndarray, "steps beside"],
+        minor: Int[np.ndarray, "steps offsets"],
         major: Int[np.ndarray, "steps"],
     ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-        """Return the lines and points of cells, of which one coordinate is along the line."""
+        """Return the lines and points of cells; one coordinate of a cell is along the line."""
         step, minor = step - self._origin[major], minor - self._origin[1 - major][:, None]
         inside = (minor >= 0) & (minor < self._size[1 - major][:, None])
         inside &= ((step >= 0) & (step < self._size[major]))[:, None]
         strides = self._strides
         cells = (step * strides[major])[:, None] + minor * strides[1 - major][:, None]
-        row, beside = np.nonzero(inside)
-        found = self._cells[cells[row, beside]]
-        place, layer = np.nonzero(found >= 0)
-        return line[row[place]], found[place, layer]
+        row, offset = np.nonzero(inside)
+        points = self._cells[cells[row, offset]]
+        place, layer = np.nonzero(points >= 0)
+        return line[row[place]], points[place, layer]
 
 
 def directions_of(normals: Float[np.ndarray, "lines 2"]) -> Float[np.ndarray, "lines 2"]:
@@ -171,7 +171,7 @@ def fit_lines(grid: PointGrid, proposals: Float[np.ndarray, "lines 2 2"]) -> Lin
     lines = _towards_light(grid, CentredLines.between(proposals))
     members, alive = Members(np.zeros(0, int), np.zeros(0, int)), np.arange(len(proposals))
     for half_width in BAND_HALF_WIDTHS:
-        # Looked up anew, because the lines may have grown.
+        # Looked up again, because the lines may have grown.
         reaches = 2.0 * lines.half_lengths[alive] + MAX_EXTENSION
         near = grid.near(lines.centres[alive], lines.normals[alive], reaches, half_width)
         near = Members(alive[near.line], near.point)
@@ -186,17 +186,17 @@ def fit_lines(grid: PointGrid, proposals: Float[np.ndarray, "lines 2 2"]) -> Lin
 
 
 def _towards_light(grid: PointGrid, lines: CentredLines) -> CentredLines:
-    """Return the lines with normals of the sign that most gradients along them agree with."""
+    """Return the lines with normals in the direction of most gradients along them."""
     line, point = grid.near(*lines, BAND_HALF_WIDTHS[0])
     alignment = (grid.normals[point] * lines.normals[line]).sum(axis=1)
-    # Where two edges run side by side, both polarities are near: the more frequent one wins.
+    # Two edges side by side give both polarities; the more frequent one wins.
     votes = (alignment > MIN_ALIGNMENT).astype(int) - (alignment < -MIN_ALIGNMENT)
     darker = np.bincount(line, votes, minlength=len(lines.centres)) < 0.0
     return lines._replace(normals=np.where(darker[:, None], -lines.normals, lines.normals))
 
 
 def _runs(grid: PointGrid, near: Members, lines: CentredLines) -> Members:
-    """Return the points of each line without gaps that cover most of its interval so far."""
+    """Return for each line the run of points without gaps that covers most of its interval."""
     alignment = (grid.normals[near.point] * lines.normals[near.line]).sum(axis=1)
     near = near.of(alignment > MIN_ALIGNMENT)
     along = along_lines(grid, near, lines.centres, lines.normals)
@@ -204,7 +204,7 @@ def _runs(grid: PointGrid, near: Members, lines: CentredLines) -> Members:
     near, along = Members(near.line[order], near.point[order]), along[order]
     if not len(along):
         return near
-    # Cut into pieces at the gaps; the piece over the proposal goes on.
+    # Cut at the gaps; keep the piece with most points over the proposal.
     is_new = np.r_[True, (np.diff(near.line) > 0) | (np.diff(along) > MAX_GAP)]
     piece = np.cumsum(is_new) - 1
     inside = np.bincount(piece, np.abs(along) <= lines.half_lengths[near.line])
@@ -228,12 +228,12 @@ def along_lines(
 
 
 def _refitted(grid: PointGrid, members: Members, lines: CentredLines) -> CentredLines:
-    """Return the lines of least squared distances to their members."""
+    """Return the total least-squares lines of the members."""
     middle = middles(members, along_lines(grid, members, lines.centres, lines.normals))
     means, fitted, _ = total_least_squares(grid, middle, lines.normals)
     low, high = ranges(members, along_lines(grid, members, means, fitted), len(means))
     moved = means + 0.5 * (low + high)[:, None] * directions_of(fitted)
-    # Lines without points stay as they are.
+    # Lines without points stay unchanged.
     has = np.isfinite(low)
     return CentredLines(
         np.where(has[:, None], moved, lines.centres),
@@ -253,13 +253,13 @@ def ranges(
 
 
 def middles(members: Members, along: Float[np.ndarray, "members"]) -> Members:
-    """Return the points that are fitted: those away from the ends of a long line."""
+    """Return the points used for fitting: all but those near the ends of a long line."""
     count = int(members.line.max(initial=-1)) + 1
     low, high = ranges(members, along, count)
     margin = np.minimum(END_MARGIN, 0.25 * (high - low))
     line = members.line
     middle = (along >= (low + margin)[line]) & (along <= (high - margin)[line])
-    # A short one may have points at its ends only.
+    # A short line may have points only at its ends.
     few = np.bincount(line, middle, minlength=count) < 2
     return members.of(middle | few[line])
 
@@ -267,14 +267,14 @@ def middles(members: Members, along: Float[np.ndarray, "members"]) -> Members:
 def total_least_squares(
     grid: PointGrid, members: Members, normals: Float[np.ndarray, "lines 2"]
 ) -> tuple[Float[np.ndarray, "lines 2"], Float[np.ndarray, "lines 2"], Float[np.ndarray, "lines"]]:
-    """Return means, unit normals and variances across the lines of least squared distances.
+    """Return means, unit normals and variances across the total least-squares lines.
 
-    The normals point to the side of the given ones.
+    The normals have the sign of the given ones.
     """
     line, points = members.line, grid.points[members.point]
 
     def sums(values: Float[np.ndarray, "members"]) -> Float[np.ndarray, "lines"]:
-        # Without any members it would count in whole numbers.
+        # Without members bincount returns integers.
         return np.bincount(line, values, minlength=len(normals)).astype(float)
 
     counts = sums(np.ones(len(line)))
@@ -286,5 +286,5 @@ def total_least_squares(
     values, vectors = np.linalg.eigh(scatter)
     fitted = vectors[:, :, 0]
     fitted = np.where(((fitted * normals).sum(axis=1) > 0.0)[:, None], fitted, -fitted)
-    # Two numbers of a line are fitted.
+    # Two numbers of each line are fitted.
     return means, fitted, np.maximum(values[:, 0], 0.0) / np.maximum(counts - 2.0, 1.0)

@@ -1,4 +1,4 @@
-"""Refuse arrays that are not pictures of the camera, or pictures on which nothing can be found."""
+"""Refuse arrays that are not pictures of the camera, and pictures without usable content."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ MIN_CONTRAST = 8.0
 """Smallest difference, grey levels, between the darkest and the brightest hundredth of pixels."""
 
 MAX_WHITE_FRACTION, MAX_BLACK_FRACTION = 0.6, 0.98
-"""Largest fractions of pixels at 255 and at 0; objects may stand before black."""
+"""Largest fractions of pixels at 255 and at 0; objects may be in front of black."""
 
 
 def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows columns"]:
@@ -18,7 +18,7 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
-        camera: whose picture it is.
+        camera: the camera that took it.
 
     Raises:
         ValueError: the array is empty, of another type or of another size than the camera's
@@ -43,7 +43,7 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     white, black = float((grey == 255).mean()), float((grey == 0).mean())
     darkest, brightest = np.percentile(grey, [1.0, 99.0])
-    # A few bright pixels in a black picture may be all of an object, so blackness is tested first.
+    # A dark object may be a few bright pixels on black, so blackness is tested first.
     if black > MAX_BLACK_FRACTION:
         raise ValueError(f"picture: under-exposed, {black:.0%} of its pixels are 0")
     if white > MAX_WHITE_FRACTION:

@@ -1,10 +1,10 @@
-"""Prepare a picture for asking how well it agrees with many poses of known objects.
+"""Prepare a picture for measuring how well it agrees with many poses of known objects.
 
-A wireframe that is projected at a pose should lie on edges of the picture that run in its own
-direction. Distance maps answer this for any place and direction at once (directional chamfer
-matching; Gavrila, "Multi-feature hierarchical template matching using distance transforms", 1998;
-Liu et al., "Fast directional chamfer matching", 2010). They are made in the ideal plane, where
-straight edges are straight and no lens is needed to project.
+The projected wireframe of an object should lie on edges of the picture with the same direction.
+Distance maps answer this for any place and direction at once (directional chamfer matching;
+Gavrila, "Multi-feature hierarchical template matching using distance transforms", 1998; Liu et al.,
+"Fast directional chamfer matching", 2010). They are made in the ideal plane, where straight edges
+are straight and projection needs no lens.
 """
 
 from functools import lru_cache
@@ -24,37 +24,37 @@ from .lone_edges import lone_points
 from .picture_checks import grey_levels
 
 ORIENTATIONS = 8
-"""Number of distance maps; directions are modulo half a turn, since an edge has two."""
+"""Number of distance maps; directions are modulo half a turn, since an edge has no orientation."""
 
 ORIENTATION_TOLERANCE = float(np.deg2rad(22.5))
-"""Largest angle between an edge point and the direction of a map that has it, rad."""
+"""Largest angle between an edge and the direction of a map that contains it, rad."""
 
 MAX_CELLS = 640
-"""Number of cells along the longer side of the picture at most, which bounds memory and time."""
+"""Largest number of cells along the longer side of the picture, to limit memory and time."""
 
 DISTANCE_STEP = 1.0 / 16.0
 """Unit of the distances, in cells; the largest one is `FAR` units."""
 
 FAR, UNSEEN = 254, 255
-"""Distances of cells that are far from all edge points, and of those that the picture lacks."""
+"""Distance of cells far from all edge points, and value of cells outside the picture."""
 
 MAX_WIDENING = 1.5
-"""Largest extent of the maps over that of the picture; a wide lens sees more, which is left out."""
+"""Largest extent of the maps over the picture's extent; wider views of a lens are cut off."""
 
 
 class EdgeMaps(NamedTuple):
     """Points along the straight segments of a picture, and the distances from them.
 
-    Texture has edge points everywhere, and segments only where something is straight. All is in
-    ideal coordinates (`IdealPlane`), px. Cell (i, j) of a map has its centre at
+    Texture has edge points everywhere, but segments only where something is straight. All
+    coordinates are ideal (`IdealPlane`), px. Cell (i, j) of a map has its centre at
     `origin + cell_size * (j, i)`. Map k is for edges of direction `k * pi / ORIENTATIONS`, the
     angle from u towards v.
 
     Attributes:
-        distances: from the cell of the nearest edge point of about this direction, in units of
+        distances: to the cell of the nearest edge point with about this direction, in units of
             `DISTANCE_STEP` cells, or `FAR` or `UNSEEN`.
         nearest: index of that point, however far; 0 in maps without points.
-        points: a pixel apart along their segments.
+        points: points along the segments, one px apart.
         normals: unit normals of the segments, from dark to light.
         origin: centre of the first cell.
         cell_size: px.
@@ -71,12 +71,12 @@ class EdgeMaps(NamedTuple):
 
 
 class PictureEvidence(NamedTuple):
-    """All that is found in one picture, before anybody asks for an object.
+    """Everything found in one picture that does not depend on the objects.
 
     Attributes:
         features: segments and corners.
         edge_points: of the whole picture, sub-pixel.
-        lone: which of them have no other edge beside them, which would displace them.
+        lone: which of them no other edge is near enough to displace.
         maps: distances from its segments.
     """
 
@@ -108,27 +108,27 @@ def edge_maps(features: Features, camera: Camera) -> EdgeMaps:
     """Return the distance maps of the segments of a picture."""
     plane = IdealPlane(camera)
     points, normals = _points_on_segments(features, plane)
-    origin, seen, cell_size = _grid(_ByValue(camera))
-    # Direction modulo half a turn, at a right angle to the normal.
+    origin, in_picture, cell_size = _grid(_ByValue(camera))
+    # Direction modulo half a turn, perpendicular to the normal.
     angles = np.arctan2(normals[:, 0], -normals[:, 1])
     cells = np.rint((points - origin) / cell_size).astype(int)
-    inside = ((cells >= 0) & (cells < seen.shape[::-1])).all(axis=1)
-    distances = np.full((ORIENTATIONS, *seen.shape), FAR, np.uint8)
-    nearest = np.zeros((ORIENTATIONS, *seen.shape), np.int32)
+    inside = ((cells >= 0) & (cells < in_picture.shape[::-1])).all(axis=1)
+    distances = np.full((ORIENTATIONS, *in_picture.shape), FAR, np.uint8)
+    nearest = np.zeros((ORIENTATIONS, *in_picture.shape), np.int32)
     for k in range(ORIENTATIONS):
         turn = angles - k * np.pi / ORIENTATIONS
         turn = np.abs((turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
-        own = np.flatnonzero(inside & (turn <= ORIENTATION_TOLERANCE))
-        if len(own):
-            nearest[k], gap = _nearest_points(cells[own], own, seen.shape)
+        members = np.flatnonzero(inside & (turn <= ORIENTATION_TOLERANCE))
+        if len(members):
+            nearest[k], gap = _nearest_points(cells[members], members, in_picture.shape)
             distances[k] = np.minimum(gap / DISTANCE_STEP, FAR).astype(np.uint8)
-    # Last, because edges reach into cells that the picture lacks.
-    distances[:, ~seen] = UNSEEN
+    # Last, because edges reach into cells outside the picture.
+    distances[:, ~in_picture] = UNSEEN
     return EdgeMaps(distances, nearest, points, normals, origin, cell_size, plane.focal_length)
 
 
 class _ByValue:
-    """A camera that is equal to another one of the same numbers, so that it is a key."""
+    """A camera as a dictionary key: cameras with equal numbers are equal."""
 
     def __init__(self, camera: Camera):
         self.camera = camera
@@ -146,15 +146,15 @@ class _ByValue:
 def _grid(
     key: _ByValue,
 ) -> tuple[Float[np.ndarray, "2"], Bool[np.ndarray, "rows columns"], float]:
-    """Return the first cell's centre, which cells are within the picture, and their size.
+    """Return the first cell's centre, which cells are within the picture, and the cell size.
 
-    All pictures of a camera have one grid, which takes its lens a while.
+    All pictures of a camera share one grid, whose computation takes a while.
     """
     plane, image_size = IdealPlane(key.camera), key.camera.image_size
     size = np.array(image_size)
     # A whole number of pixels, rounded up.
     cell_size = float(-(-max(image_size) // MAX_CELLS))
-    # The border of the picture, with its corners, where distorted pictures reach farthest.
+    # The border of the picture with its corners, where a distorted picture reaches farthest.
     along = np.linspace(-0.5, 1.0, 65)[:, None].clip(0.0) * (size - 1.0)
     u, v = along.T
     top, left = np.column_stack([u, 0.0 * u]), np.column_stack([0.0 * v, v])
@@ -164,7 +164,7 @@ def _grid(
     ideal = ideal[np.isfinite(ideal).all(axis=1)]
     middle = plane.from_pixels(0.5 * (size - 1.0)[None])[0]
     limit = 0.5 * MAX_WIDENING * size
-    # Where the lens has no rays at the border, the picture's own size has to do.
+    # Where the lens has no rays at the border, use the picture's own size.
     reach = ideal if len(ideal) else middle + 0.5 * np.array([-size, size])
     low = np.maximum(reach.min(axis=0), middle - limit)
     high = np.minimum(reach.max(axis=0), middle + limit)
@@ -172,8 +172,8 @@ def _grid(
     centres = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
     pixels = plane.to_pixels((low + cell_size * centres).reshape(-1, 2))[0]
     with np.errstate(invalid="ignore"):
-        seen = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
-    return low, seen.reshape(rows, columns), cell_size
+        in_picture = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
+    return low, in_picture.reshape(rows, columns), cell_size
 
 
 def _points_on_segments(
@@ -181,7 +181,7 @@ def _points_on_segments(
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2"]]:
     """Return points along the segments, a pixel apart, and their normals, in ideal coordinates."""
     ends = plane.from_pixels(features.segments.reshape(-1, 2)).reshape(-1, 2, 2)
-    # Beside the ideal plane, where a wide lens still sees, nothing is looked for.
+    # Segments outside the ideal plane, where a wide lens still sees, are left out.
     ends = ends[np.isfinite(ends).all(axis=(1, 2))]
     starts, spans = ends[:, 0], ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(spans, axis=1)
@@ -198,18 +198,18 @@ def _points_on_segments(
 def _nearest_points(
     cells: Int[np.ndarray, "points 2"], index: Int[np.ndarray, "points"], shape: tuple[int, int]
 ) -> tuple[Int[np.ndarray, "rows columns"], Float[np.ndarray, "rows columns"]]:
-    """Return the point in the nearest cell that has one, and its cell's distance in cells."""
-    own = np.zeros(shape, np.int32)
+    """Return the point in the nearest occupied cell, and the distance of that cell in cells."""
+    point_in = np.zeros(shape, np.int32)
     is_free = np.ones(shape, np.uint8)
     column, row = cells.T
-    # Where several points share a cell, any of them will do: they are on one line.
-    own[row, column], is_free[row, column] = index, 0
-    gap, found = cv2.distanceTransformWithLabels(
+    # Where several points share a cell, any of them is fine: they are on one line.
+    point_in[row, column], is_free[row, column] = index, 0
+    gap, nearest = cv2.distanceTransformWithLabels(
         is_free, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    labels = np.asarray(found, dtype=int)
-    # Each occupied cell has a label of its own, which the cells nearest to it share.
+    labels = np.asarray(nearest, dtype=int)
+    # Each occupied cell has its own label, shared by the cells nearest to it.
     point_of = np.zeros(int(labels.max()) + 1, np.int32)
     occupied = is_free == 0
-    point_of[labels[occupied]] = own[occupied]
+    point_of[labels[occupied]] = point_in[occupied]
     return point_of[labels], gap

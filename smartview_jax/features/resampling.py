@@ -1,4 +1,4 @@
-"""Resample a picture to what another camera in the same place would have taken."""
+"""Resample a picture to the one that another camera in the same place would have taken."""
 
 import cv2
 import numpy as np
@@ -11,11 +11,11 @@ from .ideal_plane import IdealPlane
 def resampled(
     picture: UInt8[np.ndarray, "rows columns *channels"], camera: Camera, target: Camera
 ) -> UInt8[np.ndarray, "height width *channels"]:
-    """Return the picture that a camera would have taken in the place of another one.
+    """Return the picture that another camera in the same place would have taken.
 
     Args:
         picture: uint8, grey or BGR.
-        camera: that took it.
+        camera: the camera that took it.
         target: intrinsics, lens and picture size of the other camera.
 
     Raises:
@@ -29,12 +29,14 @@ def resampled(
         )
     columns, height = target.image_size
     pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(height)), axis=-1).astype(float)
-    # Both ideal planes have the same rays, at their own focal lengths.
-    here, there = IdealPlane(camera), IdealPlane(target)
-    ideal = there.from_pixels(pixels.reshape(-1, 2)) * (here.focal_length / there.focal_length)
-    places = np.nan_to_num(here.to_pixels(np.nan_to_num(ideal))[0], nan=-1e4)
+    # Both ideal planes have the same rays, each at its own focal length.
+    source_plane, target_plane = IdealPlane(camera), IdealPlane(target)
+    ideal = target_plane.from_pixels(pixels.reshape(-1, 2)) * (
+        source_plane.focal_length / target_plane.focal_length
+    )
+    places = np.nan_to_num(source_plane.to_pixels(np.nan_to_num(ideal))[0], nan=-1e4)
     u, v = np.moveaxis(places.reshape(height, columns, 2).astype(np.float32), -1, 0)
-    # Repeated beyond the border: a constant there would be an edge of no object.
+    # The border is replicated: a constant there would look like an edge.
     return cv2.remap(picture, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).astype(
         np.uint8
     )

@@ -1,8 +1,8 @@
-"""Fit straight segments to edge points that were taken through the lens.
+"""Fit straight segments to undistorted edge points.
 
 OpenCV's line segment detector (von Gioi et al., "LSD: a line segment detector", 2012) proposes
 pieces in the picture, where the lens bends edges. Each piece is then fitted and extended on
-sub-pixel edge points in the ideal plane, where an edge is straight, so that pieces of one edge
+sub-pixel edge points in the ideal plane, where edges are straight, so that pieces of one edge
 become one segment.
 """
 
@@ -28,10 +28,10 @@ from .line_fits import (
 )
 
 GREY_LEVEL_BOUND = 1.0
-"""Error of a gradient, grey levels, that OpenCV's detector expects; its own 2 misses weak edges."""
+"""Gradient error assumed by OpenCV's detector, grey levels; its default, 2, misses weak edges."""
 
 MAX_PROPOSALS = 6000
-"""Largest number of proposals that are fitted: the longest ones of a picture full of texture."""
+"""Largest number of proposals that are fitted; in pictures full of texture the longest are kept."""
 
 MIN_LENGTH = 8.0
 """Length of the shortest segment, px."""
@@ -46,17 +46,17 @@ MAX_USED_FRACTION = 0.5
 """Fraction of a proposal's points in earlier segments above which it adds nothing."""
 
 CORRELATED_POINTS = 2.0 * np.sqrt(np.pi) * SMOOTHING
-"""Number of neighbouring points whose errors count as one, because the picture was smoothed.
+"""Number of neighbouring points that count as one observation: smoothing correlates them.
 
-The noise of gradients that are d px apart has the correlation exp(-d^2 / (4 s^2)), whose sum over
-all d is 2 sqrt(pi) s.
+The noise of gradients d px apart has the correlation exp(-d^2 / (4 s^2)), whose sum over all d is
+2 sqrt(pi) s.
 """
 
 MIN_POINT_SIGMA = 0.03
-"""Smallest standard deviation of an edge point that is believed, px: pixels have an extent."""
+"""Smallest standard deviation of an edge point, px; a smaller estimate is not believed."""
 
 MODEL_SIGMA = 0.01
-"""Standard deviation of a whole line's position however many points it has, px."""
+"""Standard deviation of a whole line's position, px, no matter how many points it has."""
 
 
 class Lines(NamedTuple):
@@ -65,7 +65,7 @@ class Lines(NamedTuple):
     Attributes:
         centres: the means of the fitted points.
         normals: unit normals in the plane, from dark to light.
-        ends: first and last end along the direction of `directions`.
+        ends: first and last end in the direction of `directions`.
         offset_variances: variances of the distance of the centre from the true line, px^2.
         angle_variances: variances of the direction, rad^2.
         rms: distances of the points from their line, px.
@@ -100,7 +100,7 @@ def find_lines(
     """Return the straight segments of a picture, the longest proposals first."""
     points = plane.from_pixels(edge_points.pixels)
     normals = _ideal_normals(edge_points.normals, points, plane)
-    # Points that the lens cannot place in the ideal plane are left out.
+    # Points that have no place in the ideal plane are left out.
     usable = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     grid = PointGrid(points[usable], normals[usable])
     fits = fit_lines(grid, _proposals(grey, plane)[:MAX_PROPOSALS])
@@ -114,10 +114,10 @@ def _proposals(
 ) -> Float[np.ndarray, "proposals 2 2"]:
     """Return the ends of OpenCV's line segments in the ideal plane, the longest first."""
     detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD, quant=GREY_LEVEL_BOUND)
-    found = detector.detect(grey.astype(np.uint8))[0]
-    if found is None:
+    detected = detector.detect(grey.astype(np.uint8))[0]
+    if detected is None:
         return np.zeros((0, 2, 2))
-    ends = plane.from_pixels(found.reshape(-1, 2).astype(float)).reshape(-1, 2, 2)
+    ends = plane.from_pixels(detected.reshape(-1, 2).astype(float)).reshape(-1, 2, 2)
     ends = ends[np.isfinite(ends).all(axis=(1, 2))]
     return ends[np.argsort(-np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))]
 
@@ -127,7 +127,7 @@ def _ideal_normals(
     ideal: Float[np.ndarray, "points 2"],
     plane: IdealPlane,
 ) -> Float[np.ndarray, "points 2"]:
-    """Return the directions in the ideal plane of gradients, given by their normals in pixels."""
+    """Return the directions of gradients in the ideal plane, given their directions in pixels."""
     # A gradient is a covector: with J the derivative of ideal coordinates by pixels, J^-T g.
     inverse = plane.to_pixels(ideal)[1]
     turned = np.einsum("nji,nj->ni", inverse, normals)
@@ -140,7 +140,7 @@ def _lines(grid: PointGrid, fits: LineFits) -> tuple[Lines, Bool[np.ndarray, "li
     along = along_lines(grid, members, fits.lines.centres, fits.lines.normals)
     low, high = ranges(members, along, count)
     lengths = np.nan_to_num(high - low)
-    # Only what is fitted is freed of outliers; the extent is that of all points.
+    # Outliers are removed from the fitted points only; the extent includes all points.
     fitted = _without_outliers(grid, middles(members, along), fits.lines.normals)
     means, normals, variances = total_least_squares(grid, fitted, fits.lines.normals)
     low, high = ranges(members, along_lines(grid, members, means, normals), count)
@@ -154,7 +154,7 @@ def _lines(grid: PointGrid, fits: LineFits) -> tuple[Lines, Bool[np.ndarray, "li
     numbers = np.bincount(fitted.line, minlength=count)
     is_line = (lengths >= MIN_LENGTH) & (points >= MIN_DENSITY * lengths) & (numbers >= 4)
     is_line &= np.sqrt(variances) <= MAX_RMS
-    # One independent error in `CORRELATED_POINTS` points: variances grow by that factor.
+    # One independent error per `CORRELATED_POINTS` points: variances grow by that factor.
     point_variances = CORRELATED_POINTS * np.maximum(variances, MIN_POINT_SIGMA**2)
     offsets = point_variances / np.maximum(numbers, 1) + MODEL_SIGMA**2
     tilts = (2.0 * MODEL_SIGMA / np.maximum(lengths, MIN_LENGTH)) ** 2
@@ -173,7 +173,7 @@ def _without_outliers(
     counts = np.bincount(line, minlength=len(normals))
     starts = np.cumsum(counts) - counts
     ordered = np.append(distances[np.lexsort((distances, line))], 0.0)
-    # The median: the mean of the two values in the middle.
+    # The median, as the mean of the two middle values.
     middle = [starts + np.maximum(counts - k, 0) // 2 for k in (1, 0)]
     medians = 0.5 * (ordered[middle[0]] + ordered[middle[1]])
     limits = 4.0 * np.maximum(1.48 * medians, MIN_POINT_SIGMA)
@@ -183,14 +183,14 @@ def _without_outliers(
 def _without_repetitions(
     members: Members, is_line: Bool[np.ndarray, "lines"], points: int
 ) -> Int[np.ndarray, "kept"]:
-    """Return the lines that are not of the points of earlier ones, which are longer proposals."""
+    """Return the lines that do not repeat points of earlier lines, which are longer proposals."""
     used, kept = np.zeros(points, dtype=bool), []
     bounds = np.searchsorted(members.line, np.arange(len(is_line) + 1))
     for k in np.flatnonzero(is_line):
-        own = members.point[bounds[k] : bounds[k + 1]]
-        # Each takes its points, and the pieces of the same edge find them used.
-        if used[own].mean() <= MAX_USED_FRACTION:
-            used[own] = True
+        on_line = members.point[bounds[k] : bounds[k + 1]]
+        # A kept line uses up its points, so that further pieces of the same edge are dropped.
+        if used[on_line].mean() <= MAX_USED_FRACTION:
+            used[on_line] = True
             kept.append(int(k))
     return np.array(kept, dtype=int)
 

@@ -1,4 +1,4 @@
-"""Plan grasps of found objects: the robot's commands, their checks, their chance of success."""
+"""Plan grasps of found objects: robot commands, their checks, and the probability of success."""
 
 from ..robots import Gripper as Gripper
 from .candidates import suggested_grasps as suggested_grasps

@@ -1,4 +1,4 @@
-"""List the ways in which a gripper could hold an object, before anything around it is looked at."""
+"""List the grasps of an object that a gripper allows, regardless of the surroundings."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -27,22 +27,22 @@ REVOLUTION_STEPS = 12
 """Number of turns at which a grasp is repeated about the axis of a surface of revolution."""
 
 FINGER_STEPS = 8
-"""Number of places along a finger's width at which the object's width is looked at."""
+"""Number of places along a finger's width at which the object's width is measured."""
 
 SHIFTS = (0.0, 0.25, -0.25)
-"""Places of suggested grasps along the fingers' width, over the object's extent there."""
+"""Positions of suggested grasps along the fingers' width, over the object's extent there."""
 
 
 class Candidate(NamedTuple):
-    """A grasp of the model, repeated by its symmetry and by that of the gripper.
+    """A grasp of the model, repeated by the model's and the gripper's symmetry.
 
     Attributes:
         grasp: the model's grasp.
         object_from_gripper: pose of the gripper's frame in the object's, m.
         opening: distance between the fingers while they approach, m.
-        width: how wide the object is between the fingers, m.
-        along_finger: how far the object's two sides extend to either side of the fingers' middle,
-            along the gripper's y axis, m: the lower and the upper end.
+        width: width of the object between the fingers, m.
+        along_finger: lower and upper end of the object's two sides along the gripper's y axis, from
+            the middle of the fingers, m.
     """
 
     grasp: Grasp
@@ -55,34 +55,33 @@ class Candidate(NamedTuple):
 def suggested_grasps(model: ObjectModel, gripper: Gripper) -> tuple[Grasp, ...]:
     """Return grasps on every pair of parallel faces that the fingers reach around.
 
-    The fingers touch the pair, and the gripper approaches along the inward normal of a face at a
-    right angle to it. Faces marked as not graspable are not touched.
+    The fingers touch the pair, and the gripper approaches along the inward normal of a face that is
+    perpendicular to it. Faces marked as not graspable are not touched.
 
-    A face that the model lacks, as a clicked one often lacks its bottom, is neither touched nor
-    approached.
+    Missing faces, such as the bottom of a clicked model, are neither touched nor approached.
 
     Raises:
-        ValueError: the model has no faces at all, from which widths could be taken.
+        ValueError: the model has no faces, which are needed for widths.
     """
     if not model.faces:
         raise ValueError(f"model {model.name!r} has neither grasps nor faces to put any on")
     planes = [model.plane(k) for k in range(len(model.faces))]
-    found = []
+    grasps = []
     for a, first in enumerate(planes):
         for b in range(a + 1, len(planes)):
             touched = (
                 model.faces[a].graspable is not False and model.faces[b].graspable is not False
             )
             width = float(first.normal @ (first.origin - planes[b].origin))
-            # Opposite normals, and outside of each other, not two walls of a groove.
+            # Opposite normals that point away from each other, unlike two walls of a groove.
             opposite = first.normal @ planes[b].normal < -1.0 + 1e-4
             if not (touched and opposite and 0.0 < width < gripper.max_opening):
                 continue
             middle = 0.5 * (_face_centre(model, a) + _face_centre(model, b))
             for f, plane in enumerate(planes):
                 if abs(plane.normal @ first.normal) < 1e-2:
-                    found += _grasps_between(model, gripper, f, first.normal, middle, width)
-    return tuple(found)
+                    grasps += _grasps_between(model, gripper, f, first.normal, middle, width)
+    return tuple(grasps)
 
 
 def _face_centre(model: ObjectModel, face: int) -> Float[np.ndarray, "3"]:
@@ -101,7 +100,7 @@ def _grasps_between(
     """Yield the grasps that approach along a face's normal and close along a direction."""
     normal = model.plane(face).normal
     heights = (model.vertices - model.plane(face).origin) @ normal
-    # Down to the object's middle and a little further, if fingers and object are long enough.
+    # Down to slightly below the object's middle, as far as fingers and object are long enough.
     depth = min(
         float((model.plane(face).origin - middle) @ normal) + gripper.min_hold,
         float(np.ptp(heights)) - SPARE_DEPTH,
@@ -123,10 +122,10 @@ def _grasps_between(
                 f"face {face}, {1e3 * width:.3g} mm wide",
             )
         except ValueError:
-            # Beside the face, or too wide at the fingertips: no grasp there.
+            # Not on the face, or too wide at the fingertips: no grasp there.
             continue
         reached = width_between_fingers(model, grasp.object_from_tool)
-        # Where the fingers would meet other faces than the pair, these need not be parallel.
+        # If the fingers would meet other faces than the pair, these need not be parallel.
         if reached is not None and abs(reached - width) < 1e-3 * width:
             yield grasp
 
@@ -134,21 +133,21 @@ def _grasps_between(
 def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
     """Return all candidates of a model: its grasps, repeated by symmetry and by half a turn.
 
-    Without grasps of its own, those of `suggested_grasps` are taken.
+    A model without grasps gets the ones of `suggested_grasps`.
 
     Raises:
         ValueError: the model has neither grasps nor faces.
     """
-    # What a person placed is preferred to what is only possible.
+    # Grasps that a person placed are preferred to suggested ones.
     grasps = model.grasps or suggested_grasps(model, gripper)
-    found = []
+    candidates = []
     for grasp in grasps:
         width = width_between_fingers(model, grasp.object_from_tool)
         if width is None:
-            # Of an open model only what the person allowed is known.
+            # For an open model, use the width implied by the person's tolerance.
             width = max(grasp.opening - 2.0 * grasp.tolerance, 0.0)
         interval = _contact_interval(model, gripper, grasp, width)
-        # As wide as the grasp says, and as wide as the gripper goes, which forgives more.
+        # With the grasp's opening, and with the largest one, which tolerates larger errors.
         openings = {min(grasp.opening, gripper.max_opening), gripper.max_opening}
         for object_from_object in _symmetry_transforms(model):
             for half_turn in (False, True):
@@ -157,17 +156,17 @@ def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
                 if half_turn:
                     pose = pose @ np.diag([-1.0, -1.0, 1.0, 1.0])
                     ends = (-interval[1], -interval[0])
-                found += [
+                candidates += [
                     Candidate(grasp, pose, opening, width, ends) for opening in sorted(openings)
                 ]
-    return found
+    return candidates
 
 
 def _symmetry_transforms(model: ObjectModel) -> Float[np.ndarray, "K 4 4"]:
     """Return the transforms that map the object onto itself; the identity comes first."""
     if model.symmetry is None or model.symmetry.axis is None:
         return model.object_from_object
-    # Any turn about the axis will do; some of them stand for all.
+    # Any turn about the axis is a symmetry; a few of them represent all.
     angles = 2.0 * np.pi * np.arange(REVOLUTION_STEPS) / REVOLUTION_STEPS
     turns = Rotation.from_rotvec(angles[:, None] * model.symmetry.axis).as_matrix()
     revolution = dataclasses.replace(model.symmetry, rotations=turns)
@@ -177,19 +176,19 @@ def _symmetry_transforms(model: ObjectModel) -> Float[np.ndarray, "K 4 4"]:
 def _contact_interval(
     model: ObjectModel, gripper: Gripper, grasp: Grasp, width: float
 ) -> tuple[float, float]:
-    """Return between which shifts along the gripper's y axis the object keeps its width, m.
+    """Return the range of shifts along the gripper's y axis that keep the object's width, m.
 
-    Shifts of up to a finger's width are looked at, to either side of the grasp.
+    Shifts of up to a finger's width to either side of the grasp are tested.
     """
-    # Twice as far as half a finger: an object may shift along it and still be held.
+    # Twice half a finger's width: an object may shift along the finger and still be held.
     steps = gripper.finger_width * np.linspace(0.0, 1.0, FINGER_STEPS + 1)[1:]
     offsets = np.concatenate([-steps, steps])
     poses = np.tile(grasp.object_from_tool, (len(offsets), 1, 1))
     poses[:, :3, 3] += offsets[:, None] * poses[:, :3, 1]
     widths = widths_between_fingers(model, poses)
-    # NaN, beside the object, compares as false.
+    # NaN, outside the object, compares as False.
     as_wide = (np.abs(widths - width) <= 0.05 * width).reshape(2, -1)
-    # The steps up to the first that is not as wide.
+    # The number of steps before the first one with another width.
     counts = np.cumprod(as_wide, axis=1).sum(axis=1)
     ends = [float(steps[n - 1]) if n else 0.0 for n in counts]
     return -ends[0], ends[1]

@@ -1,10 +1,10 @@
 """Find what a gripper and the links of an arm would touch, with python-fcl.
 
-Everything that moves is taken as convex, and so is what it sweeps along a straight line: the convex
-hull of its two ends. Between the two nothing is missed, as it would be by sampling poses. The links
-of the arm, which turn, are swept so in short steps. fcl is asked directly: trimesh's collision
-manager repairs and checks every mesh it is given, which for sweeps that are used once takes twenty
-times as long.
+Everything that moves is treated as convex, and so is its sweep along a straight line, the convex
+hull of its two ends. So nothing in between is missed, as it could be by sampling poses. The links
+of the arm, which turn, are swept in short steps. fcl is called directly: trimesh's collision
+manager repairs and checks every mesh, which takes twenty times as long for sweeps that are used
+once.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,20 +20,20 @@ from ..robots import Gripper
 from .scene import Obstacle
 
 LINK_SIDES = 10
-"""Number of sides of the prism that stands for the cylinder about a link of the arm."""
+"""Number of sides of the prism that encloses the cylinder about a link of the arm."""
 
 CONVEX_TOLERANCE = 1e-9
-"""Largest distance of a vertex outside of a triangle's plane in a convex mesh, over its extent."""
+"""Largest distance of a vertex outside a triangle's plane in a convex mesh, over its extent."""
 
 RESTING_OVERLAP = 1e-3
-"""Depth to which a held object may be inside of obstacles, m.
+"""Depth to which a held object may penetrate obstacles, m.
 
-It touches what it stands on and what it leans against, and its pose is not exact.
+It touches whatever it stands on and leans against, and its pose is not exact.
 """
 
 
 class Contact(NamedTuple):
-    """The nearest that a moving part comes to an obstacle.
+    """The smallest distance of a moving part from an obstacle.
 
     Attributes:
         part: name of the moving part.
@@ -53,7 +53,7 @@ class Contact(NamedTuple):
 
 
 class CollisionChecker:
-    """Obstacles that are prepared for distance queries."""
+    """Obstacles prepared for distance queries."""
 
     def __init__(self, obstacles: Sequence[Obstacle]):
         """Prepare the obstacles.
@@ -62,17 +62,19 @@ class CollisionChecker:
             ImportError: python-fcl is not installed.
         """
         self._fcl = import_extra("fcl", "cell", "checking collisions")
-        self._names = [one.name for one in obstacles]
-        # Boxes along the axes sort out most pairs before fcl is asked.
-        self._boxes = [(one.vertices.min(axis=0), one.vertices.max(axis=0)) for one in obstacles]
-        self._objects = [self._obstacle(one) for one in obstacles]
+        self._names = [obstacle.name for obstacle in obstacles]
+        # Bounding boxes rule out most pairs before fcl is called.
+        self._boxes = [
+            (obstacle.vertices.min(axis=0), obstacle.vertices.max(axis=0)) for obstacle in obstacles
+        ]
+        self._objects = [self._obstacle(obstacle) for obstacle in obstacles]
 
     def nearest(
         self, parts: dict[str, Float[np.ndarray, "corners 3"]], within: float = np.inf
     ) -> Contact | None:
         """Return where convex parts, given by points in the world, come nearest to an obstacle.
 
-        None if there are no obstacles, or none is within a distance, m: the search is then short.
+        None if there are no obstacles, or none within a distance (m), which shortens the search.
         """
         best: Contact | None = None
         for part, corners in parts.items():
@@ -81,7 +83,7 @@ class CollisionChecker:
             for name, obstacle, (low, high) in zip(
                 self._names, self._objects, self._boxes, strict=True
             ):
-                # The boxes about both are no farther apart than these themselves.
+                # The boxes are no farther apart than their contents.
                 gap = np.linalg.norm(np.maximum(0.0, np.maximum(low - upper, lower - high)))
                 if gap >= within:
                     continue
@@ -100,19 +102,21 @@ class CollisionChecker:
         result = fcl.DistanceResult()
         return max(float(fcl.distance(moving, obstacle, fcl.DistanceRequest(), result)), 0.0)
 
-    def _obstacle(self, one: Obstacle) -> Any:
-        """Return an obstacle as a convex solid where it is one, else as a surface."""
-        corners = one.vertices[one.triangles]
+    def _obstacle(self, obstacle: Obstacle) -> Any:
+        """Return an obstacle as a convex solid where it is convex, else as a surface."""
+        corners = obstacle.vertices[obstacle.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        # Convex: no vertex is beyond the plane of any triangle.
-        beyond = np.einsum("tvi,ti->tv", one.vertices[None] - corners[:, :1], normals)
-        scale = np.linalg.norm(normals, axis=1, keepdims=True) * np.ptp(one.vertices, axis=0).max()
+        # Convex if no vertex is beyond the plane of any triangle.
+        beyond = np.einsum("tvi,ti->tv", obstacle.vertices[None] - corners[:, :1], normals)
+        scale = (
+            np.linalg.norm(normals, axis=1, keepdims=True) * np.ptp(obstacle.vertices, axis=0).max()
+        )
         if (beyond <= CONVEX_TOLERANCE * scale).all():
-            return self._convex(one.vertices, one.triangles)
-        # A surface has no inside for fcl; nothing that moves is small enough to fit in there.
+            return self._convex(obstacle.vertices, obstacle.triangles)
+        # For fcl a surface has no inside; nothing that moves is small enough to fit inside.
         surface = self._fcl.BVHModel()
-        surface.beginModel(len(one.vertices), len(one.triangles))
-        surface.addSubModel(one.vertices, one.triangles)
+        surface.beginModel(len(obstacle.vertices), len(obstacle.triangles))
+        surface.addSubModel(obstacle.vertices, obstacle.triangles)
         surface.endModel()
         return self._fcl.CollisionObject(surface, self._fcl.Transform())
 
@@ -132,13 +136,13 @@ def swept_gripper(
     world_from_gripper: Float[np.ndarray, "4 4"],
     translation: Float[np.ndarray, "3"],
 ) -> dict[str, Float[np.ndarray, "16 3"]]:
-    """Return the corners of all that a gripper sweeps on a straight line from a pose.
+    """Return the corners of the volume that a gripper sweeps on a straight line from a pose.
 
     Args:
         gripper: the gripper.
         opening: distance between the fingers, m.
         world_from_gripper: pose at one end of the line.
-        translation: from there to the other end, in the world's frame, m.
+        translation: from this pose to the other end, in the world's frame, m.
     """
     R, t = world_from_gripper[:3, :3], world_from_gripper[:3, 3]
     swept = {}
@@ -151,9 +155,9 @@ def swept_gripper(
 def closing_fingers(
     gripper: Gripper, opening: float, width: float, world_from_gripper: Float[np.ndarray, "4 4"]
 ) -> dict[str, Float[np.ndarray, "16 3"]]:
-    """Return the corners of all that the fingers sweep while they close from an opening to a width.
+    """Return the corners of the volume that the fingers sweep while they close.
 
-    A wall may stand between an open finger and the object, where neither end touches it.
+    A wall between an open finger and the object would touch neither end of this motion.
     """
     R, t = world_from_gripper[:3, :3], world_from_gripper[:3, 3]
     both = zip(gripper.boxes(opening)[1:], gripper.boxes(width)[1:], strict=True)
@@ -166,9 +170,9 @@ def closing_fingers(
 def swept_object(
     vertices: Float[np.ndarray, "vertices 3"], translation: Float[np.ndarray, "3"]
 ) -> dict[str, Float[np.ndarray, "corners 3"]]:
-    """Return the corners of what a held object sweeps on a straight line from where it lies.
+    """Return the corners of the volume that a held object sweeps on a straight line.
 
-    It is taken as its convex hull, which is made smaller by `RESTING_OVERLAP` on all sides.
+    It is the sweep of the object's convex hull, shrunk by `RESTING_OVERLAP` on all sides.
 
     Args:
         vertices: of the object where it lies, in the world, m.
@@ -183,20 +187,20 @@ def _shrunk_hull(
 ) -> Float[np.ndarray, "corners 3"]:
     """Return the corners of a convex hull whose faces are moved inwards by `RESTING_OVERLAP`.
 
-    Flat vertices are moved along a translation instead, and made a little thick.
+    Flat vertices are moved along a translation instead, and thickened slightly.
     """
     try:
         hull = ConvexHull(vertices)
     except QhullError:
-        # A model of one face has no inside: it is lifted off what it lies on.
+        # A model of one face has no inside: it is lifted off its support.
         lifted = vertices + RESTING_OVERLAP * translation / np.linalg.norm(translation)
         normal = np.linalg.svd(vertices - vertices.mean(axis=0))[2][2]
-        # What is flat may stay so when it is swept, and has no hull for Qhull.
+        # A flat set may stay flat when it is swept, and Qhull cannot handle that.
         thickness = 0.1 * RESTING_OVERLAP * normal
         return np.concatenate([lifted - thickness, lifted + thickness])
     middle = vertices[hull.vertices].mean(axis=0)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
-    # Of a thin object something has to be left.
+    # Thin objects are not shrunk to nothing.
     inset = min(RESTING_OVERLAP, -0.5 * float((normals @ middle + offsets).max()))
     faces = np.column_stack([normals, offsets + inset])
     return HalfspaceIntersection(faces, middle).intersections
@@ -205,14 +209,14 @@ def _shrunk_hull(
 def swept_links(
     origins: Float[np.ndarray, "steps frames 3"], radius: float
 ) -> Iterator[dict[str, Float[np.ndarray, "corners 3"]]]:
-    """Yield the corners of what the links of an arm sweep from each step of a motion to the next.
+    """Yield the corners of the volumes that an arm's links sweep from each step to the next.
 
     Args:
         origins: of the frames along the arm at each step, in the world, m.
         radius: of the cylinders about the links, m.
     """
-    for before, after in pairwise(arm_links(one, radius) for one in origins):
-        # A sliding joint may begin at no length, where its link has no direction.
+    for before, after in pairwise(arm_links(frames, radius) for frames in origins):
+        # A sliding joint may start at zero length, where its link has no direction.
         yield {
             name: np.concatenate([before[name], after[name]]) for name in before if name in after
         }
@@ -230,12 +234,12 @@ def arm_links(
     links = {}
     for k, (start, end) in enumerate(pairwise(origins)):
         axis = end - start
-        # Frames of intersecting axes share their origin: there is no link between them.
+        # Frames of intersecting axes share their origin, with no link between them.
         if np.linalg.norm(axis) < 1e-6:
             continue
         across = np.linalg.svd(axis[None])[2][1:]
         angles = 2.0 * np.pi * np.arange(LINK_SIDES) / LINK_SIDES
-        # Around the circle, so that the prism encloses the cylinder.
+        # Circumscribed, so that the prism encloses the cylinder.
         outer = radius / np.cos(np.pi / LINK_SIDES)
         ring = outer * np.column_stack([np.cos(angles), np.sin(angles)]) @ across
         links[f"arm's link {1 + k}"] = np.concatenate([start + ring, end + ring])

@@ -11,15 +11,15 @@ from .tool_commands import padded_tool_commands
 MOTION_CHECKS = ("reach", "tool_distance", "singular")
 """Checks of `viewpoint_commands` that a pose of the gripper has to pass.
 
-The others are about what the camera sees. That a robot error is not known so far out
-(`known_region`) shows in the probability of success, whose covariance grows there.
+The other checks concern the view of the camera. Where the robot error is extrapolated
+(`known_region`), its covariance grows and lowers the probability of success.
 """
 
 PADDED_POSES = 36
 """Numbers of poses are padded to a multiple of this one, so that one program serves them all.
 
-It is that of the later phases of `GRASPS_AT_ONCE` grasps: compiling for a second, smaller number
-takes longer than computing some poses in vain.
+It is the number of later phases of `GRASPS_AT_ONCE` grasps: compiling a second, smaller program
+takes longer than computing some padded poses.
 """
 
 
@@ -31,7 +31,7 @@ def gripper_commands(
 ) -> ViewpointCommands:
     """Return the commands that bring the gripper to poses, padded to `PADDED_POSES`.
 
-    The pose of the tool is that of the paper's
+    The pose of the tool follows the paper's
 
         base_from_tool = base_from_world @ world_from_object @ object_from_tool        (Eq. 20)
 
@@ -40,14 +40,14 @@ def gripper_commands(
 
     Args:
         scene: with the calibration, and the arm if it is known.
-        gripper: whose frame is to be at the poses.
+        gripper: the gripper whose frame is brought to the poses.
         world_from_gripper: wanted poses, m.
-        near: joint readings near which to solve; by default those of the scene.
+        near: joint readings near which to solve; by default the scene's.
     """
     # The robot moves its tool, not the gripper's frame.
     world_from_tool = world_from_gripper @ np.linalg.inv(gripper.tool_from_gripper)
     if scene.arm is not None:
         near = np.asarray(scene.near) if near is None else near
-        # Every pose has joints of its own to be solved near.
+        # Each pose is solved near its own joint readings.
         near = np.broadcast_to(near, (len(world_from_tool), near.shape[-1]))
     return padded_tool_commands(scene.calibration, world_from_tool, scene.arm, near, PADDED_POSES)

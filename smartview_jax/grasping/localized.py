@@ -1,4 +1,4 @@
-"""State what grasping has to know of a found object: which one it is, where, and how well known."""
+"""Define the input of grasping: an object's model, its pose, and the uncertainty of the pose."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -16,12 +16,11 @@ class LocalizedObject(Protocol):
     Attributes:
         model: of the object.
         world_from_object: its pose, 4x4, m.
-        covariance: of the pose's tangent at the object, translation first, m^2 and rad^2:
-            `true = world_from_object @ exp(xi)`.
+        covariance: covariance of the pose's tangent, translation first, m^2 and rad^2: `true =
+            world_from_object @ exp(xi)`.
         calibration_jacobian: derivatives of xi by the numbers of the calibration, `(6, numbers)`,
-            one for each shared number of `CalibrationUncertainty`; their part of the covariance
-            is what the object has in common with the gripper. None if nothing is in common, or
-            nothing is known of it.
+            one for each shared number of `CalibrationUncertainty`; their part of the covariance is
+            common to the object and the gripper. None if nothing is common or it is unknown.
     """
 
     @property
@@ -38,14 +37,14 @@ class LocalizedObject(Protocol):
 
 
 class PlacedObject(NamedTuple):
-    """An object whose pose is known from elsewhere, such as a fixture or a drawing.
+    """An object whose pose is known from another source, such as a fixture or a drawing.
 
     Attributes:
         model: of the object.
         world_from_object: its pose, m.
-        covariance: of the pose's tangent at the object, translation first; zero if it is exact.
-        calibration_jacobian: as in `LocalizedObject`; None for a pose that owes nothing to the
-            calibration, or of which that is not known.
+        covariance: covariance of the pose's tangent, translation first; zero if it is exact.
+        calibration_jacobian: as in `LocalizedObject`; None if the pose does not depend on the
+            calibration, or it is unknown.
     """
 
     model: ObjectModel
@@ -67,19 +66,18 @@ def checked_object(
     pose = np.asarray(found.world_from_object, dtype=float)
     if pose.shape != (4, 4):
         raise ValueError(f"object {name}: world_from_object has shape {pose.shape}, not (4, 4)")
-    # A transposed rotation or millimetres would send the gripper somewhere else.
+    # A transposed rotation or millimetres would send the gripper to a wrong place.
     problems = check_rigid(pose[None], (f"object {name}",))
     if problems:
         raise ValueError("; ".join(f"{label}: {text}" for label, text in problems.items()))
     covariance = np.asarray(found.covariance, dtype=float)
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
         raise ValueError(f"object {name}: covariance: expected 6x6 finite numbers")
-    # Rounding leaves eigenvalues of about -1e-16 of the largest.
+    # Rounding leaves eigenvalues down to about -1e-16 times the largest.
     eigenvalues = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
     if not np.allclose(covariance, covariance.T) or eigenvalues[0] < -1e-9 * abs(eigenvalues[-1]):
         raise ValueError(
             f"object {name}: covariance: expected a symmetric matrix without negative "
             f"eigenvalues, found {eigenvalues[0]:.3g}"
         )
-    # Exactly symmetric, as what follows takes it to be.
     return pose, 0.5 * (covariance + covariance.T)

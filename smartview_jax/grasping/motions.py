@@ -17,7 +17,7 @@ from .scene import GraspScene
 MAX_JOINT_STEP = float(np.deg2rad(60.0))
 """Largest motion of a joint between two poses of a grasp, rad.
 
-They are centimetres apart: a wrist that turns over between them leaves the straight line.
+They are centimetres apart: if the wrist turns over in between, the tool leaves the straight line.
 """
 
 LINK_STEPS = 4
@@ -25,7 +25,7 @@ LINK_STEPS = 4
 
 
 class Motions(NamedTuple):
-    """The commands of several grasps, and what speaks against them.
+    """The commands of several grasps, with the reasons against them.
 
     Attributes:
         base_from_tool: a command for each phase of each grasp, m; NaN where there is none.
@@ -63,7 +63,7 @@ def plan_motions(
         for k in range(count):
             if not reasons[k]:
                 reasons[k] += _joint_reasons(scene, joints[k], links)
-    return Motions(base_from_tool, joints, tuple(tuple(found) for found in reasons))
+    return Motions(base_from_tool, joints, tuple(tuple(texts) for texts in reasons))
 
 
 def _joined(
@@ -74,10 +74,10 @@ def _joined(
     """Return the commands of the first phase and of the later ones, grasp by grasp."""
     after = len(PHASES) - 1
 
-    def join(one: np.ndarray, others: np.ndarray) -> np.ndarray:
-        # What was padded is cut off.
+    def join(start: np.ndarray, others: np.ndarray) -> np.ndarray:
+        # Cut off the padding.
         others = others[: after * count].reshape(count, after, *others.shape[1:])
-        return np.concatenate([one[:count, None], others], axis=1)
+        return np.concatenate([start[:count, None], others], axis=1)
 
     poses = join(host_matrices(first.base_from_tool), host_matrices(later.base_from_tool))
     if first.joints is None or later.joints is None:
@@ -86,21 +86,21 @@ def _joined(
 
 
 def _check_reasons(commands: ViewpointCommands, which: slice, phases: tuple[str, ...]) -> list[str]:
-    """Return the reasons of the failed checks, one for each kind with the phases that have it."""
-    found: dict[str, list[str]] = {}
+    """Return the reasons of the failed checks, each once, with the phases that fail it."""
+    failed: dict[str, list[str]] = {}
     for phase, text in zip(phases, commands.checks.reasons(MOTION_CHECKS)[which], strict=True):
         if text:
-            found.setdefault(text, []).append(phase)
-    return [f"{text} ({', '.join(names)})" for text, names in found.items()]
+            failed.setdefault(text, []).append(phase)
+    return [f"{text} ({', '.join(names)})" for text, names in failed.items()]
 
 
 def _joint_reasons(
     scene: GraspScene, joints: Float[np.ndarray, "phases joints"], links: CollisionChecker
 ) -> list[str]:
-    """Return why joint readings that reach all poses are refused nevertheless."""
+    """Return reasons against joint readings although they reach all poses."""
     assert scene.arm is not None
     reasons = []
-    # Sliding joints are metres, and have no turns.
+    # Sliding joints are in metres and do not turn.
     turns = np.where(scene.arm.prismatic, 0.0, np.abs(np.diff(joints, axis=0)))
     if turns.max() > MAX_JOINT_STEP:
         step, joint = np.unravel_index(int(np.argmax(turns)), turns.shape)
@@ -121,8 +121,8 @@ def _link_contact(
 ) -> Contact | None:
     """Return where the arm's links come too close to an obstacle between two joint readings.
 
-    The joints are taken to turn evenly, which takes the tool off its straight line by less than
-    3 mm where they turn by 10 degrees, as over the 0.12 m of a usual retreat; the links, by less.
+    The joints are assumed to turn evenly. This takes the tool off its straight line by less than
+    3 mm if they turn by 10 degrees, as in a usual retreat of 0.12 m, and the links by less.
     """
     assert scene.arm is not None
     assert scene.link_radius is not None
@@ -131,7 +131,7 @@ def _link_contact(
     # In the world, where the obstacles are.
     world_from_base = np.linalg.inv(host_matrices(scene.calibration.base_from_world))
     in_world = origins @ world_from_base[:3, :3].T + world_from_base[:3, 3]
-    # The first link is the column that the arm stands on, which does not move.
+    # The first link is the arm's fixed column.
     for parts in swept_links(in_world[:, 1:], scene.link_radius):
         contact = links.nearest(parts, within=scene.margin)
         if contact is not None:

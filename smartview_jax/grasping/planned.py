@@ -1,4 +1,4 @@
-"""Hold a grasp that was planned: its motions as robot commands, its checks, its chances."""
+"""Hold a planned grasp: its robot commands, their checks, and its probability of success."""
 
 import dataclasses
 from collections import Counter
@@ -14,30 +14,31 @@ from ..io import HandSteps, write_viewpoints
 from ..modeling import Grasp
 
 PHASES = ("pre_grasp", "grasp", "lift", "retreat")
-"""The poses of a grasp in the order in which the robot takes them; it closes at the second."""
+"""The poses of a grasp in order of execution; the gripper closes at the second."""
 
 STRAIGHT = (False, True, True, True)
-"""Whether the tool goes to each of the `PHASES` in a straight line, on which it was checked."""
+"""Whether the tool moves to each of the `PHASES` in a straight line, which was checked."""
 
 LISTED_REASONS = 6
-"""Largest number of reasons in the summary of a plan without a safe grasp: more help nobody."""
+"""Largest number of reasons in the summary of a plan without a safe grasp."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlannedGrasp:
-    """A grasp of a found object, from the pose before it to the one after it.
+    """A grasp of a found object, from the approach to the retreat.
 
     Attributes:
         grasp: the model's grasp.
         world_from_gripper: pose of the gripper's frame in each of the `PHASES`, m.
-        base_from_tool: commands for them, the robot's error compensated (Eq. 20), 4x4, m.
+        base_from_tool: commands for these poses, with the robot's error compensated (Eq. 20), 4x4,
+            m.
         joints: the same as joint readings, rad (m for a prismatic joint); None without an arm.
         opening: distance between the fingers until they close, m.
-        width: how wide the object is between the fingers, m.
-        success_probability: that the object ends up between the fingers and nothing else is
-            touched, by the covariances; NaN where it was not computed.
+        width: width of the object between the fingers, m.
+        success_probability: probability, by the covariances, that the object ends up between the
+            fingers and nothing else is touched; NaN where it was not computed.
         risks: probability that each condition fails, by its name.
-        clearance: distance from the gripper to the nearest obstacle on its way, m.
+        clearance: smallest distance of the gripper from an obstacle during the motion, m.
         reasons: why the grasp is refused; empty if it is safe.
     """
 
@@ -54,15 +55,15 @@ class PlannedGrasp:
 
     @property
     def is_safe(self) -> bool:
-        """Whether nothing speaks against the grasp."""
+        """Whether there is no reason against the grasp."""
         return not self.reasons
 
     @property
     def checks_passed(self) -> int:
-        """The number of checks it came through: of collisions, of the arm, of the probability."""
+        """The number of checks passed, of three: collisions, arm, probability of success."""
         if self.is_safe:
             return 3
-        # Each is computed only for what passed the one before.
+        # Each is computed only if the previous one passed.
         if np.isfinite(self.success_probability):
             return 2
         return int(np.isfinite(self.base_from_tool).any())
@@ -79,7 +80,7 @@ class PlannedGrasp:
 
     @property
     def hand(self) -> HandSteps:
-        """The ways to the poses, and the distance of the fingers on each of them."""
+        """The kind of motion to each pose, and the distance of the fingers during it."""
         closed_after = PHASES.index("grasp")
         openings = (self.opening if k <= closed_after else 0.0 for k in range(len(PHASES)))
         return HandSteps(STRAIGHT, tuple(openings))
@@ -87,9 +88,9 @@ class PlannedGrasp:
     def write(self, path: str | Path, pose_format: str = "val_oat") -> None:
         """Write the commands for a robot: VAL, CSV or JSON, as `io.write_viewpoints` does.
 
-        The fingers open before the tool sets out, and close at the grasp. From there on it moves in
-        straight lines, as it does from the pre-grasp: these ways were checked for collisions. The
-        way to the pre-grasp was not.
+        The fingers open before the tool starts, and close at the grasp. From the pre-grasp on the
+        tool moves in straight lines, which were checked for collisions. The motion to the pre-grasp
+        was not.
 
         Args:
             path: a file ending in .val, .csv or .json.
@@ -98,19 +99,19 @@ class PlannedGrasp:
         Raises:
             ValueError: the grasp is refused, or the ending or the format is not known.
         """
-        # A file of a refused grasp would be executed by whoever finds it.
+        # Anyone who finds the file of a refused grasp might execute it.
         if not self.is_safe:
             raise ValueError(f"the grasp is not written: {'; '.join(self.reasons)}")
         write_viewpoints(path, self.poses, PHASES, self.joints, pose_format, self.hand)
 
 
 class NoSafeGraspError(ValueError):
-    """The error that no grasp of an object is safe; its text has the evidence."""
+    """The error that no grasp of an object is safe; its text gives the reasons."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GraspPlan:
-    """All grasps of a found object that were looked at, the best first.
+    """All grasps of a found object that were tried, the best first.
 
     Attributes:
         safe: grasps that may be executed, by probability of success.
@@ -145,7 +146,7 @@ class GraspPlan:
     def summary(self) -> str:
         """The best grasp in words, or why there is none.
 
-        Each reason comes with its number of grasps, that of the grasps that came furthest first.
+        Each reason comes with its number of grasps, the reasons of the latest checks first.
         """
         subject = self.object_name or "the object"
         if self.safe:
@@ -157,15 +158,15 @@ class GraspPlan:
             )
         if not self.refused:
             return f"no safe grasp: the model of {subject} has no place for this gripper"
-        return f"no safe grasp of {subject}: {len(self.refused)} looked at; {self._reasons()}"
+        return f"no safe grasp of {subject}: {len(self.refused)} tried; {self._reasons()}"
 
     def _reasons(self) -> str:
         """Return why grasps were refused, each reason with its number of grasps."""
-        # The same reason stops many grasps: it is said once, with its number.
-        counts = Counter(reason for one in self.refused for reason in one.reasons)
-        # A reason belongs to one check: all grasps that have it came equally far.
-        furthest = {r: one.checks_passed for one in self.refused for r in one.reasons}
-        # What stopped the grasps that came furthest decides, however many were stopped before.
+        # The same reason often refuses many grasps: it is listed once, with their number.
+        counts = Counter(reason for grasp in self.refused for reason in grasp.reasons)
+        # Every reason belongs to one check, so that all its grasps passed equally many checks.
+        furthest = {r: grasp.checks_passed for grasp in self.refused for r in grasp.reasons}
+        # Reasons of grasps that passed most checks come first, however many failed earlier.
         ranked = sorted(counts, key=lambda reason: (-furthest[reason], -counts[reason]))
         listed = "; ".join(f"{counts[r]} of them: {r}" for r in ranked[:LISTED_REASONS])
         others = len(counts) - LISTED_REASONS

@@ -30,11 +30,11 @@ GRASPS_AT_ONCE = 12
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """The motions before and after the fingers close, and the chance that is asked for.
+    """The motions before and after the fingers close, and the required probability of success.
 
     Attributes:
-        approach: distance from which the gripper comes straight to the grasp, m.
-        lift: height by which the object is lifted first, straight up, m.
+        approach: length of the straight approach to the grasp, m.
+        lift: height of the first, vertical lift of the object, m.
         retreat: height above the grasp at which the motion ends, m.
         min_probability: smallest probability of success of a safe grasp.
     """
@@ -64,27 +64,26 @@ def grasps_for(
 ) -> GraspPlan:
     """Return the grasps of a found object, ranked by their probability of success.
 
-    Every grasp of the model, or without any those of `suggested_grasps`, is repeated by the model's
-    symmetry and by half a turn of the gripper, moved to the object's pose by Eq. 20, and checked:
-    reach, joint limits, singularity; collisions with the scene's obstacles; and the probability of
-    success by `success_probability`. A grasp that fails a check is among `GraspPlan.refused` with
-    its reasons.
+    Every grasp of the model (`suggested_grasps` if it has none) is repeated by the model's symmetry
+    and by half a turn of the gripper, moved to the object's pose by Eq. 20, and checked: reach,
+    joint limits, singularity; collisions with the scene's obstacles; and the probability of success
+    by `success_probability`. A grasp that fails a check is in `GraspPlan.refused` with its reasons.
 
-    Collisions are checked on the straight lines from the pre-grasp to the retreat: of the gripper,
-    of the held object's convex hull on its way up, and, with `GraspScene.link_radius`, of the arm's
-    links. Not checked are the way from the last view to the pre-grasp, the links without that
-    radius, the camera and whatever else is on the hand, and what a held object does that slips or
-    turns between the fingers.
+    Collisions are checked on the straight lines from the pre-grasp to the retreat: for the gripper,
+    for the held object's convex hull while it is lifted and, with `GraspScene.link_radius`, for the
+    arm's links. Not checked are the motion from the last view to the pre-grasp, the links without
+    that radius, the camera and anything else on the hand, and a held object that slips or turns
+    between the fingers.
 
     Args:
         localization: the object, with its pose and covariance.
         gripper: the gripper.
         scene: the robot and the obstacles, without the object itself.
-        motion: how far to approach, lift and retreat.
+        motion: lengths of approach, lift and retreat.
 
     Raises:
         ImportError: trimesh or python-fcl is not installed (smartview-jax[cell]).
-        ValueError: a pose or covariance that cannot be right, or a model without grasps and faces.
+        ValueError: an invalid pose or covariance, or a model without grasps and faces.
         NoSafeGraspError: the verdict of the localisation is not "accepted".
     """
     motion = motion or Motion()
@@ -94,22 +93,22 @@ def grasps_for(
     pose, _ = checked_object(localization)
     middle = localization.model.vertices.mean(axis=0)
     candidates = candidate_grasps(localization.model, gripper)
-    # A grasp near the object's middle does not let it turn; of those, wide openings forgive more.
-    candidates.sort(key=lambda one: (_offset(one, middle), -one.opening))
+    # A grasp near the object's middle keeps it from turning; wide openings tolerate larger errors.
+    candidates.sort(key=lambda c: (_offset(c, middle), -c.opening))
     drafts = _without_collisions(candidates, localization, pose, gripper, scene, motion)
-    # A draft goes on with the candidate that it was made of.
+    # Each draft stays paired with its candidate.
     promising = [pair for pair in zip(drafts, candidates, strict=True) if pair[0].is_safe]
     refused = [draft for draft in drafts if not draft.is_safe]
     safe: list[PlannedGrasp] = []
-    # The motions are computed in lots: the first with a safe grasp is the last.
+    # The motions are computed in lots, up to the first lot with a safe grasp.
     for start in range(0, len(promising), GRASPS_AT_ONCE):
         if safe:
             break
         lot = promising[start : start + GRASPS_AT_ONCE]
         for grasp in _with_motions(lot, localization, gripper, scene, motion):
             (safe if grasp.is_safe else refused).append(grasp)
-    # In whole per cents: what is as likely is ordered by the room around it.
-    safe.sort(key=lambda one: (-round(one.success_probability, 2), -one.clearance))
+    # In whole per cent: equally likely grasps are ordered by clearance.
+    safe.sort(key=lambda grasp: (-round(grasp.success_probability, 2), -grasp.clearance))
     return GraspPlan(tuple(safe), tuple(refused), localization.model.name)
 
 
@@ -128,30 +127,32 @@ def _without_collisions(
 ) -> list[PlannedGrasp]:
     """Return the candidates as grasps without commands, refused where the gripper would collide."""
     around = CollisionChecker(scene.obstacles)
-    # The object itself is in the way of the open fingers, until they close.
+    # The object itself may be hit by the open fingers.
     faces = [Obstacle.of_object(localization)] if localization.model.faces else []
-    itself = CollisionChecker([one._replace(name="the object itself") for one in faces])
-    # However it is held, it goes straight up.
+    itself = CollisionChecker([obstacle._replace(name="the object itself") for obstacle in faces])
+    # However it is held, it is lifted straight up.
     held = _contact_of_held(localization, world_from_object, around, scene, motion)
     drafts = []
-    for one in candidates:
+    for candidate in candidates:
         # Eq. 20 in the world: world_from_object @ object_from_gripper.
-        grasp_pose = world_from_object @ one.object_from_gripper
+        grasp_pose = world_from_object @ candidate.object_from_gripper
         back, up = -motion.approach * grasp_pose[:3, 2], scene.up_direction
         poses = np.tile(grasp_pose, (len(PHASES), 1, 1))
         poses[0, :3, 3] += back
         poses[2, :3, 3] += motion.lift * up
         poses[3, :3, 3] += motion.retreat * up
         reasons, clearance = [], np.inf
-        # Both fingers need the gripper's tolerance beside the object.
-        if one.opening - one.width <= 2.0 * gripper.tolerance:
-            reasons.append(f"it is {1e3 * one.width:.3g} mm wide there, too wide for the gripper")
+        # Each finger needs the gripper's tolerance as clearance from the object.
+        if candidate.opening - candidate.width <= 2.0 * gripper.tolerance:
+            reasons.append(
+                f"it is {1e3 * candidate.width:.3g} mm wide there, too wide for the gripper"
+            )
         else:
-            approach = swept_gripper(gripper, one.opening, grasp_pose, back)
-            # On the way up the fingers are closed on the object.
-            leaving = swept_gripper(gripper, one.width, grasp_pose, motion.retreat * up)
-            closing = closing_fingers(gripper, one.opening, one.width, grasp_pose)
-            # The first that speaks against the grasp is enough.
+            approach = swept_gripper(gripper, candidate.opening, grasp_pose, back)
+            # During the lift the fingers are closed on the object.
+            leaving = swept_gripper(gripper, candidate.width, grasp_pose, motion.retreat * up)
+            closing = closing_fingers(gripper, candidate.opening, candidate.width, grasp_pose)
+            # The first reason against the grasp is enough.
             ways = (around.nearest(parts) for parts in (approach, closing, leaving))
             for contact in filter(None, ways):
                 clearance = min(clearance, contact.clearance)
@@ -165,12 +166,12 @@ def _without_collisions(
                 reasons.append(str(held))
         drafts.append(
             PlannedGrasp(
-                one.grasp,
+                candidate.grasp,
                 poses,
                 np.full((len(PHASES), 4, 4), np.nan),
                 None,
-                one.opening,
-                one.width,
+                candidate.opening,
+                candidate.width,
                 float("nan"),
                 {},
                 clearance,
@@ -187,7 +188,7 @@ def _contact_of_held(
     scene: GraspScene,
     motion: Motion,
 ) -> Contact | None:
-    """Return what an object touches on its way up, or None if there is nothing."""
+    """Return what an object touches while it is lifted; None for nothing."""
     R, t = world_from_object[:3, :3], world_from_object[:3, 3]
     swept = swept_object(localization.model.vertices @ R.T + t, motion.retreat * scene.up_direction)
     contact = around.nearest(swept)
@@ -201,21 +202,21 @@ def _with_motions(
     scene: GraspScene,
     motion: Motion,
 ) -> list[PlannedGrasp]:
-    """Return grasps with their commands and probabilities, refused where the arm cannot go."""
-    # All grasps of the lot at once: programs are compiled for one size.
-    motions = plan_motions(scene, gripper, np.stack([one.world_from_gripper for one, _ in lot]))
+    """Return grasps with their commands and probabilities, refused where the arm cannot move."""
+    # All grasps of the lot at once: programs are compiled for a fixed size.
+    motions = plan_motions(scene, gripper, np.stack([draft.world_from_gripper for draft, _ in lot]))
     errors = _errors_of_reached(motions, gripper, scene)
     finished = []
-    for k, (draft, one) in enumerate(lot):
+    for k, (draft, candidate) in enumerate(lot):
         reasons, probability, risks = motions.reasons[k], float("nan"), {}
         if not reasons:
             covariance = error_covariance(
-                localization, np.linalg.inv(one.object_from_gripper), errors[k]
+                localization, np.linalg.inv(candidate.object_from_gripper), errors[k]
             )
-            conditions = grasp_conditions(one, gripper, draft.clearance)
+            conditions = grasp_conditions(candidate, gripper, draft.clearance)
             probability, risks = success_probability(conditions, covariance)
             if probability < motion.min_probability:
-                # The condition that fails most often says what to improve.
+                # The condition that fails most often tells what to improve.
                 worst = max(risks, key=lambda name: risks[name])
                 reasons = (
                     f"less than {motion.min_probability:.0%} chance of success; the greatest risk: "
@@ -238,10 +239,10 @@ def _errors_of_reached(
     motions: Motions, gripper: Gripper, scene: GraspScene
 ) -> dict[int, GripperErrors]:
     """Return the uncertainty of the gripper's pose for each grasp that the arm can execute."""
-    reached = [k for k, found in enumerate(motions.reasons) if not found]
+    reached = [k for k, texts in enumerate(motions.reasons) if not texts]
     if not reached:
         return {}
-    # Filled up with the last one, so that one program serves any number.
+    # Padded with the last one, so that one program serves any number.
     padded = [*reached, *[reached[-1]] * (GRASPS_AT_ONCE - len(reached))]
     at = PHASES.index("grasp")
     command = Command(

@@ -1,4 +1,4 @@
-"""Describe the surroundings of a grasp: the calibrated robot, and what it may not touch."""
+"""Describe the surroundings of a grasp: the calibrated robot, and the obstacles."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -35,15 +35,13 @@ class Obstacle(NamedTuple):
         world_from_box: Float[np.ndarray, "4 4"],
     ) -> "Obstacle":
         """Return a box about the origin of its own frame; size along x, y and z, m."""
-        # About its own middle, then moved.
         vertices = BOX_CORNERS * np.asarray(size, dtype=float)
         return cls(name, vertices @ world_from_box[:3, :3].T + world_from_box[:3, 3], BOX_TRIANGLES)
 
     @classmethod
     def table(cls, half_width: float = 0.5, z: float = 0.0, thickness: float = 0.05) -> "Obstacle":
-        """Return a square table whose top is at a height z about the world's z axis, m."""
+        """Return a square table about the world's z axis, with its top at height z, m."""
         pose = np.eye(4)
-        # Its top is at z, all of it below.
         pose[2, 3] = z - 0.5 * thickness
         return cls.box("table", (2.0 * half_width, 2.0 * half_width, thickness), pose)
 
@@ -58,16 +56,16 @@ class Obstacle(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GraspScene:
-    """The robot that grasps and what stands around the object.
+    """The robot that grasps, and the obstacles around the object.
 
     Attributes:
         calibration: its world is the frame of all poses and obstacles; the camera is on the hand.
         obstacles: bin, table, other objects.
-        arm: the nominal arm; None if it is commanded by poses and its reach is not known.
-        near: joint readings from which the arm sets out; needed with an arm.
+        arm: the nominal arm; None if it is commanded by poses and its reach is unknown.
+        near: joint readings at which the arm starts; required with an arm.
         estimate: fit with the calibration's covariance; None takes the calibration as exact.
         margin: distance that gripper and arm keep from obstacles, m.
-        link_radius: radius of the cylinders about the arm's links, which obstacles may not touch
+        link_radius: radius of the cylinders about the arm's links, which must not touch obstacles
             between pre-grasp and retreat, m; None leaves the links unchecked.
         up: direction against gravity, in the world's frame.
     """
@@ -82,19 +80,19 @@ class GraspScene:
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        """Check what belongs together.
+        """Check the combination of fields.
 
         Raises:
-            ValueError: the camera is not on the hand, an arm has no joints to set out from, or the
-                direction upwards is zero; the message names it.
+            ValueError: the camera is not on the hand, an arm has no initial joints, or the
+                direction upwards is zero; the message says which.
         """
-        # With the camera beside the arm the target, and so the world, is on the tool.
+        # With a fixed camera the target, and so the world, is on the tool.
         if self.calibration.mount != "eye_in_hand":
             raise ValueError(
                 f"an {self.calibration.mount} calibration has its world on the tool: a grasp is "
                 "computed for a camera on the hand, whose world stands in the base's frame"
             )
-        # Without a start the nearest solution is not defined.
+        # Without a start the nearest solution is undefined.
         if self.arm is not None and self.near is None:
             raise ValueError(
                 "an arm reaches a pose in several ways: give near=joints to begin from"
@@ -111,12 +109,12 @@ class GraspScene:
     @property
     def triangles(self) -> Float[np.ndarray, "triangles 3 3"]:
         """The triangles of all obstacles in the world, m."""
-        meshes = [one.vertices[one.triangles] for one in self.obstacles]
+        meshes = [obstacle.vertices[obstacle.triangles] for obstacle in self.obstacles]
         return np.concatenate([np.zeros((0, 3, 3)), *meshes])
 
     def with_objects(self, found: Sequence[LocalizedObject]) -> "GraspScene":
         """Return the scene with other found objects as obstacles, each at its pose."""
-        return self.with_obstacles([Obstacle.of_object(one) for one in found])
+        return self.with_obstacles([Obstacle.of_object(obj) for obj in found])
 
     @property
     def up_direction(self) -> Float[np.ndarray, "3"]:

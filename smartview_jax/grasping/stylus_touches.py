@@ -1,8 +1,8 @@
-"""Compare where a stylus touched with where it was to touch, on a real robot (Fig. 2).
+"""Compare where a stylus touched with where it was supposed to touch, on a real robot (Fig. 2).
 
-The calibration says how far the tip may miss: by the error of the target's pose in the base, by
-that of the robot's correction, and by the robot's own noise. Misses far beyond that show an error
-that no pixel shows. `evaluation.stylus_error` is the same test where the truth is known.
+The calibration predicts how far the tip may miss: by the errors of the target's pose in the base,
+of the robot's correction, and by the robot's own noise. Much larger misses reveal an error that is
+invisible in the pixels. `evaluation.stylus_error` is the same test with known true values.
 """
 
 from typing import NamedTuple
@@ -23,12 +23,12 @@ MIN_TIP_DISTANCE = 1e-6
 
 
 class MissComparison(NamedTuple):
-    """Misses beside what was expected of them; of one touch and of all together.
+    """Measured misses compared with the expected ones, for each touch and for all together.
 
     Attributes:
         expected_rms: expected root mean square distance, m.
         inside: whether each miss is inside its error ellipse.
-        chi_square: squared misses over their covariance, with what all touches have in common.
+        chi_square: squared misses over their covariance, including errors common to all touches.
         degrees_of_freedom: number of components of all misses, which is the chi-square's mean.
         p_value: probability of a larger chi-square, if the calibration's uncertainty is true.
     """
@@ -82,7 +82,7 @@ def ellipse_axes(
 ) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
     """Return half axes, longest first, and their directions as columns, of an error ellipse."""
     eigenvalues, vectors = np.linalg.eigh(covariance)
-    # The ellipse within which a Gaussian is with the stated probability.
+    # A Gaussian error is inside this ellipse with the stated probability.
     radius = np.sqrt(chi2.ppf(ELLIPSE_PROBABILITY, len(covariance)))
     return radius * np.sqrt(eigenvalues[::-1].clip(0.0)), vectors[:, ::-1]
 
@@ -97,8 +97,8 @@ def compare_misses(
         misses: measured tip minus point, in the world's axes, m: x and y, or x, y and z.
 
     Raises:
-        ValueError: other numbers of touches, or misses that are neither of two nor of three
-            numbers.
+        ValueError: numbers of touches that differ, or misses that have neither two nor three
+            components.
     """
     count, size = misses.shape
     if count != len(error_factor) or size not in (2, 3):
@@ -109,7 +109,8 @@ def compare_misses(
     factor = error_factor[:, :size]
     covariances = factor @ factor.swapaxes(1, 2)
     single = np.array([_chi_square(c, m) for c, m in zip(covariances, misses, strict=True)])
-    # Most of the error is common to all touches: together they say less than so many touches would.
+    # Most of the error is common to all touches: together they are less informative than
+    # independent ones.
     stacked = factor.reshape(count * size, -1)
     chi_square = _chi_square(stacked @ stacked.T, misses.ravel())
     return MissComparison(
@@ -122,12 +123,12 @@ def compare_misses(
 
 
 def _chi_square(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n"]) -> float:
-    """Return the squared Mahalanobis length; infinite in a direction in which nothing may err."""
+    """Return the squared Mahalanobis length; infinite for a value without an allowed error."""
     scale = np.trace(covariance) / len(covariance)
     eigenvalues, vectors = np.linalg.eigh(covariance)
     squares = (vectors.T @ values) ** 2
     possible = eigenvalues > 1e-12 * scale
-    # What rounding leaves of a zero is zero.
+    # A zero up to rounding counts as zero.
     if (squares[~possible] > 1e-12 * max(scale, 1e-300)).any():
         return float("inf")
     return float(np.sum(squares[possible] / eigenvalues[possible]))

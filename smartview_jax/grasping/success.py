@@ -1,19 +1,19 @@
-"""Compute the probability that a grasp succeeds, from what is uncertain and the gripper's room.
+"""Compute the probability that a grasp succeeds, from uncertainties and the gripper's clearance.
 
-Let eta be the small displacement of the object against where the gripper expects it, as a twist in
-the gripper's frame, and tau the part of it that is the gripper's own. Each condition is linear:
+Let eta be the small displacement of the object from where the gripper expects it, as a twist in the
+gripper's frame, and tau the part of it due to the gripper's own error. Each condition is linear:
 
-    fingers pass beside the object    |eta_x + theta_y z - theta_z y| <= (opening - width) / 2
+    fingers pass the object           |eta_x + theta_y z - theta_z y| <= (opening - width) / 2
                                       - tolerance, at the corners (y, z) of the finger's contact
     the object is deep enough         eta_z <= depth - min_hold
     the palm does not touch it        -eta_z <= finger_length - depth
-    the fingers overlap its sides     by half of what they could, along y
+    the fingers overlap its sides     by half of the possible overlap, along y
     closing straightens it            |theta_y|, |theta_z| <= max_turn
     nothing else is touched           |tau_x|, |tau_y|, |tau_z| <= clearance
 
-The probability of all together is that of a Gaussian in a polytope, computed with a scrambled Sobol
-sequence (quasi-Monte-Carlo, Genz and Bretz, Computation of multivariate normal and t probabilities,
-2009). Friction, and what the fingers do to an object that they push, are not in it.
+The probability of all together is the integral of a Gaussian over a polytope, computed with a
+scrambled Sobol sequence (quasi-Monte-Carlo, Genz and Bretz, Computation of multivariate normal and
+t probabilities, 2009). Friction, and the motion of an object that the fingers push, are ignored.
 """
 
 from functools import cache
@@ -34,7 +34,7 @@ class Conditions(NamedTuple):
     """Linear conditions `matrix @ errors <= bounds` on the twelve errors of a grasp.
 
     Attributes:
-        matrix: its columns are eta (translation, rotation) and then tau.
+        matrix: its columns are eta (translation, rotation), then tau.
         bounds: m and rad.
         names: one for each condition.
     """
@@ -54,7 +54,7 @@ def grasp_conditions(
         gripper: the gripper.
         clearance: distance from the open gripper to the nearest obstacle, m.
     """
-    # Each condition is a row of the matrix; |x| <= b is two of them.
+    # Each condition is a row of the matrix; |x| <= b makes two.
     rows: list[tuple[np.ndarray, float, str]] = []
 
     def require(coefficients: dict[str, float], bound: float, name: str, both: bool = True) -> None:
@@ -72,17 +72,17 @@ def grasp_conditions(
     # A side of the object at (y, z) moves along x by eta_x + (theta x p)_x.
     for y in (low, high):
         for z in (-depth, 0.0):
-            require({"eta_x": 1.0, "theta_y": z, "theta_z": -y}, room, "beside the fingers")
+            require({"eta_x": 1.0, "theta_y": z, "theta_z": -y}, room, "not between the fingers")
     require({"eta_z": 1.0}, depth - gripper.min_hold, "too shallow", both=False)
     require({"eta_z": -1.0}, gripper.finger_length - depth, "under the palm", both=False)
-    # The overlap of [low, high] with the finger, [-h, h], shrinks when the object moves.
+    # The overlap of [low, high] with the finger, [-h, h], shrinks as the object moves.
     side_low, side_high = candidate.along_finger
     overlap = 0.5 * (high - low)
     require({"eta_y": 1.0}, half_finger - overlap - side_low, "past the fingers", both=False)
     require({"eta_y": -1.0}, half_finger - overlap + side_high, "past the fingers", both=False)
     require({"theta_y": 1.0}, gripper.max_turn, "turned")
     require({"theta_z": 1.0}, gripper.max_turn, "turned")
-    # Without obstacles nothing can be touched.
+    # Without obstacles there is no such condition.
     if np.isfinite(clearance):
         for axis in ("tau_x", "tau_y", "tau_z"):
             require({axis: 1.0}, clearance, "collision")
@@ -101,7 +101,7 @@ _COLUMNS = {"eta_x": 0, "eta_y": 1, "eta_z": 2, "theta_y": 4, "theta_z": 5} | {
 def success_probability(
     conditions: Conditions, covariance: Float[np.ndarray, "12 12"]
 ) -> tuple[float, dict[str, float]]:
-    """Return the probability that all conditions hold, and of each kind that it fails alone.
+    """Return the probability that all conditions hold, and that each kind fails by itself.
 
     Args:
         conditions: from `grasp_conditions`.
@@ -109,10 +109,9 @@ def success_probability(
     """
     eigenvalues, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(eigenvalues.clip(0.0))
-    # Only directions with a spread need a dimension of the sequence.
+    # Only directions with a variance need a dimension of the sequence.
     used = eigenvalues > 1e-14 * max(float(eigenvalues[-1]), 1e-300)
     errors = _normal_draws(len(covariance))[:, : int(used.sum())] @ root[:, used].T
-    # Every draw fails or not, by each condition.
     failed = errors @ conditions.matrix.T > conditions.bounds
     by_name = {
         name: float(failed[:, [n == name for n in conditions.names]].any(axis=1).mean())

@@ -17,7 +17,7 @@ from .uncertainty import gripper_errors
 TOOL_CHECKS = ("reach", "tool_distance", "tool_side")
 """The checks that a pose of the tool must pass to be commanded, unless a person overrides them.
 
-The others are about what the camera sees.
+The other checks concern the view of the camera.
 """
 
 
@@ -26,11 +26,11 @@ class ToolCommands(NamedTuple):
 
     Attributes:
         world_from_tool: the wanted poses.
-        commands: what to command, with the robot's error compensated, and its checks.
+        commands: the commands, with the robot's error compensated, and their checks.
         error_factor: derivatives of the tool's error by independent errors of one standard
             deviation each, m and rad: `exp(factor @ errors)` times the wanted tool_from_world is
-            the actual one. The errors are common to all poses. None if the calibration was taken
-            as exact.
+            the actual one. The errors are common to all poses. None if the calibration was taken as
+            exact.
     """
 
     world_from_tool: Float[np.ndarray, "n 4 4"]
@@ -48,7 +48,7 @@ class ToolCommands(NamedTuple):
         return None if factor is None else factor @ factor.swapaxes(1, 2)
 
     def refusals(self) -> tuple[str, ...]:
-        """Return why each pose must not be commanded, by the `TOOL_CHECKS`; empty if it may be."""
+        """Return the reason against commanding each pose, by the `TOOL_CHECKS`; empty if none."""
         return self.commands.checks.reasons(TOOL_CHECKS)
 
 
@@ -62,41 +62,41 @@ def tool_commands(
 ) -> ToolCommands:
     """Return the robot's commands that bring the tool to poses in the world.
 
-    For an object and a grasp on it the pose is `world_from_object @ object_from_tool`, which makes
-    the command the paper's
+    For a grasp on an object the pose is `world_from_object @ object_from_tool`, so that the command
+    is the paper's
 
         base_from_tool = base_from_world @ world_from_object @ object_from_tool        (Eq. 20)
 
-    It is commanded as the pose of the camera that goes with it (Eq. 19), so that a fitted robot
-    error is compensated in the one place that does so. No pose is refused: one that fails a check
-    has a command too, with the reason in its checks.
+    It is computed from the corresponding pose of the camera (Eq. 19), so that a fitted robot error
+    is compensated in only one place. No pose is refused: one that fails a check has a command too,
+    with the reason in its checks.
 
     Args:
-        calibration: of a camera on the hand, whose world stands in the base's frame.
+        calibration: of a camera on the hand, whose world is fixed in the base's frame.
         world_from_tool: wanted poses, m.
         estimate: fit with the calibration's covariance; None takes the calibration as exact.
         arm: the nominal arm, for joint readings.
         near: joint readings near which to solve, rad (m for a prismatic joint).
 
     Raises:
-        ValueError: the camera is beside the arm, an arm without `near`, or an estimate that leaves
+        ValueError: the camera is not on the hand, an arm without `near`, or an estimate that leaves
             something undetermined.
     """
-    # The scene refuses what cannot be commanded: no start for an arm, a camera beside it.
+    # The scene rejects invalid input: an arm without a start, a camera that is not on the hand.
     scene = GraspScene(calibration, arm=arm, near=near, estimate=estimate)
     commands = _commands(calibration, world_from_tool, arm, near)
     if estimate is None:
         return ToolCommands(world_from_tool, commands)
-    # The tool is taken for the gripper: its errors are wanted, not those of the fingertips.
+    # The tool takes the place of the gripper, because the tool's errors are wanted.
     errors = gripper_errors(scene, Gripper(tool_from_gripper=np.eye(4)), commands.command)
     # One column for each direction of the calibration's own uncertainty.
-    shared = np.stack([one.shared for one in errors])
+    shared = np.stack([pose_errors.shared for pose_errors in errors])
     count, noises = len(errors), errors[0].own.shape[1]
-    # The robot's own noise is another one at every pose.
-    own = np.zeros((count, 6, count * noises))
-    for k, one in enumerate(errors):
-        own[k, :, k * noises : (k + 1) * noises] = one.own
-    return ToolCommands(world_from_tool, commands, np.concatenate([shared, own], axis=2))
+    # The robot's own noise is independent at every pose.
+    noise_factor = np.zeros((count, 6, count * noises))
+    for k, pose_errors in enumerate(errors):
+        noise_factor[k, :, k * noises : (k + 1) * noises] = pose_errors.own
+    return ToolCommands(world_from_tool, commands, np.concatenate([shared, noise_factor], axis=2))
 
 
 def padded_tool_commands(
@@ -106,7 +106,7 @@ def padded_tool_commands(
     near: Float[np.ndarray, "n joints"] | None,
     multiple: int,
 ) -> ViewpointCommands:
-    """Return commands for poses, the last one repeated until their number is a multiple."""
+    """Return commands for poses, the last one repeated up to a multiple of a number."""
     # -n mod k poses are missing to the next multiple of k.
     count = len(world_from_tool) + -len(world_from_tool) % multiple
     world_from_tool, near = repeat_last((world_from_tool, near), count)
@@ -119,7 +119,7 @@ def _commands(
     arm: SerialArm | None,
     near: JointsLike | None,
 ) -> ViewpointCommands:
-    """Return the commands of the camera poses that go with poses of the tool."""
+    """Return the commands of the camera poses that correspond to poses of the tool."""
     # camera_from_world = camera_from_tool @ tool_from_world
     camera_from_world = host_matrices(calibration.camera_from_tool) @ np.linalg.inv(world_from_tool)
     return viewpoint_commands(calibration, host_transforms(camera_from_world), arm=arm, near=near)

@@ -1,13 +1,14 @@
 """Propagate the covariances of an object's pose and of the calibration to the gripper.
 
 With world_from_object exp(xi) the true pose of the object, and exp(tau) gripper_from_world the true
-pose of the world seen from where the gripper really goes, the object is displaced at the gripper by
+pose of the world in the frame to which the gripper really moves, the object is displaced in the
+gripper's frame by
 
     eta = tau + Ad(gripper_from_object) xi
 
-Both xi and tau follow from the numbers of the calibration. A localisation that states its
-derivatives by them (`calibration_jacobian`, by the numbers of `CalibrationUncertainty`) has the
-common part cancel as it does in reality; of any other, xi and tau are taken as independent.
+Both xi and tau depend on the numbers of the calibration. If a localisation gives its derivatives by
+them (`calibration_jacobian`, by the numbers of `CalibrationUncertainty`), the common part cancels,
+as in reality; otherwise xi and tau are taken as independent.
 """
 
 from typing import NamedTuple
@@ -26,11 +27,11 @@ from .localized import LocalizedObject, checked_object
 from .scene import GraspScene
 
 HAND_EYE = "camera_from_tool."
-"""The beginning of the names of the hand-eye transform's parameters."""
+"""The prefix of the names of the hand-eye transform's parameters."""
 
 
 class GripperErrors(NamedTuple):
-    """The uncertainty of where the gripper goes for one command.
+    """The uncertainty of the gripper's pose for one command.
 
     Attributes:
         shared: derivatives of tau by standard deviations of the calibration's numbers.
@@ -46,17 +47,17 @@ class GripperErrors(NamedTuple):
 def gripper_errors(
     scene: GraspScene, gripper: Gripper, command: Command
 ) -> tuple[GripperErrors, ...]:
-    """Return what is uncertain about the gripper's pose at commands `(n)`.
+    """Return the uncertainty of the gripper's pose at commands `(n)`.
 
     Raises:
-        ValueError: the scene's estimate is of another calibration, or leaves something open.
+        ValueError: the scene's estimate is of another calibration, or leaves numbers undetermined.
     """
     count = len(command.base_from_tool.wxyz_xyz)
     if scene.estimate is None:
         nothing = GripperErrors(np.zeros((6, 0)), np.zeros((6, 0)), np.zeros((0, 0)))
-        # An exact calibration: the object's own covariance is all there is.
+        # With an exact calibration only the object's own covariance remains.
         return (nothing,) * count
-    # The twist of the camera at this command is what the calibration's uncertainty describes.
+    # The calibration's uncertainty describes the twist of the camera at this command.
     errors = _camera_errors(scene.calibration, scene.estimate, command)
     # The hand-eye transform moves the camera on the tool, not the tool itself.
     moves_tool = np.array([not name.startswith(HAND_EYE) for name in errors.names], bool)
@@ -66,15 +67,15 @@ def gripper_errors(
     # exp(twist) camera_from_world, with the twist moved to the gripper's side of the transform.
     to_gripper = host_adjoints(np.linalg.inv(camera_from_gripper))
     directions, others = errors.root.shape[1], errors.unknown.shape[2]
-    # What the robot's error may be far from its data is no number of the calibration.
+    # Extrapolation errors of the robot's error are no numbers of the calibration.
     root = np.concatenate([errors.root, np.zeros((len(errors.root), others))], axis=1)
-    found = []
+    results = []
     for k in range(count):
         shared = np.zeros((6, directions + others))
         shared[:, :directions] = to_gripper @ (errors.shared[k] * moves_tool) @ errors.root
         shared[:, directions:] = to_gripper @ errors.unknown[k]
-        found.append(GripperErrors(shared, to_gripper @ errors.own[k], root))
-    return tuple(found)
+        results.append(GripperErrors(shared, to_gripper @ errors.own[k], root))
+    return tuple(results)
 
 
 def camera_covariance(
@@ -82,11 +83,11 @@ def camera_covariance(
 ) -> Float[np.ndarray, "n 6 6"]:
     """Return the covariance of the camera's pose at commands `(n)`, translation (m) first.
 
-    It is of the twist of `camera_from_world`, in the camera's axes: how far the camera misses the
-    pose that was wanted, by the calibration's uncertainty and the robot's noise.
+    It is the covariance of the twist of `camera_from_world`, in the camera's axes: by how much the
+    camera misses the wanted pose, due to the calibration's uncertainty and the robot's noise.
 
     Raises:
-        ValueError: the estimate is of another calibration, or leaves something open.
+        ValueError: the estimate is of another calibration, or leaves something undetermined.
     """
     errors = _camera_errors(calibration, estimate, command)
     factor = np.concatenate([errors.shared @ errors.root, errors.unknown, errors.own], axis=2)
@@ -94,14 +95,14 @@ def camera_covariance(
 
 
 class _CameraErrors(NamedTuple):
-    """The uncertainty of the camera's pose for each of some commands, as twists in its axes.
+    """The uncertainty of the camera's pose for several commands, as twists in its axes.
 
     Attributes:
         names: names of the calibration's numbers.
         shared: derivatives by these numbers.
         root: steps of the numbers of one standard deviation each.
         unknown: twists by one standard deviation each of the robot error's coefficients, as far as
-            the fitted ones do not hold at the command.
+            the fitted coefficients do not apply at the command.
         own: twists by one standard deviation each of the robot's noise in this motion.
     """
 
@@ -124,9 +125,9 @@ def _camera_errors(
     unknown = np.zeros((count, 6, 0))
     error = calibration.robot_error
     if error is not None and noise is not None:
-        # With the correlation r of the coefficients at the command and the fitted ones c, of prior
-        # standard deviation s: r c + sqrt(1 - r^2) s e, with e a standard normal number. Commands
-        # near each other have the same e.
+        # With the correlation r between the coefficients at the command and the fitted ones c, and
+        # the prior standard deviation s, the coefficients are r c + sqrt(1 - r^2) s e, with e a
+        # standard normal number. Commands near each other have the same e.
         relevance = np.asarray(error.relevance(command))[:, None, None]
         prior = dict(zip(error.field.names, _prior_std(error.field, noise), strict=True))
         prefix = f"{ROBOT_ERROR}."
@@ -134,14 +135,14 @@ def _camera_errors(
         std = np.array([prior[names[k].removeprefix(prefix)] for k in columns])
         unknown = np.sqrt(1.0 - relevance**2) * shared[:, :, columns] * std
         shared[:, :, columns] *= relevance
-    own = np.zeros((count, 6, 6 if known.view_jacobian.shape[2] > size else 0))
-    for k in range(count if own.shape[2] else 0):
+    motion_noise = np.zeros((count, 6, 6 if known.view_jacobian.shape[2] > size else 0))
+    for k in range(count if motion_noise.shape[2] else 0):
         place = slice(size + 6 * k, size + 6 * k + 6)
-        own[k] = known.view_jacobian[k, -6:, place] @ covariance_factor(
+        motion_noise[k] = known.view_jacobian[k, -6:, place] @ covariance_factor(
             known.covariance[place, place]
         )
     root = covariance_factor(known.covariance[:size, :size])
-    return _CameraErrors(names, shared, root, unknown, own)
+    return _CameraErrors(names, shared, root, unknown, motion_noise)
 
 
 def _prior_std(field: AbstractField, noise: Noise) -> Float[np.ndarray, "coefficients"]:
@@ -152,7 +153,7 @@ def _prior_std(field: AbstractField, noise: Noise) -> Float[np.ndarray, "coeffic
 def error_covariance(
     found: LocalizedObject, gripper_from_object: Float[np.ndarray, "4 4"], errors: GripperErrors
 ) -> Float[np.ndarray, "12 12"]:
-    """Return the covariance of eta and tau, in this order, of one grasp.
+    """Return the joint covariance of eta and tau, in this order, for one grasp.
 
     Args:
         found: the object.
@@ -170,7 +171,7 @@ def error_covariance(
                 f"number of the scene's calibration, found {jacobian.shape}"
             )
         shared = jacobian @ errors.root
-        # What is left of the object's covariance is not the calibration's; rounding may leave
+        # The rest of the object's covariance is not due to the calibration; rounding may leave
         # slightly negative eigenvalues.
         covariance = covariance - shared @ shared.T
     object_root = covariance_factor(covariance)

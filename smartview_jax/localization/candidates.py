@@ -1,4 +1,4 @@
-"""Draw hypotheses to the edges of the pictures: the candidates that are judged."""
+"""Refine hypotheses on the edges of the pictures; the results are the candidates to be judged."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,11 +16,11 @@ from .scene import Scene
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 SAME_POSE = 0.04
-"""Largest RMS distance between the vertices of poses that count as one, over the model's extent."""
+"""Largest RMS vertex distance of two poses that count as the same, over the model's extent."""
 
 
 class Prepared(NamedTuple):
-    """A model with its wireframes, of few samples and of many."""
+    """A model with a coarse and a fine wireframe: few and many samples along its edges."""
 
     model: ObjectModel
     coarse: Wireframe
@@ -33,7 +33,7 @@ class Prepared(NamedTuple):
 
     @property
     def same(self) -> float:
-        """The distance between the vertices of poses that count as one, m."""
+        """The largest RMS vertex distance of two poses that count as the same, m."""
         return SAME_POSE * self.model.extent
 
     def middle_at(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
@@ -42,7 +42,7 @@ class Prepared(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A pose that was drawn to the edges of the pictures.
+    """A pose that was refined on the edges of the pictures.
 
     Attributes:
         model: index of the model.
@@ -61,46 +61,49 @@ class Candidate(NamedTuple):
         return self.explained_px / max(self.visible_px, 1.0)
 
     def log_likelihood(self, chance: float = TYPICAL_CHANCE) -> float:
-        """Return the log-likelihood over that of clutter."""
+        """Return the log-likelihood ratio of the object to clutter."""
         return log_likelihood_of(self.explained, self.visible_px, chance)
 
 
 def converged_candidates(
     scene: Scene, prepared: Sequence[Prepared], hypotheses: Sequence[Hypothesis]
 ) -> list[Candidate]:
-    """Return hypotheses drawn to the edges of the pictures, each once, the likeliest first."""
+    """Return hypotheses refined on the edges, without duplicates, the likeliest first."""
     candidates = []
-    for index, one in enumerate(prepared):
+    for index, entry in enumerate(prepared):
         # The hypotheses are ranked, so that the limit leaves out the least likely.
         starts = [h.world_from_object for h in hypotheses if h.model == index][:MAX_HYPOTHESES]
         if not starts:
             continue
-        poses, lengths = poses_on_edges(one.coarse, scene.views, scene.lookup, np.stack(starts))
-        own = [
-            Candidate(index, pose, *map(float, of_pose))
-            for pose, of_pose in zip(poses, lengths, strict=True)
+        poses, lengths = poses_on_edges(entry.coarse, scene.views, scene.lookup, np.stack(starts))
+        refined = [
+            Candidate(index, pose, *map(float, lengths_of_pose))
+            for pose, lengths_of_pose in zip(poses, lengths, strict=True)
         ]
         kept: list[Candidate] = []
-        for each in sorted(own, key=lambda one: -one.explained):
+        for candidate in sorted(refined, key=lambda c: -c.explained):
             others = [other.pose for other in kept]
-            # Many hypotheses are drawn to one pose: the one that explains most stands for them.
-            if not kept or pose_distances(one.model, each.pose, np.stack(others)).min() > one.same:
-                kept.append(each)
+            # Many hypotheses converge to the same pose; the one that explains most is kept.
+            if (
+                not kept
+                or pose_distances(entry.model, candidate.pose, np.stack(others)).min() > entry.same
+            ):
+                kept.append(candidate)
         candidates += kept
-    return sorted(candidates, key=lambda one: -one.log_likelihood())
+    return sorted(candidates, key=lambda c: -c.log_likelihood())
 
 
 def measured_candidates(
     scene: Scene, prepared: Sequence[Prepared], candidates: Sequence[Candidate]
 ) -> list[Candidate]:
-    """Return candidates with their lengths among the free edge points, the likeliest first."""
-    found = []
-    for index, one in enumerate(prepared):
+    """Return candidates remeasured on the edge points that are still free, the likeliest first."""
+    measured = []
+    for index, entry in enumerate(prepared):
         poses = [c.pose for c in candidates if c.model == index]
         if poses:
-            lengths = lengths_of_poses(one.coarse, scene.views, scene.lookup, np.stack(poses))
-            found += [
-                Candidate(index, pose, *map(float, own))
-                for pose, own in zip(poses, lengths, strict=True)
+            lengths = lengths_of_poses(entry.coarse, scene.views, scene.lookup, np.stack(poses))
+            measured += [
+                Candidate(index, pose, *map(float, lengths_of_pose))
+                for pose, lengths_of_pose in zip(poses, lengths, strict=True)
             ]
-    return sorted(found, key=lambda one: -one.log_likelihood())
+    return sorted(measured, key=lambda c: -c.log_likelihood())

@@ -1,7 +1,7 @@
-"""Measure how much of a known object chance explains: at other places of the same pictures.
+"""Measure how much of a known object background clutter explains, at other places of the pictures.
 
-The wireframe is displaced and drawn to the best place near by, as a hypothesis is. A beta
-distribution of the shares that it explains there says how rarely chance explains more.
+The wireframe is displaced and refined on the edges near by, as a hypothesis is. A beta distribution
+fitted to the shares that it explains there says how rarely clutter explains more.
 """
 
 from typing import NamedTuple
@@ -27,23 +27,23 @@ RETURNED_DISTANCE = 0.3
 """Distance from the object, over its extent, within which a pose has returned to it."""
 
 MIN_PLACES = 5
-"""Smallest number of places that tell of chance."""
+"""Smallest number of places from which chance is estimated."""
 
 MIN_EXACT_EDGES = 4
-"""Smallest number of edges of which it is asked whether chance fits them so well."""
+"""Smallest number of edges for which the probability of a chance fit is computed."""
 
 MIN_VISIBLE = 0.25
-"""Smallest visible edge length of a pose that tells of chance, over the median of all poses.
+"""Smallest visible edge length of a displaced pose that counts, over the median of all poses.
 
-Of a wireframe that is all but outside the pictures one edge point may explain the whole.
+Where the wireframe is almost outside the pictures, one edge point may explain all that is visible.
 """
 
 
 class Chance(NamedTuple):
-    """The explained share of a wireframe at places where the object is not.
+    """The explained share of a wireframe's edges where the object is not.
 
     Attributes:
-        mean, std: of the shares.
+        mean, std: mean and standard deviation of the shares.
     """
 
     mean: float
@@ -52,10 +52,11 @@ class Chance(NamedTuple):
     def probability_above(self, share: float) -> float:
         """Return the probability that chance explains at least a share.
 
-        A beta distribution of the same mean and standard deviation stands for the tail, in which
-        there are no samples.
+        The tail, for which there are no samples, is taken from a beta distribution with the same
+        mean and standard deviation.
         """
-        # A beta distribution's variance is below mean (1 - mean); that of few places may be zero.
+        # A beta distribution needs a variance below mean (1 - mean); with few places it may be
+        # zero.
         mean = float(np.clip(self.mean, 0.02, 0.98))
         variance = float(np.clip(self.std**2, 1e-4, 0.8 * mean * (1.0 - mean)))
         count = mean * (1.0 - mean) / variance - 1.0
@@ -64,15 +65,15 @@ class Chance(NamedTuple):
 
 
 NOTHING_ELSE = Chance(0.05, 0.05)
-"""Chance where nothing else is in the pictures: it explains next to nothing."""
+"""Chance where the pictures show nothing else: clutter explains next to nothing."""
 
 
 class ChancePoses(NamedTuple):
-    """The poses to which a displaced wireframe is drawn by what the pictures show.
+    """The poses to which displaced wireframes converged on the edges of the pictures.
 
     Attributes:
         world_from_object: the poses.
-        lengths: visible edge length of each, and the part of it that is explained, px.
+        lengths: visible edge length of each pose and its explained part, px.
     """
 
     world_from_object: Float[np.ndarray, "poses 4 4"]
@@ -87,18 +88,18 @@ def chance_poses(
     lookup: EdgeLookup,
     seed: int = 0,
 ) -> ChancePoses:
-    """Return poses at which a model is looked for in vain, drawn to the edges of the pictures.
+    """Return poses away from the object, refined on the edges of the pictures.
 
-    The wireframe is displaced by `DISPLACEMENTS`, turned by up to `MAX_TURN` and drawn to the best
-    place near by, as a hypothesis is.
+    The wireframe is displaced by `DISPLACEMENTS`, turned by up to `MAX_TURN` and refined on the
+    edges near by, as a hypothesis is.
 
     Args:
-        pose: of the object about which it is displaced.
+        pose: pose of the object, from which the wireframe is displaced.
         model: of the object.
         wireframe: of the model; few samples are enough.
         views: camera and poses.
         lookup: edge points of the views.
-        seed: of the displacements.
+        seed: seed of the random displacements.
     """
     rng = np.random.default_rng(seed)
     extent = model.extent
@@ -109,22 +110,22 @@ def chance_poses(
     axes = rng.standard_normal((CHANCE_POSES, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     tangents[:, 3:] = rng.uniform(0.0, MAX_TURN, (CHANCE_POSES, 1)) * axes
-    # Displaced about the object's middle, not about the origin of its frame.
+    # Turn about the middle of the object, not about the origin of its frame.
     middle = _middle_frame(model)
     displaced = pose @ middle @ host_exponentials(tangents) @ np.linalg.inv(middle)
     return ChancePoses(*poses_on_edges(wireframe, views, lookup, displaced))
 
 
 def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChancePoses) -> Chance:
-    """Return how much of a wireframe's visible length other places of the pictures explain.
+    """Return the share of a wireframe's visible length that other places of the pictures explain.
 
-    Poses that returned to the object itself are left out, and so are those of which the pictures
-    show next to nothing.
+    Poses that returned to the object are left out, and so are poses at which hardly anything is
+    visible.
 
     Args:
-        pose: of the object that is judged.
+        pose: pose of the object that is judged.
         model: of the object.
-        tried: where its wireframe was drawn to, displaced from this pose or from another one.
+        tried: poses to which its wireframe converged, displaced from this pose or from another one.
     """
     middle = _middle_frame(model)
     moved = tried.world_from_object @ middle - pose @ middle
@@ -132,8 +133,8 @@ def chance_of(pose: Float[np.ndarray, "4 4"], model: ObjectModel, tried: ChanceP
     elsewhere = np.linalg.norm(moved[:, :3, 3], axis=1) > RETURNED_DISTANCE * extent
     visible, explained = tried.lengths.T
     shares = explained / np.maximum(visible, 1.0)
-    seen = visible >= MIN_VISIBLE * np.median(visible)
-    values = shares[elsewhere & seen & (shares > 0.0)]
+    is_visible = visible >= MIN_VISIBLE * np.median(visible)
+    values = shares[elsewhere & is_visible & (shares > 0.0)]
     if len(values) < MIN_PLACES:
         return NOTHING_ELSE
     return Chance(float(values.mean()), float(values.std(ddof=1)))
@@ -147,21 +148,21 @@ def _middle_frame(model: ObjectModel) -> Float[np.ndarray, "4 4"]:
 
 
 def log_odds_of(log_likelihood: float, log_exactness: float) -> float:
-    """Return the log-likelihood over that of clutter, with how exactly the edges fit.
+    """Return the log-likelihood ratio to clutter, including how exactly the edges fit.
 
     Args:
-        log_likelihood: of edges being found or not, natural.
-        log_exactness: of `log_chance_of_exact_edges`, decimal.
+        log_likelihood: natural logarithm of the likelihood ratio of found and missing edges.
+        log_exactness: decimal logarithm from `log_chance_of_exact_edges`.
     """
     return log_likelihood - float(np.log(10.0)) * log_exactness
 
 
 def log_chance_of_exactness(rms: float, edges: int, absorbed: float = 0.0) -> float:
-    """Return the decimal logarithm of the probability that edges of clutter fit so well.
+    """Return the decimal logarithm of the probability that clutter edges fit this exactly.
 
-    Two numbers of each edge, less the six of the pose and those that errors of the calibration
-    absorb, are anywhere within `EXPLAINED_DISTANCE` by chance (Moisan and Stival, "A probabilistic
-    criterion to detect rigid point matches", 2004).
+    By chance each edge's two numbers are uniform within `EXPLAINED_DISTANCE`; the six numbers of
+    the pose and those that errors of the calibration absorb are subtracted (Moisan and Stival, "A
+    probabilistic criterion to detect rigid point matches", 2004).
     """
     # The ball sum x^2 <= n r^2 has the part pi^(n/2) (r sqrt(n))^n / Gamma(n/2 + 1) of the cube
     # (2 d)^n.
@@ -176,14 +177,15 @@ def log_chance_of_exactness(rms: float, edges: int, absorbed: float = 0.0) -> fl
 def log_chance_of_exact_edges(
     distances: Float[np.ndarray, "edges"], absorbed: float = 0.0
 ) -> float:
-    """Return the decimal logarithm of how many sets of edges fit so well by chance.
+    """Return the decimal logarithm of the expected number of edge sets that fit so well by chance.
 
-    An edge of something else beside one of the object's is no evidence against the others. Of the
-    sets of k best edges the one counts that chance explains least, and the number of sets that it
-    was chosen from counts against it: all of k out of n, for each k, as in Moisan and Stival.
+    An edge of another object next to an edge of this one is no evidence against the other edges.
+    For each k the k best edges are tested, and the least probable of these sets counts. All sets
+    of k out of n edges might have been chosen, which the number of sets corrects for (Moisan and
+    Stival).
 
     Args:
-        distances: of the measured edges from the model, px.
+        distances: distances of the measured edges from the model, px.
         absorbed: as in `log_chance_of_exactness`.
     """
     n, squares = len(distances), np.cumsum(np.sort(distances) ** 2)

@@ -24,7 +24,7 @@ class PicturePaths(NamedTuple):
     """Paths of two segments of one picture that meet in a corner.
 
     Attributes:
-        pixels: of the three corners, that in which the segments meet in the middle.
+        pixels: the three corners; the segments meet in the middle one.
         rays: unit rays of the corners, in the camera's frame.
         segments: indices of the two segments.
         corners: index of the corner in the middle.
@@ -37,7 +37,7 @@ class PicturePaths(NamedTuple):
 
 
 def picture_paths(features: Features, plane: IdealPlane, count: int) -> PicturePaths:
-    """Return the most promising paths of a picture: of long segments that end at other ones.
+    """Return the most promising paths of a picture: long segments that end at other segments.
 
     Args:
         features: of the picture.
@@ -45,30 +45,31 @@ def picture_paths(features: Features, plane: IdealPlane, count: int) -> PictureP
         count: largest number of paths.
     """
     pixels, segments, corners, anchored = [], [], [], []
-    # Where another segment meets it, an end is a vertex more probably than where it fades out.
+    # An end that meets another segment is more probably a vertex than an end where the edge fades
+    # out.
     is_junction = _ends_at_junctions(features)
     for k, joined in enumerate(features.corner_segments):
         arms = [arm for s in joined[joined >= 0] for arm in _arms(features, k, int(s))]
-        for i, (one, first_end) in enumerate(arms):
-            for other, second_end in arms[:i]:
+        for i, (first, first_end) in enumerate(arms):
+            for second, second_end in arms[:i]:
                 triple = np.array(
                     [
-                        features.segments[one, first_end],
+                        features.segments[first, first_end],
                         features.corners[k],
-                        features.segments[other, second_end],
+                        features.segments[second, second_end],
                     ]
                 )
-                # Both ends of one segment that runs through the corner are no path.
-                if one != other and _is_bent(triple):
+                # The two ends of one segment that runs through the corner are no path.
+                if first != second and _is_bent(triple):
                     pixels.append(triple)
-                    segments.append((one, other))
+                    segments.append((first, second))
                     corners.append(k)
                     anchored.append(
-                        is_junction[one, first_end] + 0.0 + is_junction[other, second_end]
+                        is_junction[first, first_end] + 0.0 + is_junction[second, second_end]
                     )
     triples = np.array(pixels).reshape(-1, 3, 2)
     lengths = np.linalg.norm(np.diff(triples, axis=1), axis=2)
-    # The shorter of the two segments gives the pose less well; an end without a corner may be
+    # The shorter segment limits the accuracy of the pose, and an end without a corner may lie
     # anywhere along its edge.
     merit = lengths.min(axis=1, initial=np.inf) * (1.0 + np.array(anchored))
     order = np.argsort(-merit, kind="stable")[:count]
@@ -82,7 +83,7 @@ def picture_paths(features: Features, plane: IdealPlane, count: int) -> PictureP
 
 
 def _arms(features: Features, corner: int, segment: int) -> list[tuple[int, int]]:
-    """Return the ends of a segment that are away from a corner: both, where it runs through."""
+    """Return the ends of a segment away from a corner; both where it runs through the corner."""
     reach = np.linalg.norm(features.segments[segment] - features.corners[corner], axis=1)
     return [(segment, end) for end in (0, 1) if reach[end] >= MIN_LENGTH]
 
@@ -93,7 +94,7 @@ def _ends_at_junctions(features: Features) -> np.ndarray:
     for k in np.flatnonzero(features.corner_segments[:, 1] >= 0):
         joined = features.corner_segments[k]
         for s in joined[joined >= 0]:
-            # A segment that ends at a corner has its end there exactly.
+            # A segment that ends at a corner has exactly the corner as its end.
             at[s] |= np.abs(features.segments[s] - features.corners[k]).max(axis=1) < 1e-6
     return at
 
@@ -141,15 +142,15 @@ def poses_from_paths(
     chosen = model_paths(model)
     if not len(chosen) or not len(paths.rays):
         return np.zeros((0, 4, 4))
-    # Every path of the picture with every one of the model, in both orders of its ends.
+    # Every path of the picture with every path of the model, which has both orders of the ends.
     count = len(paths.rays)
     rays = np.repeat(paths.rays, len(chosen), axis=0)
     points = np.tile(model.vertices[chosen], (count, 1, 1))
-    found, good = three_point_poses(rays, points)
-    # Half of the solutions see the path from its back.
-    good &= _path_faces_camera(model, np.tile(chosen, (count, 1)), found)
+    poses, good = three_point_poses(rays, points)
+    # Half of the solutions show the path from behind.
+    good &= _path_faces_camera(model, np.tile(chosen, (count, 1)), poses)
     world_from_camera = np.linalg.inv(camera_from_world)
-    return world_from_camera @ found[good]
+    return world_from_camera @ poses[good]
 
 
 def _path_faces_camera(
@@ -168,12 +169,12 @@ def _path_faces_camera(
     normals = np.array([plane.normal for plane in planes])
     offsets = np.array([plane.normal @ plane.origin for plane in planes])
     with np.errstate(invalid="ignore"):
-        seen = centres @ normals.T > offsets
+        is_facing = centres @ normals.T > offsets
     owners = _faces_of_edges(model)
     for side in (0, 1):
         faces = owners[paths[:, side], paths[:, side + 1]][:, None]
-        # An edge on no face is seen from everywhere.
-        facing = facing & ((seen & faces).any(axis=-1) | ~faces.any(axis=-1))
+        # An edge without a face is visible from everywhere.
+        facing = facing & ((is_facing & faces).any(axis=-1) | ~faces.any(axis=-1))
     return facing
 
 

@@ -1,8 +1,9 @@
-"""Put the camera where the edges of an object say that it was, within what its calibration allows.
+"""Shift the camera poses by the calibration error that an object's edges make most likely.
 
-An estimated calibration displaces every picture as a whole, each in its own way, so that no pose of
-an object lies on its edges in all of them. That is no evidence against the object: the displacement
-that is likeliest under the calibration's covariance is taken away before its edges are judged.
+An error of the calibration displaces each picture as a whole, differently from the others, so that
+no pose of an object fits its edges in all pictures. This is no evidence against the object:
+before its edges are judged, the views are corrected by the likeliest error under the
+calibration's covariance.
 """
 
 import jax
@@ -21,17 +22,17 @@ def corrected_views(
     uncertainty: CalibrationUncertainty,
     error: Float[np.ndarray, "numbers"],
 ) -> SeenViews:
-    """Return views whose camera and poses are corrected by errors of a calibration's numbers.
+    """Return views whose camera and poses are corrected by errors of the calibration.
 
     Args:
-        views: camera and poses as they were calibrated.
+        views: camera and poses as calibrated.
         uncertainty: of the calibration in these views.
-        error: true minus calibrated numbers, such as the `calibration_error` of a refined pose.
+        error: true minus calibrated parameters, such as the `calibration_error` of a refined pose.
     """
     if not len(error):
         return views
     local = uncertainty.view_jacobian @ error
-    # All views have one camera; its numbers come before the twist of each view.
+    # All views share one camera; its parameters come before the twist of each view.
     camera = _moved_camera(views.camera, local[0, :-6])
     moved = host_exponentials(local[:, -6:]) @ views.camera_from_world
     padded = repeat_last(moved, len(views.padded))
@@ -39,7 +40,7 @@ def corrected_views(
 
 
 def _moved_camera(camera: Camera, change: Float[np.ndarray, "parameters"]) -> Camera:
-    """Return a camera with other parameters, in the order of its leaves."""
+    """Return a camera with changed parameters, in the order of its leaves."""
     leaves, structure = jax.tree.flatten(camera)
     sizes = [np.size(leaf) for leaf in leaves]
     parts = np.split(change, np.cumsum(sizes)[:-1])

@@ -1,7 +1,7 @@
-"""Keep the nearest known surface in each part of every picture: what is behind it is hidden.
+"""Keep a coarse depth map of each picture: whatever is behind a known surface is hidden.
 
-Objects that were accepted hide parts of others, as neighbours in a bin do. Their faces are drawn
-into coarse maps of inverse depth, in which a program looks up any point of any model.
+Accepted objects hide parts of others, as neighbours in a bin do. Their faces are drawn into coarse
+maps of inverse depth, in which any point of any model can be looked up.
 """
 
 import copy
@@ -15,14 +15,14 @@ from .edge_lookup import DEPTH_CELL_PX
 from .wireframe import Wireframe
 
 MIN_DEPTH = 1e-3
-"""Smallest depth of a drawn face, m: one that reaches behind the camera is left out."""
+"""Smallest depth of a drawn face, m; faces that reach behind the camera are left out."""
 
 
 class DepthBuffers:
-    """The depth of the nearest known surface in each part of every picture.
+    """The inverse depth of the nearest known surface in each cell of every picture.
 
     Attributes:
-        inverse_depth: one over the depth along the optical axis, 1/m; zero where nothing is known.
+        inverse_depth: 1 / depth along the optical axis, 1/m; zero where no surface is known.
     """
 
     def __init__(self, views: SeenViews):
@@ -36,8 +36,8 @@ class DepthBuffers:
         self._rays: Float[np.ndarray, "rows columns 2"] | None = None
 
     def copy(self) -> "DepthBuffers":
-        """Return surfaces to which others can be added; the grid of rays is common to both."""
-        # Made here, if it was not yet: it takes longer than to draw an object.
+        """Return a copy to which surfaces can be added; both share the grid of rays."""
+        # Compute the grid before copying: it takes longer than drawing an object.
         self._ray_grid()
         other = copy.copy(self)
         other.inverse_depth = self.inverse_depth.copy()
@@ -47,9 +47,9 @@ class DepthBuffers:
         """Draw the faces of an object into the maps of all views."""
         vertices, corners = np.asarray(wireframe.vertices), np.asarray(wireframe.triangle_vertices)
         in_world = vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
-        for own in np.asarray(wireframe.triangle_faces).T:
-            if own.any():
-                self._draw(in_world[corners[own]])
+        for is_on_face in np.asarray(wireframe.triangle_faces).T:
+            if is_on_face.any():
+                self._draw(in_world[corners[is_on_face]])
 
     def add_triangles(self, triangles: Float[np.ndarray, "T 3 3"]) -> None:
         """Draw triangles in the world into the maps of all views."""
@@ -57,18 +57,18 @@ class DepthBuffers:
             self._draw(triangle[None])
 
     def _draw(self, triangles: Float[np.ndarray, "T 3 3"]) -> None:
-        """Draw a face in the world, given as the triangles of a fan."""
+        """Draw a face in the world, given as a triangle fan."""
         for view, camera_from_world in enumerate(self._views.camera_from_world):
             in_camera = triangles @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
             if in_camera[..., 2].min() < MIN_DEPTH:
                 continue
             corners, rays = in_camera[..., :2] / in_camera[..., 2:], self._ray_grid()
             low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-            # Beyond the lens a ray is NaN, which no comparison finds inside.
+            # Outside the lens's field of view rays are NaN, and comparisons with NaN are false.
             places = np.nonzero(((rays >= low) & (rays <= high)).all(axis=2))
-            own = rays[places]
-            # Triangles that turn the other way cancel where a face is not convex.
-            inside = np.stack([_is_inside(own, triangle) for triangle in corners], axis=1)
+            inside_box = rays[places]
+            # Triangles of opposite orientation cancel where a face is not convex.
+            inside = np.stack([_is_inside(inside_box, triangle) for triangle in corners], axis=1)
             first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
             turns = np.sign(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
             covered = np.abs(inside @ turns)
@@ -80,13 +80,13 @@ class DepthBuffers:
             across = float(normal @ a)
             if across == 0.0:
                 continue
-            inverse = np.where(covered > 0.5, (own @ normal[:2] + normal[2]) / across, 0.0)
+            inverse = np.where(covered > 0.5, (inside_box @ normal[:2] + normal[2]) / across, 0.0)
             maps = self.inverse_depth[view]
             maps[places] = np.maximum(maps[places], inverse)
 
     def _ray_grid(self) -> Float[np.ndarray, "rows columns 2"]:
-        """Return `(x / z, y / z)` of the rays through the middles of all cells."""
-        # The views have one camera; the grid is made when the first object is drawn.
+        """Return `(x / z, y / z)` of the rays through the centres of all cells."""
+        # All views share one camera; the grid is computed when the first object is drawn.
         if self._rays is None:
             plane = IdealPlane(self._views.camera)
             v, u = np.mgrid[: self._rows, : self._columns] * DEPTH_CELL_PX
@@ -99,13 +99,13 @@ class DepthBuffers:
 def checked_triangles(
     triangles: Float[np.ndarray, "triangles 3 3"] | None,
 ) -> Float[np.ndarray, "triangles 3 3"]:
-    """Return triangles that are given, or none; raise a ValueError for anything else."""
-    found = np.zeros((0, 3, 3)) if triangles is None else np.asarray(triangles, dtype=float)
-    if found.ndim != 3 or found.shape[1:] != (3, 3) or not np.isfinite(found).all():
+    """Return the given triangles, or an empty array for None; raise a ValueError if invalid."""
+    array = np.zeros((0, 3, 3)) if triangles is None else np.asarray(triangles, dtype=float)
+    if array.ndim != 3 or array.shape[1:] != (3, 3) or not np.isfinite(array).all():
         raise ValueError(
-            f"occluders: expected finite triangles, (triangles, 3, 3); found {found.shape}"
+            f"occluders: expected finite triangles, (triangles, 3, 3); found {array.shape}"
         )
-    return found
+    return array
 
 
 def _is_inside(

@@ -1,13 +1,14 @@
-"""Measure where the edges of a model are in a picture: one fitted line for each predicted edge.
+"""Measure the edges of a model in a picture: one fitted line for each predicted edge.
 
-From points along each predicted edge the nearest edge point along the edge's normal is taken, of
-the right orientation and of either polarity. The distances of these points from the prediction are
-fitted by a line. Two numbers say all that an edge tells of the pose: the distance of that line at
-the mean of its points, and its slope times their spread. Their errors are independent, and the
-covariance of neighbouring edge points, which share a smoothed pixel, is that of the line.
+For samples along each predicted edge the nearest edge point along the edge's normal is taken, with
+the right orientation and either polarity. A line is fitted to the distances of these points from
+the prediction. Two numbers hold all information of an edge on the pose: the distance of the line at
+the mean of its points, and its slope times their spread. Their errors are independent. Neighbouring
+edge points, which share smoothed pixels, are correlated; the covariance of the line accounts for
+it.
 
-Points that another edge displaces are left out: near other edges of the model, and, where enough
-others are left, beside any other edge of the picture, such as the border of a shadow.
+Points that another edge displaces are left out: near other edges of the model and, where enough
+other points remain, next to any other edge of the picture, such as the border of a shadow.
 """
 
 from collections.abc import Callable
@@ -35,37 +36,38 @@ MAX_ALONG = 1.5
 """Largest distance of an edge point from the normal along which it is looked for, px."""
 
 ALONG_WEIGHT = 2.0
-"""Weight of that distance against the distance along the normal, where the nearest is chosen."""
+"""Weight of the distance along the edge relative to the distance along the normal, where the
+nearest edge point is chosen."""
 
 MIN_ALIGNMENT = 0.9
 """Smallest cosine, about 25 degrees, between an edge point's gradient and the edge's normal."""
 
 CORRELATED_LENGTH = 3.5
-"""Length along an edge whose points count as one, px: see `CORRELATED_POINTS` of the segments."""
+"""Length along an edge whose points count as one observation, px: see `CORRELATED_POINTS`."""
 
 MIN_POINT_SIGMA = 0.03
-"""Smallest standard deviation of an edge point that is believed, px: pixels have an extent."""
+"""Smallest standard deviation of an edge point, px; a smaller estimate is not believed."""
 
 MODEL_SIGMA = 0.003
-"""Standard deviation of a whole line's position however many points it has, px."""
+"""Standard deviation of a whole line's position, px, no matter how many points it has."""
 
 MIN_EDGE_PX = 8.0
 """Visible length, px, below which an edge is not measured."""
 
 MIN_SHARE = 0.25
-"""Smallest part of an edge's visible length along which edge points make a line."""
+"""Smallest share of an edge's visible length with edge points for a line to be fitted."""
 
 HIDING_DEPTH = 0.01
-"""Part of its depth by which a point is behind a known surface that hides it.
+"""Share of its depth by which a point must be behind a known surface to be hidden by it.
 
-Objects touch, and the surface is known in parts of `DEPTH_CELL_PX` only."""
+Objects touch, and the surface is known in cells of `DEPTH_CELL_PX` only."""
 
 ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
-"""Scales of the rounds of the robust line fit, px; none is larger than the search radius."""
+"""Scales of the robust line fit's rounds, px, each limited by the search radius."""
 
 
 class EdgeLines(NamedTuple):
-    """The lines that edge points make along predicted edges, and the points that they are made of.
+    """The lines fitted to edge points along predicted edges, and these points.
 
     The two numbers of a line are its distance (px, measured minus predicted along `normals`) at the
     mean of its points, and its slope times the spread of its points.
@@ -73,22 +75,23 @@ class EdgeLines(NamedTuple):
     Attributes:
         offsets: the two numbers; zero where there is no line.
         variances: their variances, px^2, independent of each other.
-        by_pose: derivatives of the predicted numbers by the tangent at the object.
+        by_pose: derivatives of the predicted numbers by the tangent of the object's pose.
         measured: whether there is a line.
         visible_px: visible length of each edge, px.
-        explained_px: length of the part of it with an edge point within the radius, px.
-        found_px: length of the part of it where the line has points, px.
-        strength: mean gradient of these points, grey levels per px.
+        explained_px: visible length with an edge point within the radius, px.
+        found_px: visible length where the line has points, px.
+        strength: mean gradient of the line's points, grey levels per px.
         scatter: standard deviation of the points about their line, px.
         samples: predicted pixels; zero where not visible.
         sample_px: visible length that each sample stands for, px.
         normals: unit normals of the predicted edges at the samples; zero where not visible.
-        distances: of the edge points of the samples along the normals, px; NaN where there is none.
-        combination: the two numbers of an edge are the sums, over its samples, of these times the
-            samples' distances.
+        distances: distances of the samples' edge points along the normals, px; NaN where there is
+            none.
+        combination: weights of the samples' distances; their weighted sums over an edge are its two
+            numbers.
         points: index of the edge point of each sample.
-        in_picture: part of the vertices that are within the picture, hidden or not.
-        behind_px: length of the edges that is not visible because a known surface hides it, px.
+        in_picture: share of the vertices within the picture, hidden or not.
+        behind_px: length of the edges hidden by a known surface, px.
     """
 
     offsets: Float[AnyArray, "*views E 2"]
@@ -117,12 +120,12 @@ def edge_lines(
     camera_from_object: Float[Array, "4 4"],
     radius: Float[Array, ""],
 ) -> EdgeLines:
-    """Return the lines of edge points in one picture along the visible edges of a model.
+    """Return the lines fitted to edge points along the visible edges of a model in one picture.
 
     Args:
         wireframe: of the model.
         camera: intrinsics and lens.
-        lookup: edge points of this picture, without the axis of views.
+        lookup: edge points of this picture, without the view axis.
         camera_from_object: pose of the object in the camera's frame.
         radius: largest distance of an edge point from its predicted edge, px.
     """
@@ -134,11 +137,11 @@ def edge_lines(
     d = jnp.where(visible[:, None], view.directions, 0.0)
     n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
     r, point = _nearest_along_normals(lookup, p, n, d, radius)
-    found = visible & jnp.isfinite(r)
-    r = jnp.where(found, r, 0.0)
+    has_point = visible & jnp.isfinite(r)
+    r = jnp.where(has_point, r, 0.0)
     J = _across_by_pose(wireframe, camera, camera_from_object, n, visible)
     edges, px = wireframe.sample_edges, jnp.where(visible, view.sample_px, 0.0)
-    # A product with zeros and ones compiles in a fraction of the time that a scatter takes.
+    # A product with a 0/1 matrix compiles in a fraction of a scatter's time.
     membership = (edges[None] == jnp.arange(len(wireframe.edges))[:, None]).astype(r.dtype)
 
     def over_edges(values: Float[Array, "S *k"]) -> Float[Array, "E *k"]:
@@ -147,8 +150,8 @@ def edge_lines(
     # Positions along the edge, from the mean of its visible samples.
     middle = over_edges(px[:, None] * p) / _positive(over_edges(px))[:, None]
     t = ((p - middle[edges]) * d).sum(axis=1)
-    clear = found & _is_clear(wireframe, view.vertices, view.edge_px, p)
-    # In texture most points have another edge beside them, and have to do.
+    clear = has_point & _is_clear(wireframe, view.vertices, view.edge_px, p)
+    # In texture most points have another edge next to them; there all points are used.
     lone = clear & lookup.lone[point]
     are_enough = over_edges(jnp.where(lone, px, 0.0)) >= MIN_SHARE * over_edges(px)
     clear = jnp.where(are_enough[edges], lone, clear)
@@ -161,15 +164,14 @@ def edge_lines(
     combination = jnp.stack([weights / W[edges], weights * t * (spread / S)[edges]])
     numbers = jnp.stack([over_edges(row * r) for row in combination], axis=1)
     by_pose = jnp.stack([over_edges(row[:, None] * J) for row in combination], axis=1)
-    # The scatter about the line is the noise of its points.
     rest = r - numbers[edges, 0] - numbers[edges, 1] * t / spread[edges]
     found_px = over_edges(px * weights)
     independent = jnp.maximum(jnp.minimum(W, found_px / CORRELATED_LENGTH), 1.0)
-    # Two numbers of the line are fitted to so many independent points.
+    # Two numbers of the line are fitted to this many independent points.
     variance = over_edges(weights * rest**2) / W
     variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)
     variance = jnp.maximum(variance, MIN_POINT_SIGMA**2)
-    # A line as a whole may be off by MODEL_SIGMA at either end, independently.
+    # The line as a whole may be off by MODEL_SIGMA at either end, independently.
     tilt = MODEL_SIGMA * jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
     variances = jnp.stack(
         [variance / independent + MODEL_SIGMA**2, variance / independent + tilt**2], axis=1
@@ -185,14 +187,14 @@ def edge_lines(
         jnp.where(keep[..., None], by_pose, 0.0),
         measured,
         visible_px,
-        over_edges(jnp.where(found, px, 0.0)),
+        over_edges(jnp.where(has_point, px, 0.0)),
         jnp.where(measured, found_px, 0.0),
         jnp.where(measured, over_edges(weights * strengths) / W, 0.0),
         jnp.sqrt(variance),
         p,
         px,
         n,
-        jnp.where(found, r, jnp.nan),
+        jnp.where(has_point, r, jnp.nan),
         jnp.where(measured[edges][None], combination, 0.0),
         point,
         in_picture / wireframe.vertex_mask.sum(),
@@ -224,9 +226,10 @@ def _across_by_pose(
     normals: Float[Array, "S 2"],
     visible: Bool[Array, "S"],
 ) -> Float[Array, "S 6"]:
-    """Return derivatives of samples' positions along normals by the tangent at the object."""
-    # n . pixel has the gradient g = n^T D R by the point in the object's frame, with D the
-    # derivative of the pixel by the point in the camera's; by the tangent (v, w): g, and p x g.
+    """Return derivatives of the samples' positions along normals by the tangent of the pose."""
+    # n . pixel has the gradient g = n^T D R by the point in the object's frame, where D is the
+    # pixel's derivative by the point in the camera's frame; by the tangent (v, w) it is g and p x
+    # g.
     R, t = camera_from_object[:3, :3], camera_from_object[:3, 3]
     p = wireframe.samples
 
@@ -234,14 +237,14 @@ def _across_by_pose(
         pixels = jnp.where(visible[:, None], camera.project(in_camera)[0], 0.0)
         return (pixels * normals).sum()
 
-    # What is not visible is put in front of the camera, where its derivative is finite.
+    # Samples that are not visible are put in front of the camera, where the derivative is finite.
     in_camera = jnp.where(visible[:, None], p @ R.T + t[None], jnp.array([[0.0, 0.0, 1.0]]))
     g = jax.grad(along_normals)(in_camera) @ R
     return jnp.where(visible[:, None], jnp.concatenate([g, jnp.cross(p, g)], axis=1), 0.0)
 
 
 def _positive(values: Array) -> Array:
-    """Return values with zeros replaced by ones, so that what is divided by them stays finite."""
+    """Return values with zeros replaced by ones, to be divided by."""
     return jnp.where(values > 0.0, values, 1.0)
 
 
@@ -251,16 +254,16 @@ def _is_clear(
     edge_px: Float[Array, "E"],
     p: Float[Array, "S 2"],
 ) -> Bool[Array, "S"]:
-    """Return which samples are far enough from all visible edges but their own."""
+    """Return which samples are far enough from all visible edges but their own edge."""
     a, b = (vertices[wireframe.edges[:, k]] for k in (0, 1))
-    seen = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
-    a, b = (jnp.where(seen[:, None], x, 0.0) for x in (a, b))
+    is_visible = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
+    a, b = (jnp.where(is_visible[:, None], x, 0.0) for x in (a, b))
     along = (b - a) / _positive(((b - a) ** 2).sum(axis=1))[:, None]
     gap = p[:, None] - a[None]
     s = jnp.clip((gap * along[None]).sum(axis=2), 0.0, 1.0)
     squared = ((gap - s[..., None] * (b - a)[None]) ** 2).sum(axis=2)
-    own = wireframe.sample_edges[:, None] == jnp.arange(len(a))[None]
-    return (own | ~seen[None] | (squared > CLEARANCE**2)).all(axis=1)
+    is_own_edge = wireframe.sample_edges[:, None] == jnp.arange(len(a))[None]
+    return (is_own_edge | ~is_visible[None] | (squared > CLEARANCE**2)).all(axis=1)
 
 
 def _nearest_along_normals(
@@ -284,8 +287,8 @@ def _nearest_along_normals(
     across, along = (gap * n[:, None]).sum(axis=-1), (gap * d[:, None]).sum(axis=-1)
     alignment = jnp.abs((lookup.normals[index] * n[:, None]).sum(axis=-1))
     usable = within & (jnp.abs(across) <= radius) & (jnp.abs(along) <= MAX_ALONG)
-    # Of neighbours on one edge the one on the normal is taken: the one nearest to the prediction
-    # would draw the line towards it.
+    # Among neighbouring points of one edge take the point on the normal: the one nearest to the
+    # prediction would bias the line towards it.
     distance = jnp.abs(across) + ALONG_WEIGHT * jnp.abs(along)
     distance = jnp.where(usable & (alignment >= MIN_ALIGNMENT), distance, jnp.inf)
     best = jnp.argmin(distance, axis=1)[:, None]
@@ -301,7 +304,7 @@ def _robust_weights(
     found: Float[Array, "S"],
     radius: Float[Array, ""],
 ) -> Float[Array, "S"]:
-    """Return weights of samples in their line; those far from it have none."""
+    """Return weights of samples in their line; outliers have zero weight."""
 
     def reweighted(
         weights: Float[Array, "S"], largest: Float[Array, ""]
@@ -315,7 +318,7 @@ def _robust_weights(
         return found / (1.0 + scaled**2) ** 2, scaled
 
     _, scaled = jax.lax.scan(reweighted, found, jnp.asarray(ROBUST_SCALES))
-    # The last round counts what is within the scale in full, so that the noise is not made less.
+    # In the last round inliers have full weight, so that the noise is not underestimated.
     return jnp.where(jnp.abs(scaled[-1]) <= 1.0, found, 0.0)
 
 
@@ -330,7 +333,7 @@ def lines_in_views(
 ) -> EdgeLines:
     """Return the lines of `edge_lines` in all views."""
 
-    def in_view(own: EdgeLookup, matrix: Float[Array, "4 4"]) -> EdgeLines:
-        return edge_lines(wireframe, camera, own, matrix @ world_from_object, radius)
+    def in_view(view_lookup: EdgeLookup, matrix: Float[Array, "4 4"]) -> EdgeLines:
+        return edge_lines(wireframe, camera, view_lookup, matrix @ world_from_object, radius)
 
     return jax.vmap(in_view)(lookup, camera_from_world)

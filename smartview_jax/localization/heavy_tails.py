@@ -1,12 +1,12 @@
 """Estimate a pose from edges whose errors have heavy tails, by expectation-maximisation.
 
-Most edges of a picture are where their points say, to a hundredth of a pixel; a few are off by many
-times that, because of a shadow, a rounded corner or the print beside them. One Gaussian for all of
-them believes the exact edges too little and the others too much. Here the errors of an edge have a
-bivariate Student's t distribution: a Gaussian whose variance is that of the edge's points times an
-unknown factor of its own (Lange, Little and Taylor, "Robust statistical modeling using the t
-distribution", 1989). At the true poses of 8,793 edges in rendered scenes the likeliest such
-distribution has 2.1 degrees of freedom and 0.87 times the points' own variance as its scale.
+Most edges of a picture are accurate to a hundredth of a pixel, as their points say; a few are off
+by many times that, because of a shadow, a rounded corner or print next to them. One Gaussian for
+all edges trusts the exact ones too little and the others too much. Here the errors of an edge have
+a bivariate Student's t distribution: a Gaussian whose variance is the variance of the edge's points
+times an unknown factor (Lange, Little and Taylor, "Robust statistical modeling using the t
+distribution", 1989). At the true poses of 8,793 edges in rendered scenes the maximum-likelihood
+distribution has 2.1 degrees of freedom and 0.87 times the points' variance as its scale.
 """
 
 from operator import itemgetter
@@ -21,34 +21,34 @@ from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose, w
 DEGREES_OF_FREEDOM = 3.0
 """Degrees of freedom of Student's t.
 
-One more than is likeliest, with the points' own variance as the scale: the errors of one object's
-edges are not quite independent. With these the squared errors of 473 poses over their covariance
-(NEES) are 5.85 on average, which should be 6; with the likeliest numbers they are 6.3.
+The maximum-likelihood value is 2.1 (with a scale of 0.87); 3, with the points' variance as the
+scale, is used because edges of one object are correlated. With it the normalised squared errors of
+473 poses (NEES) are 5.85 on average (ideal: 6); with the maximum-likelihood values they are 6.3.
 """
 
 NUMBERS = 2
 """Numbers of an edge: its distance from the prediction and its tilt."""
 
 INFLATION = (DEGREES_OF_FREEDOM + NUMBERS + 2.0) / (DEGREES_OF_FREEDOM + NUMBERS)
-"""Variance of a Gaussian that tells as much (Fisher's information) as Student's t of scale one."""
+"""Variance of the Gaussian with the same Fisher information as Student's t of scale one."""
 
 EDGE_SIGMAS = (0.0, *np.geomspace(0.01, 1.5, 16))
-"""Scales of errors that all edges have, px, of which the likeliest is taken.
+"""Scales that are tried for an error common to all edges, px.
 
-One for the distances and one for the tilts: a rounded corner displaces an edge without a tilt.
+The distances and the tilts have one each: a rounded corner displaces an edge without a tilt.
 """
 
 LEAST_GAIN = 1.0
-"""Gain in log-likelihood from which each is believed: Akaike's, of one more number."""
+"""Smallest gain in log-likelihood for such a scale to be used: Akaike's, for one more parameter."""
 
 MAX_LOG_LIKELIHOOD_LOSS = 10.0
-"""Log-likelihood below that of the best scale from which larger ones are not tried."""
+"""Log-likelihood below the best scale's at which larger scales are no longer tried."""
 
 MAX_ITERATIONS = 100
 """Largest number of iterations for one scale."""
 
 CONVERGED = 0.01
-"""Length of a step, in standard deviations, below which the iteration has ended."""
+"""Length of a step, in standard deviations, at which the iteration ends."""
 
 
 class HeavyTailedStep(NamedTuple):
@@ -56,11 +56,12 @@ class HeavyTailedStep(NamedTuple):
 
     Attributes:
         step: the solution, its covariance and its parts.
-        equations: that it solves, with the noise of Gaussian errors that tell as much.
+        equations: the equations that it solves, with the noise of Gaussian errors of equal
+            information.
         squared: expected square of each edge's two errors, over their scale; two on average for
-            errors that are Gaussian of this scale.
-        edge_sigma: standard deviation, estimated, by which edges are displaced beyond the noise of
-            their points, px.
+            Gaussian errors of this scale.
+        edge_sigma: estimated standard deviation of the edges' displacements beyond their points'
+            noise, px.
     """
 
     step: PoseStep
@@ -72,12 +73,12 @@ class HeavyTailedStep(NamedTuple):
 def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyTailedStep:
     """Return the likeliest pose if the errors of whole edges have Student's t distribution.
 
-    Its scale is the noise of the edge's points and, where that is likelier, of errors that all
-    edges have: those of a rounded object, or of one whose model is not exact.
+    Its scale is the noise of the edge's points plus, where that is likelier, an error common to
+    all edges, as of a rounded object or an inexact model.
 
     Args:
         equations: two of each edge, one after the other, with independent noise.
-        errors: what is common to them.
+        errors: the errors that all edges share.
 
     Raises:
         UndeterminedPoseError: the equations leave the pose undetermined.
@@ -85,12 +86,12 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
     unknowns = _Unknowns.of(equations, errors)
     points = np.diagonal(equations.noise).reshape(-1, NUMBERS)
     fit, of_distances = _likeliest(unknowns, points, 0, np.ones(len(points)))
-    found = points + np.square([of_distances, 0.0])
-    fit, of_tilts = _likeliest(unknowns, found, 1, fit.weights)
-    # They hardly depend on each other, so that the first once more will do.
+    variances = points + np.square([of_distances, 0.0])
+    fit, of_tilts = _likeliest(unknowns, variances, 1, fit.weights)
+    # The two hardly depend on each other: one more round for the distances is enough.
     if of_tilts:
-        found = points + np.square([0.0, of_tilts])
-        fit, of_distances = _likeliest(unknowns, found, 0, fit.weights)
+        variances = points + np.square([0.0, of_tilts])
+        fit, of_distances = _likeliest(unknowns, variances, 0, fit.weights)
     sigmas = of_distances, of_tilts
     noise = INFLATION * (points + np.square(sigmas)) / fit.weights[:, None]
     gaussian = equations._replace(noise=np.diag(noise.ravel()))
@@ -99,12 +100,12 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
 
 
 class _Unknowns(NamedTuple):
-    """Equations for the pose and for the errors that all edges share, as independent numbers.
+    """Equations for the pose and for the common errors, as independent unknowns.
 
     Attributes:
         residuals: measured minus predicted, px.
         derivatives: by the tangent of the pose, and by the common errors in standard deviations.
-        prior: information on them beforehand: none on the pose.
+        prior: prior information on the unknowns; none on the pose.
     """
 
     residuals: Float[np.ndarray, "n"]
@@ -119,7 +120,7 @@ class _Unknowns(NamedTuple):
             UndeterminedPoseError: they leave the pose undetermined.
         """
         J = equations.by_pose
-        # Raises where they do, whatever the weights.
+        # Raises where the pose is undetermined, whatever the weights.
         whitening(J.T @ J)
         common = [
             equations.by_calibration @ covariance_factor(errors.calibration),
@@ -131,14 +132,14 @@ class _Unknowns(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """A pose for given scales of the edges' errors, and what it makes of these errors.
+    """A pose for given scales of the edges' errors, with the resulting weights.
 
     Attributes:
         solution: the unknowns.
-        information: on them, the inverse of their covariance.
+        information: of the solution, the inverse of its covariance.
         squared: as in `HeavyTailedStep`.
-        weights: of the edges after it; one for an edge that is off by as much as its scale.
-        log_likelihood: of the scales, the unknowns being integrated out (Laplace).
+        weights: updated weights of the edges; one for an edge that is off by its scale.
+        log_likelihood: of the scales, with the unknowns integrated out (Laplace).
     """
 
     solution: Float[np.ndarray, "unknowns"]
@@ -154,25 +155,25 @@ def _likeliest(
     number: int,
     weights: Float[np.ndarray, "edges"],
 ) -> tuple[_Fit, float]:
-    """Return the likeliest fit, and the scale of an error that one number of all edges has.
+    """Return the likeliest fit, and the scale of an error common to all edges in one number.
 
     Args:
         unknowns: the equations.
         variances: of the edges' other errors.
-        number: the one in question, of an edge's `NUMBERS`.
-        weights: of the edges, to begin with.
+        number: index of that number among an edge's `NUMBERS`.
+        weights: initial weights of the edges.
     """
     tried: list[tuple[float, _Fit, float]] = []
     for sigma in EDGE_SIGMAS:
-        own = np.zeros(NUMBERS)
-        own[number] = sigma**2
-        fit = _fit(unknowns, variances + own, weights)
-        # A scale has to gain something to be believed.
+        common = np.zeros(NUMBERS)
+        common[number] = sigma**2
+        fit = _fit(unknowns, variances + common, weights)
+        # A scale has to gain something to be used.
         gain = fit.log_likelihood - (LEAST_GAIN if sigma else 0.0)
         tried.append((gain, fit, sigma))
         if gain < max(tried, key=itemgetter(0))[0] - MAX_LOG_LIKELIHOOD_LOSS:
             break
-        # The weights of one scale are near those of the next.
+        # The weights of one scale are a good start for the next.
         weights = fit.weights
     _, fit, sigma = max(tried, key=itemgetter(0))
     return fit, sigma
@@ -183,7 +184,7 @@ def _fit(
     variances: Float[np.ndarray, "edges 2"],
     weights: Float[np.ndarray, "edges"],
 ) -> _Fit:
-    """Return the likeliest pose for given scales, from first weights of the edges."""
+    """Return the likeliest pose for given scales, from initial weights of the edges."""
     fit = _reweighted(unknowns, variances, weights)
     for _ in range(MAX_ITERATIONS):
         before, fit = fit, _reweighted(unknowns, variances, fit.weights)
@@ -198,16 +199,16 @@ def _reweighted(
     variances: Float[np.ndarray, "edges 2"],
     weights: Float[np.ndarray, "edges"],
 ) -> _Fit:
-    """Return the pose that fits best with given weights of the edges, and the weights after it.
+    """Return the pose that fits best with given weights of the edges, and updated weights.
 
     Given its weight w an edge is Gaussian with the variance v / w, and given the pose the expected
     weight is (nu + 2) / (nu + s), with s the expected square of its errors over v.
     """
     r, G, prior = unknowns
     nu = DEGREES_OF_FREEDOM
-    # Least squares A x = G^T W r, A = G^T W G + prior; what is not known of x adds to the expected
-    # squares of the errors: e^2 + diag(G A^-1 G^T). With W_A^T W_A = A^-1 it is the sum of squares
-    # in each column of W_A G^T, which rounding cannot make negative.
+    # Least squares A x = G^T W r, A = G^T W G + prior. The covariance of x adds to the expected
+    # squares of the errors: e^2 + diag(G A^-1 G^T). With W_A^T W_A = A^-1 this is the sum of
+    # squares in each column of W_A G^T, which rounding cannot make negative.
     rows = (weights[:, None] / (INFLATION * variances)).reshape(-1, 1) * G
     information = G.T @ rows + prior
     whitened = whitening(information)
@@ -215,8 +216,8 @@ def _reweighted(
     square = (r - G @ solution).reshape(-1, NUMBERS) ** 2
     spread = np.square(G @ whitened.T).sum(axis=1).reshape(-1, NUMBERS)
     squared = ((square + spread) / variances).sum(axis=1)
-    # -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) is that of Student's t, and what
-    # is common has its prior; to integrate the unknowns out adds log|A| / 2.
+    # -log p = log|V| / 2 + (nu + 2) / 2 log(1 + e^T V^-1 e / nu) for Student's t; the common
+    # errors have their prior, and integrating the unknowns out adds log|A| / 2.
     tails = (nu + NUMBERS) * np.log1p((square / variances).sum(axis=1) / nu).sum()
     common = solution @ prior @ solution
     determinant = -2.0 * np.log(np.diagonal(whitened)).sum()

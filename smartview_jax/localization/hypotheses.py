@@ -1,9 +1,9 @@
-"""Find the poses at which known objects may be in the pictures, without a start.
+"""Find the poses at which known objects may be in the pictures, without an initial pose.
 
-Poses are proposed from corners and segments, scored by the edges of all pictures, made distinct,
-drawn to the edges, and scored again. One picture alone proposes paths of its corners, which are a
-small part of a large object: junctions far apart near the best of them propose once more. Nothing
-is accepted here: every hypothesis is still to be fitted and judged.
+Poses are proposed from corners and segments, scored on the edges of all pictures, reduced to
+distinct ones, refined on the edges, and scored again. In a single picture the proposals come from
+paths of corners, a small part of a large object: near the best of them, junctions far apart give
+further proposals. Nothing is accepted here: every hypothesis is still to be fitted and judged.
 """
 
 from collections.abc import Sequence
@@ -24,27 +24,27 @@ from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe
 
 MAX_PATHS_ALONE, MAX_PATHS = 300, 40
-"""Largest number of paths of a picture, where it is the only one and where there are more."""
+"""Largest number of paths of a picture: of a single picture, and of each of several."""
 
 MAX_HYPOTHESES = 24
-"""Largest number of hypotheses of each model, unless stated; so many are drawn to the edges."""
+"""Largest number of hypotheses of each model by default; as many are refined on the edges."""
 
 WIDENED = 32
-"""Number of the best proposals of one picture near which distant junctions are searched for."""
+"""Number of the best proposals of a single picture near which distant junctions are searched."""
 
 WORKSPACE_SLACK = 5e-3
-"""Distance by which a proposal may leave the workspace, m: proposals err by some millimetres."""
+"""Distance by which a proposal may leave the workspace, m: proposals are wrong by some mm."""
 
 COARSE_SAMPLES, COARSE_GATE = 24, 8.0
-"""Samples of the wireframe for the first scores, and their gate, px: proposals err by some px."""
+"""Samples of the wireframe for the first scores, and their gate, px; proposals are some px off."""
 
 FINE_GATE, FINE_GATE_ALONE = 4.0, 2.0
-"""Gates of the scores of polished poses, px, in more pictures and in one. One picture leaves more
-freedom to wrong poses, whose edges all lie on others within some px, but not within one."""
+"""Gates of the scores of polished poses, px, in several pictures and in one. A single picture
+allows more wrong poses, whose edges all lie within some px of others, but not within one."""
 
 COMPARED, FINER_SCORED, POLISHED = 1024, 192, 64
-"""Numbers of the best proposals that are compared with one another, to leave out those that are
-almost the same; of those that are scored once more, with all samples; and of those polished."""
+"""Numbers of the best proposals: compared with one another, to remove near duplicates; scored again
+with all samples; and polished."""
 
 
 class Hypothesis(NamedTuple):
@@ -53,8 +53,8 @@ class Hypothesis(NamedTuple):
     Attributes:
         model: index of the model.
         world_from_object: the pose.
-        score: length in all pictures that lies on edges of its own direction, beyond what other
-            edges would explain by chance, px; what lies nearer counts more.
+        score: edge length in all pictures that lies on picture edges of the same direction, nearer
+            ones counting more, minus the length expected by chance, px.
         explained: share of the visible wireframe's length that lies on edges.
     """
 
@@ -72,47 +72,47 @@ def find_hypotheses(
     *,
     workspace: Float[np.ndarray, "2 3"] | None = None,
 ) -> list[Hypothesis]:
-    """Return where objects may be, the best hypotheses first.
+    """Return the poses at which objects may be, the best hypotheses first.
 
     Args:
         evidence: of each picture.
-        views: the camera's poses at the pictures; one is enough, two or more tell far more.
-        models: of the objects that may be there. Their symmetry, if known, keeps equal poses from
+        views: the camera's poses at the pictures; one is enough, two or more determine far more.
+        models: models of the objects that may be there. A known symmetry keeps equal poses from
             being listed several times.
         count: largest number of hypotheses of each model.
-        workspace: two opposite corners of a box in the world, m, in which objects are; the lower
-            one is then that of a table or of the bottom of a bin. Vertices may be outside by
+        workspace: two opposite corners of a box in the world, m, that contains the objects; its
+            lower side is then the table or the bottom of the bin. Vertices may be outside by
             `WORKSPACE_SLACK`. None for anywhere.
 
     Raises:
-        ValueError: no pictures or no models, other numbers of pictures than of poses, a model
+        ValueError: no pictures or no models, numbers of pictures and poses that differ, a model
             without edges, or a workspace that is not a box.
     """
     if not len(models):
         raise ValueError("models: expected at least one, found none")
     box = None if workspace is None else checked_box(workspace)
     maps = SceneMaps.of(evidence, views)
-    # What the pictures propose is the same for all models.
+    # The proposals of the pictures are the same for all models.
     paths, edges = _picture_proposals(evidence, views)
     junctions = _junctions_alone(evidence, views)
-    found: list[Hypothesis] = []
+    hypotheses: list[Hypothesis] = []
     for index, model in enumerate(models):
         proposed = [
-            poses_from_paths(own, model, camera_from_world)
-            for own, camera_from_world in zip(paths, views.camera_from_world, strict=True)
+            poses_from_paths(view_paths, model, camera_from_world)
+            for view_paths, camera_from_world in zip(paths, views.camera_from_world, strict=True)
         ]
         proposed += [poses_from_edges(pair, model) for pair in edges]
         best, scores = _best(maps, model, np.concatenate(proposed), junctions, count, box)
-        found += [
+        hypotheses += [
             # Scores of different models compare: both are lengths in the same pictures.
             Hypothesis(index, pose, float(score), float(share))
             for pose, score, share in zip(best, scores.surplus_px, scores.explained, strict=True)
         ]
-    return sorted(found, key=lambda one: -one.score)
+    return sorted(hypotheses, key=lambda h: -h.score)
 
 
 def checked_box(workspace: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
-    """Return the corners of a box with the lower bounds first."""
+    """Return two corners of a box, the lower bounds first."""
     corners = np.asarray(workspace, dtype=float)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise ValueError(f"workspace: expected two corners (2, 3), finite, m; found {workspace}")
@@ -124,20 +124,20 @@ def _picture_proposals(
 ) -> tuple[list[PicturePaths], list[SpaceEdges]]:
     """Return the paths of each picture, and the edges in space of pairs of pictures."""
     plane, poses = IdealPlane(views.camera), views.camera_from_world
-    features = [one.features for one in evidence]
-    # Of one picture paths are all there is; of two they help where edges in space fail.
-    # So many that all pictures together propose about as much as two do.
+    features = [picture.features for picture in evidence]
+    # A single picture has only paths; of two pictures they help where edges in space fail. Their
+    # number is limited such that all pictures together propose about as many as two do.
     most = MAX_PATHS_ALONE if len(features) == 1 else 2 * MAX_PATHS // len(features)
-    paths = [picture_paths(one, plane, most) for one in features]
+    paths = [picture_paths(found, plane, most) for found in features]
     pairs = list(combinations(range(len(features)), 2))
-    # Of many pictures, each with the next: every one takes part, and the time grows no faster.
+    # Of many pictures, pair each with the next: all take part, and the time grows linearly.
     pairs = pairs if len(features) <= 3 else [(k, k + 1) for k in range(len(features) - 1)]
     edges = [stereo_edges(features[i], features[j], plane, poses[[i, j]]) for i, j in pairs]
     return paths, edges
 
 
 def _junctions_alone(evidence: Sequence[PictureEvidence], views: SeenViews) -> Junctions | None:
-    """Return the junctions of the picture, if it is the only one: two propose enough."""
+    """Return the junctions of a single picture; None for several, which propose enough."""
     if len(evidence) > 1:
         return None
     return Junctions.of(evidence[0].features, IdealPlane(views.camera), views.camera_from_world[0])
@@ -154,7 +154,7 @@ def _best(
     """Return the best distinct poses after polishing, with their scores."""
     coarse, fine = Wireframe.of(model, COARSE_SAMPLES), Wireframe.of(model)
     poses = _coarse_ranked(maps, coarse, model, poses, box)
-    # A clear object is proposed a hundred times, which would leave no place for the others.
+    # A distinct object is proposed a hundred times, which would leave no room for the others.
     poses = poses[distinct_poses(model, poses, FINER_SCORED)]
     wider = np.zeros((0, 4, 4))
     if junctions is not None:
@@ -162,16 +162,17 @@ def _best(
         wider = _coarse_ranked(maps, coarse, model, wider, box)
         wider = wider[distinct_poses(model, wider, POLISHED)]
     poses = _ranked(maps, fine, poses, COARSE_GATE)[0][:POLISHED]
-    # Chosen apart: a wrong pose that three junctions fit may explain more than a right one does
-    # before both are polished.
+    # Selected separately: before polishing, a wrong pose that three junctions fit may explain
+    # more than a right one.
     poses = np.concatenate([poses, wider])
-    # A wide gate saves proposals that err by degrees, and loses some that were nearly right.
+    # A wide gate recovers proposals that are off by degrees, and loses some that were nearly
+    # right.
     schedules = WIDE_GATES, NARROW_GATES
     poses = np.concatenate([polished_poses(maps, fine, poses, gates) for gates in schedules])
-    # Some are drawn out of the workspace.
+    # Polishing moves some poses out of the workspace.
     gate = FINE_GATE if junctions is None else FINE_GATE_ALONE
     poses, scores = _ranked(maps, fine, poses[_are_within(model, poses, box)], gate)
-    # Several proposals end in one place.
+    # Several proposals converge to the same pose.
     kept = distinct_poses(model, poses, count)
     return poses[kept], PoseScores(*(part[kept] for part in scores))
 
@@ -185,14 +186,14 @@ def _coarse_ranked(
 ) -> Float[np.ndarray, "best 4 4"]:
     """Return the best of many proposals, the best first."""
     poses = poses[_are_within(model, poses, box)]
-    # Ten thousand proposals and more: few samples, and no hidden lines but those of convex objects.
+    # Ten thousand proposals and more: few samples, and hidden lines as of convex objects only.
     return _ranked(maps, coarse, poses, COARSE_GATE, convex=True)[0][:COMPARED]
 
 
 def _are_within(
     model: ObjectModel, poses: Float[np.ndarray, "poses 4 4"], box: Float[np.ndarray, "2 3"] | None
 ) -> Bool[np.ndarray, "poses"]:
-    """Return at which poses all vertices are within a box and its slack, if there is one."""
+    """Return at which poses all vertices are within a box and its slack; all, without a box."""
     if box is None:
         return np.ones(len(poses), dtype=bool)
     vertices = model.vertices @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]

@@ -1,7 +1,7 @@
 """Judge poses one after the other, the likeliest first.
 
-What an object explains is no evidence for the next: its edge points are taken away from all others.
-What an accepted object hides is no evidence against the others.
+Edge points that one object explains are no evidence for the next: they are removed. Edges that an
+accepted object hides do not count as missing in the others.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ MAX_JUDGED = 12
 """Largest number of poses that are judged, all models together."""
 
 CLOSE_RIVAL = 30.0
-"""Log-likelihood below that of the best rival within which others are measured with all samples."""
+"""Rivals within this log-likelihood of the best rival are measured with all samples."""
 
 
 def judged(
@@ -39,30 +39,32 @@ def judged(
 ) -> list[Localization]:
     """Return the verdicts on candidates, one after the other, the likeliest first.
 
-    Of a model of which there is one already, candidates that are rejected anyway are left out.
+    Once an object of a model is found, its further candidates that would be rejected anyway are
+    left out.
 
     Args:
-        scene: edge points of the pictures; what is found is taken away from them.
+        scene: edge points of the pictures, from which found objects take theirs.
         prepared: the models.
         candidates: the likeliest first.
         uncertainty: of the calibration in these views.
-        tested: number of poses that were looked at.
+        tested: number of poses that were examined.
     """
     judging = _Judging(scene, prepared, uncertainty, tested)
-    found = judging.in_order(candidates, [])
-    accepted = [one for one in found if one.accepted]
-    # What was judged before its neighbours were known is judged again, with what these hide.
-    if not accepted or all(one.accepted for one in found[: len(accepted)]):
-        return found
-    anew = scene.untouched()
-    judging = _Judging(anew, prepared, uncertainty, tested)
-    for one in accepted:
-        judging.take(one)
-    return judging.in_order(measured_candidates(anew, prepared, candidates), accepted)
+    results = judging.in_order(candidates, [])
+    accepted = [obj for obj in results if obj.accepted]
+    # Poses judged before their neighbours were known are judged again, with the neighbours as
+    # occluders.
+    if not accepted or all(obj.accepted for obj in results[: len(accepted)]):
+        return results
+    untouched = scene.untouched()
+    judging = _Judging(untouched, prepared, uncertainty, tested)
+    for obj in accepted:
+        judging.take(obj)
+    return judging.in_order(measured_candidates(untouched, prepared, candidates), accepted)
 
 
 class _Judging:
-    """The verdicts on poses in a scene; chance is measured once for each model and each taking."""
+    """The verdicts on poses in a scene; chance is measured once per model and change of scene."""
 
     def __init__(
         self,
@@ -79,80 +81,81 @@ class _Judging:
     def in_order(
         self, candidates: Sequence[Candidate], known: Sequence[Localization]
     ) -> list[Localization]:
-        """Return what is known, and the verdicts on candidates at other places, in their order."""
-        found, waiting = list(known), list(candidates)
-        for one in known:
-            waiting = self._elsewhere(one, waiting)
+        """Return the known objects and the verdicts on candidates at other places, in order."""
+        results, waiting = list(known), list(candidates)
+        for obj in known:
+            waiting = self._elsewhere(obj, waiting)
         count = 0
         while waiting and count < MAX_JUDGED:
             best, waiting = waiting[0], waiting[1:]
-            # The order is that of likelihood, which counts length too: one that follows may explain
-            # a larger share of itself.
-            if found and best.explained < REJECTED_SHARE:
+            # The order is by likelihood, which grows with length: a later candidate may explain a
+            # larger share.
+            if results and best.explained < REJECTED_SHARE:
                 continue
             count += 1
-            is_known = any(one.model_index == best.model for one in found)
+            is_known = any(obj.model_index == best.model for obj in results)
             if is_known and self.is_rejected_unrefined(best):
                 continue
-            one = self.best_explanation(best, waiting)
-            if one is None:
+            obj = self.best_explanation(best, waiting)
+            if obj is None:
                 continue
-            found.append(one)
-            if one.accepted:
-                waiting = self._elsewhere(one, waiting)
-            if waiting and one.verdict.decision != "rejected":
-                # What is explained already is no evidence: the others are looked at anew.
-                self.take(one)
+            results.append(obj)
+            if obj.accepted:
+                waiting = self._elsewhere(obj, waiting)
+            if waiting and obj.verdict.decision != "rejected":
+                # Its edge points are no evidence for the others, which are measured again without
+                # them.
+                self.take(obj)
                 waiting = measured_candidates(self.scene, self._prepared, waiting)
-        return found
+        return results
 
-    def _elsewhere(self, one: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
-        """Return the candidates that are not where an object is."""
-        # Two solids are not in one place.
-        own, pose = self._prepared[one.model_index].model, one.world_from_object
+    def _elsewhere(self, obj: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Return the candidates that do not overlap with an object."""
+        model, pose = self._prepared[obj.model_index].model, obj.world_from_object
         return [
             c
             for c in candidates
-            if not in_one_place(own, pose, self._prepared[c.model].model, c.pose)
+            if not in_one_place(model, pose, self._prepared[c.model].model, c.pose)
         ]
 
-    def take(self, one: Localization) -> None:
-        """Take the edge points that an object explains, and what an accepted one hides."""
-        wireframe = self._prepared[one.model_index].coarse if one.accepted else None
-        claim = self.scene.claim(one.refined.lines, wireframe, one.world_from_object)
+    def take(self, obj: Localization) -> None:
+        """Take away the edge points that an object explains; an accepted one then occludes."""
+        wireframe = self._prepared[obj.model_index].coarse if obj.accepted else None
+        claim = self.scene.claim(obj.refined.lines, wireframe, obj.world_from_object)
         self.scene.take(claim)
-        # Kept: the places that were tried can be measured again without a search.
+        # Kept, because lengths at these places can be measured again without a search.
         self._tried_before |= self._tried
         self._tried.clear()
 
     def _chance(self, candidate: Candidate) -> Chance:
-        """Return how much of a model other places explain."""
-        one, index = self._prepared[candidate.model], candidate.model
+        """Return how much of a model clutter at other places explains."""
+        entry, index = self._prepared[candidate.model], candidate.model
         if index not in self._tried:
             self._tried[index] = chance_poses(
-                candidate.pose, one.model, one.coarse, self.scene.views, self.scene.lookup
+                candidate.pose, entry.model, entry.coarse, self.scene.views, self.scene.lookup
             )
-        return chance_of(candidate.pose, one.model, self._tried[index])
+        return chance_of(candidate.pose, entry.model, self._tried[index])
 
     def is_rejected_unrefined(self, candidate: Candidate) -> bool:
-        """Return whether a pose is rejected as it is, whatever its rivals."""
-        one, scene = self._prepared[candidate.model], self.scene
+        """Return whether a pose is rejected without refinement, whatever its rivals."""
+        entry, scene = self._prepared[candidate.model], self.scene
         before = self._tried_before.get(candidate.model)
         if before is not None and candidate.model not in self._tried:
-            # Drawn to what has been taken since, they explain less than if they were drawn anew:
-            # what such a chance rejects is rejected.
+            # These poses converged to edge points that have been taken since, so that they
+            # explain less than newly converged ones: a candidate that even this chance rejects is
+            # rejected.
             poses = before.world_from_object
-            lengths = lengths_of_poses(one.coarse, scene.views, scene.lookup, poses)
-            least = chance_of(candidate.pose, one.model, ChancePoses(poses, lengths))
+            lengths = lengths_of_poses(entry.coarse, scene.views, scene.lookup, poses)
+            least = chance_of(candidate.pose, entry.model, ChancePoses(poses, lengths))
             if self._is_rejected_by(candidate, least):
                 return True
         return self._is_rejected_by(candidate, self._chance(candidate))
 
     def _is_rejected_by(self, candidate: Candidate, chance: Chance) -> bool:
-        """Return whether a pose is rejected, given what other places explain."""
-        one, pose = self._prepared[candidate.model], candidate.pose
-        lines = self.scene.lines(pose, one.coarse)
-        evidence = self.scene.evidence(lines, one.coarse, one.middle_at(pose), chance.mean)
+        """Return whether a pose is rejected, given the explained share at other places."""
+        entry, pose = self._prepared[candidate.model], candidate.pose
+        lines = self.scene.lines(pose, entry.coarse)
+        evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose), chance.mean)
         return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
 
     def best_explanation(
@@ -161,32 +164,32 @@ class _Judging:
         """Return the verdict on a candidate, or on its best rival where that is clearly better.
 
         Candidates are ordered by how much they explain, with few samples and before they are
-        fitted, so that a model a little too large may come before the true one.
+        fitted, so that a model that is slightly too large may come before the true one.
         None if too few edges determine the candidate's pose.
         """
-        one = self.localization(first, others)
-        if one is None or one.verdict.margin > -MIN_MARGIN:
-            return one
-        rival = one.rivals[0]
+        result = self.localization(first, others)
+        if result is None or result.verdict.margin > -MIN_MARGIN:
+            return result
+        rival = result.rivals[0]
         pose = Candidate(rival.model, rival.world_from_object, 0.0, 0.0)
         (second,) = measured_candidates(self.scene, self._prepared, [pose])
         better = self.localization(second, [first, *others])
-        is_better = better is not None and better.verdict.margin > one.verdict.margin
-        return better if is_better else one
+        is_better = better is not None and better.verdict.margin > result.verdict.margin
+        return better if is_better else result
 
     def localization(self, best: Candidate, others: Sequence[Candidate]) -> Localization | None:
         """Return the verdict on a candidate; None if too few edges determine its pose."""
-        one, scene = self._prepared[best.model], self.scene
+        entry, scene = self._prepared[best.model], self.scene
         try:
             refined = refine_pose(
-                best.pose, one.model, one.fine, scene.views, scene.lookup, self._uncertainty
+                best.pose, entry.model, entry.fine, scene.views, scene.lookup, self._uncertainty
             )
-        # Too few edges are left once others have been taken: there is nothing to report.
+        # Too few edges are left after others were taken away: there is nothing to report.
         except UndeterminedPoseError:
             return None
         pose, chance = refined.world_from_object, self._chance(best)
-        lines, middle = scene.lines(pose, one.fine), one.middle_at(pose)
-        evidence = scene.evidence(lines, one.fine, middle, chance.mean)
+        lines, middle = scene.lines(pose, entry.fine), entry.middle_at(pose)
+        evidence = scene.evidence(lines, entry.fine, middle, chance.mean)
         rivals = self._rivals(best, pose, others, chance)
         rivals = self._distinct(best, pose, evidence, chance, rivals)
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
@@ -196,19 +199,19 @@ class _Judging:
             other = repr(self._prepared[k].model.name) if self._prepared[k].model.name else str(k)
             name = "another pose" if k == best.model else f"the model {other}"
         views = scene.views
-        # Rivals are not corrected, and are compared with what is not corrected either.
+        # Rivals are not corrected, so the margin above compares uncorrected evidence.
         if len(refined.calibration_error):
             views = corrected_views(views, self._uncertainty, refined.calibration_error)
-            lines = scene.lines(pose, one.fine, views)
-            evidence = scene.evidence(lines, one.fine, middle, chance.mean, refined.absorbed)
-        uncertain = relative_std(one.model, refined.covariance)
+            lines = scene.lines(pose, entry.fine, views)
+            evidence = scene.evidence(lines, entry.fine, middle, chance.mean, refined.absorbed)
+        uncertain = relative_std(entry.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
-        # Moving faces takes time, so that only what would be accepted is asked.
+        # Moving faces takes time: only poses that would be accepted are tested.
         if verdict.decision == "accepted" and may_be_another_size(evidence):
-            moved = likeliest_moved_face(pose, one.model, lines, views, scene.lookup)
+            moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
             evidence = evidence._replace(moved=moved)
             verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
-        return Localization(one.model, best.model, refined, verdict, tuple(rivals))
+        return Localization(entry.model, best.model, refined, verdict, tuple(rivals))
 
     def _rivals(
         self,
@@ -217,22 +220,24 @@ class _Judging:
         others: Sequence[Candidate],
         chance: Chance,
     ) -> list[Rival]:
-        """Return the other explanations of what is at one place."""
-        one = self._prepared[best.model]
-        there = [
+        """Return the other explanations of the edges at one place."""
+        entry = self._prepared[best.model]
+        near = [
             c
             for c in others
-            if in_one_place(one.model, pose, self._prepared[c.model].model, c.pose)
+            if in_one_place(entry.model, pose, self._prepared[c.model].model, c.pose)
         ]
-        there = [
+        near = [
             c
-            for c in there
-            if c.model != best.model or pose_distances(one.model, pose, c.pose[None])[0] >= one.same
+            for c in near
+            if c.model != best.model
+            or pose_distances(entry.model, pose, c.pose[None])[0] >= entry.same
         ]
-        likelihoods = [c.log_likelihood(chance.mean) for c in there]
+        likelihoods = [c.log_likelihood(chance.mean) for c in near]
         rivals = []
-        for other, likelihood in zip(there, likelihoods, strict=True):
-            # The verdict rests on the best ones: few samples would not do for their difference.
+        for other, likelihood in zip(near, likelihoods, strict=True):
+            # The verdict rests on the best rivals: few samples are not enough for their
+            # difference.
             if likelihood > max(likelihoods) - CLOSE_RIVAL:
                 rivals.append(self._as_rival(other.model, other.pose, chance))
             else:
@@ -241,35 +246,35 @@ class _Judging:
 
     def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
         """Return a pose as a rival, measured with all samples."""
-        one = self._prepared[model]
-        lines = self.scene.lines(pose, one.fine)
-        found = self.scene.evidence(lines, one.fine, one.middle_at(pose), chance.mean)
-        return Rival(model, pose, found.log_likelihood, found.log_exactness)
+        entry = self._prepared[model]
+        lines = self.scene.lines(pose, entry.fine)
+        evidence = self.scene.evidence(lines, entry.fine, entry.middle_at(pose), chance.mean)
+        return Rival(model, pose, evidence.log_likelihood, evidence.log_exactness)
 
     def _distinct(
         self,
         best: Candidate,
         pose: Float[np.ndarray, "4 4"],
-        own: Evidence,
+        evidence: Evidence,
         chance: Chance,
         rivals: Sequence[Rival],
     ) -> list[Rival]:
-        """Return the rivals that stay others when those that decide are fitted, the best first.
+        """Return the rivals that remain distinct when the close ones are refined, the best first.
 
-        Few samples and a wide search leave a pose short of the one to which its edges draw it: some
-        rivals are but the pose itself, not yet drawn there.
+        Candidates may not have converged, with few samples and a wide search. Refine the close
+        rivals; drop those that end at the same pose.
 
         Args:
-            best, pose: what is judged, and its fitted pose.
-            own: evidence of that pose.
-            chance: that it was computed with.
+            best, pose: the judged candidate, and its refined pose.
+            evidence: of that pose.
+            chance: used in that evidence.
             rivals: in any order.
         """
-        one, kept = self._prepared[best.model], list[Rival]()
+        entry, kept = self._prepared[best.model], list[Rival]()
         for rival in sorted(rivals, key=lambda rival: -rival.log_odds):
-            # Before its fit a rival is less exact than it can be.
-            is_close = own.log_likelihood - rival.log_likelihood < MIN_MARGIN
-            is_close |= own.log_odds - rival.log_odds < MIN_MARGIN
+            # Before its refinement a rival fits less exactly than it could.
+            is_close = evidence.log_likelihood - rival.log_likelihood < MIN_MARGIN
+            is_close |= evidence.log_odds - rival.log_odds < MIN_MARGIN
             if not is_close:
                 kept.append(rival)
                 continue
@@ -277,21 +282,21 @@ class _Judging:
             if rival.model != best.model:
                 kept.append(fitted)
                 continue
-            # Neither the pose itself nor a rival that another one was drawn to.
+            # Keep it unless it converged to the judged pose or to another rival.
             known = [pose, *(r.world_from_object for r in kept if r.model == best.model)]
-            apart = pose_distances(one.model, fitted.world_from_object, np.stack(known))
-            if apart.min() >= one.same:
+            apart = pose_distances(entry.model, fitted.world_from_object, np.stack(known))
+            if apart.min() >= entry.same:
                 kept.append(fitted)
         return sorted(kept, key=lambda rival: -rival.log_odds)
 
     def _fitted(self, rival: Rival, chance: Chance) -> Rival:
-        """Return a rival at its fitted pose; as it is where that explains less, or is none."""
-        one, scene = self._prepared[rival.model], self.scene
+        """Return a rival at its refined pose; unchanged where that explains less or fails."""
+        entry, scene = self._prepared[rival.model], self.scene
         try:
             refined = refine_pose(
                 rival.world_from_object,
-                one.model,
-                one.fine,
+                entry.model,
+                entry.fine,
                 scene.views,
                 scene.lookup,
                 self._uncertainty,
@@ -299,5 +304,5 @@ class _Judging:
         except UndeterminedPoseError:
             return rival
         fitted = self._as_rival(rival.model, refined.world_from_object, chance)
-        # A fit that leaves edges out says nothing against the pose that has them.
+        # A fit that leaves edges out is no evidence against the pose that has them.
         return rival if fitted.log_odds < rival.log_odds else fitted

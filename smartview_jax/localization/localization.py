@@ -1,4 +1,4 @@
-"""Hold what is known of an object that was looked for: pose, covariance, verdict and rivals."""
+"""Hold the result for an object that was searched: pose, covariance, verdict and rivals."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from .verdict import Verdict
 
 
 def model_name(model: ObjectModel, index: int) -> str:
-    """Return what a model is called in messages: its name or, without one, its index."""
+    """Return the name of a model in messages: its name or, without one, its index."""
     return model.name or f"model {index}"
 
 
@@ -24,11 +24,11 @@ class EdgeMatch(NamedTuple):
 
     Attributes:
         view, edge: indices of the view and of the model's edge.
-        distance: of the edge points from the predicted edge, at their mean, px.
+        distance: mean distance of the edge points from the predicted edge, px.
         visible_px: visible length of the edge, px.
         found_px: length with edge points, px.
-        consistent: whether it is where its noise lets it be; others contradict the pose, and
-            hardly count.
+        consistent: whether the distance agrees with its noise; other edges contradict the pose and
+            have little weight.
     """
 
     view: int
@@ -45,8 +45,8 @@ class Rival(NamedTuple):
     Attributes:
         model: index of the model.
         world_from_object: pose.
-        log_likelihood, log_exactness: as those of a verdict's evidence; the second is zero where it
-            was not measured, because the first is too small to decide anything.
+        log_likelihood, log_exactness: as in `Evidence`; the second is zero where it was not
+            measured, because the first is too small to matter.
     """
 
     model: int
@@ -56,18 +56,18 @@ class Rival(NamedTuple):
 
     @property
     def log_odds(self) -> float:
-        """The log-likelihood with how exactly the edges fit, by which it is compared."""
+        """The log-likelihood ratio with the exactness of the fit, by which poses are compared."""
         return log_odds_of(self.log_likelihood, self.log_exactness)
 
 
 class Localization(NamedTuple):
-    """An object that was looked for, with the verdict on where it was found.
+    """An object that was searched, with the verdict on the pose where it was found.
 
     Attributes:
         model: of the object.
-        model_index: its index among the models that were looked for.
+        model_index: its index among the models that were searched.
         refined: pose with the parts of its covariance, and the edges it was estimated from.
-        verdict: decision, its reasons and its numbers.
+        verdict: decision, reasons and numbers.
         rivals: other explanations of the same edges, the best first.
     """
 
@@ -79,7 +79,7 @@ class Localization(NamedTuple):
 
     @property
     def world_from_object(self) -> Float[np.ndarray, "4 4"]:
-        """The pose of the object; `equivalent_poses` has those that symmetry makes the same."""
+        """The pose of the object; `equivalent_poses` lists the poses that symmetry makes equal."""
         return self.refined.world_from_object
 
     @property
@@ -91,10 +91,10 @@ class Localization(NamedTuple):
     def calibration_jacobian(self) -> Float[np.ndarray, "6 shared"] | None:
         """The derivatives of the pose's tangent by the numbers of the calibration.
 
-        Whatever else goes by the same calibration, as a gripper does, errs together with the
-        object. None if the calibration was taken as exact.
+        Errors of the calibration move the object together with everything else located by it, such
+        as a gripper. None if the calibration was taken as exact.
         """
-        # The robot's noise in these views is that of no other motion.
+        # The robot's noise in these views is not shared with any other motion.
         shared = self.refined.calibration_jacobian[:, : self.refined.shared_count]
         return shared if shared.size else None
 
@@ -105,7 +105,7 @@ class Localization(NamedTuple):
 
     @property
     def equivalent_poses(self) -> Float[np.ndarray, "K 4 4"]:
-        """The poses that are the same by the model's symmetry, the found one first."""
+        """The poses that are equal by the model's symmetry, the found one first."""
         return self.world_from_object @ self.model.object_from_object
 
     @property
@@ -126,7 +126,7 @@ class Localization(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The name of the object in messages: its model's or, without one, the model's index."""
+        """The name of the object in messages: the model's name or, without one, its index."""
         return model_name(self.model, self.model_index)
 
     @property
@@ -137,13 +137,13 @@ class Localization(NamedTuple):
 
 
 class Localizations(tuple[Localization, ...]):
-    """A tuple of what was found of all models, accepted ones first, with the pictures it is from.
+    """A tuple of the results for all models, accepted ones first, with their pictures.
 
-    Each is a `Localization`. A model of which nothing was found has none, or its best pose
-    with the verdict "rejected".
+    Each is a `Localization`. A model that was not found has none, or its best pose with the verdict
+    "rejected".
 
     Attributes:
-        messages: for each model that was not accepted, why, in words.
+        messages: for each model that was not accepted, the reason.
         pictures: of all views so far.
         command: what the robot reported in these views.
     """
@@ -159,7 +159,7 @@ class Localizations(tuple[Localization, ...]):
         pictures: tuple[PictureEvidence, ...],
         command: Command,
     ) -> "Localizations":
-        """Return the localizations with what they rest on."""
+        """Return the localizations with their messages, pictures and command."""
         self = super().__new__(cls, found)
         self.messages, self.pictures, self.command = messages, pictures, command
         return self
@@ -167,15 +167,15 @@ class Localizations(tuple[Localization, ...]):
     def __getnewargs__(
         self,
     ) -> tuple[tuple[Localization, ...], tuple[str, ...], tuple[PictureEvidence, ...], Command]:
-        """Return the arguments of `__new__`, from which copies and pickles are made."""
+        """Return the arguments of `__new__`, for copies and pickles."""
         return tuple(self), self.messages, self.pictures, self.command
 
     @property
     def accepted(self) -> tuple[Localization, ...]:
         """The localizations whose verdict is "accepted"."""
-        return tuple(one for one in self if one.accepted)
+        return tuple(result for result in self if result.accepted)
 
     @property
     def open(self) -> tuple[Localization, ...]:
         """The localizations whose verdict is "open": a further view may decide."""
-        return tuple(one for one in self if one.verdict.decision == "open")
+        return tuple(result for result in self if result.verdict.decision == "open")

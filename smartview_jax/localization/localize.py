@@ -1,8 +1,8 @@
-"""Find known objects in calibrated pictures, and say how certain each is.
+"""Find known objects in calibrated pictures, with a verdict and a covariance for each.
 
-Hypotheses are drawn to the pictures' edges, ranked by the visible edge length that they explain,
-and judged one after the other: what an object explains is no evidence for the next. The poses of
-those that are accepted are refined together at the end.
+Hypotheses are refined on the pictures' edges, ranked by the visible edge length that they explain,
+and judged one after the other: edge points that one object explains are no evidence for the next.
+The poses of accepted objects are refined together at the end.
 """
 
 from collections.abc import Sequence
@@ -44,36 +44,37 @@ def localize(
     """Find objects of known models in one, two or more calibrated pictures.
 
     Args:
-        pictures_or_features: uint8 pictures, or what `picture_evidence` found in them; one a view.
-        poses: what the robot reported in each view, `base_from_tool`.
+        pictures_or_features: uint8 pictures, or the result of `picture_evidence` for each; one a
+            view.
+        poses: poses that the robot reported in each view, `base_from_tool`.
         calibration: the calibrated camera; poses of objects are in its world frame.
-        models: of the objects that may be there, any number of each.
-        covariance: a joint fit, or a bound, that states how well the calibration is known; None
-            takes it as exact.
-        noise: sizes of the robot's noise in these views; by default that of the fit.
-        previous: what was found in earlier views of the same scene. Their pictures count together
-            with the new ones, and every pose that is accepted, open or a rival is judged anew.
-            Models of which there is none are searched for again, in all pictures.
-        hypotheses: poses to begin from instead of those that are searched for.
-        workspace: two opposite corners of a box in the world, m, in which objects are, as of a bin;
-            what is not there is not found. None for anywhere.
-        occluders: triangles in the world, m, of what is known to stand there, such as the walls of
-            a bin: what they hide is not held against a pose.
+        models: models of the objects that may be there, any number of each.
+        covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
+            calibration as exact.
+        noise: sizes of the robot's noise in these views; by default the noise of the fit.
+        previous: result for earlier views of the same scene. Their pictures are used together with
+            the new ones, and every pose that is accepted, open or a rival is judged again. Models
+            without such a pose are searched again in all pictures.
+        hypotheses: initial poses; by default they are searched in the pictures.
+        workspace: two opposite corners of a box in the world, m, that contains the objects, such as
+            a bin; nothing outside is found. None for anywhere.
+        occluders: triangles in the world, m, of known obstacles such as the walls of a bin; edges
+            that they occlude do not count as missing.
 
     Returns:
-        What was found, accepted ones first; `messages` says why the others were not.
+        The objects found, accepted ones first; `messages` says why others were not accepted.
 
     Raises:
-        ValueError: no views, a number of poses that is not that of the pictures, a model without
-            edges, a picture on which nothing can be found or that is given twice, a workspace that
-            is not a box, occluders that are not triangles, or a hypothesis of a model that is not
-            there; the message names the view, model or argument.
+        ValueError: no views, numbers of poses and pictures that differ, a model without edges, a
+            picture without usable edges or given twice, a workspace that is not a box, occluders
+            that are not triangles, or a hypothesis of an unknown model; the message names the view,
+            model or argument.
     """
     prepared, triangles = _prepared(models), checked_triangles(occluders)
     box = None if workspace is None else checked_box(workspace)
     _check_models(hypotheses, previous, len(prepared))
     views = _checked_views(pictures_or_features, poses, calibration)
-    # OpenCV and NumPy release the interpreter lock, so that pictures are searched side by side.
+    # OpenCV and NumPy release the interpreter lock, so that pictures are searched in parallel.
     with ThreadPoolExecutor(THREADS) as pool:
         count = len(pictures_or_features)
         found_in = pool.map(_evidence, range(count), pictures_or_features, [calibration] * count)
@@ -84,22 +85,23 @@ def localize(
         views = SeenViews.of(calibration, command)
     _check_distinct(pictures)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
-    # A further view is asked about the poses that are left: for these nothing is searched anew.
-    left = _hypotheses_of(previous) if hypotheses is None else list(hypotheses)
+    # With earlier results only their remaining poses are judged in the new views, without a
+    # search.
+    starts = _hypotheses_of(previous) if hypotheses is None else list(hypotheses)
     if hypotheses is None:
-        left += _searched(pictures, views, prepared, {one.model for one in left}, box)
+        starts += _searched(pictures, views, prepared, {h.model for h in starts}, box)
     scene = Scene(views, pictures, triangles)
-    candidates = converged_candidates(scene, prepared, left)
-    # Checked again after the fit, which may have drawn a pose out of the box. That its middle is
-    # inside is enough: its vertices were checked when it was proposed, and a wall may err.
+    candidates = converged_candidates(scene, prepared, starts)
+    # Checked again after the fit, which may have moved a pose out of the box. Only the middle is
+    # checked: the vertices were when the pose was proposed, and the walls are not exact.
     if box is not None:
-        middles = [prepared[one.model].middle_at(one.pose) for one in candidates]
+        middles = [prepared[c.model].middle_at(c.pose) for c in candidates]
         inside = [bool(((box[0] <= m) & (m <= box[1])).all()) for m in middles]
-        candidates = [one for one, is_in in zip(candidates, inside, strict=True) if is_in]
-    found = judged(scene, prepared, candidates, uncertainty, len(left))
-    found = refined_together(found, scene, prepared, uncertainty)
+        candidates = [c for c, is_in in zip(candidates, inside, strict=True) if is_in]
+    results = judged(scene, prepared, candidates, uncertainty, len(starts))
+    results = refined_together(results, scene, prepared, uncertainty)
     return Localizations(
-        _reported(found), _messages(prepared, found, left), pictures, _own_command(views)
+        _reported(results), _messages(prepared, results, starts), pictures, _own_command(views)
     )
 
 
@@ -108,10 +110,10 @@ def _prepared(models: ObjectModel | Sequence[ObjectModel]) -> list[Prepared]:
     given = [models] if isinstance(models, ObjectModel) else list(models)
     if not given:
         raise ValueError("models: expected at least one, found none")
-    for k, one in enumerate(given):
-        if not len(one.edges):
-            raise ValueError(f"models: model {k} {one.name!r} has no edges, nothing to look for")
-    return [Prepared.of(one) for one in given]
+    for k, model in enumerate(given):
+        if not len(model.edges):
+            raise ValueError(f"models: model {k} {model.name!r} has no edges, nothing to look for")
+    return [Prepared.of(model) for model in given]
 
 
 def _checked_views(
@@ -138,7 +140,7 @@ def _checked_views(
 def _evidence(
     view: int, picture: np.ndarray | PictureEvidence, calibration: Calibration
 ) -> PictureEvidence:
-    """Return what is found in the picture of a view."""
+    """Return the edges, corners and segments of a view's picture."""
     if isinstance(picture, PictureEvidence):
         return picture
     if not isinstance(picture, np.ndarray):
@@ -153,16 +155,16 @@ def _evidence(
 
 
 def _check_distinct(pictures: Sequence[PictureEvidence]) -> None:
-    """Raise a ValueError where two pictures are one: the second would be counted as a witness."""
+    """Raise a ValueError for a picture given twice: it would count as independent evidence."""
     first: dict[bytes, int] = {}
-    for k, one in enumerate(pictures):
-        points = one.edge_points.pixels.tobytes()
+    for k, picture in enumerate(pictures):
+        points = picture.edge_points.pixels.tobytes()
         if points and first.setdefault(points, k) != k:
             raise ValueError(f"views {first[points]} and {k}: the same picture, given twice")
 
 
 def _own_command(views: SeenViews) -> Command:
-    """Return what the robot reported in the views, without padding, on the host."""
+    """Return the reported poses of the views, without padding, on the host."""
     count = len(views.camera_from_world)
     return jax.tree.map(lambda x: np.asarray(x)[:count], views.command)
 
@@ -177,20 +179,20 @@ def _joined_commands(first: Command, second: Command) -> Command:
 def _check_models(
     hypotheses: Sequence[Hypothesis] | None, previous: Localizations | None, count: int
 ) -> None:
-    """Raise a ValueError where a hypothesis, or what was found before, is of an unknown model."""
-    given = [one.model for one in hypotheses or ()]
-    found = [one.model_index for one in previous or ()]
-    for name, indices in (("hypotheses", given), ("previous", found)):
+    """Raise a ValueError for a hypothesis or an earlier result of an unknown model."""
+    given = [h.model for h in hypotheses or ()]
+    earlier = [result.model_index for result in previous or ()]
+    for name, indices in (("hypotheses", given), ("previous", earlier)):
         unknown = [k for k in indices if not 0 <= k < count]
         if unknown:
             raise ValueError(f"{name}: of model {unknown[0]}, where there are {count} models")
 
 
 def _hypotheses_of(previous: Localizations | None) -> list[Hypothesis]:
-    """Return every pose that earlier views left, rivals included."""
-    left = [one for one in previous or () if one.verdict.decision != "rejected"]
-    poses = [(one.model_index, one.world_from_object) for one in left]
-    poses += [(rival.model, rival.world_from_object) for one in left for rival in one.rivals]
+    """Return every pose that earlier views left open or accepted, rivals included."""
+    kept = [result for result in previous or () if result.verdict.decision != "rejected"]
+    poses = [(result.model_index, result.world_from_object) for result in kept]
+    poses += [(rival.model, rival.world_from_object) for result in kept for rival in result.rivals]
     return [Hypothesis(model, pose, 0.0, 0.0) for model, pose in poses]
 
 
@@ -201,24 +203,24 @@ def _searched(
     known: set[int],
     box: Float[np.ndarray, "2 3"] | None,
 ) -> list[Hypothesis]:
-    """Return hypotheses of the models that are not known, by their indices among all."""
+    """Return hypotheses of the models not known yet, with their indices among all models."""
     missing = [k for k in range(len(prepared)) if k not in known]
     if not missing:
         return []
     models = [prepared[k].model for k in missing]
-    found = find_hypotheses(pictures, views, models, workspace=box)
-    return [one._replace(model=missing[one.model]) for one in found]
+    hypotheses = find_hypotheses(pictures, views, models, workspace=box)
+    return [h._replace(model=missing[h.model]) for h in hypotheses]
 
 
-def _reported(found: Sequence[Localization]) -> list[Localization]:
-    """Return accepted and open ones, and the best rejected one of each model without any."""
-    # A rejected pose is reported only where nothing better is: its evidence says why.
+def _reported(results: Sequence[Localization]) -> list[Localization]:
+    """Return accepted and open results, and the best rejected one of each model without any."""
+    # A rejected pose is reported only where there is no better one: its evidence says why.
     order = {"accepted": 0, "open": 1, "rejected": 2}
-    kept = [one for one in found if one.verdict.decision != "rejected"]
-    for one in found:
-        if one.model_index not in {other.model_index for other in kept}:
-            kept.append(one)
-    return sorted(kept, key=lambda one: order[one.verdict.decision])
+    kept = [result for result in results if result.verdict.decision != "rejected"]
+    for result in results:
+        if result.model_index not in {other.model_index for other in kept}:
+            kept.append(result)
+    return sorted(kept, key=lambda result: order[result.verdict.decision])
 
 
 def _messages(
@@ -226,18 +228,18 @@ def _messages(
     found: Sequence[Localization],
     hypotheses: Sequence[Hypothesis],
 ) -> tuple[str, ...]:
-    """Return, for every model that was not accepted, why."""
+    """Return the reason for every model that was not accepted."""
     messages = []
-    for index, one in enumerate(prepared):
-        own = [each for each in found if each.model_index == index]
-        if any(each.accepted for each in own):
+    for index, entry in enumerate(prepared):
+        results = [result for result in found if result.model_index == index]
+        if any(result.accepted for result in results):
             continue
-        name = model_name(one.model, index)
-        undecided = [each for each in own if each.verdict.decision == "open"]
+        name = model_name(entry.model, index)
+        undecided = [result for result in results if result.verdict.decision == "open"]
         if undecided:
-            messages += [each.message for each in undecided]
-        elif own:
-            messages.append(f"{name}: not found: {'; '.join(own[0].verdict.reasons)}")
+            messages += [result.message for result in undecided]
+        elif results:
+            messages.append(f"{name}: not found: {'; '.join(results[0].verdict.reasons)}")
         else:
             tried = sum(h.model == index for h in hypotheses)
             messages.append(f"{name}: not found: {tried} hypotheses, none with enough edges")

@@ -1,4 +1,4 @@
-"""Write the equations of corners and segments that are matched with vertices and edges."""
+"""Write the equations of corners and segments matched with vertices and edges."""
 
 from typing import NamedTuple
 
@@ -10,15 +10,15 @@ from .pose_equations import PoseEquations
 
 
 class Matches(NamedTuple):
-    """Corners and segments of pictures, and the vertices and edges of the model that they show.
+    """Corners and segments of pictures, and the vertices and edges that they match.
 
     Attributes:
         corner_view, corner_vertex: view and vertex of each corner.
         corners: px.
         corner_covariances: px^2.
         segment_view, segment_edge: view and edge of each segment.
-        segments: ends, px; they need not be the ends of the edge.
-        segment_covariances: of the distances of the two ends across the segment, px^2.
+        segments: their ends, px, not necessarily the ends of the edge.
+        segment_covariances: of the two ends' distances across the segment, px^2.
     """
 
     corner_view: Int[np.ndarray, "corners"]
@@ -32,7 +32,7 @@ class Matches(NamedTuple):
 
     @classmethod
     def none(cls) -> "Matches":
-        """Return no matches."""
+        """Return an empty set of matches."""
         empty = np.zeros(0, dtype=int)
         return cls(
             empty,
@@ -46,7 +46,7 @@ class Matches(NamedTuple):
         )
 
     def joined(self, other: "Matches") -> "Matches":
-        """Return both together."""
+        """Return the matches of both."""
         return Matches(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     @property
@@ -64,8 +64,8 @@ def match_equations(
 ) -> PoseEquations:
     """Return the equations of matches about the tangent at a pose: two for each match.
 
-    A corner gives its pixel; a segment the distances of its two ends from the predicted edge.
-    Matches of what cannot be projected are left out.
+    A corner gives its pixel; a segment gives the distances of its ends from the predicted edge.
+    Features that cannot be projected are left out.
 
     Args:
         matches: of any views.
@@ -79,12 +79,12 @@ def match_equations(
     on_edges, fraction = _nearest_on_edges(matches, model, views, world_from_object)
     points = np.concatenate([model.vertices[matches.corner_vertex], on_edges.reshape(-1, 3)])
     R, t = world_from_object[:3, :3], world_from_object[:3, 3]
-    found = pixel_jacobians(views, points @ R.T + t)
+    projected = pixel_jacobians(views, points @ R.T + t)
     rows = np.arange(len(points))
-    pixels, valid = found.pixels[view, rows], found.valid[view, rows]
-    by_point, by_view = found.by_point[view, rows] @ R, found.by_view[view, rows]
+    pixels, valid = projected.pixels[view, rows], projected.valid[view, rows]
+    by_point, by_view = projected.by_point[view, rows] @ R, projected.by_view[view, rows]
     measured = np.concatenate([matches.corners, matches.segments.reshape(-1, 2)])
-    # One row for each equation: both pixels of a corner, the normal's direction of a segment.
+    # One row for each equation: both coordinates of a corner, the normal of a segment.
     directions = model.vertices[model.edges[matches.segment_edge]]
     tangents = np.einsum(
         "nij,nj->ni",
@@ -98,7 +98,7 @@ def match_equations(
     normals = np.concatenate([np.tile(np.eye(2), (corners, 1)), across])
     residuals = np.einsum("ni,ni->n", normals, (measured - pixels)[row])
     gradient = np.einsum("ni,nij->nj", normals, by_point[row])
-    # x = R (p + v + w x p): the gradient by v is g, by w it is p x g.
+    # x = R (p + v + w x p): the gradient is g by v, and p x g by w.
     by_pose = np.column_stack([gradient, np.cross(points[row], gradient)])
     sensitivity = np.einsum("ni,nij->nj", normals, by_view[row])
     by_calibration = np.einsum("nl,nlk->nk", sensitivity, uncertainty.view_jacobian[view[row]])
@@ -125,7 +125,7 @@ def _nearest_on_edges(
     views: SeenViews,
     world_from_object: Float[np.ndarray, "4 4"],
 ) -> tuple[Float[np.ndarray, "segments 2 3"], Float[np.ndarray, "segments 2"]]:
-    """Return the points of edges that are seen nearest to the ends of segments, and their places.
+    """Return the points of edges that are seen nearest to the segments' ends, and their places.
 
     A place is 0 at the first vertex of the edge and 1 at the second.
     """
@@ -143,7 +143,7 @@ def _nearest_on_edges(
     vertices = model.vertices[edges]
     z = np.einsum("nj,nkj->nk", cameras[:, 2, :3], vertices) + cameras[:, 2, 3:]
     s = np.clip(s, 0.0, 1.0)
-    # The share of each vertex in a point at s of the picture is inverse to its depth.
+    # In perspective the weight of each vertex is inverse to its depth.
     first, second = (1.0 - s) / z[:, :1], s / z[:, 1:]
     fraction = second / (first + second)
     points = (1.0 - fraction[..., None]) * vertices[:, :1] + fraction[..., None] * vertices[:, 1:]
@@ -159,11 +159,11 @@ def _by_vertices(
     """Return derivatives of equations by the vertices' coordinates; none for an exact model."""
     if model.is_exact:
         return np.zeros((len(gradient), 0))
-    found = np.zeros((len(gradient), len(model.vertices), 3))
+    derivatives = np.zeros((len(gradient), len(model.vertices), 3))
     corner_rows = 2 * len(matches.corners)
     rows = np.arange(len(gradient))
-    found[rows[:corner_rows], np.repeat(matches.corner_vertex, 2)] = gradient[:corner_rows]
+    derivatives[rows[:corner_rows], np.repeat(matches.corner_vertex, 2)] = gradient[:corner_rows]
     edges = np.repeat(model.edges[matches.segment_edge], 2, axis=0)
     for k, share in enumerate((1.0 - fraction.ravel(), fraction.ravel())):
-        found[rows[corner_rows:], edges[:, k]] = share[:, None] * gradient[corner_rows:]
-    return found.reshape(len(gradient), -1)
+        derivatives[rows[corner_rows:], edges[:, k]] = share[:, None] * gradient[corner_rows:]
+    return derivatives.reshape(len(gradient), -1)

@@ -1,14 +1,14 @@
 """Match a model's vertices and edges with corners and segments, one after the other.
 
-The scheme is that of Kosaka and Kak ("Stereo Vision for Industrial Applications", Handbook of
+The scheme follows Kosaka and Kak ("Stereo Vision for Industrial Applications", Handbook of
 Industrial Robotics, 1999, and FINALE, CVGIP: Image Understanding 56(3), 1992): from a pose with a
 covariance every visible feature is predicted with its search ellipse; candidates within a
 chi-square gate are tried, the least ambiguous feature first; every match updates the pose by an
-iterated Kalman step, which shrinks the ellipses of the others; where matches contradict one another
-later, the search goes back, and a feature may have no match ("nil").
+iterated Kalman step, which shrinks the other ellipses; where matches contradict one another later,
+the search backtracks, and a feature may have no match ("nil").
 
-It is the baseline. Errors of the calibration count as independent in each match here; the batch fit
-of all matches, `pose_from_matches`, knows them as common.
+It is the baseline. Each match counts the errors of the calibration as independent; the batch fit
+of all matches, `pose_from_matches`, treats them as common.
 """
 
 from collections.abc import Sequence
@@ -34,10 +34,10 @@ GATE_COVERAGE = 0.95
 """Probability that the true candidate lies within the gate, if prior and noise are as stated."""
 
 BACKTRACKING_DEPTH = 4
-"""Number of features, the first ones matched, of which other candidates are tried."""
+"""Number of features, the first ones matched, for which alternative candidates are tried."""
 
 MAX_CANDIDATES = 3
-"""Largest number of candidates of each of these features, the nearest first; then nil."""
+"""Largest number of candidates for each of these features, the nearest first; then nil."""
 
 MAX_UPDATES = 400
 """Largest number of Kalman updates of a search, over all branches."""
@@ -52,11 +52,11 @@ MAX_BEYOND = 0.15
 """Length by which a segment may exceed the predicted edge at either end, over the edge's length."""
 
 NIL_COST = float(chi2.ppf(0.99, 2))
-"""Squared Mahalanobis distance that a feature without a match counts as."""
+"""Squared Mahalanobis distance that is charged for a feature without a match."""
 
 
 class PoseState(NamedTuple):
-    """A pose with the covariance of its tangent at the object."""
+    """A pose with the covariance of its tangent."""
 
     world_from_object: Float[np.ndarray, "4 4"]
     covariance: Float[np.ndarray, "6 6"]
@@ -67,7 +67,7 @@ class MatchedPose(NamedTuple):
 
     Attributes:
         state: pose and covariance after all updates.
-        matches: of the features that have one.
+        matches: matches of the features that have one.
         predicted: number of features that were predicted to be visible.
         cost: squared Mahalanobis distances of all matches, and `NIL_COST` for each nil.
         updates: number of Kalman updates of the whole search.
@@ -87,12 +87,12 @@ def kalman_update(
     views: SeenViews,
     uncertainty: CalibrationUncertainty,
 ) -> tuple[PoseState, float]:
-    """Return the pose after matches, by an iterated extended Kalman step, and their distance.
+    """Return the pose after an iterated extended Kalman step for matches, and their distance.
 
     The distance is the squared Mahalanobis distance of the matches from their prediction.
 
     Args:
-        state: before.
+        state: pose and covariance before the update.
         match: one match or several.
         model: of the object.
         views: camera and poses.
@@ -105,7 +105,7 @@ def kalman_update(
         equations = match_equations(match, model, views, pose, uncertainty)
         if not len(equations.residuals):
             return state, np.inf
-        # The prior's mean as seen from where the equations are linear.
+        # The prior's mean, relative to the current linearisation point.
         mean = host_logarithms(np.linalg.inv(pose) @ state.world_from_object)
         if k == 0:
             squared = _squared_distance(equations, errors, state.covariance)
@@ -119,14 +119,14 @@ def kalman_update(
 def _squared_distance(
     equations: PoseEquations, errors: CommonErrors, covariance: Float[np.ndarray, "6 6"]
 ) -> float:
-    """Return r^T (J P J^T + R)^-1 r of equations at a pose of covariance P."""
+    """Return r^T (J P J^T + R)^-1 r, where P is the covariance of the pose."""
     J, r = equations.by_pose, equations.residuals
     total = equations.noise + sum(errors.covariances(equations)) + J @ covariance @ J.T
     return float(r @ np.linalg.solve(total, r))
 
 
 class _Branch(NamedTuple):
-    """A state of the search: what is matched so far."""
+    """A node of the search: the matches so far."""
 
     state: PoseState
     matches: Matches
@@ -136,7 +136,7 @@ class _Branch(NamedTuple):
 
 
 class _Search:
-    """The search for the cheapest assignment, best branch first near the root, greedy below."""
+    """The search for the cheapest assignment: with backtracking near the root, greedy below."""
 
     def __init__(
         self,
@@ -153,7 +153,7 @@ class _Search:
         self.best: _Branch | None = None
 
     def explore(self, branch: _Branch) -> None:
-        """Match what remains of a branch; keep it if it is the cheapest so far."""
+        """Match the remaining features of a branch; keep it if it is the cheapest so far."""
         if self.best is not None and branch.cost >= self.best.cost:
             return
         if not branch.remaining:
@@ -165,7 +165,7 @@ class _Search:
         remaining = tuple(k for k in branch.remaining if k != feature)
         tried = MAX_CANDIDATES if branch.depth < BACKTRACKING_DEPTH else 1
         for candidate in gated[:tried]:
-            match = _one(self._features[feature], candidate)
+            match = _single(self._features[feature], candidate)
             state, squared = kalman_update(
                 branch.state, match, self._model, self._views, self._uncertainty
             )
@@ -179,7 +179,7 @@ class _Search:
                     branch.depth + 1,
                 )
             )
-        # Nil: always where nothing is near, and as an alternative near the root.
+        # Nil: always where no candidate is within the gate, and as an alternative near the root.
         if not len(gated) or branch.depth < BACKTRACKING_DEPTH:
             depth = branch.depth + (1 if len(gated) else 0)
             self.explore(
@@ -187,7 +187,7 @@ class _Search:
             )
 
     def _least_ambiguous(self, branch: _Branch) -> tuple[int, list[int]]:
-        """Return the feature of fewest candidates in its gate, and these, the nearest first."""
+        """Return the feature with the fewest candidates in its gate, and these, nearest first."""
         pooled = Matches.none()
         for k in branch.remaining:
             pooled = pooled.joined(self._features[k])
@@ -195,17 +195,17 @@ class _Search:
         best: tuple[tuple[int, float], int, list[int]] | None = None
         corner, segment = 0, len(pooled.corners)
         for k in branch.remaining:
-            own = self._features[k]
-            # Corners stand before segments in the pooled matches.
+            candidates = self._features[k]
+            # Corners come before segments in the pooled matches.
             start, corner, segment = (
-                (corner, corner + own.size, segment)
-                if len(own.corners)
-                else (segment, corner, segment + own.size)
+                (corner, corner + candidates.size, segment)
+                if len(candidates.corners)
+                else (segment, corner, segment + candidates.size)
             )
-            squared = distances[start : start + own.size]
+            squared = distances[start : start + candidates.size]
             gated = [int(j) for j in np.argsort(squared) if squared[j] <= self._gate]
-            area = float(areas[start]) if own.size else np.inf
-            # Features without candidates come last: they say nothing about the others.
+            area = float(areas[start]) if candidates.size else np.inf
+            # Features without candidates come last: they cannot reduce the ambiguity of others.
             rank = (len(gated) or len(pooled.corners) + len(pooled.segments) + 1, area)
             if best is None or rank < best[0]:
                 best = (rank, k, gated)
@@ -248,17 +248,17 @@ def match_features(
     state: PoseState,
     uncertainty: CalibrationUncertainty | None = None,
 ) -> MatchedPose:
-    """Return the pose and the matches that a search from an uncertain pose finds.
+    """Return the pose and the matches found by a search from an uncertain pose.
 
     Args:
         model: of the object.
         views: camera and poses.
         features: corners and segments of each view.
-        state: pose and covariance before.
+        state: initial pose and covariance.
         uncertainty: of the calibration in these views; None for an exact one.
 
     Raises:
-        ValueError: another number of features than of views.
+        ValueError: numbers of features and views that differ.
     """
     if len(features) != len(views.camera_from_world):
         raise ValueError(
@@ -273,8 +273,8 @@ def match_features(
     return MatchedPose(best.state, best.matches, len(predicted), best.cost, search.updates)
 
 
-def _one(matches: Matches, index: int) -> Matches:
-    """Return one of the matches, which are all of corners or all of segments."""
+def _single(matches: Matches, index: int) -> Matches:
+    """Return one of the matches, which are either all corners or all segments."""
     row = slice(index, index + 1)
     none = slice(0, 0)
     corners, segments = (row, none) if len(matches.corners) else (none, row)
@@ -298,9 +298,9 @@ def _predicted_features(
     features: Sequence[Features],
     world_from_object: Float[np.ndarray, "4 4"],
 ) -> list[Matches]:
-    """Return the visible vertices and edges of all views with every corner and segment near."""
-    wireframe, found = Wireframe.of(model), []
-    for view, (camera_from_world, seen) in enumerate(
+    """Return the visible vertices and edges of all views with the corners and segments nearby."""
+    wireframe, matches = Wireframe.of(model), []
+    for view, (camera_from_world, in_view) in enumerate(
         zip(views.camera_from_world, features, strict=True)
     ):
         pixels, visible, edge_px = map(
@@ -309,16 +309,17 @@ def _predicted_features(
                 wireframe, views.camera, to_device(camera_from_world @ world_from_object)
             ),
         )
-        # The width of the object in the picture bounds how far a feature may be from its place.
+        # The width of the object in the picture bounds how far a feature may be from its
+        # prediction.
         reach = 0.25 * float(np.ptp(pixels[: len(model.vertices)], axis=0).max())
         for vertex in np.flatnonzero(visible[: len(model.vertices)]):
-            near = np.linalg.norm(seen.corners - pixels[vertex], axis=1) < reach
-            found.append(_corner_matches(seen, view, int(vertex), np.flatnonzero(near)))
-        covariances = segment_covariances(seen, views.camera)
+            near = np.linalg.norm(in_view.corners - pixels[vertex], axis=1) < reach
+            matches.append(_corner_matches(in_view, view, int(vertex), np.flatnonzero(near)))
+        covariances = segment_covariances(in_view, views.camera)
         for edge in np.flatnonzero(edge_px[: len(model.edges)] > 10.0):
-            near = _segments_along(seen, pixels[model.edges[edge]], reach)
-            found.append(_segment_matches(seen, covariances, view, int(edge), near))
-    return found
+            near = _segments_along(in_view, pixels[model.edges[edge]], reach)
+            matches.append(_segment_matches(in_view, covariances, view, int(edge), near))
+    return matches
 
 
 def segment_covariances(features: Features, camera: Camera) -> Float[np.ndarray, "segments 2 2"]:
@@ -332,7 +333,7 @@ def segment_covariances(features: Features, camera: Camera) -> Float[np.ndarray,
 
 
 def _corner_matches(features: Features, view: int, vertex: int, near: np.ndarray) -> Matches:
-    """Return matches of one vertex with each of some corners."""
+    """Return the matches of one vertex with each of several corners."""
     return Matches.none()._replace(
         corner_view=np.full(len(near), view),
         corner_vertex=np.full(len(near), vertex),
@@ -344,7 +345,7 @@ def _corner_matches(features: Features, view: int, vertex: int, near: np.ndarray
 def _segment_matches(
     features: Features, covariances: np.ndarray, view: int, edge: int, near: np.ndarray
 ) -> Matches:
-    """Return matches of one edge with each of some segments."""
+    """Return the matches of one edge with each of several segments."""
     return Matches.none()._replace(
         segment_view=np.full(len(near), view),
         segment_edge=np.full(len(near), edge),
@@ -354,14 +355,14 @@ def _segment_matches(
 
 
 def _segments_along(features: Features, edge: Float[np.ndarray, "2 2"], reach: float) -> np.ndarray:
-    """Return the segments that are nearly parallel to a predicted edge, near it, not beyond it."""
+    """Return the segments nearly parallel to a predicted edge and near it, within its ends."""
     direction = edge[1] - edge[0]
     length = float(np.linalg.norm(direction))
     if length < 1.0 or not len(features.segments):
         return np.zeros(0, dtype=int)
     direction = direction / length
-    own = features.segments[:, 1] - features.segments[:, 0]
-    cosine = np.abs(own @ direction) / np.maximum(np.linalg.norm(own, axis=1), 1e-9)
+    segments = features.segments[:, 1] - features.segments[:, 0]
+    cosine = np.abs(segments @ direction) / np.maximum(np.linalg.norm(segments, axis=1), 1e-9)
     offset = features.segments - edge[0]
     along = offset @ direction / length
     across = np.abs(offset @ np.array([-direction[1], direction[0]])).max(axis=1)

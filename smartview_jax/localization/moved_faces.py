@@ -1,12 +1,12 @@
-"""Ask whether a face of an object is elsewhere: the pictures may show a solid of another size.
+"""Test whether the object has other dimensions than the model, by moving one face at a time.
 
 Many manufactured parts have right angles, and some lengths in common. A pose at the corner of
 another block fits exactly, as far as that block agrees with the model, and the rest could be
-hidden. What gives it away is that the rest of the block is there: a face of the model, moved along
-its normal to where the block has its own, finds that block's edges, at the same distance in all
-views. The hidden edges of the object itself are found nowhere.
+occluded. But the rest of that block is visible: if a face of the model is moved along its normal to
+where the block ends, its edges match, at the same distance in all views. Occluded edges of the true
+object match nowhere.
 
-Each face of which too little is found is moved by itself (`sliding_faces`).
+Each face with too few matched edges is moved by itself (`sliding_faces`).
 """
 
 from typing import NamedTuple
@@ -29,24 +29,24 @@ from .sliding_faces import face_places, movements_of_face
 from .wireframe import Wireframe
 
 FOUND_FACE_SHARE = 0.6
-"""Explained share of a face's edges from which the face counts as found, and is not moved."""
+"""Explained share of a face's edges above which the face counts as found, and is not moved."""
 
 MOVED_SAMPLES = 256
-"""Number of points along all edges at which it is asked what is found."""
+"""Number of samples along all edges for this test."""
 
 PLACES_PER_BATCH = 16
-"""Number of places that are tried by one call of a compiled program."""
+"""Number of distances of a face that one call of the compiled program tries."""
 
 
 class MovedFace(NamedTuple):
-    """The place of a face at which a solid like the model explains most of the pictures.
+    """The distance of a face at which the changed solid explains most of the pictures.
 
     Attributes:
         face: index of the face in the model; None if every face is found, or none explains more
-            elsewhere.
-        distance: from its place in the model, along its outward normal, m.
-        gained_px: edge length found of the solid with the moved face, minus that found of the
-            model, all views together, px.
+            when moved.
+        distance: displacement along its outward normal from its place in the model, m.
+        gained_px: edge length found with the moved face minus the length found with the model, all
+            views together, px.
     """
 
     face: int | None
@@ -55,7 +55,7 @@ class MovedFace(NamedTuple):
 
 
 class _Rates(NamedTuple):
-    """Derivatives of the arrays of a wireframe by the distance of a face, in which all is linear.
+    """Derivatives of a wireframe's arrays by the distance of a face; all are linear in it.
 
     Attributes:
         vertices, samples, face_points: changes. Normals keep their directions where vertices slide,
@@ -77,7 +77,7 @@ def likeliest_moved_face(
     views: SeenViews,
     lookup: EdgeLookup,
 ) -> MovedFace:
-    """Return the face that explains most more of the pictures where it is moved along its normal.
+    """Return the face whose displacement along its normal makes the model explain most.
 
     Args:
         pose: world_from_object.
@@ -94,7 +94,7 @@ def likeliest_moved_face(
     )
     for face in np.flatnonzero(explained < FOUND_FACE_SHARE * visible):
         movements = movements_of_face(model, int(face))
-        # Distance 0, the model as it is, comes first.
+        # Distance 0, the unchanged model, comes first.
         distances = np.append(0.0, face_places(model, movements, pose, views))
         if len(distances) == 1:
             continue
@@ -121,7 +121,7 @@ def _rates(wireframe: Wireframe, model: ObjectModel, movements: Float[np.ndarray
     change = movements[b] - movements[a]
     return _Rates(
         to_device(padded),
-        # Samples stay at their parts of the edges.
+        # Samples keep their fractions along the edges.
         to_device(movements[a] + parts[:, None] * change),
         to_device(change / lengths[:, None]),
         to_device(origins),
@@ -136,13 +136,13 @@ def _found_lengths(
     views: SeenViews,
     lookup: EdgeLookup,
 ) -> Float[np.ndarray, "places"]:
-    """Return the edge length that is found with a face at each of its places, px."""
+    """Return the edge length that is found with a face at each distance, px."""
     arrays = to_device(padded_poses(views.camera_from_world)), to_device(pose)
 
-    def of_batch(own: Float[np.ndarray, "places"]) -> Float[np.ndarray, "places"]:
-        batch = to_device(repeat_last(own, PLACES_PER_BATCH))
-        found = _found_at_places(wireframe, rates, views.camera, lookup, *arrays, batch)
-        return np.asarray(found)[: len(own)]
+    def of_batch(batch_distances: Float[np.ndarray, "places"]) -> Float[np.ndarray, "places"]:
+        batch = to_device(repeat_last(batch_distances, PLACES_PER_BATCH))
+        lengths = _found_at_places(wireframe, rates, views.camera, lookup, *arrays, batch)
+        return np.asarray(lengths)[: len(batch_distances)]
 
     return np.concatenate(in_batches(of_batch, distances, PLACES_PER_BATCH))
 
@@ -157,7 +157,7 @@ def _found_at_places(
     pose: Float[Array, "4 4"],
     distances: Float[Array, "places"],
 ) -> Float[Array, "places"]:
-    """Return the edge length that is found, all views together, at each distance of a face."""
+    """Return the edge length found at each distance of a face, all views together."""
 
     def at(distance: Float[Array, ""]) -> Float[Array, ""]:
         moved = _moved(wireframe, rates, distance)
@@ -169,7 +169,7 @@ def _found_at_places(
 def _moved(wireframe: Wireframe, rates: _Rates, distance: Float[Array, ""]) -> Wireframe:
     """Return the wireframe with a face at a distance from its place in the model, m."""
     return eqx.tree_at(
-        lambda one: [getattr(one, name) for name in _Rates._fields],
+        lambda tree: [getattr(tree, name) for name in _Rates._fields],
         wireframe,
         [getattr(wireframe, name) + distance * rate for name, rate in rates._asdict().items()],
     )

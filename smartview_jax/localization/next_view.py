@@ -1,7 +1,7 @@
-"""Choose the view that tells most about objects that were found, among those the robot reaches.
+"""Choose the most informative view of the objects found, among the views the robot can reach.
 
-The paper's view looks along the normal of the localised top surface. Beside it stands the view of
-the largest expected gain (`view_gains`).
+The paper's view looks along the normal of the localised top surface. It is reported together with
+the view of the largest expected gain (`view_gains`).
 """
 
 from collections.abc import Sequence
@@ -21,23 +21,23 @@ from .localization import Localization
 from .view_gains import ViewGains
 
 DIRECTIONS = 64
-"""Number of directions, spread over a hemisphere, of the views that are tried by default."""
+"""Number of default view directions, spread over a hemisphere."""
 
 LOWEST_ELEVATION = float(np.deg2rad(25.0))
 """Smallest angle of these directions from the horizontal, rad."""
 
 
 class Reachable(NamedTuple):
-    """The views that a robot may take.
+    """The views from which the next one is chosen.
 
     Attributes:
         camera_from_world: candidates, `(n, 4, 4)`, or one, `(4, 4)`; None for directions over the
-            object, at the distance of `distance`.
-        distance: from the camera to the object, m; needed where there are no candidates. By
-            default the paper's view is at the median of their distances along the optical axis.
-        arm: the arm, with `near`; None where every pose within the limits is reached.
+            object, at `distance`.
+        distance: distance from the camera to the object, m; required without candidates. The
+            paper's view is at this distance or, by default, at the candidates' median depth.
+        arm: the arm, with `near`; None where every pose within the limits is reachable.
         near: joint readings near which the arm takes its views.
-        limits: of viewpoints, as in `viewpoint_commands`.
+        limits: limits of the viewpoints, as in `viewpoint_commands`.
     """
 
     camera_from_world: Float[np.ndarray, "*n 4 4"] | None = None
@@ -48,18 +48,19 @@ class Reachable(NamedTuple):
 
 
 class NextView(NamedTuple):
-    """A view to take next, with what it is expected to tell.
+    """A view to take next, with the expected gain.
 
     Attributes:
-        base_from_tool: command.
+        base_from_tool: command for the robot.
         camera_from_world: the camera's pose there.
         joints: joint readings of the command; None without an arm.
-        discrimination: expected log-likelihood of the objects over their rivals.
-        position_std: of the objects' middles before and after the view, the largest, m.
-        gain: of both kinds, natural units of information.
-        reason: in words, as a clause that begins with a small letter.
-        paper: the paper's view, along the normal of the top surface, likewise; None where the robot
-            does not reach it, or for the paper's view itself.
+        discrimination: expected log-likelihood ratio of the objects to their rivals.
+        position_std: largest position error of the objects' middles (std) before and after the
+            view, m.
+        gain: total of both gains, in nats.
+        reason: the reason in words, a clause without a capital letter.
+        paper: the paper's view, along the normal of the top surface; None where the robot does not
+            reach it, and in the paper's view itself.
     """
 
     base_from_tool: Float[np.ndarray, "4 4"]
@@ -82,32 +83,31 @@ def next_view(
     neighbours: Sequence[Localization] = (),
     occluders: Float[np.ndarray, "triangles 3 3"] | None = None,
 ) -> NextView:
-    """Return the reachable view that tells the remaining hypotheses apart and shrinks the pose.
+    """Return the reachable view that best separates rival hypotheses and reduces pose errors.
 
     Args:
-        localizations: of `localize`; the rejected ones do not count.
+        localizations: results of `localize`; rejected ones are ignored.
         calibration: as for `localize`.
         reachable: the views that the robot may take.
-        noise: of the robot, whose error in the new view limits what it tells; None for an exact
+        noise: of the robot, whose error limits the information of the new view; None for an exact
             robot.
-        models: that were looked for, in which rivals of other models are found; by default rivals
-            of the objects' own models only.
-        neighbours: what else was found, such as all of `localize`, and may hide the objects;
-            rejected ones hide nothing.
-        occluders: triangles in the world, m, of what stands there and may hide the objects,
-            as for `localize`.
+        models: models that were searched, where rivals of other models are looked up; by default
+            only rivals of the objects' own models count.
+        neighbours: other results, such as all of `localize`, that may occlude the objects; rejected
+            ones occlude nothing.
+        occluders: triangles in the world, m, of known obstacles that may occlude the objects, as
+            for `localize`.
 
     Raises:
         ValueError: no object is left to look at, neither candidates nor a distance are given,
-            candidates are not 4x4 or there are none of them, or no candidate is reached or shows an
-            object; the message says why.
+            candidates are empty or not 4x4, or no candidate is reachable or shows an object; the
+            message says why.
     """
-    objects = [one for one in localizations if one.verdict.decision != "rejected"]
+    objects = [obj for obj in localizations if obj.verdict.decision != "rejected"]
     if not objects:
         raise ValueError("localizations: nothing was found that a further view could verify")
-    vertices = np.concatenate([_in_world(one.model, one.world_from_object) for one in objects])
+    vertices = np.concatenate([_in_world(obj.model, obj.world_from_object) for obj in objects])
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    # One pose is a batch of one.
     given = _checked_candidates(reachable)
     distance = _distance(reachable, given, middle)
     top = _top_surface_views(objects[0], calibration, distance)
@@ -143,14 +143,14 @@ def next_view(
     normals = [k for k in range(len(top)) if ok[k]]
     if not normals:
         return view(best, gains.reason(best, None), None)
-    # Of the turns about the normal the one of the largest gain.
-    k = max(normals, key=lambda one: gains.total[one])
+    # Of the four rotations about the normal, take the one with the largest gain.
+    k = max(normals, key=lambda turn: gains.total[turn])
     paper = view(k, "it looks along the normal of the localised top surface", None)
     return view(best, gains.reason(best, k), paper)
 
 
 def _checked_candidates(reachable: Reachable) -> Float[np.ndarray, "n 4 4"] | None:
-    """Return the candidates that are given, one or many, as a batch; None without any."""
+    """Return the given candidates as a batch, also a single one; None without candidates."""
     if reachable.camera_from_world is None:
         return None
     given = np.asarray(reachable.camera_from_world, dtype=float)
@@ -167,20 +167,20 @@ def _distance(
     candidates: Float[np.ndarray, "n 4 4"] | None,
     middle: Float[np.ndarray, "3"],
 ) -> float:
-    """Return the distance at which views of the objects' middle are made up, m."""
+    """Return the distance of the camera from the objects in new views, m."""
     if reachable.distance is not None:
         return float(reachable.distance)
     if candidates is None:
         raise ValueError("reachable: give candidates, camera_from_world, or a distance")
     depths = candidates[:, 2, :3] @ middle + candidates[:, 2, 3]
-    # A view that has the objects behind it says nothing of how near the robot may come.
-    before = depths[depths > 0.0]
-    if not len(before):
+    # A view with the objects behind it says nothing about how near the robot may come.
+    in_front = depths[depths > 0.0]
+    if not len(in_front):
         raise ValueError(
             f"reachable: camera_from_world: the objects are behind the camera in all "
             f"{len(depths)} views; is it world_from_camera?"
         )
-    return float(np.median(before))
+    return float(np.median(in_front))
 
 
 def _in_world(model: ObjectModel, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "V 3"]:
@@ -196,10 +196,10 @@ def _upwards(calibration: Calibration) -> Float[np.ndarray, "3"]:
 
 
 def _top_surface_views(
-    one: Localization, calibration: Calibration, distance: float
+    top_object: Localization, calibration: Calibration, distance: float
 ) -> Float[np.ndarray, "turns 4 4"]:
-    """Return views along the normal of the face that looks up most; none without faces."""
-    model, pose = one.model, one.world_from_object
+    """Return views along the normal of the face that points up most; none without faces."""
+    model, pose = top_object.model, top_object.world_from_object
     if not model.faces:
         return np.zeros((0, 4, 4))
     planes = [face_plane(model.vertices, face) for face in model.faces]
@@ -217,12 +217,12 @@ def _around(
 ) -> Float[np.ndarray, "n 4 4"]:
     """Return views of the objects' middle from directions spread over a hemisphere."""
     up = _upwards(calibration)
-    # A spiral of equal areas between its turns, from the zenith to the lowest elevation.
+    # A spiral with equal areas between its turns, from the zenith to the lowest elevation.
     height = np.linspace(1.0, np.sin(LOWEST_ELEVATION), DIRECTIONS)
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(DIRECTIONS)
     around = np.sqrt(1.0 - height**2)
     local = np.column_stack([around * np.cos(angle), around * np.sin(angle), height])
-    # Any two axes at right angles to the vertical complete it to a frame.
+    # Any two axes perpendicular to the vertical complete the frame.
     across = np.linalg.svd(up[None])[2][1:]
     directions = local @ np.stack([across[0], np.cross(up, across[0]), up])
     return host_matrices(look_at(middle, -directions, distance))

@@ -1,7 +1,7 @@
-"""Predict what stands before an object in views that were not taken: walls, and other objects.
+"""Predict occlusions in views that are not taken yet: by walls, and by other objects.
 
-Every ray from a camera's centre to a point of a wireframe is cast through the faces of what is
-known to be there, as a model's own hidden lines are found.
+Every ray from a camera's centre to a point of a wireframe is tested against the faces of the known
+obstacles, as a model's hidden lines are.
 """
 
 from collections.abc import Sequence
@@ -23,12 +23,12 @@ from .wireframe import MIN_TRIANGLES, Wireframe
 
 
 class Occluder(NamedTuple):
-    """Faces that stand in the world and hide what is behind them.
+    """Faces in the world that occlude whatever is behind them.
 
     Attributes:
-        triangles: of the faces, in the world, m.
-        triangle_faces: which face each triangle is part of, as of a `Wireframe`; None where each
-            hides by itself.
+        triangles: in the world, m.
+        triangle_faces: the face that each triangle belongs to, as in `Wireframe`; None where each
+            triangle occludes by itself.
     """
 
     triangles: Float[np.ndarray, "T 3 3"]
@@ -36,38 +36,40 @@ class Occluder(NamedTuple):
 
     @classmethod
     def of_triangles(cls, triangles: Float[np.ndarray, "T 3 3"]) -> "Occluder":
-        """Return triangles, their number rounded up to one that programs are compiled for."""
+        """Return triangles, padded to a number that programs are compiled for."""
         size = max(MIN_TRIANGLES, power_of_two_from(len(triangles)))
-        # What was added has no area, so that no ray passes through it.
+        # Padded triangles have no area, so that no ray hits them.
         padded = np.pad(triangles, ((0, size - len(triangles)), (0, 0), (0, 0)))
         return cls(padded, None)
 
     @classmethod
-    def of_object(cls, one: Localization) -> "Occluder":
-        """Return the faces of an object where it was found."""
-        wireframe, pose = Wireframe.of(one.model), one.world_from_object
+    def of_object(cls, obj: Localization) -> "Occluder":
+        """Return the faces of an object at its pose."""
+        wireframe, pose = Wireframe.of(obj.model), obj.world_from_object
         in_world = np.asarray(wireframe.triangles) @ pose[:3, :3].T + pose[:3, 3]
         return cls(in_world, np.asarray(wireframe.triangle_faces))
 
 
 def leading(localizations: Sequence[Localization]) -> list[Localization]:
-    """Return the first localization at each place, of those that are not rejected."""
+    """Return the first localization at each place that is not rejected."""
     kept: list[Localization] = []
-    for one in localizations:
-        if one.verdict.decision != "rejected" and not any(_one_place(one, other) for other in kept):
-            kept.append(one)
+    for result in localizations:
+        if result.verdict.decision != "rejected" and not any(
+            _one_place(result, other) for other in kept
+        ):
+            kept.append(result)
     return kept
 
 
-def occluders_beside(
+def occluders_around(
     one: Localization,
     others: Sequence[Localization],
     triangles: Float[np.ndarray, "triangles 3 3"],
 ) -> list[Occluder]:
-    """Return what may hide an object: known triangles, and objects that are elsewhere."""
+    """Return what may occlude an object: known triangles, and objects at other places."""
     walls = [Occluder.of_triangles(triangles)] if len(triangles) else []
-    beside = [other for other in others if not _one_place(one, other)]
-    return walls + [Occluder.of_object(other) for other in beside if other.model.faces]
+    neighbours = [other for other in others if not _one_place(one, other)]
+    return walls + [Occluder.of_object(other) for other in neighbours if other.model.faces]
 
 
 def hidden_in_views(
@@ -75,7 +77,7 @@ def hidden_in_views(
     centres: Float[np.ndarray, "views 3"],
     points: Float[np.ndarray, "S 3"],
 ) -> Bool[np.ndarray, "views S"]:
-    """Return which points are behind something that stands there, seen from cameras' centres.
+    """Return which points are occluded, as seen from cameras' centres.
 
     Args:
         occluders: in the world.
@@ -84,9 +86,9 @@ def hidden_in_views(
     """
     hidden = np.zeros((len(centres), len(points)), dtype=bool)
     on_device = to_device(centres), to_device(points)
-    for one in occluders:
-        owners = None if one.triangle_faces is None else to_device(one.triangle_faces)
-        hidden |= np.asarray(_are_behind(to_device(one.triangles), owners, *on_device))
+    for occluder in occluders:
+        owners = None if occluder.triangle_faces is None else to_device(occluder.triangle_faces)
+        hidden |= np.asarray(_are_behind(to_device(occluder.triangles), owners, *on_device))
     return hidden
 
 
@@ -97,7 +99,7 @@ def _are_behind(
     centres: Float[Array, "views 3"],
     points: Float[Array, "S 3"],
 ) -> Bool[Array, "views S"]:
-    """Return which points are behind faces, by the same margin as in pictures that were taken."""
+    """Return which points are behind faces, by the same margin as in real pictures."""
     last = jnp.full(len(points), 1.0 - HIDING_DEPTH)
 
     def from_centre(centre: Float[Array, "3"]) -> Bool[Array, "S"]:
@@ -109,5 +111,5 @@ def _are_behind(
 
 
 def _one_place(one: Localization, other: Localization) -> bool:
-    """Return whether two localizations are of one place."""
+    """Return whether two localizations are at the same place."""
     return in_one_place(one.model, one.world_from_object, other.model, other.world_from_object)

@@ -1,10 +1,10 @@
-"""Move poses so that their wireframes lie on the edges of the pictures, many poses at once.
+"""Refine poses so that their wireframes lie on the edges of the pictures, many poses at once.
 
-Each visible sample of the wireframe is drawn to the nearest edge of its own direction, across that
-edge (iterated closest points by Gauss-Newton steps; Lowe, "Fitting parameterized three-dimensional
-models to images", 1991). The gate becomes narrower from step to step, so that poses come from some
-degrees away and end as accurate as the edges are. The accurate fit with all features is another
-one; this one brings a hypothesis near enough to be judged.
+Each visible sample of the wireframe is moved towards the nearest edge of the same direction, across
+that edge (iterated closest points with Gauss-Newton steps; Lowe, "Fitting parameterized
+three-dimensional models to images", 1991). The gate becomes narrower from step to step, so that
+poses that start some degrees off end as accurate as the edges. This brings a hypothesis near enough
+to be judged; the accurate fit, with all features, is in `refinement`.
 """
 
 import jax
@@ -18,17 +18,17 @@ from .scoring import SceneMaps, in_single_precision, seen_samples
 from .wireframe import Wireframe
 
 POSES_PER_CALL = 64
-"""Number of poses that one call of the compiled program takes."""
+"""Number of poses in one call of the compiled program."""
 
 WIDE_GATES = (14.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 3.0, 3.0)
-"""Distances in px beyond which an edge does not draw, of the steps."""
+"""Gate of each step: distance in px beyond which an edge has no weight."""
 
 NARROW_GATES = (6.0, 5.0, 5.0, 4.0, 4.0, 3.0, 3.0, 3.0, 3.0, 3.0)
-"""The same for poses that are near already: wide gates let other edges draw, such as the two sides
-of a frame."""
+"""The same for poses that are already near: with wide gates other edges attract them, such as the
+second side of a frame."""
 
 DAMPING = 1e-4
-"""Damping of the normal equations, over the mean of their diagonal: what no edge holds stays."""
+"""Damping of the normal equations, over their mean diagonal; without edges a pose stays fixed."""
 
 
 def polished_poses(
@@ -37,13 +37,13 @@ def polished_poses(
     world_from_object: Float[np.ndarray, "poses 4 4"],
     gates: tuple[float, ...] = WIDE_GATES,
 ) -> Float[np.ndarray, "poses 4 4"]:
-    """Return poses after they were drawn to the edges of the pictures.
+    """Return poses refined on the edges of the pictures.
 
     Args:
         maps: of the pictures.
         wireframe: of the model.
         world_from_object: the poses.
-        gates: distances in px beyond which an edge does not draw, one for each step.
+        gates: distance in px beyond which an edge has no weight, for each step.
     """
     single, parts = in_single_precision(wireframe), [np.zeros((0, 4, 4))]
     steps = to_device(np.array(gates, np.float32))
@@ -52,14 +52,14 @@ def polished_poses(
         part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
         part[: len(chunk)] = chunk
         moved = np.asarray(_polish(maps, single, to_device(part), steps))[: len(chunk)]
-        # A pose that nothing holds may go anywhere, even where there are no numbers.
+        # An undetermined pose may diverge, even to NaN; the initial pose is kept then.
         kept = np.isfinite(moved).all(axis=(1, 2), keepdims=True)
         parts.append(_orthonormal(np.where(kept, moved, chunk).astype(float)))
     return np.concatenate(parts)
 
 
 def _orthonormal(poses: Float[np.ndarray, "poses 4 4"]) -> Float[np.ndarray, "poses 4 4"]:
-    """Return poses whose rotations are rotations in double precision."""
+    """Return poses with their rotations made orthonormal in double precision."""
     U, _, Vt = np.linalg.svd(poses[:, :3, :3])
     poses[:, :3, :3] = U @ Vt
     return poses
@@ -85,19 +85,19 @@ def _polish(
 def _step(
     maps: SceneMaps, wireframe: Wireframe, pose: Float[Array, "4 4"], gate: Float[Array, ""]
 ) -> Float[Array, "4 4"]:
-    """Return a pose after one step of Gauss-Newton."""
-    # Lengths in units of the object's radius make the six unknowns alike in size.
+    """Return a pose after one Gauss-Newton step."""
+    # Lengths in units of the object's radius: the six unknowns have similar sizes.
     radius = jnp.sqrt((wireframe.samples**2).sum(axis=1).max())
     hessian, gradient = jnp.zeros((6, 6), pose.dtype), jnp.zeros(6, pose.dtype)
     for view in range(len(maps.camera_from_world)):
         residual, J, weight = _residuals(maps, view, wireframe, pose, gate)
-        # Summed over the views: all of them see one rigid object.
+        # Summed over the views, which all see the same rigid object.
         J = jnp.concatenate([J[:, :3] * radius, J[:, 3:]], axis=1)
         hessian = hessian + J.T @ (weight[:, None] * J)
         gradient = gradient + J.T @ (weight * residual)
     damping = DAMPING * (jnp.trace(hessian) / 6.0 + 1.0)
     tangent = -_solved(hessian + damping * jnp.eye(6, dtype=pose.dtype), gradient)
-    # Far from the minimum a step may be far too long.
+    # Far from the minimum a step may be much too long.
     tangent = tangent / jnp.maximum(1.0, jnp.sqrt((tangent**2).sum()) / 0.3)
     return pose @ _exponential(jnp.concatenate([tangent[:3] * radius, tangent[3:]]))
 
@@ -109,12 +109,12 @@ def _residuals(
     pose: Float[Array, "4 4"],
     gate: Float[Array, ""],
 ) -> tuple[Float[Array, "S"], Float[Array, "S 6"], Float[Array, "S"]]:
-    """Return distances of samples across the nearest edges, derivatives by the pose, weights."""
+    """Return the samples' distances across the nearest edges, derivatives by the pose, weights."""
     samples = seen_samples(maps, view, wireframe, pose)
     nearest = maps.nearest[view].reshape(-1)[samples.cell]
     offset = samples.ideal - maps.points[view, nearest]
     normal = maps.normals[view, nearest]
-    # Points of the same line that are far along it are not the sample's own.
+    # Points far along the same line do not belong to the sample.
     squared = (offset**2).sum(axis=1) / gate**2
     weight = jnp.where(
         samples.visible & samples.inside, samples.px * jnp.maximum(1.0 - squared, 0.0) ** 2, 0.0
@@ -134,8 +134,8 @@ def _residuals(
 
 def _solved(matrix: Float[Array, "6 6"], right: Float[Array, "6"]) -> Float[Array, "6"]:
     """Return the solution of a positive definite system, by elimination without pivots."""
-    # Written out, because a call of LAPACK for each of many small systems costs far more.
-    # Without pivots: the matrix is damped, so that none of them is near zero.
+    # Written out, because a LAPACK call for each of many small systems costs far more. Pivots are
+    # not needed: the matrix is damped, so that none of them is near zero.
     augmented = jnp.concatenate([matrix, right[:, None]], axis=1)
     for k in range(6):
         row = augmented[k] / augmented[k, k]
@@ -145,8 +145,8 @@ def _solved(matrix: Float[Array, "6 6"], right: Float[Array, "6"]) -> Float[Arra
 
 
 def _exponential(tangent: Float[Array, "6"]) -> Float[Array, "4 4"]:
-    """Return a rigid transform near that of a small tangent, exactly a rotation."""
-    # Cayley's map R = (I - W/2)^-1 (I + W/2) agrees with the exponential to the second order.
+    """Return a rigid transform near the exponential of a small tangent, exactly a rotation."""
+    # Cayley's map R = (I - W/2)^-1 (I + W/2) agrees with the exponential to second order.
     x, y, z = 0.5 * tangent[3:]
     s = 1.0 + x**2 + y**2 + z**2
     rows = [

@@ -1,6 +1,6 @@
-"""Draw poses of known objects to the edges of the pictures, many at a time.
+"""Refine poses of known objects on the edges of the pictures, many at a time.
 
-Each pose takes a few damped Gauss-Newton steps on the lines that edge points make along its visible
+Each pose takes a few damped Gauss-Newton steps on the lines fitted to edge points along its visible
 edges, with a search radius that shrinks from step to step.
 """
 
@@ -28,13 +28,13 @@ THREADS = min(4, os.cpu_count() or 1)
 """Number of batches of poses that are computed at the same time."""
 
 POSES_PER_BATCH = 8
-"""Number of poses that are drawn to the edges by one call of a compiled program."""
+"""Number of poses in one call of the compiled program."""
 
 RADII = (12.0, 9.0, 6.5, 4.5, 3.0, 3.0)
-"""Search radius of each step towards a pose, px."""
+"""Search radius of each step, px."""
 
 TOLERANCE_OF_RADIUS = 0.25
-"""Standard deviation of an edge that is expected in a step, as a fraction of its search radius."""
+"""Expected standard deviation of an edge in a step, as a fraction of its search radius."""
 
 EDGE_GATE = 3.0
 """Scale of the Geman-McClure weight of an edge, in standard deviations."""
@@ -66,7 +66,7 @@ def converged_poses(
         lengths = lengths_at(wireframe, camera, lookup, camera_from_world, pose)
         return pose, lengths
 
-    # One pose after the other: their arrays stay in the processor's cache.
+    # One pose after the other, so that the arrays stay in the processor's cache.
     return jax.lax.map(converge, world_from_object)
 
 
@@ -104,10 +104,10 @@ def poses_on_edges(
     lookup: EdgeLookup,
     world_from_object: Float[np.ndarray, "poses 4 4"],
 ) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses 2"]]:
-    """Return what `converged_poses` does for any number of poses, by one compiled program."""
-    found = _in_batches(converged_poses, wireframe, views, lookup, world_from_object)
-    poses = [np.zeros((0, 4, 4)), *(np.asarray(one[0]) for one in found)]
-    lengths = [np.zeros((0, 2)), *(np.asarray(one[1]) for one in found)]
+    """Return the results of `converged_poses` for any number of poses, by one compiled program."""
+    results = _in_batches(converged_poses, wireframe, views, lookup, world_from_object)
+    poses = [np.zeros((0, 4, 4)), *(np.asarray(pose) for pose, _ in results)]
+    lengths = [np.zeros((0, 2)), *(np.asarray(length) for _, length in results)]
     count = len(world_from_object)
     return np.concatenate(poses)[:count], np.concatenate(lengths)[:count]
 
@@ -118,9 +118,9 @@ def lengths_of_poses(
     lookup: EdgeLookup,
     world_from_object: Float[np.ndarray, "poses 4 4"],
 ) -> Float[np.ndarray, "poses 2"]:
-    """Return the visible edge length of any number of poses, and that which is explained, px."""
-    found = _in_batches(_lengths_at, wireframe, views, lookup, world_from_object)
-    lengths = [np.zeros((0, 2)), *(np.asarray(one) for one in found)]
+    """Return the visible and the explained edge length of any number of poses, px."""
+    results = _in_batches(_lengths_at, wireframe, views, lookup, world_from_object)
+    lengths = [np.zeros((0, 2)), *(np.asarray(batch) for batch in results)]
     return np.concatenate(lengths)[: len(world_from_object)]
 
 
@@ -131,13 +131,13 @@ def _in_batches(
     lookup: EdgeLookup,
     world_from_object: Float[np.ndarray, "poses 4 4"],
 ) -> list[Any]:
-    """Return what a program makes of batches of poses, the last one padded with its last pose."""
+    """Return a program's results for batches of poses, the last padded with its last pose."""
     camera_from_world = to_device(padded_poses(views.camera_from_world))
 
-    def of_batch(own: Float[np.ndarray, "poses 4 4"]) -> Any:
-        batch = to_device(repeat_last(own, POSES_PER_BATCH))
-        found = program(wireframe, views.camera, lookup, camera_from_world, batch)
-        return jax.block_until_ready(found)
+    def of_batch(poses: Float[np.ndarray, "poses 4 4"]) -> Any:
+        batch = to_device(repeat_last(poses, POSES_PER_BATCH))
+        result = program(wireframe, views.camera, lookup, camera_from_world, batch)
+        return jax.block_until_ready(result)
 
     return in_batches(of_batch, world_from_object, POSES_PER_BATCH)
 
@@ -147,7 +147,7 @@ def in_batches(
     items: Float[np.ndarray, "items *k"],
     size: int,
 ) -> list[Any]:
-    """Return what a function makes of batches of items, several computed at the same time.
+    """Return a function's results for batches of items, several computed in parallel.
 
     Args:
         of_batch: runs one compiled program, which uses one core.
@@ -155,7 +155,7 @@ def in_batches(
         size: largest number of items in a batch.
     """
     batches = [items[start : start + size] for start in range(0, len(items), size)]
-    # The first one compiles the program, if need be.
+    # The first batch compiles the program if necessary.
     first, rest = batches[:1], batches[1:]
     with ThreadPoolExecutor(THREADS) as pool:
         return [*map(of_batch, first), *pool.map(of_batch, rest)]
@@ -170,7 +170,7 @@ def _robust_step(lines: EdgeLines, tolerance: Float[Array, ""]) -> Float[Array, 
     weights = robust[..., None] / variances
     H = jnp.einsum("vek,veki,vekj->ij", weights, lines.by_pose, lines.by_pose)
     g = jnp.einsum("vek,veki,vek->i", weights, lines.by_pose, lines.offsets)
-    # Metres and radians are scaled to one before the system is solved.
+    # Metres and radians are scaled to unit diagonal before the system is solved.
     scale = 1.0 / jnp.sqrt(jnp.maximum(jnp.diagonal(H), 1e-12))
     scaled = H * scale[:, None] * scale[None] + DAMPING * jnp.eye(6)
     return scale * jnp.linalg.solve(scaled, scale * g)

@@ -1,4 +1,4 @@
-"""Write what pictures say about an object's pose as linear equations, and solve them.
+"""Write the measurements of an object's pose as linear equations, and solve them.
 
 All equations are about the tangent of the pose at the object, translation first: the true pose is
 `world_from_object @ SE3.exp(tangent)`. To first order
@@ -6,8 +6,8 @@ All equations are about the tangent of the pose at the object, translation first
     measured - predicted = J tangent + B calibration_error + V vertex_error + noise,
 
 where the errors of the calibration and of the model's vertices are common to all equations. Their
-covariances are part of that of the equations, so that an error of the robot's pose that moves all
-edges of a view counts once, and not for every edge again.
+covariances are part of the equations' covariance, so that an error of the robot's pose that moves
+all edges of a view counts once, not once per edge.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from ..engine import inverse_cholesky_factor
 from ..modeling import CalibrationUncertainty, ObjectModel
 
 MIN_OWN_INFORMATION = 1e-14
-"""Smallest part of the information on a parameter that is left once those before it are unknown."""
+"""Smallest share of a parameter's information that may be left when earlier ones are unknown."""
 
 
 class UndeterminedPoseError(ValueError):
@@ -28,15 +28,15 @@ class UndeterminedPoseError(ValueError):
 
 
 class PoseEquations(NamedTuple):
-    """Linear equations about a pose, or about several ones, px, in blocks of one feature each.
+    """Linear equations about one pose or several, px, in blocks of one feature each.
 
     Attributes:
         residuals: measured minus predicted.
-        by_pose: derivatives of the predicted by the tangent of the pose, six numbers for each.
-        noise: covariance of the pictures' own noise, px^2.
+        by_pose: derivatives of the prediction by the tangent of each pose, six numbers for each.
+        noise: covariance of the measurement noise in the pictures, px^2.
         by_calibration: derivatives by the numbers of a `CalibrationUncertainty`.
         by_vertices: derivatives by the coordinates of the model's vertices, px/m.
-        block: number of the feature that each equation belongs to.
+        block: index of the feature that each equation belongs to.
     """
 
     residuals: Float[np.ndarray, "n"]
@@ -47,7 +47,7 @@ class PoseEquations(NamedTuple):
     block: Int[np.ndarray, "n"]
 
     def of(self, keep: Bool[np.ndarray, "n"]) -> "PoseEquations":
-        """Return some of the equations."""
+        """Return the selected equations."""
         return PoseEquations(
             self.residuals[keep],
             self.by_pose[keep],
@@ -59,7 +59,7 @@ class PoseEquations(NamedTuple):
 
 
 class CommonErrors(NamedTuple):
-    """The covariances of the errors that all equations have in common.
+    """The covariances of the errors that all equations share.
 
     Attributes:
         calibration: of the numbers of a `CalibrationUncertainty`.
@@ -73,14 +73,14 @@ class CommonErrors(NamedTuple):
     def of(cls, uncertainty: CalibrationUncertainty, model: ObjectModel) -> "CommonErrors":
         """Return the errors of a calibration and of a model; an exact one has no numbers.
 
-        The error of the calibration that made the model counts as an error of the model: that it
-        may be the one of these views too is not known here.
+        The error of the calibration with which the model was made counts as an error of the model:
+        it may be the calibration of these views, but that is not known here.
         """
         count = 0 if model.is_exact else 3 * len(model.vertices)
         vertices = np.zeros((count, count))
-        given, factor = model.covariance, model.calibration_factor
-        if given is not None:
-            blocks = np.asarray(given)
+        covariance, factor = model.covariance, model.calibration_factor
+        if covariance is not None:
+            blocks = np.asarray(covariance)
             vertices = blocks if blocks.ndim == 2 else np.asarray(block_diag(*blocks))
         if factor is not None:
             vertices = vertices + factor @ factor.T
@@ -98,12 +98,12 @@ class PoseStep(NamedTuple):
     """The solution of pose equations.
 
     Attributes:
-        tangent: best tangent of the pose.
-        pictures, calibration, model: parts of its covariance; their sum is the whole.
+        tangent: best estimate of the pose's tangent.
+        pictures, calibration, model: parts of its covariance, which is their sum.
         calibration_jacobian: derivatives of the tangent by the numbers of the calibration.
         calibration_error: likeliest errors of these numbers, given their covariance.
-        absorbed: how many numbers of the equations these errors explain, between none and all that
-            are uncertain.
+        absorbed: number of equations that these errors explain, at most the number of uncertain
+            numbers.
     """
 
     tangent: Float[np.ndarray, "tangents"]
@@ -130,15 +130,15 @@ def solve_pose(
 
     Args:
         equations: of all features.
-        errors: what is common to them.
-        prior: mean and covariance of the tangent, known beforehand.
+        errors: the errors that all equations share.
+        prior: prior mean and covariance of the tangent.
 
     Raises:
         UndeterminedPoseError: the equations leave the pose undetermined.
     """
     by_calibration, by_model = errors.covariances(equations)
-    # C = (J^T W J)^-1, W = (R + B S B^T + V P V^T)^-1; each part X of the sum adds G X G^T with
-    # G = C J^T W to the covariance of the solution.
+    # C = (J^T W J)^-1, W = (R + B S B^T + V P V^T)^-1; each part X of the sum adds G X G^T with G
+    # = C J^T W to the covariance of the solution.
     factor = cho_factor(equations.noise + by_calibration + by_model)
     WJ = cho_solve(factor, equations.by_pose)
     information = equations.by_pose.T @ WJ
@@ -152,19 +152,19 @@ def solve_pose(
     G = covariance @ WJ.T
     rest = equations.residuals - equations.by_pose @ tangent
     from_calibration, from_model = (G @ part @ G.T for part in (by_calibration, by_model))
-    # The best linear prediction of the common errors is S B^T W (r - J t), and of the equations it
-    # takes the trace of S B^T (W - W J C J^T W) B.
+    # The best linear prediction of the common errors is S B^T W (r - J t); the number of
+    # equations it absorbs is the trace of S B^T (W - W J C J^T W) B.
     B = equations.by_calibration
     WB, SBT = cho_solve(factor, B), errors.calibration @ B.T
     free = WB - WJ @ (G @ B)
     weighted_rest = cho_solve(factor, rest)
-    # What is neither of calibration nor of model is of pictures: these, and those of the prior.
+    # The remaining part of the covariance comes from the pictures (and the prior).
     return PoseStep(
         tangent,
         covariance - from_calibration - from_model,
         from_calibration,
         from_model,
-        # A larger number moves the prediction, and with it the residuals the other way.
+        # A larger number raises the prediction, and so lowers the residuals.
         -G @ B,
         SBT @ weighted_rest,
         float(np.einsum("ij,ji->", SBT, free)),
@@ -180,15 +180,15 @@ def whitening(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
     diagonal = np.diagonal(information)
     if not (np.isfinite(diagonal).all() and (diagonal > 0.0).all()):
         raise UndeterminedPoseError("the pose is undetermined: too few features")
-    # Correlations instead of covariances: metres and radians keep their precision.
+    # Correlations instead of covariances, so that metres and radians keep their precision.
     scale = np.sqrt(diagonal)
-    of_correlations = np.asarray(inverse_cholesky_factor(information / np.outer(scale, scale)))
-    # NaN, where they are not positive definite, does not compare.
-    if not np.diagonal(of_correlations).max() ** -2 >= MIN_OWN_INFORMATION:
+    factor = np.asarray(inverse_cholesky_factor(information / np.outer(scale, scale)))
+    # NaN, where the matrix is not positive definite, compares as False.
+    if not np.diagonal(factor).max() ** -2 >= MIN_OWN_INFORMATION:
         raise UndeterminedPoseError(
             "the pose is undetermined: too few features, or all on one line"
         )
-    return of_correlations / scale
+    return factor / scale
 
 
 def squared_blocks(
@@ -196,14 +196,14 @@ def squared_blocks(
     covariance: Float[np.ndarray, "n n"],
     block: Int[np.ndarray, "n"],
 ) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return, for each equation, the whitened square and the size of the block that it is in."""
+    """Return, for each equation, the whitened square of its block and the size of the block."""
     order = np.argsort(block, kind="stable")
     _, starts, counts = np.unique(block[order], return_index=True, return_counts=True)
     squared, sizes = np.zeros(len(block)), np.zeros(len(block), dtype=int)
-    # Blocks of one size together: there are few sizes, and many blocks.
+    # Blocks of equal size are solved together: there are few sizes, and many blocks.
     for size in np.unique(counts):
-        own = order[starts[counts == size][:, None] + np.arange(size)]
-        r = residuals[own][..., None]
-        whitened = np.linalg.solve(covariance[own[:, :, None], own[:, None, :]], r)
-        squared[own], sizes[own] = (r * whitened).sum(axis=(1, 2))[:, None], size
+        rows = order[starts[counts == size][:, None] + np.arange(size)]
+        r = residuals[rows][..., None]
+        whitened = np.linalg.solve(covariance[rows[:, :, None], rows[:, None, :]], r)
+        squared[rows], sizes[rows] = (r * whitened).sum(axis=(1, 2))[:, None], size
     return squared, sizes

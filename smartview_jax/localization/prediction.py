@@ -1,6 +1,6 @@
-"""Predict what a camera sees of a model at a pose: vertices, edges, what hides them, and where.
+"""Predict how a camera sees a model at a pose: vertices, edges, and which of them are hidden.
 
-The faces of the model hide what is behind them. Whatever else hides it is not predicted. All
+The faces of the model hide what is behind them; occlusion by other objects is not predicted. All
 functions work on one pose, under `jit`, `grad` and `vmap`.
 """
 
@@ -15,17 +15,18 @@ from .wireframe import Wireframe
 
 
 class PredictedView(NamedTuple):
-    """The wireframe as a camera sees it; what is not visible still has its place where it has one.
+    """The wireframe as a camera sees it; hidden points have pixels too, where they project.
 
     Attributes:
-        vertices: pixels; NaN behind the camera or beyond its lens.
-        vertex_visible: in front of the camera, within the picture, and not hidden by the model.
-        samples: pixels of the points along the edges; NaN likewise.
-        directions: unit directions of the edges in the picture at the samples; zero where they have
-            none.
+        vertices: pixels; NaN behind the camera or outside the lens's field of view.
+        vertex_visible: whether in front of the camera, within the picture, and not hidden by the
+            model.
+        samples: pixels of the points along the edges; NaN as for vertices.
+        directions: unit directions of the edges in the picture at the samples; zero where
+            undefined.
         sample_visible: see `vertex_visible`.
-        sample_px: length in the picture of the part of the edge that each sample stands for, px,
-            visible or not; zero for samples that were added.
+        sample_px: length in the picture of each sample's part of its edge, px, visible or not; zero
+            for padded samples.
         edge_px: visible length of each edge, px.
     """
 
@@ -41,10 +42,9 @@ class PredictedView(NamedTuple):
 def predict_view(
     wireframe: Wireframe, camera: Camera, camera_from_object: Float[Array, "4 4"]
 ) -> PredictedView:
-    """Return what a camera sees of a wireframe.
+    """Return how a camera sees a wireframe.
 
-    An edge between two faces that look away is hidden, whatever is in front of it; a model without
-    faces hides nothing.
+    An edge between two faces that face away is hidden; a model without faces hides nothing.
 
     Args:
         wireframe: of the model.
@@ -60,16 +60,16 @@ def predict_view(
         (wireframe.samples,),
         (wireframe.sample_tangents,),
     )
-    # Pixels per metre along the edge; derivatives of pixels that are not valid may be anything.
+    # Pixels per metre along the edge; derivatives of invalid pixels are undefined.
     usable = jnp.isfinite(samples).all(axis=1) & jnp.isfinite(slopes).all(axis=1)
     slopes = jnp.where(usable[:, None], slopes, 0.0)
     scale = _norm(slopes)
     directions = slopes / jnp.where(scale > 0.0, scale, 1.0)[:, None]
     vertex_visible = wireframe.vertex_mask & ~hidden_vertices(wireframe, centre)
     sample_visible = (wireframe.sample_lengths > 0.0) & ~hidden_samples(wireframe, centre)
-    # Beyond the lens there is no pixel, and at its limit no derivative.
+    # Outside the lens's field of view there is no pixel, and at its border no derivative.
     sample_visible = sample_visible & usable & within_picture(samples, camera)
-    # To first order in the part's length; the parts of an edge are short against its distance.
+    # First order in the part's length, which is short compared with the distance.
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
     return PredictedView(
@@ -84,18 +84,18 @@ def predict_view(
 
 
 def hidden_samples(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "S"]:
-    """Return which samples of the edges the model's own faces hide from a point.
+    """Return which samples of the edges the model's own faces hide from a viewpoint.
 
     Args:
         wireframe: of the model.
         centre: the camera's centre in the object's frame, m.
     """
-    own = wireframe.edge_faces[wireframe.sample_edges]
-    return _hidden(wireframe, centre, wireframe.samples, own)
+    own_faces = wireframe.edge_faces[wireframe.sample_edges]
+    return _hidden(wireframe, centre, wireframe.samples, own_faces)
 
 
 def hidden_vertices(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "V"]:
-    """Return which vertices the model's own faces hide from a point; as `hidden_samples`."""
+    """Return which vertices the model's own faces hide from a viewpoint; as `hidden_samples`."""
     return _hidden(wireframe, centre, wireframe.vertices, wireframe.vertex_faces)
 
 
@@ -103,34 +103,33 @@ def _hidden(
     wireframe: Wireframe,
     centre: Float[Array, "3"],
     points: Float[Array, "n 3"],
-    own: Bool[Array, "n F"],
+    own_faces: Bool[Array, "n F"],
 ) -> Bool[Array, "n"]:
-    """Return which points are hidden, with the faces to which each belongs."""
-    # The point itself is at 1 of its ray; what is nearer to it than the margin does not count.
+    """Return which points are hidden, given the faces that each belongs to."""
+    # The point is at 1 on its ray; faces within the margin before it do not count.
     reach = _norm(points - centre[None])
     last = 1.0 - wireframe.margin / jnp.maximum(reach, wireframe.margin)
     before = faces_before(wireframe.triangles, wireframe.triangle_faces, centre, points, last)
-    # A face does not hide its own border.
-    covered = (before & ~own).any(axis=1)
-    return covered | _turned_away(wireframe, centre, own)
+    covered = (before & ~own_faces).any(axis=1)
+    return covered | _turned_away(wireframe, centre, own_faces)
 
 
 def edges_turned_away(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "E"]:
-    """Return which edges are between faces that all look away from a point; as `hidden_samples`.
+    """Return which edges are only between faces that face away from a point; as `hidden_samples`.
 
-    They are all hidden edges of a convex object, at a tenth of the time.
+    For a convex object these are all hidden edges, at a tenth of the time.
     """
     return _turned_away(wireframe, centre, wireframe.edge_faces)
 
 
 def _turned_away(
-    wireframe: Wireframe, centre: Float[Array, "3"], own: Bool[Array, "n F"]
+    wireframe: Wireframe, centre: Float[Array, "3"], own_faces: Bool[Array, "n F"]
 ) -> Bool[Array, "n"]:
-    """Return for which points none of the faces to which each belongs is seen from its outside."""
+    """Return for which points none of their faces faces the viewpoint."""
     # n . (c - p) > 0
     towards = ((centre[None] - wireframe.face_points) * wireframe.face_normals).sum(axis=1)
-    # One face alone may be a sheet that is seen from both sides.
-    return (own.sum(axis=1) >= 2) & ~(own & (towards > 0.0)[None]).any(axis=1)
+    # A single face may be a sheet that is visible from both sides.
+    return (own_faces.sum(axis=1) >= 2) & ~(own_faces & (towards > 0.0)[None]).any(axis=1)
 
 
 def faces_before(
@@ -140,17 +139,17 @@ def faces_before(
     points: Float[Array, "n 3"],
     last: Float[Array, "n"],
 ) -> Bool[Array, "n F"]:
-    """Return which faces the rays from a centre to points pass through before they arrive.
+    """Return which faces the rays from a centre to points cross before they reach the points.
 
     Args:
         triangles: of the faces, as fans of a `Wireframe`.
-        triangle_faces: which face each triangle is part of.
+        triangle_faces: the face that each triangle belongs to.
         centre: the camera's centre, in the same frame.
-        points: at which the rays arrive.
-        last: part of each ray, from the centre to its point, within which faces count.
+        points: end points of the rays.
+        last: fraction of each ray, from the centre, within which faces count.
     """
     crossings = triangle_crossings(triangles, centre, points, last)
-    # How often a ray winds through each face: triangles of opposite sign cancel.
+    # The winding number of a face about the ray: triangles of opposite sign cancel.
     return jnp.abs(crossings @ triangle_faces.astype(crossings.dtype)) > 0.5
 
 
@@ -160,17 +159,17 @@ def triangle_crossings(
     points: Float[Array, "n 3"],
     last: Float[Array, "n"],
 ) -> Float[Array, "n T"]:
-    """Return where rays from a centre pass through triangles: 1 or -1 by the side, 0 elsewhere.
+    """Return how rays from a centre cross triangles: 1 or -1 by the side, 0 for no crossing.
 
     Reference: Moeller and Trumbore, Fast, minimum storage ray-triangle intersection, 1997.
 
     Args:
-        triangles: corners; nothing passes through one without area.
+        triangles: corners; no ray crosses one without area.
         centre, points, last: as in `faces_before`.
     """
-    # With the ray c + t d, d = p - c, and the triangle v0, e1, e2:  c - v0 = -t d + u e1 + v e2.
-    # By Cramer's rule, with s = c - v0, all four determinants are products of d or e2 with vectors
-    # that are common to all rays:
+    # With the ray c + t d, d = p - c, and the triangle v0, e1, e2: c - v0 = -t d + u e1 + v e2. By
+    # Cramer's rule, with s = c - v0, all four determinants are products of d or e2 with vectors
+    # common to all rays:
     #     det = d . (e2 x e1),  det u = d . (e2 x s),  det v = d . (s x e1),  det t = e2 . (s x e1).
     v0, e1, e2 = (triangles[:, k] for k in range(3))
     e1, e2, s = e1 - v0, e2 - v0, centre[None] - v0
@@ -178,10 +177,11 @@ def triangle_crossings(
     det = d @ jnp.cross(e2, e1).T
     det_u, det_v = d @ jnp.cross(e2, s).T, d @ jnp.cross(s, e1).T
     det_t = (e2 * jnp.cross(s, e1)).sum(axis=1)[None]
-    # All are compared after multiplication with det's sign: triangles without area have det = 0.
+    # All are compared after multiplication with det's sign, since triangles without area have det =
+    # 0.
     sign, size = jnp.sign(det), jnp.abs(det)
     u, v, t = sign * det_u, sign * det_v, sign * det_t
-    # A ray along the border of two triangles passes through both rather than between them.
+    # A ray along the border of two triangles counts as crossing both, not neither.
     slack = 1e-9 * size
     passed = (u >= -slack) & (v >= -slack) & (u + v <= size + slack)
     passed = passed & (t > 0.0) & (t < last[:, None] * size)
@@ -194,17 +194,17 @@ def search_regions(
     camera_from_object: Float[Array, "4 4"],
     pose_covariance: Float[Array, "6 6"],
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2 2"]]:
-    """Return the pixels of points of an object, and their covariances due to that of its pose.
+    """Return the pixels of an object's points, and their covariances due to the pose's covariance.
 
     Args:
         points: in the object's frame, m.
         camera: intrinsics and lens.
         camera_from_object: pose of the object in the camera's frame.
-        pose_covariance: of the tangent at the object, translation first: the true pose is
+        pose_covariance: covariance of the pose's tangent, translation first: the true pose is
             `camera_from_object @ SE3.exp(tangent)`.
 
     Returns:
-        pixels, and covariances in px^2; NaN behind the camera or beyond its lens.
+        pixels, and covariances in px^2; NaN behind the camera or outside the lens's field of view.
     """
     pixels, J = pose_jacobians(points, camera, camera_from_object)
     return pixels, J @ pose_covariance[None] @ jnp.swapaxes(J, 1, 2)
@@ -213,9 +213,9 @@ def search_regions(
 def pose_jacobians(
     points: Float[Array, "n 3"], camera: Camera, camera_from_object: Float[Array, "4 4"]
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2 6"]]:
-    """Return the pixels of points of an object, and their derivatives by the object's pose.
+    """Return the pixels of an object's points, and their derivatives by the object's pose.
 
-    The six columns belong to the tangent at the object, translation first; arguments as in
+    The six columns belong to the pose's tangent, translation first; arguments as in
     `search_regions`.
     """
     R, t = camera_from_object[:3, :3], camera_from_object[:3, 3]
@@ -247,6 +247,6 @@ def _norm(vectors: Float[Array, "n k"]) -> Float[Array, "n"]:
 
 
 def within_picture(pixels: Float[Array, "n 2"], camera: Camera) -> Bool[Array, "n"]:
-    """Return which pixels are within the picture; NaN is not."""
+    """Return which pixels are within the picture; False for NaN."""
     size = jnp.asarray(camera.image_size, dtype=pixels.dtype)[None]
     return ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)

@@ -1,9 +1,9 @@
-"""Estimate the pose of an object from all that its pictures show of it, with its covariance.
+"""Estimate the pose of an object from all its features in the pictures, with its covariance.
 
-Two estimators share their equations (`pose_equations`): from given matches of corners and segments,
-and from the edge points along the visible wireframe, whose correspondences are renewed in every
-step. Both weight the pictures' noise and what the calibration and the model contribute together, so
-that an uncertain robot does not make one view contradict another.
+Two estimators share their equations (`pose_equations`): one uses given matches of corners and
+segments, the other the edge points along the visible wireframe, matched again in every step. Both
+combine the pictures' noise with the errors of the calibration and the model, so that an inaccurate
+robot does not make one view contradict another.
 """
 
 from collections.abc import Sequence
@@ -29,39 +29,40 @@ MAX_STEPS = 20
 """Largest number of Gauss-Newton steps."""
 
 CONVERGED = 0.02
-"""Length of a step, in standard deviations of the pose, below which the fit has ended."""
+"""Length of a step, in standard deviations of the pose, at which the fit has converged."""
 
 FINAL_RADIUS = 4.0
-"""Search radius of edge points in the final fit, px: calibration errors move edges by some px."""
+"""Search radius of edge points in the final fit, px: calibration errors shift edges by some px."""
 
 CONSISTENT_SQUARE = float(chi2.ppf(0.999, 2))
-"""Largest square of an edge's two errors, over their scale, of an edge that is consistent."""
+"""Largest squared error of a consistent edge (two numbers), relative to its scale."""
 
 EXPLAINED_REACH = 3.0
-"""Distance from measured edge points within which others are of the same edge, px."""
+"""Distance from a measured edge point within which others belong to the same edge, px."""
 
 FIT_SAMPLES = 1024
-"""Number of points along all edges in the final fit: enough to meet almost every edge point."""
+"""Number of samples along all edges in the final fit: enough to reach almost every edge point."""
 
 
 class RefinedPose(NamedTuple):
-    """The pose of an object with its covariance, and the edges that it was estimated from.
+    """The pose of an object with its covariance, and the edges from which it was estimated.
 
     Attributes:
         world_from_object: pose.
-        pictures, calibration, model: parts of the covariance of the tangent at the object,
-            translation first: `world_from_object @ SE3.exp(tangent)`; m and rad.
-        calibration_jacobian: derivatives of that tangent by the numbers of the
-            `CalibrationUncertainty` of the views; what else depends on them errs together with it.
-        shared_count: how many of these numbers, the first ones, are the calibration's own and so
-            common to all views; the others are the robot's noise in these views.
-        calibration_error: likeliest errors of these numbers, as the object's edges show them.
-        absorbed: how many of the edges' numbers these errors explain.
-        edge_sigma: standard deviation, estimated, by which whole edges of the pictures differ from
-            those of the model, beyond the noise of their points, px.
-        lines: edges as they were measured at the pose, in all views.
-        consistent: which of them are where their noise lets them be; others hardly count.
-        equations: about the tangent at the pose, which they make zero.
+        pictures, calibration, model: parts of the covariance of the pose's tangent, translation
+            first: `world_from_object @ SE3.exp(tangent)`; m and rad.
+        calibration_jacobian: derivatives of that tangent by the numbers of the views'
+            `CalibrationUncertainty`; everything else that depends on these numbers errs together
+            with it.
+        shared_count: the first so many of these numbers belong to the calibration and are common to
+            all views; the others are the robot's noise in these views.
+        calibration_error: likeliest errors of these numbers, estimated from the object's edges.
+        absorbed: number of edge measurements that these errors explain.
+        edge_sigma: estimated standard deviation of whole edges from the model beyond their points'
+            noise, px.
+        lines: edges as measured at the pose, in all views.
+        consistent: which of them agree with their noise; the others have little weight.
+        equations: equations about the tangent at the pose, solved by zero.
     """
 
     world_from_object: Float[np.ndarray, "4 4"]
@@ -91,13 +92,13 @@ def pose_from_matches(
     uncertainty: CalibrationUncertainty | None = None,
     robust_scale: float | None = None,
 ) -> tuple[Float[np.ndarray, "4 4"], PoseStep]:
-    """Return the pose that fits given matches best, and its last step, which has its covariance.
+    """Return the pose that fits given matches best, and its last step with the covariance.
 
     Args:
         matches: corners with vertices, segments with edges.
         model: of the object.
         views: camera and poses.
-        start: pose near the answer.
+        start: initial pose.
         uncertainty: of the calibration in these views; None for an exact one.
         robust_scale: scale of Geman and McClure's loss, in standard deviations; None for least
             squares.
@@ -124,18 +125,18 @@ def _is_at_one_of(
     pose: Float[np.ndarray, "4 4"],
     covariance: Float[np.ndarray, "6 6"],
 ) -> bool:
-    """Return whether a step led to where the fit has been, measured by the pose's covariance."""
+    """Return whether a step returned to an earlier pose, measured by the pose's covariance."""
     tangents = host_logarithms(np.linalg.inv(np.stack(earlier)) @ pose)
     squared = (tangents * np.linalg.solve(covariance, tangents.T).T).sum(axis=1)
     return bool(squared.min() < CONVERGED**2)
 
 
 def _weighted(equations: PoseEquations, errors: CommonErrors, scale: float) -> PoseEquations:
-    """Return equations whose noise is larger where blocks are far off (Geman and McClure)."""
+    """Return equations with inflated noise where blocks are far off (Geman and McClure)."""
     by_calibration, by_model = errors.covariances(equations)
     total = equations.noise + by_calibration + by_model
     squared = squared_blocks(equations.residuals, total, equations.block)[0]
-    # The weight 1 / (1 + s / c^2)^2 of the loss s / (1 + s / c^2), as a larger noise.
+    # The weight 1 / (1 + s / c^2)^2 of the loss s / (1 + s / c^2), applied as larger noise.
     inflation = 1.0 + squared / scale**2
     return equations._replace(noise=equations.noise * np.outer(inflation, inflation))
 
@@ -151,11 +152,11 @@ def refine_pose(
 ) -> RefinedPose:
     """Return the pose that fits the edge points of all views best.
 
-    The errors of edges have heavy tails (`heavy_tails`): a shadow or a rounded corner puts some of
-    them off as a whole, and these count the less, the farther they are off.
+    The errors of edges have heavy tails (`heavy_tails`): shadows and rounded corners displace whole
+    edges, which count the less, the farther they are off.
 
     Args:
-        start: pose within some pixels of the answer, as `converged_poses` returns.
+        start: pose within some pixels of the solution, as `converged_poses` returns.
         model: of the object.
         wireframe: of the model, with `FIT_SAMPLES` points.
         views: camera and poses.
@@ -169,14 +170,14 @@ def refine_pose(
     uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
     errors, pose = CommonErrors.of(uncertainty, model), start
     earlier = list[Float[np.ndarray, "4 4"]]()
-    # The edges are measured anew in each step, because what is near an edge depends on the pose.
+    # The edges are measured again in each step, because the matched edge points depend on the pose.
     for remaining in range(MAX_STEPS)[::-1]:
         lines = measured_lines(wireframe, views, lookup, pose, radius)
         equations = line_equations(lines, model, wireframe, views, pose, uncertainty)
         step, solved, squared, edge_sigma = solve_heavy_tailed(equations, errors)
         earlier.append(pose)
         pose = pose @ host_exponentials(step.tangent)
-        # Where edges come and go from pose to pose, the steps may end in a circle.
+        # Where edges come and go from pose to pose, the steps may cycle.
         if _is_at_one_of(earlier, pose, step.covariance) or not remaining:
             consistent = np.zeros(lines.measured.shape, dtype=bool)
             consistent[lines.measured] = squared <= CONSISTENT_SQUARE
@@ -194,7 +195,7 @@ def measured_lines(
     world_from_object: Float[np.ndarray, "4 4"],
     radius: float,
 ) -> EdgeLines:
-    """Return the lines of edge points along the visible edges of an object, on the host.
+    """Return the lines fitted to edge points along an object's visible edges, on the host.
 
     Args:
         wireframe: of the model.
@@ -235,26 +236,27 @@ def line_equations(
     view, edge = np.nonzero(lines.measured)
     count = len(view)
     by_calibration = np.zeros((2 * count, len(uncertainty.names)))
-    # An exact model has no columns: its vertices do not err.
+    # An exact model has no columns for errors of its vertices.
     by_vertices = np.zeros((2 * count, 0 if model.is_exact else 3 * len(model.vertices)))
     if by_calibration.size or by_vertices.size:
         samples = np.asarray(wireframe.samples)
         R, t = world_from_object[:3, :3], world_from_object[:3, 3]
-        found = pixel_jacobians(views, samples @ R.T + t)
+        projected = pixel_jacobians(views, samples @ R.T + t)
         owners = np.asarray(wireframe.sample_edges)
         places = places_on_edges(model, samples, owners)
-        # The samples of an edge differ in number, so that this is no array operation.
+        # The samples of an edge differ in number, hence a loop.
         for k, (v, e) in enumerate(zip(view, edge, strict=True)):
-            own = np.flatnonzero((owners == e) & (lines.combination[v, 0] != 0.0))
-            normals, mix = lines.normals[v, own], lines.combination[v][:, own]
+            on_edge = np.flatnonzero((owners == e) & (lines.combination[v, 0] != 0.0))
+            normals, mix = lines.normals[v, on_edge], lines.combination[v][:, on_edge]
             rows = slice(2 * k, 2 * k + 2)
-            by_view = np.einsum("si,sil->sl", normals, found.by_view[v, own])
+            by_view = np.einsum("si,sil->sl", normals, projected.by_view[v, on_edge])
             by_calibration[rows] = mix @ by_view @ uncertainty.view_jacobian[v]
             if by_vertices.size:
-                # A sample between two vertices moves with both, by its distance from each.
-                gradient = np.einsum("si,sij->sj", normals, found.by_point[v, own] @ R)
+                # A sample between two vertices moves with both, in proportion to its nearness to
+                # each.
+                gradient = np.einsum("si,sij->sj", normals, projected.by_point[v, on_edge] @ R)
                 for vertex, share in zip(
-                    model.edges[e], (1.0 - places[own], places[own]), strict=True
+                    model.edges[e], (1.0 - places[on_edge], places[on_edge]), strict=True
                 ):
                     columns = slice(3 * vertex, 3 * vertex + 3)
                     by_vertices[rows, columns] = mix @ (share[:, None] * gradient)
@@ -271,7 +273,7 @@ def line_equations(
 def places_on_edges(
     model: ObjectModel, samples: Float[np.ndarray, "S 3"], owners: np.ndarray
 ) -> Float[np.ndarray, "S"]:
-    """Return where samples are on their edges: 0 at the first vertex, 1 at the second."""
+    """Return the positions of samples on their edges: 0 at the first vertex, 1 at the second."""
     starts, ends = (model.vertices[model.edges[owners, k]] for k in (0, 1))
     along = ends - starts
     return ((samples - starts) * along).sum(axis=1) / (along**2).sum(axis=1)
@@ -282,15 +284,15 @@ def explained_edge_points(
 ) -> Int[np.ndarray, "explained"]:
     """Return the indices of the edge points of a view that an object's edges explain.
 
-    They lie within `EXPLAINED_REACH` of those that were measured, and have their direction.
+    They lie within `EXPLAINED_REACH` of measured edge points and have the same direction.
     """
-    found = np.unique(lines.points[view][np.isfinite(lines.distances[view])])
-    if not len(found):
-        return found
-    # Points between two samples of an edge were not measured, but are explained as well.
-    tree = KDTree(points.pixels[found])
+    measured = np.unique(lines.points[view][np.isfinite(lines.distances[view])])
+    if not len(measured):
+        return measured
+    # Points between two samples of an edge were not measured, but are explained too.
+    tree = KDTree(points.pixels[measured])
     gap, nearest = tree.query(points.pixels, distance_upper_bound=EXPLAINED_REACH)
     near = np.flatnonzero(np.isfinite(gap))
-    own = points.normals[found[np.asarray(nearest)[near]]]
-    aligned = np.abs((points.normals[near] * own).sum(axis=1)) >= MIN_ALIGNMENT
+    normals = points.normals[measured[np.asarray(nearest)[near]]]
+    aligned = np.abs((points.normals[near] * normals).sum(axis=1)) >= MIN_ALIGNMENT
     return near[aligned]

@@ -1,4 +1,4 @@
-"""Keep which edge points of a scene no object explains yet, and what known surfaces hide."""
+"""Keep track of the edge points that no object explains yet, and of known occluding surfaces."""
 
 import copy
 from collections.abc import Sequence
@@ -18,12 +18,12 @@ from .wireframe import Wireframe
 
 
 class Claim(NamedTuple):
-    """The parts of the pictures that an object takes from all others.
+    """The parts of the pictures that an object takes away from all others.
 
     Attributes:
-        free: which edge points of each view it does not explain.
-        inverse_depth: of the nearest known surface, its own included, in each part of each view,
-            1/m; zero where nothing is.
+        free: for each view, which edge points it does not explain.
+        inverse_depth: of the nearest known surface, including its own, in each cell of each view,
+            1/m; zero where none is known.
     """
 
     free: list[Bool[np.ndarray, "_"]]
@@ -31,12 +31,12 @@ class Claim(NamedTuple):
 
 
 class Scene:
-    """The pictures of one scene, and which of their edge points no object explains yet.
+    """The pictures of one scene, and the edge points that no object explains yet.
 
     Attributes:
         views: camera and poses.
-        pictures: what was found in each.
-        lookup: the free edge points, and what hides others.
+        pictures: features and edge points of each picture.
+        lookup: the free edge points, and the occluding surfaces.
     """
 
     def __init__(
@@ -52,11 +52,11 @@ class Scene:
         self.lookup: EdgeLookup = self.lookup_among(self._claims)
 
     def untouched(self) -> "Scene":
-        """Return the scene as it was before anything was taken."""
-        anew = copy.copy(self)
-        anew._claims = []
-        anew.lookup = anew.lookup_among(anew._claims)
-        return anew
+        """Return the scene before any object took edge points."""
+        scene = copy.copy(self)
+        scene._claims = []
+        scene.lookup = scene.lookup_among(scene._claims)
+        return scene
 
     def claim(
         self,
@@ -64,11 +64,11 @@ class Scene:
         wireframe: Wireframe | None = None,
         pose: Float[np.ndarray, "4 4"] | None = None,
     ) -> Claim:
-        """Return what an object takes from the others.
+        """Return the parts of the pictures that an object takes away from the others.
 
         Args:
-            lines: what it explains.
-            wireframe, pose: of an object that hides what is behind it.
+            lines: edge points that it explains.
+            wireframe, pose: of an object that occludes others.
         """
         surfaces = self._surfaces
         if wireframe is not None and pose is not None:
@@ -82,17 +82,19 @@ class Scene:
         return Claim(free, surfaces.inverse_depth)
 
     def take(self, claim: Claim) -> None:
-        """Take what an object explains and hides away from all others."""
+        """Take the edge points that an object explains, and the parts it hides, from the others."""
         self._claims.append(claim)
         self.lookup = self.lookup_among(self._claims)
 
     def lookup_among(self, claims: Sequence[Claim]) -> EdgeLookup:
-        """Return the edge points that are left by some objects, and what these hide."""
+        """Return the edge points that some objects leave free, and the occluding surfaces."""
         free = [
-            np.logical_and.reduce([np.ones(len(picture.edge_points.pixels), bool), *own])
-            for picture, *own in zip(self.pictures, *(one.free for one in claims), strict=True)
+            np.logical_and.reduce([np.ones(len(picture.edge_points.pixels), bool), *claimed])
+            for picture, *claimed in zip(
+                self.pictures, *(claim.free for claim in claims), strict=True
+            )
         ]
-        depths = [self._surfaces.inverse_depth, *(one.inverse_depth for one in claims)]
+        depths = [self._surfaces.inverse_depth, *(claim.inverse_depth for claim in claims)]
         return EdgeLookup.of(
             [picture.edge_points for picture in self.pictures],
             self.views.camera.image_size,
@@ -107,7 +109,7 @@ class Scene:
         wireframe: Wireframe,
         views: SeenViews | None = None,
     ) -> EdgeLines:
-        """Return the free edge points along the edges at a pose, in views that may be corrected."""
+        """Return the free edge points along the edges at a pose, also in corrected views."""
         views = self.views if views is None else views
         return measured_lines(wireframe, views, self.lookup, pose, EXPLAINED_DISTANCE)
 
@@ -119,7 +121,7 @@ class Scene:
         chance: float,
         absorbed: float = 0.0,
     ) -> Evidence:
-        """Return what `lines` say of their pose, at which the object's middle is in the world."""
+        """Return the evidence of `lines` for their pose; `middle` is the object's, in the world."""
         strengths = [picture.edge_points.strengths for picture in self.pictures]
         is_alone = are_one_direction(self.views.camera_from_world, middle)
         return evidence_of(lines, wireframe, strengths, chance, is_alone, absorbed)

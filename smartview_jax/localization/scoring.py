@@ -1,8 +1,8 @@
 """Score thousands of poses by how much of the visible wireframe lies on edges of the pictures.
 
 Every sample of the wireframe is projected into all views and looked up in the distance map of its
-own direction. Chunks of poses run through one compiled program, in single precision, which is far
-finer than the maps; memory does not grow with the number of poses.
+direction. Chunks of poses run through one compiled program; single precision is far finer than the
+maps. Memory does not grow with the number of poses.
 """
 
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ from .prediction import edges_turned_away, hidden_samples
 from .wireframe import Wireframe
 
 POSES_PER_CALL = 1024
-"""Number of poses that one call of the compiled program takes."""
+"""Number of poses in one call of the compiled program."""
 
 POSES_PER_CHUNK = 32
-"""Number of poses that are computed at once: their samples fit in the processor's cache."""
+"""Number of poses computed at once: their samples fit in the processor's cache."""
 
 MIN_MAP_POINTS = 4096
-"""The number of points of the maps is rounded up to it times a power of two."""
+"""The number of map points is rounded up to this number times a power of two."""
 
 
 CHANCE_SUPPORT = 0.3
-"""Support of a wireframe's length at a wrong pose among many edges, about: what is to be beaten."""
+"""Typical supported share of a wireframe at a wrong pose among many edges, which is subtracted."""
 
 
 class SceneMaps(eqx.Module):
@@ -41,7 +41,7 @@ class SceneMaps(eqx.Module):
     Attributes:
         distances: in units of `DISTANCE_STEP` cells.
         nearest: index of the nearest point.
-        points: in ideal coordinates, those of all views padded to one number, px.
+        points: in ideal coordinates, px, padded to the same number in all views.
         normals: unit normals of the points.
         camera_from_world: extrinsics of the views.
         origin: centre of the first cell, px.
@@ -59,33 +59,33 @@ class SceneMaps(eqx.Module):
 
     @classmethod
     def of(cls, evidence: Sequence[PictureEvidence], views: SeenViews) -> "SceneMaps":
-        """Return the maps of some views.
+        """Return the maps of the given views.
 
         Raises:
-            ValueError: no views, or another number of poses than of pictures.
+            ValueError: no views, or numbers of poses and pictures that differ.
         """
         if not len(evidence) or len(evidence) != len(views.camera_from_world):
             raise ValueError(
-                f"evidence: expected that of {len(views.camera_from_world)} views, at least one, "
-                f"found {len(evidence)}"
+                f"evidence: expected one for each of {len(views.camera_from_world)} views, and at "
+                f"least one; found {len(evidence)}"
             )
-        maps = [one.maps for one in evidence]
-        # A power of two, or every new number of segments would compile all programs anew.
+        maps = [view.maps for view in evidence]
+        # A power of two; otherwise every new number of segments would compile all programs again.
         size = MIN_MAP_POINTS
-        while size < max(len(one.points) for one in maps):
+        while size < max(len(view.points) for view in maps):
             size *= 2
 
         def padded(parts: list[np.ndarray]) -> np.ndarray:
             return np.stack([np.pad(part, ((0, size - len(part)), (0, 0))) for part in parts])
 
         return cls(
-            to_device(np.stack([one.distances for one in maps])),
-            to_device(np.stack([one.nearest for one in maps])),
+            to_device(np.stack([view.distances for view in maps])),
+            to_device(np.stack([view.nearest for view in maps])),
             *(
                 to_device(np.asarray(array, np.float32))
                 for array in (
-                    padded([one.points for one in maps]),
-                    padded([one.normals for one in maps]),
+                    padded([view.points for view in maps]),
+                    padded([view.normals for view in maps]),
                     views.camera_from_world,
                     maps[0].origin,
                     maps[0].cell_size,
@@ -98,12 +98,11 @@ class SceneMaps(eqx.Module):
 class PoseScores(NamedTuple):
     """The lengths of wireframes at poses that agree with the pictures, all views together.
 
-    What lies outside a picture counts as visible there and not explained, unless all of the object
-    does.
+    Parts outside a picture count as visible and not explained, unless the whole object is outside.
 
     Attributes:
         visible_px: length of the wireframe that its own faces do not hide, px.
-        explained_px: length of that which lies on edges of its direction, px.
+        explained_px: visible length that lies on picture edges of the same direction, px.
         support_px: the same with each part weighted by `1 - (distance / gate)^2`.
     """
 
@@ -113,7 +112,7 @@ class PoseScores(NamedTuple):
 
     @property
     def surplus_px(self) -> Float[np.ndarray, "poses"]:
-        """The supported length beyond what other edges support by chance, px."""
+        """The supported length minus the length that other edges support by chance, px."""
         return self.support_px - CHANCE_SUPPORT * self.visible_px
 
     @property
@@ -136,15 +135,15 @@ def score_poses(
         maps: of the pictures.
         wireframe: of the model.
         world_from_object: the poses.
-        gate: distance from an edge at which a part of the wireframe is no longer explained, px.
-        convex: whether to leave out only edges between faces that look away, as if the object were
+        gate: distance from an edge, px, beyond which a part of the wireframe is not explained.
+        convex: whether to test only for edges between faces that face away, as if the object were
             convex; several times as fast.
     """
     count = len(world_from_object)
     single = in_single_precision(wireframe)
     parts = []
     for start in range(0, count, POSES_PER_CALL):
-        # The last part is filled up with poses that nobody asks for.
+        # The last chunk is padded with poses whose results are dropped.
         part = np.tile(np.eye(4, dtype=np.float32), (POSES_PER_CALL, 1, 1))
         chunk = world_from_object[start : start + POSES_PER_CALL]
         part[: len(chunk)] = chunk
@@ -158,7 +157,7 @@ def score_poses(
 
 
 def in_single_precision(tree: Any) -> Any:
-    """Return a pytree with its arrays of double precision as those of single precision."""
+    """Return a pytree with its double-precision arrays converted to single precision."""
     return jax.tree.map(
         lambda x: to_device(np.asarray(x, np.float32)) if x.dtype == np.float64 else x, tree
     )
@@ -194,12 +193,12 @@ def _score(
 ) -> Float[Array, "3"]:
     """Return the three lengths of one pose in one view."""
     samples = seen_samples(maps, view, wireframe, world_from_object, convex)
-    # One flat index: a lookup with three of them takes half as long again.
+    # One flat index: a lookup with three indices takes 1.5 times as long.
     distance = maps.distances[view].reshape(-1)[samples.cell]
     inside = samples.inside & (distance != UNSEEN)
     squared = (distance.astype(jnp.float32) * (DISTANCE_STEP * maps.cell_size) / gate) ** 2
     weight = jnp.where(inside & (distance < FAR), jnp.maximum(1.0 - squared, 0.0), 0.0)
-    # A view that sees nothing of the object says nothing about it.
+    # A view that shows nothing of the object does not count.
     px = jnp.where(samples.visible & (samples.visible & inside).any(), samples.px, 0.0)
     lengths = [px.sum(), jnp.where(weight > 0.0, px, 0.0).sum(), (px * weight).sum()]
     return jnp.stack(lengths)
@@ -211,10 +210,10 @@ class SeenSamples(NamedTuple):
     Attributes:
         in_camera: in the camera's frame, m.
         ideal: in ideal coordinates, px.
-        px: lengths of the parts that they stand for, px.
+        px: lengths of the samples' parts of the edges, px.
         visible: whether they are in front of the camera and not hidden.
         inside: whether they are within the maps.
-        cell: place in the maps of one view, in the map of their direction.
+        cell: flat index into the maps of one view, in the map of the sample's direction.
     """
 
     in_camera: Float[Array, "S 3"]
@@ -232,12 +231,12 @@ def seen_samples(
     world_from_object: Float[Array, "4 4"],
     convex: bool = False,
 ) -> SeenSamples:
-    """Return the samples of a wireframe in one view, with their places in the maps."""
+    """Return the samples of a wireframe in one view, with their cells in the maps."""
     pose = maps.camera_from_world[view] @ world_from_object
     R, t = pose[:3, :3], pose[:3, 3]
     points, tangents = wireframe.samples @ R.T + t[None], wireframe.sample_tangents @ R.T
     x, y, z = points.T
-    # Near the camera's plane an edge would be endlessly long in the picture.
+    # Near the camera's plane an edge would be infinitely long in the picture.
     in_front = z > 1e-3 * jnp.abs(t[2])
     z = jnp.where(in_front, z, 1.0)
     f = maps.focal_length
@@ -245,13 +244,13 @@ def seen_samples(
     # d(x / z) = (dx - x / z dz) / z
     slope = f * (tangents[:, :2] - ideal / f * tangents[:, 2:]) / z[:, None]
     scale = jnp.sqrt((slope**2).sum(axis=1))
-    # Rounded to the nearest map; an edge and its reverse are half a turn apart, and of one map.
+    # Rounded to the nearest map; an edge and its reverse differ by half a turn and share a map.
     turns = jnp.arctan2(slope[:, 1], slope[:, 0]) * (ORIENTATIONS / jnp.pi)
     orientation = jnp.rint(turns).astype(jnp.int32) % ORIENTATIONS
     cell = jnp.rint((ideal - maps.origin[None]) / maps.cell_size)
     rows, columns = maps.distances.shape[-2:]
     inside = in_front & (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
-    # Any place will do for what is outside: its weight is zero.
+    # Samples outside have zero weight, so that any cell will do.
     column, row = jnp.where(inside[:, None], cell, 0.0).astype(jnp.int32).T
     centre = -R.T @ t
     if convex:

@@ -1,8 +1,8 @@
-"""Propose poses from two pictures: edges in space, and pairs of them aligned with the model's.
+"""Propose poses from two pictures: pairs of edges in space are aligned with pairs of the model's.
 
-A segment of either picture and the camera's centre span a plane; two planes meet in a line. Two
-lines in space that are not parallel have a frame of their own: the feet of their common
-perpendicular, and their directions. No corner is needed, so that corners may be hidden.
+A segment of a picture and the camera's centre span a plane; the planes of two pictures meet in a
+line. Two lines in space that are not parallel define a frame, by their common perpendicular and
+their directions. No corners are needed, so that these may be hidden.
 """
 
 from typing import NamedTuple
@@ -15,31 +15,31 @@ from ..features import Features, IdealPlane
 from ..modeling import ObjectModel
 
 MIN_OVERLAP, MIN_OVERLAP_OF_LONGER = 0.5, 0.25
-"""Smallest common part of two segments' extents across the epipolar lines, over the shorter and
-over the longer of them: a part of either may be hidden."""
+"""Smallest overlap of two segments across the epipolar lines, over the extent of the shorter and of
+the longer segment: a part of either may be hidden."""
 
 MIN_EXTENT = 4.0
-"""Smallest extent of a segment across the epipolar lines, px: along them the depth is unknown."""
+"""Smallest extent of a segment across the epipolar lines, px; along them the depth is unknown."""
 
 MAX_ANGLE_ERROR = float(np.deg2rad(4.0))
-"""Largest difference of the angle between two edges from that of the model's, rad."""
+"""Largest difference between the angles of a pair in space and of a pair of the model, rad."""
 
 MAX_DISTANCE_ERROR, MAX_REACH_ERROR = 0.03, 0.08
-"""Largest errors of the distance of two lines, and of how far along them their edges reach, over
+"""Largest errors of the distance between two lines, and of where their edges begin and end, over
 the object's extent."""
 
 MIN_SINE = float(np.sin(np.deg2rad(15.0)))
-"""Sine of the smallest angle between two lines that make a frame."""
+"""Sine of the smallest angle between two lines that define a frame."""
 
 MAX_PAIRS = 30_000
-"""Largest number of pairs of edges in space: the longest ones."""
+"""Largest number of pairs of edges in space; the longest are kept."""
 
 
 class SpaceEdges(NamedTuple):
-    """Straight edges in space: those of a model, or those seen in two pictures.
+    """Straight edges in space, of a model or triangulated from two pictures.
 
     Attributes:
-        points: in the middle of each edge, m.
+        points: midpoints, m.
         directions: unit vectors.
         half_lengths: m.
     """
@@ -50,15 +50,16 @@ class SpaceEdges(NamedTuple):
 
 
 class EdgePairs(NamedTuple):
-    """Pairs of directed edges that are not parallel, with what no motion changes.
+    """Pairs of directed edges that are not parallel, with their invariants under rigid motion.
 
     Attributes:
-        cosine: of the angle between both directions.
-        distance: of the lines along the product of the directions, with its sign, m.
+        cosine: of the angle between the directions.
+        distance: signed distance of the lines along the product of the directions, m.
         reaches: where each edge begins and ends along its line, from the foot of the common
             perpendicular, m.
-        feet: the middle of the common perpendicular.
-        frames: axes as columns: along the first edge, across both, and at a right angle to these.
+        feet: midpoint of the common perpendicular.
+        frames: axes as columns: along the first edge, along the common perpendicular, and their
+            product.
     """
 
     cosine: Float[np.ndarray, "pairs"]
@@ -74,7 +75,7 @@ def stereo_edges(
     plane: IdealPlane,
     camera_from_world: Float[np.ndarray, "2 4 4"],
 ) -> SpaceEdges:
-    """Return an edge in space for every two segments of two pictures that may be the same.
+    """Return an edge in space for every two segments of two pictures that may correspond.
 
     Args:
         first, second: features of the two pictures.
@@ -85,10 +86,10 @@ def stereo_edges(
     centres = -np.einsum("vji,vj->vi", R, t)
     baseline = centres[1] - centres[0]
     length = float(np.linalg.norm(baseline))
-    # From one place two pictures tell no depth.
+    # Two pictures from the same place do not determine depth.
     if length == 0.0 or not len(first.segments) or not len(second.segments):
         return SpaceEdges(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    rays = [_end_rays(one, plane) @ R[k] for k, one in enumerate((first, second))]
+    rays = [_end_rays(view, plane) @ R[k] for k, view in enumerate((first, second))]
     angles = _epipolar_angles(rays, baseline / length, MIN_EXTENT / plane.focal_length)
     low = np.maximum(angles[0].min(axis=1)[:, None], angles[1].min(axis=1)[None])
     high = np.minimum(angles[0].max(axis=1)[:, None], angles[1].max(axis=1)[None])
@@ -96,18 +97,18 @@ def stereo_edges(
     needed = np.maximum(
         MIN_OVERLAP * np.minimum(*extents), MIN_OVERLAP_OF_LONGER * np.maximum(*extents)
     )
-    # The lighter side is on the left of the direction in both views, so that the same edge runs
-    # across the epipolar lines in the same sense.
+    # The lighter side is left of the direction in both views, so that corresponding segments cross
+    # the epipolar lines in the same sense.
     senses = np.ix_(*(np.sign(angle[:, 1] - angle[:, 0]) for angle in angles))
-    # Comparisons with NaN, of segments along the epipolar lines, are false.
+    # Comparisons with NaN (segments along the epipolar lines) are false.
     with np.errstate(invalid="ignore"):
         i, j = np.nonzero((high - low > needed) & (senses[0] == senses[1]))
-    # Normals of the planes through the centres and the segments: the edge is in both planes.
+    # Normals of the planes through the centres and the segments; the edge lies in both planes.
     across = [np.cross(ray[:, 0], ray[:, 1]) for ray in rays]
     directions = np.cross(across[0][i], across[1][j])
     sines = np.linalg.norm(directions, axis=1, keepdims=True)
     directions = directions / np.where(sines > 0.0, sines, 1.0)
-    # Where the ends of the common part are seen from the first camera, they meet the second plane.
+    # The first camera's rays to the ends of the overlap meet the second plane.
     ends = []
     for angle in (low[i, j], high[i, j]):
         share = (angle - angles[0][i, 0]) / (angles[0][i, 1] - angles[0][i, 0])
@@ -130,18 +131,18 @@ def _end_rays(features: Features, plane: IdealPlane) -> Float[np.ndarray, "segme
 def _epipolar_angles(
     rays: list[Float[np.ndarray, "_ 2 3"]], axis: Float[np.ndarray, "3"], smallest: float
 ) -> list[Float[np.ndarray, "_ 2"]]:
-    """Return the angles about the baseline of the planes through it and rays, rad.
+    """Return the angles about the baseline of the planes through the baseline and each ray, rad.
 
-    Rays of one point in space have the same angle in both views. NaN for segments of too small an
-    extent.
+    The rays to one point in space have the same angle in both views. NaN for segments whose extent
+    is too small.
     """
-    # The zero is where most rays are, so that no segment is cut by the jump at half a turn.
+    # Zero is in the middle of the rays, so that no segment is split by the jump at half a turn.
     mean = np.concatenate([ray.reshape(-1, 3) for ray in rays]).mean(axis=0)
     x = mean - axis * (mean @ axis)
     x = x / np.linalg.norm(x)
     y = np.cross(axis, x)
     angles = [np.arctan2(ray @ y, ray @ x) for ray in rays]
-    return [np.where(np.ptp(one, axis=1, keepdims=True) > smallest, one, np.nan) for one in angles]
+    return [np.where(np.ptp(x, axis=1, keepdims=True) > smallest, x, np.nan) for x in angles]
 
 
 def model_edges(model: ObjectModel) -> SpaceEdges:
@@ -154,7 +155,7 @@ def model_edges(model: ObjectModel) -> SpaceEdges:
 def edge_pairs(
     edges: SpaceEdges, i: Int[np.ndarray, "pairs"], j: Int[np.ndarray, "pairs"]
 ) -> tuple[EdgePairs, Bool[np.ndarray, "pairs"]]:
-    """Return the frames of pairs of edges, and which pairs have one; the others are left out."""
+    """Return the frames of pairs of edges, and a mask of the pairs that have one."""
     d, e = edges.directions[i], edges.directions[j]
     normals = np.cross(d, e)
     sines = np.linalg.norm(normals, axis=1)
@@ -174,36 +175,36 @@ def edge_pairs(
 
 
 def poses_from_edges(scene: SpaceEdges, model: ObjectModel) -> Float[np.ndarray, "poses 4 4"]:
-    """Return world_from_object of every pair of the model's edges on every pair in space.
+    """Return world_from_object for every match of a model's edge pair with a pair in space.
 
     Args:
         scene: edges in the world.
-        model: to be found.
+        model: model to be found.
     """
-    own = model_edges(model)
+    edges = model_edges(model)
     extent = float(np.linalg.norm(np.ptp(model.vertices, axis=0)))
-    seen = _pairs_in_space(scene, extent, 2.0 * float(own.half_lengths.max(initial=0.0)))
-    wanted = _model_pairs(own)
-    if not len(seen.cosine) or not len(wanted.cosine):
+    in_space = _pairs_in_space(scene, extent, 2.0 * float(edges.half_lengths.max(initial=0.0)))
+    in_model = _model_pairs(edges)
+    if not len(in_space.cosine) or not len(in_model.cosine):
         return np.zeros((0, 4, 4))
-    a, b = _alike(seen, wanted, extent)
-    rotations = seen.frames[a] @ np.swapaxes(wanted.frames[b], -1, -2)
+    a, b = _alike(in_space, in_model, extent)
+    rotations = in_space.frames[a] @ np.swapaxes(in_model.frames[b], -1, -2)
     poses = np.tile(np.eye(4), (len(a), 1, 1))
     poses[:, :3, :3] = rotations
-    # R takes frame to frame, and t foot to foot.
-    poses[:, :3, 3] = seen.feet[a] - (rotations @ wanted.feet[b][..., None])[..., 0]
+    # R aligns the frames, and t the feet.
+    poses[:, :3, 3] = in_space.feet[a] - (rotations @ in_model.feet[b][..., None])[..., 0]
     return poses
 
 
 def _pairs_in_space(scene: SpaceEdges, extent: float, longest: float) -> EdgePairs:
     """Return the pairs of edges in space that may belong to one object of a given extent."""
-    # Longer than any edge of the model: the edge of a table, or two segments that do not belong.
+    # Longer than any edge of the model: a table's edge, or segments that do not correspond.
     short = np.flatnonzero(2.0 * scene.half_lengths < longest + MAX_REACH_ERROR * extent)
     edges = SpaceEdges(*(part[short] for part in scene))
     if not len(short):
         return edge_pairs(edges, short, short)[0]
     i, j = KDTree(edges.points).query_pairs(extent, output_type="ndarray").T
-    # Long edges give the directions best.
+    # Long edges determine the directions best.
     order = np.argsort(-np.minimum(edges.half_lengths[i], edges.half_lengths[j]), kind="stable")
     return edge_pairs(edges, i[order[:MAX_PAIRS]], j[order[:MAX_PAIRS]])[0]
 
@@ -211,7 +212,7 @@ def _pairs_in_space(scene: SpaceEdges, extent: float, longest: float) -> EdgePai
 def _model_pairs(edges: SpaceEdges) -> EdgePairs:
     """Return all pairs of a model's edges in both orders and all four choices of direction."""
     count = len(edges.half_lengths)
-    # Nothing tells which end of an edge in space is the first one of the model's edge.
+    # An edge in space has no known direction relative to the model's edge.
     both = SpaceEdges(
         np.tile(edges.points, (2, 1)),
         np.concatenate([edges.directions, -edges.directions]),
@@ -222,22 +223,22 @@ def _model_pairs(edges: SpaceEdges) -> EdgePairs:
 
 
 def _alike(
-    seen: EdgePairs, wanted: EdgePairs, extent: float
+    in_space: EdgePairs, in_model: EdgePairs, extent: float
 ) -> tuple[Int[np.ndarray, "matches"], Int[np.ndarray, "matches"]]:
     """Return which pairs in space agree with which pairs of the model."""
-    # Sorted by the angle, so that each pair of the model meets only those of about its own.
-    order = np.argsort(seen.cosine)
-    angles = np.arccos(np.clip(wanted.cosine, -1.0, 1.0))
+    # Sorted by angle, so that each pair of the model is compared only with pairs of similar angle.
+    order = np.argsort(in_space.cosine)
+    angles = np.arccos(np.clip(in_model.cosine, -1.0, 1.0))
     bounds = [np.cos(np.clip(angles + e, 0.0, np.pi)) for e in (MAX_ANGLE_ERROR, -MAX_ANGLE_ERROR)]
-    first, last = (np.searchsorted(seen.cosine[order], bound) for bound in bounds)
+    first, last = (np.searchsorted(in_space.cosine[order], bound) for bound in bounds)
     b = np.repeat(np.arange(len(angles)), last - first)
     place = np.arange(len(b)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
     a = order[first[b] + place]
-    near = np.abs(seen.distance[a] - wanted.distance[b]) < MAX_DISTANCE_ERROR * extent
+    near = np.abs(in_space.distance[a] - in_model.distance[b]) < MAX_DISTANCE_ERROR * extent
     a, b = a[near], b[near]
-    # What is seen of an edge lies within it.
+    # The visible part of an edge lies within it.
     slack = MAX_REACH_ERROR * extent
-    within = seen.reaches[a, :, 0] > wanted.reaches[b, :, 0] - slack
-    within &= seen.reaches[a, :, 1] < wanted.reaches[b, :, 1] + slack
+    within = in_space.reaches[a, :, 0] > in_model.reaches[b, :, 0] - slack
+    within &= in_space.reaches[a, :, 1] < in_model.reaches[b, :, 1] + slack
     good = within.all(axis=1)
     return a[good], b[good]

@@ -1,9 +1,9 @@
-"""Compute how much each of many views would tell about objects that were found.
+"""Compute the expected gain in information of candidate views of objects that were found.
 
-A gain is in natural units of information: the expected difference of log-likelihoods between each
-hypothesis and its rivals, that there is nothing at all being one, and half the logarithm by which
-the covariance of the grasp shrinks. What known surfaces and other objects hide of an object in a
-view tells nothing of it there.
+A gain is in nats. It has two parts: the expected log-likelihood ratio between each hypothesis and
+its rivals (one rival being that there is no object at all), and half the logarithm by which the
+covariance of the grasp shrinks. Parts of an object that known surfaces or other objects occlude in
+a view do not count there.
 """
 
 from collections.abc import Sequence
@@ -25,22 +25,22 @@ from ..runtime.padding import repeat_last
 from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization
-from .occluders import Occluder, hidden_in_views, leading, occluders_beside
+from .occluders import Occluder, hidden_in_views, leading, occluders_around
 from .prediction import pose_jacobians, predict_view
 from .verdict import MIN_MARGIN
 from .wireframe import Wireframe
 
 SAME_EDGE_DISTANCE, SAME_EDGE_COSINE = 4.0, 0.9
-"""Distance, px, and cosine of directions within which edges of two hypotheses look alike."""
+"""Distance, px, and cosine of directions within which edges of two hypotheses coincide."""
 
 ENOUGH_MARGIN = 4.0 * MIN_MARGIN
-"""Difference of log-likelihoods beyond which a rival needs no further telling apart."""
+"""Log-likelihood ratio above which a rival counts as ruled out."""
 
 MAX_RIVALS = 6
-"""Largest number of rivals of each object that are told apart."""
+"""Largest number of rivals that are considered for each object."""
 
 POSES_PER_BATCH = 64
-"""Number of poses that are predicted at once, by one compiled program for any number."""
+"""Number of poses predicted at once: one compiled program serves any number."""
 
 
 class _Predicted(NamedTuple):
@@ -49,8 +49,8 @@ class _Predicted(NamedTuple):
     Attributes:
         samples: px.
         directions: unit directions of the edges.
-        visible_px: length that each sample stands for; zero where it is not visible.
-        information: of the pose's tangent at the object.
+        visible_px: length of each sample's part of its edge; zero where it is not visible.
+        information: Fisher information on the pose's tangent.
     """
 
     samples: Float[np.ndarray, "views S 2"]
@@ -63,9 +63,9 @@ class _Candidates(NamedTuple):
     """Candidate views of one object.
 
     Attributes:
-        calibration: with the camera.
-        camera_from_world: of the views.
-        occluders: what may hide the object.
+        calibration: includes the camera.
+        camera_from_world: extrinsics of the views.
+        occluders: surfaces that may occlude the object.
     """
 
     calibration: Calibration
@@ -91,95 +91,94 @@ class ViewGains:
         self.std_before, self.std_after = 0.0, np.zeros(count)
         self.visible = np.zeros(count, dtype=bool)
         self.rivals, self.count = 0, len(objects)
-        self.is_open = any(one.verdict.decision == "open" for one in objects)
-        there = leading([*neighbours, *objects])
-        for one in objects:
-            views = _Candidates(calibration, candidates, occluders_beside(one, there, triangles))
-            own = _predicted(one.model, one.world_from_object, views, one)
-            self.visible |= own.visible_px.sum(axis=1) > 0.0
-            before, after = _grasp_covariances(one, own, candidates, noise)
+        self.is_open = any(obj.verdict.decision == "open" for obj in objects)
+        others = leading([*neighbours, *objects])
+        for obj in objects:
+            views = _Candidates(calibration, candidates, occluders_around(obj, others, triangles))
+            prediction = _predicted(obj.model, obj.world_from_object, views, obj)
+            self.visible |= prediction.visible_px.sum(axis=1) > 0.0
+            before, after = _grasp_covariances(obj, prediction, candidates, noise)
             shrinkage += 0.5 * (np.linalg.slogdet(before)[1] - np.linalg.slogdet(after)[1])
             self.std_before = max(self.std_before, _position_std(before[None])[0])
             self.std_after = np.maximum(self.std_after, _position_std(after))
-            needed = max(ENOUGH_MARGIN - one.verdict.evidence.log_likelihood, 0.0)
-            gains = [np.minimum(_against_nothing(own), needed)]
-            for rival in one.rivals[:MAX_RIVALS]:
-                if rival.model != one.model_index and rival.model >= len(models):
+            needed = max(ENOUGH_MARGIN - obj.verdict.evidence.log_likelihood, 0.0)
+            gains = [np.minimum(_against_nothing(prediction), needed)]
+            for rival in obj.rivals[:MAX_RIVALS]:
+                if rival.model != obj.model_index and rival.model >= len(models):
                     continue
-                margin = one.verdict.evidence.log_odds - rival.log_odds
-                model = one.model if rival.model == one.model_index else models[rival.model]
-                other = _predicted(model, rival.world_from_object, views, one)
+                margin = obj.verdict.evidence.log_odds - rival.log_odds
+                model = obj.model if rival.model == obj.model_index else models[rival.model]
+                other = _predicted(model, rival.world_from_object, views, obj)
                 needed = max(ENOUGH_MARGIN - margin, 0.0)
                 self.rivals += needed > 0.0
-                gains.append(np.minimum(_difference(own, other), needed))
+                gains.append(np.minimum(_difference(prediction, other), needed))
             self.discrimination += np.sum(gains, axis=0)
         self.total = np.where(self.visible, self.discrimination + shrinkage, -np.inf)
 
     def reason(self, best: int, paper: int | None) -> str:
-        """Return what a view is expected to tell, as a clause; beside the paper's view, if any."""
+        """Return the reason for a view as a clause, compared with the paper's view, if any."""
         after = 1e3 * self.std_after[best]
-        narrowed = (
-            f"the position is known to {after:.3g} mm after it, {1e3 * self.std_before:.3g} mm now"
-        )
-        return f"{self._told(best)}; {narrowed}; {self._beside_paper(best, paper)}"
+        before = 1e3 * self.std_before
+        error = f"the position error (std) goes from {before:.3g} to {after:.3g} mm"
+        return f"{self._expected_gain(best)}; {error}; {self._paper_clause(best, paper)}"
 
-    def _told(self, best: int) -> str:
-        """Return in words what a view tells of whether the objects are there."""
-        # A difference of log-likelihoods is easier read as odds: 2.3 makes ten to one.
+    def _expected_gain(self, best: int) -> str:
+        """Return in words what a view should reveal about the objects' presence."""
+        # As odds, a log-likelihood ratio is easier to read: 2.3 is ten to one.
         odds = 10.0 ** round(float(self.discrimination[best]) / np.log(10.0), 1)
-        expected = f"at expected odds of {odds:.2g} : 1"
+        expected = f"(expected odds {odds:.2g} : 1)"
         is_one = self.count == 1
-        object_is = "the object is" if is_one else "the objects are"
+        objects, are = ("the object", "is") if is_one else ("the objects", "are")
         if self.rivals:
             rivals = "rival" if self.rivals == 1 else "rivals"
-            return f"it tells {self.rivals} remaining {rivals} apart, {expected}"
+            return f"it separates {objects} from {self.rivals} remaining {rivals} {expected}"
         if odds > 1.0 and self.is_open:
-            return f"it tells whether {object_is} there, {expected}"
+            return f"it decides whether {objects} {are} there {expected}"
         if odds > 1.0:
-            return f"it makes the object{'' if is_one else 's'} more certain, {expected}"
-        # Open for want of edges or views, where no odds are left to gain.
+            return f"it makes {objects} more certain {expected}"
+        # Open for lack of edges or views, although no odds are left to gain.
         if self.is_open:
-            return f"{object_is} still open, and shown once more"
-        return f"{object_is} certain already"
+            return (
+                f"{objects} {are} still open, and the view shows {'it' if is_one else 'them'} again"
+            )
+        return f"{objects} {are} certain already"
 
-    def _beside_paper(self, best: int, paper: int | None) -> str:
-        """Return in words what the paper's view would tell instead."""
+    def _paper_clause(self, best: int, paper: int | None) -> str:
+        """Return in words the gain of the paper's view instead."""
         if paper is None:
-            return "the view along the normal of the top surface is not reached"
-        # Beside itself it would tell "100% as much".
+            return "the view along the normal of the top surface is out of reach"
         if paper == best:
             return "it is the paper's view, along the normal of the top surface"
-        # Gains are information; their ratio says enough.
         part = max(float(self.total[paper] / max(self.total[best], 1e-12)), 0.0)
         return (
-            f"the paper's view, along the normal of the top surface, would tell {part:.0%} as much"
+            f"the paper's view, along the normal of the top surface, would gain {part:.0%} as much"
         )
 
 
 def _position_std(covariances: Float[np.ndarray, "views 6 6"]) -> Float[np.ndarray, "views"]:
-    """Return the standard deviation of position in its worst direction."""
+    """Return the standard deviation of the position in its worst direction."""
     return np.sqrt(np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1])
 
 
 def _grasp_covariances(
-    one: Localization,
-    own: _Predicted,
+    obj: Localization,
+    prediction: _Predicted,
     candidates: Float[np.ndarray, "views 4 4"],
     noise: Noise | None,
 ) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "views 6 6"]]:
-    """Return the covariance of where fingers meet the object, now and after each view.
+    """Return the covariance of the object at the point of the grasp, now and after each view.
 
-    Errors of calibration and model stay as they are; those of the pictures shrink.
+    Errors of calibration and model remain; errors of the pictures shrink.
     """
-    refined = one.refined
+    refined = obj.refined
     fixed = refined.calibration + refined.model
-    information = own.information
+    information = prediction.information
     if noise is not None and np.isfinite([noise.translation, noise.rotation]).all():
-        information = _with_view_noise(information, one.world_from_object, candidates, noise)
+        information = _with_view_noise(information, obj.world_from_object, candidates, noise)
     weight = np.linalg.inv(refined.pictures)
     after = np.linalg.inv(weight + information) + fixed
-    # The point between the fingers: of the first grasp, or the middle of the object.
-    grasps, vertices = one.model.grasps, one.model.vertices
+    # The point between the fingers in the first grasp, or the middle of the object.
+    grasps, vertices = obj.model.grasps, obj.model.vertices
     point = grasps[0].object_from_tool[:3, 3] if grasps else vertices.mean(axis=0)
     shift = np.eye(6)
     # A tangent (v, w) moves the point by v + w x p.
@@ -195,83 +194,83 @@ def _with_view_noise(
 ) -> Float[np.ndarray, "views 6 6"]:
     """Return the information of views whose camera pose has the robot's noise.
 
-    The lever from the tool to the camera is left out: it is short against the distance.
+    The lever from the tool to the camera is ignored: it is short compared with the distance.
     """
-    # A twist of the camera is one of the object: Q = Ad S Ad^T, and (I^-1 + Q)^-1 = I (1 + Q I)^-1.
+    # The camera's twist as a twist of the object: Q = Ad S Ad^T; (I^-1 + Q)^-1 = I (1 + Q I)^-1.
     sigmas = np.repeat([noise.translation, noise.rotation], 3)
     adjoint = host_adjoints(np.linalg.inv(candidates @ pose))
     Q = adjoint @ np.diag(sigmas**2) @ adjoint.swapaxes(1, 2)
     return information @ np.linalg.inv(np.eye(6) + Q @ information)
 
 
-def _against_nothing(own: _Predicted) -> Float[np.ndarray, "views"]:
-    """Return the expected log-likelihood of visible edges over that nothing is there."""
+def _against_nothing(prediction: _Predicted) -> Float[np.ndarray, "views"]:
+    """Return the expected log-likelihood ratio of the visible edges to an empty scene."""
     return (
-        own.visible_px.sum(axis=1)
+        prediction.visible_px.sum(axis=1)
         / INDEPENDENT_LENGTH
         * _information_of_piece(FOUND_PROBABILITY, TYPICAL_CHANCE)
     )
 
 
 def _information_of_piece(p: float, q: float) -> float:
-    """Return the expected log-likelihood of probability p over q, if p is true."""
+    """Return the expected log-likelihood ratio of probability p to q, if p is true."""
     return float(p * np.log(p / q) + (1.0 - p) * np.log((1.0 - p) / (1.0 - q)))
 
 
-def _difference(own: _Predicted, other: _Predicted) -> Float[np.ndarray, "views"]:
-    """Return the expected log-likelihood of a hypothesis over another, if the first is true.
+def _difference(first: _Predicted, second: _Predicted) -> Float[np.ndarray, "views"]:
+    """Return the expected log-likelihood ratio of a hypothesis to another, if the first is true.
 
-    Edges that both predict alike tell nothing. An edge that only the first predicts is found; one
-    that only the other predicts is found by chance.
+    Edges that both predict alike do not count. Edges that only the first predicts are found; edges
+    that only the second predicts are found by chance.
     """
-    mine, theirs = (
+    only_first, only_second = (
         np.where(_alike(a, b), 0.0, a.visible_px).sum(axis=1) / INDEPENDENT_LENGTH
-        for a, b in ((own, other), (other, own))
+        for a, b in ((first, second), (second, first))
     )
     p, q = FOUND_PROBABILITY, TYPICAL_CHANCE
-    return mine * _information_of_piece(p, q) + theirs * _information_of_piece(q, p)
+    return only_first * _information_of_piece(p, q) + only_second * _information_of_piece(q, p)
 
 
 def _alike(first: _Predicted, second: _Predicted) -> Bool[np.ndarray, "views S"]:
-    """Return which samples of the first lie on edges of the second, of the same direction."""
-    found = np.zeros(first.visible_px.shape, dtype=bool)
-    for view in range(len(found)):
-        seen = second.visible_px[view] > 0.0
-        gap = first.samples[view][:, None] - second.samples[view][seen][None]
-        d = second.directions[view][seen]
+    """Return which samples of the first lie on edges of the second with the same direction."""
+    alike = np.zeros(first.visible_px.shape, dtype=bool)
+    for view in range(len(alike)):
+        visible = second.visible_px[view] > 0.0
+        gap = first.samples[view][:, None] - second.samples[view][visible][None]
+        d = second.directions[view][visible]
         across = np.abs(gap[..., 0] * d[:, 1] - gap[..., 1] * d[:, 0])
         along = np.abs((gap * d).sum(axis=2))
         parallel = np.abs(first.directions[view] @ d.T) > SAME_EDGE_COSINE
-        near = (across < SAME_EDGE_DISTANCE) & (along < second.visible_px[view][seen] + 1.0)
-        found[view] = (near & parallel).any(axis=1)
-    return found
+        near = (across < SAME_EDGE_DISTANCE) & (along < second.visible_px[view][visible] + 1.0)
+        alike[view] = (near & parallel).any(axis=1)
+    return alike
 
 
 def _predicted(
     model: ObjectModel,
     pose: Float[np.ndarray, "4 4"],
     views: _Candidates,
-    one: Localization,
+    obj: Localization,
 ) -> _Predicted:
     """Return the visible edges of a hypothesis in all candidate views."""
     candidates = views.camera_from_world
     wireframe, parts = Wireframe.of(model), []
-    sigma = max(float(one.refined.edge_sigma), MIN_POINT_SIGMA)
-    scatter = one.refined.lines.scatter[one.refined.consistent]
+    sigma = max(float(obj.refined.edge_sigma), MIN_POINT_SIGMA)
+    scatter = obj.refined.lines.scatter[obj.refined.consistent]
     point_sigma = max(float(np.median(scatter)) if len(scatter) else 0.0, MIN_POINT_SIGMA)
     in_world = np.asarray(wireframe.samples) @ pose[:3, :3].T + pose[:3, 3]
     for start in range(0, len(candidates), POSES_PER_BATCH):
-        own = candidates[start : start + POSES_PER_BATCH]
-        padded = repeat_last(own, POSES_PER_BATCH)
+        batch = candidates[start : start + POSES_PER_BATCH]
+        padded = repeat_last(batch, POSES_PER_BATCH)
         centres = np.linalg.inv(padded)[:, :3, 3]
-        found = _predict_edges(
+        arrays = _predict_edges(
             wireframe,
             views.calibration.camera,
             to_device(padded @ pose),
             to_device(hidden_in_views(views.occluders, centres, in_world)),
             to_device(np.array([point_sigma, sigma])),
         )
-        parts.append([np.asarray(array)[: len(own)] for array in found])
+        parts.append([np.asarray(array)[: len(batch)] for array in arrays])
     return _Predicted(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -283,7 +282,7 @@ def _predict_edges(
     hidden: Bool[Array, "views S"],
     sigmas: Float[Array, "2"],
 ) -> tuple[Array, Array, Array, Array]:
-    """Return the parts of `_Predicted`, for the noise of edge points and that of whole edges."""
+    """Return the fields of `_Predicted`, given the noise of edge points and of whole edges."""
 
     def in_view(
         matrix: Float[Array, "4 4"], behind: Bool[Array, "S"]
@@ -296,7 +295,8 @@ def _predict_edges(
         n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
         J = pose_jacobians(wireframe.samples, camera, matrix)[1]
         J = jnp.einsum("si,sij->sj", n, jnp.where(visible[:, None, None], J, 0.0))
-        # An edge of length l has the variance c s^2 / l + s_edge^2; a sample, its share of that.
+        # An edge of length l has the variance c s^2 / l + s_edge^2; each sample has its share of
+        # weight.
         edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges].add(px)
         length = jnp.maximum(edge_px[wireframe.sample_edges], 1.0)
         variance = CORRELATED_LENGTH * sigmas[0] ** 2 / length + sigmas[1] ** 2

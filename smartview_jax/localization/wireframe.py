@@ -1,7 +1,7 @@
-"""Turn an object model into arrays of fixed sizes, with points along its edges, for programs.
+"""Turn an object model into arrays of fixed sizes, with samples along its edges.
 
-Sizes are rounded up, so that all models of usual size run through the same compiled programs; what
-was added has a length of zero, or is masked.
+Sizes are rounded up, so that all models of usual size use the same compiled programs; padded
+entries have zero length or are masked.
 """
 
 import equinox as eqx
@@ -13,42 +13,42 @@ from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 
 EDGE_SAMPLES = 128
-"""Number of points along all edges together, at least, unless stated."""
+"""Default for the smallest number of samples along all edges together."""
 
 MIN_VERTICES, MIN_EDGES, MIN_TRIANGLES, MIN_FACES = 16, 32, 32, 16
-"""Smallest sizes of the arrays; beyond them a size is the next power of two."""
+"""Smallest sizes of the arrays; larger ones are rounded up to this times a power of two."""
 
 HIDING_MARGIN = 2e-3
 """Distance in front of a point, over the object's extent, within which no face hides it.
 
-Measured vertices do not lie exactly in the planes of their faces, nor does one solid exactly on the
-face of another.
+Measured vertices do not lie exactly in the planes of their faces, nor do touching solids fit
+exactly.
 """
 
 
 class Wireframe(eqx.Module):
-    """The vertices, edges and faces of a model, and points along its edges, in its own frame.
+    """The vertices, edges and faces of a model, and samples along its edges, in its own frame.
 
-    Each face is a fan of triangles about one of its vertices, their corners in the order of its
-    border. A fan covers a face that is convex once; where the face is not convex, or has holes,
-    triangles that turn the other way cancel. Which way they turn is not stored, so that it stays
-    true where vertices are moved.
+    Each face is a fan of triangles about one of its vertices, with corners in the order of its
+    border. A fan covers a convex face once; where the face is not convex, or has holes, triangles
+    of opposite orientation cancel. The orientation is not stored, so that it stays correct when
+    vertices are moved.
 
     Attributes:
         vertices: m.
-        vertex_mask: False for what was added to round the number up; likewise in the other masks.
+        vertex_mask: False for padded vertices; the same in the other masks.
         vertex_faces: whether a vertex is on a face's border.
-        edges: pairs of vertices; an edge that was added leads from vertex 0 to vertex 0.
+        edges: pairs of vertices; a padded edge leads from vertex 0 to vertex 0.
         edge_mask: see `vertex_mask`.
         edge_faces: whether an edge is on a face's border.
         samples: points along the edges, each in the middle of an equal part of its edge, m.
-        sample_edges: edge of each sample; 0 for those that were added.
+        sample_edges: edge of each sample; 0 for padded ones.
         sample_tangents: unit directions of the edges, from the first vertex to the second.
-        sample_lengths: lengths of the parts, m; 0 for samples that were added.
-        triangle_vertices: corners of the faces' triangles; zeros for triangles that were added.
-        triangle_faces: which face each triangle is part of.
+        sample_lengths: lengths of the parts, m; 0 for padded samples.
+        triangle_vertices: corners of the faces' triangles; zeros for padded triangles.
+        triangle_faces: the face that each triangle belongs to.
         face_points: a point of each face, m.
-        face_normals: outward unit normals; 0 for faces that were added.
+        face_normals: outward unit normals; 0 for padded faces.
         margin: distance in front of a point within which no face hides it, m.
     """
 
@@ -74,18 +74,18 @@ class Wireframe(eqx.Module):
 
         Args:
             model: with at least one edge.
-            samples: number of points along all edges together; each edge has one at least, so that
-                there may be more.
+            samples: number of samples along all edges together; more if needed for one on each
+                edge.
 
         Raises:
             ValueError: the model has no edges, or edges without length, or `samples` is not
                 positive.
         """
         if not len(model.edges):
-            raise ValueError(f"model {model.name!r} has no edges, so it cannot be looked for")
+            raise ValueError(f"model {model.name!r} has no edges, so it cannot be searched for")
         if samples < 1:
             raise ValueError(f"samples: expected a positive number, found {samples}")
-        # All on the host: nothing is compiled to prepare a model.
+        # All on the host, so that preparing a model compiles nothing.
         faces = model.faces
         owners, lengths, parts = _sampled_edges(model, samples)
         starts, ends = model.vertices[model.edges[owners]].transpose(1, 0, 2)
@@ -109,8 +109,8 @@ class Wireframe(eqx.Module):
             _padded(lengths, S),
             _padded(corners, T, 3),
             _padded(triangle_faces, T, F),
-            _padded(np.array([one.origin for one in planes]).reshape(-1, 3), F, 3),
-            _padded(np.array([one.normal for one in planes]).reshape(-1, 3), F, 3),
+            _padded(np.array([plane.origin for plane in planes]).reshape(-1, 3), F, 3),
+            _padded(np.array([plane.normal for plane in planes]).reshape(-1, 3), F, 3),
             np.array(HIDING_MARGIN * model.extent),
         )
         return cls(*map(to_device, arrays))
@@ -118,12 +118,12 @@ class Wireframe(eqx.Module):
     @property
     @one_program
     def triangles(self) -> Float[Array, "T 3 3"]:
-        """The corners of the faces' triangles, m; those that were added have no area."""
+        """The corners of the faces' triangles, m; padded ones have no area."""
         return self.vertices[self.triangle_vertices]
 
 
 def _rounded(count: int, smallest: int) -> int:
-    """Return the smallest number times a power of two that is not below a count."""
+    """Return `smallest` times the least power of two that makes it at least a count."""
     size = smallest
     while size < count:
         size *= 2
@@ -138,15 +138,16 @@ def _padded(array: np.ndarray, *shape: int) -> np.ndarray:
 def _sampled_edges(
     model: ObjectModel, samples: int
 ) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S"]]:
-    """Return the edge of each sample, the length it stands for, and its place from 0 to 1."""
+    """Return each sample's edge, the length of its part, and its position on the edge (0 to 1)."""
     starts, ends = model.vertices[model.edges].transpose(1, 0, 2)
     lengths = np.linalg.norm(ends - starts, axis=1)
     if not (lengths > 0.0).all():
         raise ValueError(f"edge {int(np.argmin(lengths))} of model {model.name!r} has no length")
-    # Rounded down, so that together they are not more than asked for, with one for each edge.
+    # Rounded down, so that together they do not exceed the given number, with at least one per
+    # edge.
     counts = np.maximum(1, np.floor(samples * lengths / lengths.sum()).astype(int))
     owners = np.repeat(np.arange(len(lengths)), counts)
-    # The place of each within its edge: its position minus that of the edge's first sample.
+    # The rank of each sample on its edge.
     order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
     return owners, (lengths / counts)[owners], (order + 0.5) / counts[owners]
 
@@ -161,7 +162,7 @@ def _vertices_on_faces(model: ObjectModel) -> Bool[np.ndarray, "V F"]:
 
 def _edges_on_faces(model: ObjectModel) -> Bool[np.ndarray, "E F"]:
     """Return whether each edge is on the border of each face."""
-    # Neighbouring faces run through their common edge in opposite directions.
+    # The border of a neighbouring face has the common edge in the opposite direction.
     sides = [{frozenset(pair) for pair in face.directed_edges} for face in model.faces]
     edges = [frozenset(edge) for edge in model.edges.tolist()]
     on = [[edge in border for border in sides] for edge in edges]
@@ -169,7 +170,7 @@ def _edges_on_faces(model: ObjectModel) -> Bool[np.ndarray, "E F"]:
 
 
 def _fans(model: ObjectModel) -> tuple[Int[np.ndarray, "T 3"], Bool[np.ndarray, "T F"]]:
-    """Return the vertices of all faces' triangles, and which face each is part of."""
+    """Return the vertices of all faces' triangles, and the face that each belongs to."""
     fans = [_fan(face) for face in model.faces]
     owners = np.repeat(np.arange(len(fans)), [len(fan) for fan in fans])
     corners = np.concatenate(fans) if fans else np.zeros((0, 3), int)
@@ -179,7 +180,7 @@ def _fans(model: ObjectModel) -> tuple[Int[np.ndarray, "T 3"], Bool[np.ndarray, 
 def _fan(face: Face) -> Int[np.ndarray, "T 3"]:
     """Return the triangles between the first vertex of a face and its sides."""
     apex = face.loop[0]
-    # The sides at the apex itself make no triangle. One in line with it makes one without area,
-    # which gains area where a vertex is moved.
+    # Sides at the apex make no triangle. A side in line with it makes one without area, which may
+    # gain area when a vertex is moved.
     sides = np.array([pair for pair in face.directed_edges if apex not in pair])
     return np.column_stack([np.full(len(sides), apex), sides])

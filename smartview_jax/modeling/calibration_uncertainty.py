@@ -1,9 +1,9 @@
-"""Describe how uncertain the camera and the poses of some views are, for all features they see.
+"""Describe how uncertain the camera and the poses of views are, for all features they see.
 
 Errors of the calibration are common to everything seen in the views. They are described by one
-vector of numbers: the parameters that a fit estimated, with its covariance, and the robot's own
-noise in each view, six numbers at the tool. An estimated feature then has a Jacobian by this vector
-instead of a covariance of its own, so that what is common cancels in distances.
+vector of numbers: the parameters that a fit estimated, with their covariance, and the robot's noise
+in each view, six numbers at the tool. An estimated feature has a Jacobian by this vector instead of
+a separate covariance, so that common errors cancel in distances.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ class CalibrationUncertainty(NamedTuple):
         covariance: covariance of the numbers, in their own units.
         view_jacobian: derivatives, by the numbers, of the camera's parameters and of the twist of
             `camera_from_world` in the camera frame (translation, rotation), in each view.
-        shared_count: number of the numbers that all views have in common; then six for each view.
+        shared_count: the first so many numbers are common to all views; six for each view follow.
     """
 
     names: tuple[str, ...]
@@ -53,14 +53,14 @@ class CalibrationUncertainty(NamedTuple):
         estimate: CalibrationEstimate | None,
         noise: Noise | None = None,
     ) -> "CalibrationUncertainty":
-        """Return the description for views that the calibration was not estimated from.
+        """Return the description for views that were not used to estimate the calibration.
 
         Args:
             views: the views.
             calibration: their calibration.
             estimate: a joint fit or a bound with the calibration's covariance; None for an exact
                 calibration.
-            noise: sizes of the robot's noise; by default that of a joint fit.
+            noise: sizes of the robot's noise; by default the noise of a joint fit.
 
         Raises:
             ValueError: the estimate is of other parameters, leaves something undetermined, or its
@@ -68,7 +68,7 @@ class CalibrationUncertainty(NamedTuple):
         """
         if estimate is None and noise is None:
             return cls.none(views)
-        # A bound knows no noise of its own: there it is given, or the poses are exact.
+        # A bound has no noise: either it is given, or the poses are exact.
         if noise is None and isinstance(estimate, (JointFit, SavedEstimate)):
             noise = estimate.noise
         names = parameter_names(calibration)
@@ -77,21 +77,23 @@ class CalibrationUncertainty(NamedTuple):
             if parameter_names(estimate.calibration) != names:
                 raise ValueError(
                     "covariance: its parameters are "
-                    f"{', '.join(parameter_names(estimate.calibration))}; those of the calibration "
-                    f"are {', '.join(names)}"
+                    f"{', '.join(parameter_names(estimate.calibration))}; the calibration has "
+                    f"{', '.join(names)}"
                 )
             roots = np.asarray(covariance_root(estimate))
-        # Parameters that were held are exact, and have no column.
-        # The target's scale and held intrinsics are the usual ones.
+        # Fixed parameters are exact and have no column, usually the target's scale and fixed
+        # intrinsics.
         used = np.flatnonzero(np.any(roots != 0.0, axis=0))
-        shared, own = map(np.asarray, _view_jacobians(calibration, views.command))
+        shared, per_view = map(np.asarray, _view_jacobians(calibration, views.command))
         count = len(views.camera_from_world)
         sigmas = np.zeros(0)
         if noise is not None:
             sigmas = np.repeat([noise.translation, noise.rotation], 3)
             if not np.isfinite(sigmas).all():
-                raise ValueError("covariance: a robot whose poses may be anywhere measures nothing")
-        # Six numbers of each view's own, independent of all others.
+                raise ValueError(
+                    "covariance: infinite robot noise, so the views' poses are unknown"
+                )
+        # Six numbers for each view, independent of all others.
         size = len(sigmas) * count
         jacobian = np.zeros((count, shared.shape[1], len(used) + size))
         jacobian[:, :, : len(used)] = shared[:count, :, used]
@@ -100,9 +102,9 @@ class CalibrationUncertainty(NamedTuple):
         if size:
             for k in range(count):
                 place = slice(len(used) + 6 * k, len(used) + 6 * k + 6)
-                jacobian[k, -6:, place] = own[k]
+                jacobian[k, -6:, place] = per_view[k]
                 covariance[place, place] = np.diag(sigmas**2)
-        # The names of the corrections that a fit has for its own views, here of these views.
+        # Named as the corrections of a fit's own views, here for these views.
         noise_names = parameter_names(calibration, [str(k) for k in range(count if size else 0)])
         own_names = noise_names[len(names) :]
         return cls((*(names[k] for k in used), *own_names), covariance, jacobian, len(used))
@@ -123,19 +125,19 @@ def camera_parameter_count(views: SeenViews) -> int:
 def _view_jacobians(
     calibration: Calibration, command: Command
 ) -> tuple[Float[Array, "views local shared"], Float[Array, "views 6 6"]]:
-    """Return derivatives of camera and twist by the shared parameters, and by the own correction.
+    """Return derivatives of camera and twist by the shared parameters and by the view's correction.
 
-    The twist is that of `camera_from_world`, in the camera frame.
+    It is the twist of `camera_from_world`, in the camera frame.
     """
     error = calibration.robot_error
     prepared = None if error is None else PreparedPoses.at(error.field, command)
     parameters = Parameters(calibration)
     layout, count = parameters.layout, len(command.base_from_tool.wxyz_xyz)
     step = Step(jnp.zeros(layout.size), jnp.zeros((count, 6)))
-    # The chain of Eq. 10 and its derivatives are those of the joint fit.
+    # The chain of Eq. 10 and its derivatives come from the joint fit.
     poses = linearise_poses(parameters, step, command.base_from_tool, prepared)
-    # The target's scale does not act on other objects, which are measured in metres.
-    # In the order of `Parameters`: camera, both transforms, scale, field.
+    # The target's scale does not affect other objects, which are measured in metres. The order is
+    # the one of `Parameters`: camera, both transforms, scale, field.
     chained = layout.size - layout.camera.stop
     scale = layout.target_scale.start - layout.camera.stop
     twist = poses.shared_jacobian.at[:, :, scale].set(0.0)

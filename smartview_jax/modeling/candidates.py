@@ -1,9 +1,8 @@
-"""Rank the features of a view that may be what a pixel of another view shows.
+"""Rank the features of a view that may correspond to a pixel of another view.
 
-A feature is judged by its distance from the epipolar curve, by how alike it looks, by the
-directions of the segments that meet there, and, where a depth is expected, by its position on the
-curve. The four add up to a cost in the manner of a chi-square: each is squared over its own
-variance.
+A feature is judged by its distance from the epipolar curve, by the similarity of its appearance, by
+the directions of the segments that meet there, and, where a depth is expected, by its position on
+the curve. The four add up to a cost like a chi-square: each is squared over its variance.
 """
 
 from typing import NamedTuple
@@ -17,7 +16,7 @@ MAX_DISTANCE = 4.0
 """Largest distance of a candidate from the curve, px, unless stated."""
 
 CURVE_SIGMA = 0.7
-"""Standard deviation of the curve's position, px, from its own pixel and the poses."""
+"""Standard deviation of the curve's position, px, from the clicked pixel and the poses."""
 
 DISSIMILARITY_SIGMA = 0.3
 """Standard deviation of one minus the correlation of patches of the same corner."""
@@ -26,7 +25,7 @@ DIRECTION_SIGMA = float(np.deg2rad(20.0))
 """Standard deviation of the angle between segments of the same corner in two views, rad."""
 
 MAX_DIRECTION_COST = 6.0
-"""Largest cost of directions that differ: some segments are found in one of two views only."""
+"""Largest cost of differing directions: some segments are found in only one of two views."""
 
 
 class Candidates(NamedTuple):
@@ -36,7 +35,7 @@ class Candidates(NamedTuple):
         indices: of the features.
         distance: from the curve, px.
         depth: along the ray of the pixel, at the nearest point of the curve, m.
-        cost: the smaller the more probable; the sum of squares over variances.
+        cost: the sum of squares over variances; smaller is more probable.
     """
 
     indices: Int[np.ndarray, "candidates"]
@@ -55,23 +54,24 @@ def rank_candidates(
     expected_depth: tuple[float, float] | None = None,
     max_distance: float = MAX_DISTANCE,
 ) -> Candidates:
-    """Return the corners near a curve, ranked by all that is known of them.
+    """Return the corners near a curve, ranked by all available cues.
 
     Args:
         curve: from `epipolar_curve`.
         corners: of the view in which the curve lies, px.
         covariances: of the corners, px^2.
-        similarity: correlation of each corner's patch with that of the pixel, -1 to 1.
+        similarity: correlation of each corner's patch with the pixel's patch, -1 to 1.
         turn: angle between the segments at each corner and at the pixel, rad (`direction_turn`);
-            NaN where it is not known.
-        expected_depth: depth and its standard deviation, m, such as that of a neighbour in the
+            NaN where unknown.
+        expected_depth: depth and its standard deviation, m, such as the depth of a neighbour in the
             model.
         max_distance: largest distance of a candidate from the curve, px.
     """
     distance, depth = curve.nearest(corners)
-    # The distance alone decides who is a candidate; the rest only ranks, as it may mislead.
+    # Only the distance decides which corners are candidates; the other cues may mislead, and only
+    # rank.
     index = np.flatnonzero(distance <= max_distance)
-    # The mean of both axes: the curve's direction there changes little about the ranking.
+    # The mean variance of both axes; the curve's direction there hardly changes the ranking.
     variance = np.full(len(corners), CURVE_SIGMA**2)
     if covariances is not None:
         variance = variance + 0.5 * np.trace(covariances, axis1=1, axis2=2)
@@ -89,7 +89,7 @@ def rank_candidates(
 
 
 def turn_cost(turn: Float[np.ndarray, "*corners"]) -> Float[np.ndarray, "*corners"]:
-    """Return the cost of an angle between segments; an unknown angle costs what one sigma does."""
+    """Return the cost of an angle between segments; an unknown angle costs as much as one sigma."""
     cost = np.minimum((turn / DIRECTION_SIGMA) ** 2, MAX_DIRECTION_COST)
     return np.where(np.isfinite(turn), cost, 1.0)
 
@@ -100,18 +100,18 @@ def direction_turn(
     """Return the mean angle between the segments of corners and the nearest ones of others, rad.
 
     Args:
-        first, second: angles of the segments at each corner, rad, in frames that belong together;
-            NaN where there are fewer. Their shapes broadcast.
+        first, second: angles of the segments at each corner, rad, in the same frame, padded with
+            NaN. Their shapes broadcast.
 
     Returns:
-        The mean over the corner that has fewer segments; NaN where one of them has none.
+        The mean over the corner with fewer segments; NaN where either has none.
     """
     gap = first[..., :, None] - second[..., None, :]
     # Angles differ by at most pi; a missing one is infinitely far from all others.
     gap = np.abs((gap + np.pi) % (2.0 * np.pi) - np.pi)
     gap = np.where(np.isfinite(gap), gap, np.inf)
     means = [_finite_mean(gap.min(axis=axis)) for axis in (-1, -2)]
-    # Each segment of the corner that has fewer should be found at the other one.
+    # Each segment of the corner with fewer segments should be found at the other corner.
     fewer = np.isfinite(first).sum(axis=-1) <= np.isfinite(second).sum(axis=-1)
     return np.where(fewer, means[0], means[1])
 

@@ -1,15 +1,16 @@
-"""Solve the linear equations of features that constraints and common unknowns tie together.
+"""Solve the linear equations of features that share constraints and unknowns.
 
-Each feature (a point or a line) has its own small normal matrix; what is common to many (numbers of
-the calibration, planes of constraints, points that too few views see) is the *border*. With exact
-constraints (S = 0) and soft ones (S their covariance) alike, a step solves
+Each feature (a point or a line) has its own small normal matrix; unknowns common to many features
+(numbers of the calibration, planes of constraints, points that too few views see) are the *border*.
+With exact constraints (S = 0) and soft ones (S their covariance) alike, a step solves
 
     [ H    B    A^T ] [ dx ]     [ g  ]
     [ B^T  P    C^T ] [ db ] = - [ gb ]
     [ A    C    -S  ] [ m  ]     [ c  ]
 
-H is block-diagonal and eliminated first; what remains has as many rows as border and constraints,
-whatever the number of features. The multipliers m say how strongly each constraint pulls.
+H is block-diagonal and eliminated first; the remaining system has one row for each border unknown
+and constraint, whatever the number of features. The multipliers m are the forces of the
+constraints.
 """
 
 from typing import NamedTuple
@@ -18,10 +19,10 @@ import numpy as np
 from jaxtyping import Float
 
 EXACT_VARIANCE = 1e-8
-"""The variance of an exact constraint over the variance that the pictures leave its numbers.
+"""Variance of an exact constraint, over the variance that the pictures leave its numbers.
 
-Without any, constraints that follow from one another would make the equations singular; with this
-one an exact constraint holds to a ten-thousandth of the pictures' standard deviation."""
+With zero, redundant constraints would make the equations singular; with this value an exact
+constraint holds to a ten-thousandth of the pictures' standard deviation."""
 
 
 class FeatureBlocks(NamedTuple):
@@ -66,7 +67,7 @@ def _scaled_inverse(
     blocks: Float[np.ndarray, "blocks n n"],
 ) -> Float[np.ndarray, "blocks n n"]:
     """Return the inverses of symmetric blocks, scaled to a unit diagonal for precision."""
-    # A line has metres and radians in one block; its condition is that of the correlations.
+    # A line has metres and radians in one block; scaling leaves only correlations in its condition.
     scale = np.sqrt(np.einsum("kii->ki", blocks))
     outer = scale[:, :, None] * scale[:, None]
     return np.linalg.inv(blocks / outer) / outer
@@ -92,22 +93,22 @@ class ConstrainedSystem(NamedTuple):
     constraint_variance: Float[np.ndarray, "constraints"]
 
     def variance_by_pictures(self, inverse: FeatureBlocks) -> Float[np.ndarray, "constraints"]:
-        """Return the variances of the constraints' numbers by the pictures alone.
+        """Return the variances that the pictures alone leave the constraints' numbers.
 
-        Unknowns that only constraints determine, such as their planes, are taken as known here.
+        Unknowns that only constraints determine, such as their planes, are treated as known here.
 
         Args:
-            inverse: that of `features`.
+            inverse: inverse of `features`.
         """
         A, precision = self.feature_constraints, np.diagonal(self.border)
-        # Each unknown of the border by itself, which is enough for a scale.
+        # Each unknown of the border separately, which is enough for a scale.
         known = np.divide(1.0, precision, out=np.zeros(len(precision)), where=precision > 0.0)
-        own = np.einsum("cr,rc->c", A, inverse.times(A.T))
-        return np.maximum(own + self.border_constraints**2 @ known, np.finfo(float).tiny)
+        spread = np.einsum("cr,rc->c", A, inverse.times(A.T))
+        return np.maximum(spread + self.border_constraints**2 @ known, np.finfo(float).tiny)
 
     def factorised(self, damping: float = 0.0) -> "Factorisation":
         """Return the inverse in parts, with the diagonals of H and P multiplied by 1 + damping."""
-        # dx = -H^-1 (g + B db + A^T m) put into the other two rows leaves
+        # Substituting dx = -H^-1 (g + B db + A^T m) into the other two rows gives
         #     (D - X^T H^-1 X) y = r - X^T H^-1 f,   X = [B A^T],   D = [[P, C^T], [C, -S]].
         inverse = self.features.damped(damping).inverse()
         coupling = np.concatenate([self.feature_border, self.feature_constraints.T], axis=1)
@@ -125,10 +126,10 @@ def _symmetric_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n
     """Return the inverse of a symmetric indefinite matrix, scaled to a unit diagonal."""
     if not len(matrix):
         return matrix
-    # Numbers of a calibration, metres and constraints stand side by side: without scaling the
-    # inverse would lose most digits.
+    # The matrix mixes numbers of a calibration, metres and constraints: without scaling the inverse
+    # would lose most digits.
     scale = np.sqrt(np.abs(np.diagonal(matrix)))
-    # A plane has no information of its own: its scale is that of its constraints.
+    # A plane has no information itself: it is scaled by its constraints.
     largest = np.abs(matrix).max(axis=1, initial=0.0)
     scale = np.where(scale > 0.0, scale, np.sqrt(np.where(largest > 0.0, largest, 1.0)))
     outer = np.outer(scale, scale)
@@ -141,8 +142,8 @@ class Factorisation(NamedTuple):
     Attributes:
         features: H^-1.
         coupling: B and A^T side by side.
-        eliminated: H^-1 times these.
-        reduced: inverse of what remains for border and multipliers.
+        eliminated: H^-1 times the coupling.
+        reduced: inverse of the remaining system for border and multipliers.
         border_size: number of unknowns of the border.
     """
 
@@ -157,36 +158,36 @@ class Factorisation(NamedTuple):
         features: Float[np.ndarray, "rows *columns"],
         reduced: Float[np.ndarray, "reduced *columns"],
     ) -> tuple[Float[np.ndarray, "rows *columns"], Float[np.ndarray, "reduced *columns"]]:
-        """Return the solution for a right-hand side: of the features, then of border and rest."""
+        """Return the solution for a right-hand side, split into features and the reduced rest."""
         rest = self.reduced @ (reduced - self.eliminated.T @ features)
         return self.features.times(features) - self.eliminated @ rest, rest
 
     def covariance(self, rows: np.ndarray) -> Float[np.ndarray, "chosen chosen"]:
         """Return the covariance of some unknowns: rows of features, then of the border."""
-        # Columns of the inverse: one solution for each unknown that is asked for.
+        # Columns of the inverse: one solution for each requested unknown.
         size, count = self.features.size, len(rows)
         is_feature = rows < size
         right = np.zeros((size, count)), np.zeros((len(self.reduced), count))
         for k, row in enumerate(rows):
             right[0 if is_feature[k] else 1][row if is_feature[k] else row - size, k] = 1.0
         features, rest = self.solve(*right)
-        found = np.where(
+        covariance = np.where(
             is_feature[:, None],
             features[np.where(is_feature, rows, 0)],
             rest[np.where(is_feature, 0, rows - size)] if len(rest) else 0.0,
         )
-        # Symmetric but for rounding.
-        return 0.5 * (found + found.T)
+        # Remove the asymmetry due to rounding.
+        return 0.5 * (covariance + covariance.T)
 
     def feature_blocks(self) -> FeatureBlocks:
-        """Return the covariance of each feature by itself."""
+        """Return the covariance of each feature separately."""
         split = 3 * len(self.features.points)
         blocks = []
-        for own, part, n in (
+        for block, part, n in (
             (self.features.points, self.eliminated[:split], 3),
             (self.features.lines, self.eliminated[split:], 4),
         ):
-            spread = part.reshape(len(own), n, len(self.reduced))
+            spread = part.reshape(len(block), n, len(self.reduced))
             # H^-1 + H^-1 X R^-1 X^T H^-1
-            blocks.append(own + (spread @ self.reduced) @ spread.swapaxes(1, 2))
+            blocks.append(block + (spread @ self.reduced) @ spread.swapaxes(1, 2))
         return FeatureBlocks(*blocks)

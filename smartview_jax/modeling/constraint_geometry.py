@@ -1,4 +1,4 @@
-"""Compute what constraints are made of: directions, lengths and heights, with their derivatives.
+"""Compute the quantities in constraints (directions, lengths, heights) with their derivatives.
 
 An *edge* is a pair of vertex indices, or a `LineIndex` for a triangulated line; edges have a
 direction, and pairs of vertices a length.
@@ -15,7 +15,7 @@ from .line_jacobians import Lines, perpendicular_axes
 
 
 class LineIndex(NamedTuple):
-    """The index of a triangulated line, where an edge is expected.
+    """The index of a triangulated line, used in place of an edge.
 
     Attributes:
         line: the index.
@@ -29,7 +29,7 @@ Edge: TypeAlias = tuple[int, int] | LineIndex
 
 
 class Shape(NamedTuple):
-    """The vertices and lines of an object, with the planes that constraints speak of.
+    """The vertices and lines of an object, with the planes of its constraints.
 
     A plane is the set of points x with `normal . (x - centre) = offset`; three numbers move it: two
     turn the normal, one changes the offset.
@@ -55,7 +55,7 @@ class Shape(NamedTuple):
         planes: Float[np.ndarray, "planes 3"],
     ) -> "Shape":
         """Return the shape after steps of all points, lines and planes."""
-        # To first order, then back to unit length: the derivatives are those at a step of zero.
+        # To first order, then normalised: only the derivatives at a zero step matter.
         normals = self.normals + np.einsum(
             "pij,pj->pi", perpendicular_axes(self.normals), planes[:, :2]
         )
@@ -74,7 +74,7 @@ Variable: TypeAlias = tuple[str, int]
 
 
 class Evaluation(NamedTuple):
-    """The numbers that a constraint wants to be zero, with their derivatives.
+    """The numbers that a constraint requires to be zero, with their derivatives.
 
     Attributes:
         values: the numbers, m or rad.
@@ -93,12 +93,12 @@ class DerivativeSum:
 
     def add(self, variable: Variable, jacobian: np.ndarray) -> None:
         """Add a contribution to the derivatives by a variable."""
-        # An edge that two constraints share, or a vertex of both edges, comes up twice.
+        # An edge shared by two constraints, or a vertex of both edges, occurs twice.
         known = self.parts.get(variable)
         self.parts[variable] = jacobian if known is None else known + jacobian
 
     def chain(self, outer: np.ndarray, inner: dict[Variable, np.ndarray]) -> None:
-        """Add the derivatives of a function of something whose derivatives are known."""
+        """Add derivatives by the chain rule: `outer` times the derivatives of an inner function."""
         for variable, jacobian in inner.items():
             self.add(variable, outer @ jacobian)
 
@@ -134,7 +134,7 @@ def height_above_plane(
     """Return the height of a point above a plane and its derivatives."""
     normal = shape.normals[plane]
     offset = shape.points[point] - shape.centres[plane]
-    # h = n . (x - c) - o, and n turns along two axes across itself: dh = n . dx + (x - c) . dn - do
+    # h = n . (x - c) - o, and n turns about two perpendicular axes: dh = n . dx + (x - c) . dn - do
     turn = offset @ perpendicular_axes(normal[None])[0]
     jacobians = {
         ("point", point): normal[None],

@@ -24,10 +24,11 @@ class ConstraintVerdict(NamedTuple):
         constraint: the constraint.
         residuals: its numbers at the solution, m or rad; zero if it holds exactly.
         cost: chi-square that releasing it alone would save.
-        degrees_of_freedom: number of independent numbers that it fixes; zero where the others imply
-            it.
+        degrees_of_freedom: number of independent numbers that it fixes; zero if the other
+            constraints imply it.
         p_value: probability of such a cost if the constraint is true.
-        contradicts: whether it is to be doubted, at the false-alarm probability of the call.
+        contradicts: whether it contradicts the pictures, at the false-alarm probability of the
+            call.
         violated: whether it is exact and does not hold, because others contradict it.
     """
 
@@ -54,22 +55,22 @@ def constraint_verdicts(
     """Return the verdict on every constraint, and the p-value of all of them together."""
     if not problem.constraints:
         return (), 1.0
-    # Everything uncertain is free here, whatever was free before: a calibration that is slightly
-    # off must not be taken for a wrong constraint.
+    # All uncertain numbers are free here, even if they were fixed in the fit: a slightly wrong
+    # calibration must not be mistaken for a wrong constraint.
     at = linearise(problem, state, np.ones(len(problem.free), dtype=bool))
     factors = at.system.factorised()
     _, rest = factors.solve(at.feature_right, at.reduced_right)
     multipliers = rest[factors.border_size :]
     information = -factors.reduced[factors.border_size :, factors.border_size :]
     picture_variance = at.system.variance_by_pictures(factors.features)
-    # Bonferroni: the probabilities of all tests together add up to at most the stated one.
+    # Bonferroni: the probabilities of all tests add up to at most the stated one.
     per_test = false_alarm / len(problem.constraints)
     verdicts = []
     for constraint, rows in zip(problem.constraints, at.rows, strict=True):
         cost, dof = _score(multipliers[rows], information[rows, rows], picture_variance[rows])
         p_value = float(chdtrc(dof, cost)) if dof else 1.0
         values = at.values[rows]
-        # An exact constraint is violated only where another exact one contradicts it.
+        # An exact constraint is violated only if other exact ones contradict it.
         tolerance = VIOLATION * np.sqrt(picture_variance[rows])
         violated = constraint.sigma is None and bool(np.any(np.abs(values) > tolerance))
         verdicts.append(
@@ -85,10 +86,10 @@ def _score(
     picture_variance: Float[np.ndarray, "rows"],
 ) -> tuple[float, int]:
     """Return the chi-square that releasing some rows saves, and its degrees of freedom."""
-    # m^T (Cov m)^-1 m, with the covariance of the multipliers the block of the inverse matrix. In
-    # units of what the pictures leave open, it has eigenvalues of one and more for independent
-    # rows, zero for directions that an unknown plane takes up, and those of exact rows that follow
-    # from others are limited by `EXACT_VARIANCE` alone.
+    # m^T (Cov m)^-1 m; the covariance of the multipliers is a block of the inverse matrix. In units
+    # of the pictures' standard deviations its eigenvalues are one or more for independent rows and
+    # zero for directions that an unknown plane absorbs; for redundant exact rows they are limited
+    # by `EXACT_VARIANCE` alone.
     scale = np.sqrt(picture_variance)
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     used = (values > 1e-6) & (values < 1e-2 / EXACT_VARIANCE)

@@ -1,4 +1,4 @@
-"""State what a person knows of an object: planes, parallels, right angles, lengths, symmetry.
+"""State prior knowledge of an object: planes, parallels, right angles, lengths, symmetry.
 
 A constraint says that some numbers computed from vertices and lines are zero, exactly or within a
 standard deviation.
@@ -28,7 +28,7 @@ from .line_jacobians import perpendicular_axes
 
 @dataclasses.dataclass(frozen=True)
 class AbstractConstraint(abc.ABC):
-    """Something known of an object.
+    """A known property of an object.
 
     Attributes:
         sigma: standard deviation, m or rad as the constraint says; None is exact.
@@ -45,29 +45,29 @@ class AbstractConstraint(abc.ABC):
 
     @property
     def edges(self) -> tuple[Edge, ...]:
-        """The edges that it speaks of."""
+        """The edges in the constraint."""
         return ()
 
     @property
     def vertices(self) -> tuple[int, ...]:
-        """The vertices that it speaks of, those of its edges included."""
+        """The vertices in the constraint, including the ends of its edges."""
         pairs = [edge for edge in self.edges if not isinstance(edge, LineIndex)]
         return tuple(k for pair in pairs for k in pair)
 
     @property
     def lines(self) -> tuple[int, ...]:
-        """The lines that it speaks of."""
+        """The lines in the constraint."""
         return tuple(edge.line for edge in self.edges if isinstance(edge, LineIndex))
 
     def initial_plane(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
-        """Return centre and unit normal of the unknown plane that it has; None if it has none."""
+        """Return centre and unit normal of its unknown plane; None if it has none."""
         return None
 
     @abc.abstractmethod
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
-        """Return the numbers that are zero where it holds exactly, with their derivatives.
+        """Return the numbers that the constraint requires to be zero, with their derivatives.
 
         Args:
             shape: vertices, lines and planes.
@@ -77,7 +77,7 @@ class AbstractConstraint(abc.ABC):
 
 @dataclasses.dataclass(frozen=True)
 class SamePlane(AbstractConstraint):
-    """At least four vertices lie in one plane, which is not known; sigma is a distance, m."""
+    """At least four vertices lie in one unknown plane; sigma is a distance, m."""
 
     points: tuple[int, ...]
 
@@ -102,7 +102,7 @@ class SamePlane(AbstractConstraint):
 
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the heights of the vertices above the plane."""
-        # The plane is an unknown of its own, rather than a determinant of every four vertices: the
+        # The plane is an additional unknown, rather than a determinant of every four vertices: the
         # numbers are then distances, and all vertices count alike.
         values, total = np.zeros(len(self.points)), DerivativeSum()
         for k, point in enumerate(self.points):
@@ -138,7 +138,7 @@ class OnPlane(AbstractConstraint):
     def evaluate(self, shape: Shape, plane: int) -> Evaluation:
         """Return the heights of the vertices above the plane."""
         del plane
-        # The plane is known, so that nothing but the points moves.
+        # The plane is known, so that only the points have derivatives.
         normal, count = np.array(self.normal), len(self.points)
         values = shape.points[list(self.points)] @ normal - self.offset
         total = DerivativeSum()
@@ -149,7 +149,7 @@ class OnPlane(AbstractConstraint):
 
 @dataclasses.dataclass(frozen=True)
 class AbstractEdgePair(AbstractConstraint):
-    """Something known of two edges."""
+    """A known property of two edges."""
 
     first: Edge
     second: Edge
@@ -169,7 +169,7 @@ class Parallel(AbstractEdgePair):
         del plane
         u, du = edge_direction(shape, self.first)
         v, dv = edge_direction(shape, self.second)
-        # The components along two axes across u: of the product, the third is zero.
+        # The components along two axes perpendicular to u; the third is zero.
         across = perpendicular_axes(u[None])[0].T
         # d(u x v) = -[v] du + [u] dv; across u itself the product has no component.
         total = DerivativeSum()
@@ -244,7 +244,7 @@ class KnownLength(AbstractConstraint):
 
 @dataclasses.dataclass(frozen=True)
 class Symmetric(AbstractConstraint):
-    """Pairs of vertices are mirror images in a plane, which is not known; sigma in m.
+    """Pairs of vertices are mirror images in an unknown plane; sigma in m.
 
     A vertex in the plane is paired with itself.
 
@@ -270,7 +270,7 @@ class Symmetric(AbstractConstraint):
         """Return the plane halfway between the vertices of all pairs."""
         pairs = np.array(self.pairs)
         difference = points[pairs[:, 1]] - points[pairs[:, 0]]
-        # The common direction of the differences, whichever way each points.
+        # The common direction of the differences, whatever their signs.
         normal = np.linalg.svd(difference)[2][0]
         return points[pairs].mean(axis=(0, 1)), normal
 
@@ -279,7 +279,8 @@ class Symmetric(AbstractConstraint):
         normal = shape.normals[plane]
         axes = perpendicular_axes(normal[None])[0]
         values: list[np.ndarray] = []
-        # Three numbers for a pair, one for a vertex in the plane; together they also fix the plane.
+        # Three numbers for a pair, one for a vertex in the plane; together they also determine the
+        # plane.
         rows: list[dict[Variable, np.ndarray]] = []
         for i, j in self.pairs:
             height, parts = height_above_plane(shape, plane, i)
@@ -288,13 +289,13 @@ class Symmetric(AbstractConstraint):
                 rows.append(parts)
                 continue
             # x_i - 2 h n - x_j, with h the height of x_i
-            one = DerivativeSum()
-            one.add(("point", i), np.eye(3))
-            one.add(("point", j), -np.eye(3))
-            one.chain(-2.0 * normal[:, None], parts)
-            one.add(("plane", plane), -2.0 * height * np.hstack([axes, np.zeros((3, 1))]))
+            pair_sum = DerivativeSum()
+            pair_sum.add(("point", i), np.eye(3))
+            pair_sum.add(("point", j), -np.eye(3))
+            pair_sum.chain(-2.0 * normal[:, None], parts)
+            pair_sum.add(("plane", plane), -2.0 * height * np.hstack([axes, np.zeros((3, 1))]))
             values.append(shape.points[i] - 2.0 * height * normal - shape.points[j])
-            rows.append(one.parts)
+            rows.append(pair_sum.parts)
         total, start = DerivativeSum(), 0
         count = sum(map(len, values))
         for value, parts in zip(values, rows, strict=True):
@@ -313,7 +314,8 @@ def check_edges(
     """
     for constraint in constraints:
         for edge in constraint.edges:
-            # Nothing is divided by zero later: steps are small against any edge that has a length.
+            # Later steps are small compared with any edge that has a length, so this check is
+            # enough.
             if not isinstance(edge, LineIndex) and np.array_equal(*points[list(edge)]):
                 raise ValueError(f"{constraint}: vertices {edge} start in the same place")
 
@@ -321,7 +323,7 @@ def check_edges(
 def check_constraints(
     constraints: Sequence[AbstractConstraint], point_count: int, line_count: int
 ) -> None:
-    """Raise if a constraint speaks of a vertex or a line that does not exist.
+    """Raise if a constraint names a vertex or a line that does not exist.
 
     Raises:
         ValueError: naming the constraint and the index.

@@ -1,9 +1,9 @@
 """Find clicks and matches that belong to another feature, and name them by view and feature.
 
 A wrong correspondence pulls its point towards itself, so that its own residual is smaller than its
-error and those of the others are larger. So every observation is compared with the point that all
-*others* give. If all is right, the squared difference over its covariance is chi-square; it also
-equals what the chi-square of the whole point would lose without the observation.
+error and the other residuals are larger. So every observation is compared with the point that all
+*other* observations give. If all are right, the squared difference over its covariance is
+chi-square; it also equals the reduction of the point's chi-square without the observation.
 
 Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
 """
@@ -25,10 +25,10 @@ from .triangulation import CLICK_SIGMA, solve_points
 from .view_poses import SeenViews, whitening_of
 
 FALSE_ALARM_PROBABILITY = 0.01
-"""Probability that any observation is named wrong although all are right."""
+"""Probability that any observation is called wrong although all are right."""
 
 RELATIVE_EIGENVALUE_FLOOR = 1e-8
-"""Smallest eigenvalue, over the trace of the whole matrix, that does not count as zero."""
+"""Smallest eigenvalue, over the trace of the whole matrix, that is not treated as zero."""
 
 
 class WrongCorrespondence(NamedTuple):
@@ -37,10 +37,10 @@ class WrongCorrespondence(NamedTuple):
     Attributes:
         view: index of the view.
         feature: index of the feature.
-        distance: distance from where the other views see the feature, px; NaN for two views.
+        distance: distance from the feature as seen by the other views, px; NaN for two views.
         chi_square: squared distance over its covariance.
         p_value: probability of so large a value if the correspondence is right.
-        instead: views any of which may be the wrong one instead: without it, too, the rest agrees.
+        instead: views that may be the wrong one instead: without any of them, too, the rest agrees.
     """
 
     view: int
@@ -53,8 +53,8 @@ class WrongCorrespondence(NamedTuple):
     def __str__(self) -> str:
         away, others = "", ", ".join(map(str, self.instead))
         if np.isfinite(self.distance):
-            away = f", {self.distance:.1f} px from where the others see it"
-        doubt = f"; or it is the one in view {others}" if self.instead else ""
+            away = f", {self.distance:.1f} px from where the other views see it"
+        doubt = f"; or the one in view {others} is" if self.instead else ""
         place = f"feature {self.feature} in view {self.view}"
         return f"{place} is wrong{away} (p = {self.p_value:.1g}){doubt}"
 
@@ -72,9 +72,9 @@ def wrong_correspondences(
 ) -> list[WrongCorrespondence]:
     """Return the observations that contradict the others of their feature, the worst first.
 
-    The worst of each feature is left out, and what remains is checked again, as long as two views
-    remain. The uncertainty of the calibration and of the robot counts: what they explain is not
-    named.
+    The worst observation of each feature is left out and the rest is checked again, as long as two
+    views remain. Deviations explained by the uncertainty of the calibration and the robot are not
+    reported.
 
     Args:
         calibration, poses, pixels, visible, covariance, noise, pixel_sigma: as in
@@ -86,37 +86,40 @@ def wrong_correspondences(
         ValueError: as in `triangulate_points`.
     """
     views = SeenViews.of(calibration, poses)
-    measured, seen = views.checked_points(pixels, visible)
+    measured, visible = views.checked_points(pixels, visible)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
-    whitening = np.broadcast_to(whitening_of(pixel_sigma, seen.shape), (*seen.shape, 2, 2))
-    check = _Check(views, uncertainty, np.where(seen[..., None], measured, 0.0), whitening)
-    per_test = false_alarm / max(int(seen.sum()), 1)
-    left, found = seen.copy(), []
-    # One at a time: a gross error inflates the statistics of all other views of its feature.
-    candidates = np.flatnonzero(left.sum(axis=0) >= 2)
+    whitening = np.broadcast_to(whitening_of(pixel_sigma, visible.shape), (*visible.shape, 2, 2))
+    check = _Check(views, uncertainty, np.where(visible[..., None], measured, 0.0), whitening)
+    per_test = false_alarm / max(int(visible.sum()), 1)
+    remaining, wrong = visible.copy(), []
+    # One at a time: a gross error inflates the statistics of its feature's other views.
+    candidates = np.flatnonzero(remaining.sum(axis=0) >= 2)
     while len(candidates):
-        named = [_worst(one, int(k), per_test) for k, one in check.deletions(left, candidates)]
-        worst = [one for one in named if one is not None]
-        found += worst
-        for one in worst:
-            left[one.view, one.feature] = False
-        # Two views that contradict each other leave nothing to compare with.
+        tests = [
+            _worst(deletions, int(k), per_test)
+            for k, deletions in check.deletions(remaining, candidates)
+        ]
+        worst = [test for test in tests if test is not None]
+        wrong += worst
+        for test in worst:
+            remaining[test.view, test.feature] = False
+        # When two views contradict each other nothing is left to compare with.
         candidates = np.array(
-            [k.feature for k in worst if left[:, k.feature].sum() >= 2], dtype=int
+            [k.feature for k in worst if remaining[:, k.feature].sum() >= 2], dtype=int
         )
-    return sorted(found, key=lambda one: one.p_value)
+    return sorted(wrong, key=lambda w: w.p_value)
 
 
 class _Deletions(NamedTuple):
-    """The statistics of leaving out each view of one feature.
+    """The statistics for leaving out each view of one feature.
 
     Attributes:
         views: the views that see it.
-        chi_square: loss of the feature's chi-square without each.
-        degrees_of_freedom: degrees of freedom of each loss.
-        rest: chi-square of what remains without each.
+        chi_square: reduction of the feature's chi-square without each view.
+        degrees_of_freedom: degrees of freedom of each reduction.
+        rest: remaining chi-square without each view.
         rest_degrees_of_freedom: its degrees of freedom.
-        distance: distance of each from where the others see the feature, px.
+        distance: distance of each observation from the feature as seen by the other views, px.
     """
 
     views: np.ndarray
@@ -136,29 +139,29 @@ class _Check(NamedTuple):
     whitening: Float[np.ndarray, "views points 2 2"]
 
     def deletions(
-        self, seen: Bool[np.ndarray, "views points"], points: np.ndarray
+        self, visible: Bool[np.ndarray, "views points"], points: np.ndarray
     ) -> list[tuple[int, _Deletions]]:
-        """Return the statistics of some points; each view's are taken at the point of the others.
+        """Return the statistics of points, each view's at the point that the other views give.
 
         Exact to first order about the point without the view, and so for gross errors too.
         """
-        # One row for every observation to leave out; with two views, for the pair as it is.
-        cases = [(k, v) for k in points for v in np.flatnonzero(seen[:, k])]
+        # One row for every observation to leave out; with only two views, none is left out.
+        cases = [(k, v) for k in points for v in np.flatnonzero(visible[:, k])]
         index = np.array([k for k, _ in cases])
-        mask = seen[:, index].copy()
+        mask = visible[:, index].copy()
         for column, (k, v) in enumerate(cases):
-            mask[v, column] = seen[:, k].sum() <= 2
-        found, _, _, status = solve_points(
+            mask[v, column] = visible[:, k].sum() <= 2
+        estimated, _, _, status = solve_points(
             self.views, self.pixels[:, index], self.whitening[:, index], mask
         )
         ok = status == PointStatus.OK
-        # Where the others do not determine the point there is nothing to compare with.
-        middle = np.zeros(3) if not ok.any() else found[ok].mean(axis=0)
-        jacobians = pixel_jacobians(self.views, np.where(ok[:, None], found, middle))
+        # Where the other views do not determine the point there is nothing to compare with.
+        middle = np.zeros(3) if not ok.any() else estimated[ok].mean(axis=0)
+        jacobians = pixel_jacobians(self.views, np.where(ok[:, None], estimated, middle))
         sensitivity = np.einsum("vpul,vln->vpun", jacobians.by_view, self.uncertainty.view_jacobian)
         results: dict[int, list] = {int(k): [] for k in points}
         for column, (k, v) in enumerate(cases):
-            views = np.flatnonzero(seen[:, k])
+            views = np.flatnonzero(visible[:, k])
             residual = (self.pixels[:, k] - jacobians.pixels[:, column])[views]
             usable = ok[column] and bool(jacobians.valid[views, column].all())
             entry = (v, np.nan, 0, np.nan, 0, np.nan)
@@ -178,15 +181,15 @@ class _Check(NamedTuple):
         self,
         views: np.ndarray,
         place: int,
-        residual: Float[np.ndarray, "seen 2"],
-        by_point: Float[np.ndarray, "seen 2 3"],
-        by_number: Float[np.ndarray, "seen 2 numbers"],
-        whitening: Float[np.ndarray, "seen 2 2"],
+        residual: Float[np.ndarray, "visible 2"],
+        by_point: Float[np.ndarray, "visible 2 3"],
+        by_number: Float[np.ndarray, "visible 2 numbers"],
+        whitening: Float[np.ndarray, "visible 2 2"],
     ) -> tuple[float, int, float, int, float]:
         """Return the statistics of leaving out one view of a feature."""
         # r = J dx + A t + e with covariance R = C + A S A^T. With
         #     Q = R^-1 - R^-1 J (J^T R^-1 J)^-1 J^T R^-1
-        # the chi-square is r^T Q r, and without the rows i it is less by (Q r)_i^T Q_ii^-1 (Q r)_i.
+        # the chi-square is r^T Q r; without the rows i it falls by (Q r)_i^T Q_ii^-1 (Q r)_i.
         count = 2 * len(views)
         L = np.zeros((count, count))
         for k in range(len(views)):
@@ -209,27 +212,29 @@ class _Check(NamedTuple):
         return chi_square, degrees_of_freedom, rest, count - 3 - degrees_of_freedom, distance
 
 
-def _worst(one: _Deletions, feature: int, per_test: float) -> WrongCorrespondence | None:
+def _worst(deletions: _Deletions, feature: int, per_test: float) -> WrongCorrespondence | None:
     """Return the worst observation of a feature, if chance does not explain it."""
-    p_values = np.ones(len(one.views))
-    known = np.isfinite(one.chi_square) & (one.degrees_of_freedom > 0)
-    p_values[known] = chdtrc(one.degrees_of_freedom[known], one.chi_square[known])
+    p_values = np.ones(len(deletions.views))
+    known = np.isfinite(deletions.chi_square) & (deletions.degrees_of_freedom > 0)
+    p_values[known] = chdtrc(deletions.degrees_of_freedom[known], deletions.chi_square[known])
     if not p_values.min() < per_test:
         return None
-    # The one whose absence leaves the least contradiction; ties of two views go to the first.
-    # With the worst one gone the others must agree; where another's absence does as well, both
-    # stay suspects.
-    rest_p = np.ones(len(one.views))
-    redundant = known & (one.rest_degrees_of_freedom > 0)
-    rest_p[redundant] = chdtrc(one.rest_degrees_of_freedom[redundant], one.rest[redundant])
-    order = np.where(known & (p_values < per_test), one.rest, np.inf)
+    # The observation whose removal leaves the smallest chi-square; ties of two views go to the
+    # first. Without it the others must agree; if the removal of another one does as well, both are
+    # suspects.
+    rest_p = np.ones(len(deletions.views))
+    redundant = known & (deletions.rest_degrees_of_freedom > 0)
+    rest_p[redundant] = chdtrc(
+        deletions.rest_degrees_of_freedom[redundant], deletions.rest[redundant]
+    )
+    order = np.where(known & (p_values < per_test), deletions.rest, np.inf)
     best = int(np.argmin(order))
-    agrees = known & (rest_p >= per_test) & (np.arange(len(one.views)) != best)
+    agrees = known & (rest_p >= per_test) & (np.arange(len(deletions.views)) != best)
     return WrongCorrespondence(
-        int(one.views[best]),
+        int(deletions.views[best]),
         feature,
-        float(one.distance[best]),
-        float(one.chi_square[best]),
+        float(deletions.distance[best]),
+        float(deletions.chi_square[best]),
         float(p_values[best]),
-        tuple(int(v) for v in one.views[agrees]),
+        tuple(int(v) for v in deletions.views[agrees]),
     )

@@ -1,7 +1,7 @@
 """Measure lengths and angles of an object with their standard deviations.
 
-Errors that all vertices have in common, as those of the calibration nearly are, cancel in a length.
-So standard deviations come from the covariance of the vertices together, not from their own.
+Errors common to all vertices, such as most of the calibration's error, cancel in a length. So
+standard deviations come from the joint covariance of the vertices.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 @runtime_checkable
 class MeasuredPoints(Protocol):
-    """Points with a covariance of any of them together, such as triangulated or refined ones."""
+    """Points with a joint covariance of any of them, such as triangulated or refined ones."""
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]: ...
@@ -39,7 +39,7 @@ def dimension(features: MeasuredPoints, first: int, second: int) -> Dimension:
     """Return the distance between two vertices, m, with its standard deviation.
 
     Raises:
-        ValueError: a vertex that was not determined, twice the same, or the same place.
+        ValueError: a vertex that was not determined, equal vertices, or equal places.
     """
     a, b = _determined(features, (first, second))
     length = float(np.linalg.norm(b - a))
@@ -63,7 +63,7 @@ def angle(features: MeasuredPoints, first: int, corner: int, second: int) -> Dim
     sine = float(np.linalg.norm(normal))
     if not sine > 0.0:
         raise ValueError(f"vertices {first}, {corner} and {second} are on one line")
-    # Each arm turns the angle by its displacement across it, in the plane, over its length.
+    # Each arm turns the angle by its displacement across the arm, in the plane, over its length.
     by_a = np.cross(u, normal / sine) / (u @ u)
     by_b = -np.cross(v, normal / sine) / (v @ v)
     gradient = np.concatenate([by_a, -by_a - by_b, by_b])
@@ -90,5 +90,5 @@ def _std(
 ) -> float:
     """Return the standard deviation of a number with a gradient by some points."""
     variance = gradient @ features.joint_covariance(indices) @ gradient
-    # An exact constraint leaves rounding error, of either sign.
+    # An exact constraint leaves a variance of rounding errors, of either sign.
     return float(np.sqrt(max(variance, 0.0)))

@@ -1,8 +1,8 @@
-"""Draw the curve on which a pixel of one view is seen in another, through the real lens.
+"""Draw the curve on which a pixel of one view appears in another, with the real lens.
 
-A pixel is a ray in space. Where the lens distorts, the picture of that ray in another view is a
-curve, and a straight line only where the lens has none. Every point of the curve stands for a depth
-along the ray, so that a curve also tells the depths that are compatible with a pixel near it.
+A pixel is a ray in space. With distortion the picture of the ray in another view is a curve;
+without, a straight line. Every point of the curve has a depth along the ray, so that a curve also
+gives the depths that are compatible with a pixel near it.
 """
 
 from collections.abc import Sequence
@@ -21,18 +21,18 @@ from ..runtime.padding import repeat_last
 from .view_poses import SeenViews, single_pose
 
 SAMPLES = 128
-"""Points of a curve. In a picture of 4000 px they are 30 px apart, so that a curve whose radius of
-curvature is that of the picture is drawn to 0.03 px."""
+"""Number of points of a curve. In a picture of 4000 px they are 30 px apart, so that a curve with
+the picture's size as its radius is drawn to 0.03 px."""
 
 REFINEMENTS = 3
-"""The number of times that samples are placed anew, to lie evenly within the picture."""
+"""Number of times that the samples are placed again, to spread evenly within the picture."""
 
 
 class EpipolarCurve(NamedTuple):
     """The picture of a ray in another view, as a polyline cut at the picture's border.
 
-    It has several pieces where it leaves the picture and comes back, and none where the view does
-    not see the ray.
+    It has several pieces where it leaves the picture and returns, and none where the view does not
+    see the ray.
 
     Attributes:
         pixels: points of the polyline, px.
@@ -64,13 +64,13 @@ class EpipolarCurve(NamedTuple):
 
         The distance is infinite and the depth NaN where the curve is empty.
         """
-        given = np.asarray(pixels, dtype=float)
+        pixels = np.asarray(pixels, dtype=float)
         starts, ends, inverse_start, inverse_end = self._segments()
         if not len(starts):
-            return np.full(given.shape[:-1], np.inf), np.full(given.shape[:-1], np.nan)
-        # The foot on each segment: t = (p - a).(b - a) / |b - a|^2, kept within it.
+            return np.full(pixels.shape[:-1], np.inf), np.full(pixels.shape[:-1], np.nan)
+        # The foot on each segment: t = (p - a).(b - a) / |b - a|^2, clipped to the segment.
         along = ends - starts
-        offset = given[..., None, :] - starts
+        offset = pixels[..., None, :] - starts
         length = np.maximum(np.sum(along**2, axis=-1), 1e-30)
         t = np.clip(np.sum(offset * along, axis=-1) / length, 0.0, 1.0)
         distance = np.linalg.norm(offset - t[..., None] * along, axis=-1)
@@ -86,7 +86,7 @@ class EpipolarCurve(NamedTuple):
     ) -> tuple[float, float] | None:
         """Return the smallest and largest depth whose point is within a radius of a pixel.
 
-        None means that the curve does not come so near.
+        None if the curve does not come so near.
 
         Args:
             pixel: in the second view, px.
@@ -130,7 +130,7 @@ def epipolar_curve(
 
     Args:
         calibration: the calibrated camera.
-        pose_a, pose_b: what the robot reported, one `base_from_tool` or one `Command` each.
+        pose_a, pose_b: poses that the robot reported, one `base_from_tool` or `Command` each.
         pixel: in view a, px.
         depths: smallest and largest distance from the camera along the ray, m; the largest may be
             infinite.
@@ -162,11 +162,11 @@ def epipolar_curves(
     limits = _inverse_depths(origin, direction, depths, box)
     views = len(others.camera_from_world)
     if limits is None:
-        # A ray past the workspace is an answer, not an error: nothing is drawn.
+        # A ray that misses the workspace is no error: its curve is empty.
         empty = np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int)
         return [EpipolarCurve(*empty, origin, direction)] * views
     size = calibration.camera.image_size
-    # Inverse depths, because a picture changes with them about evenly, and infinity is zero.
+    # Pictures change about evenly with inverse depth, and infinity is zero.
     inverse = np.tile(np.linspace(*limits, SAMPLES), (views, 1))
     for _ in range(REFINEMENTS):
         pixels, valid = _project(others, origin, direction, inverse)
@@ -184,10 +184,10 @@ def _ray(
     view: SeenViews, pixel: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the camera's centre and the unit ray of a pixel in the world."""
-    # The ray in the world is R^T times that in the camera.
+    # The ray in the world is R^T times the ray in the camera.
     ray, valid = map(np.asarray, _unproject(view.camera, to_device(pixel)))
     if not valid:
-        raise ValueError(f"pixel: {pixel.tolist()} px is outside of what the lens model can invert")
+        raise ValueError(f"pixel: {pixel.tolist()} px is outside the range of the lens model")
     return view.centres[0], view.camera_from_world[0, :3, :3].T @ ray
 
 
@@ -216,16 +216,16 @@ def _inverse_depths(
     corners = np.asarray(box, dtype=float)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
         raise ValueError(f"box: expected two corners (2, 3), finite, m; found {corners.tolist()}")
-    # The ray is between each pair of faces for depths from the nearer to the farther of
-    # (corner - origin) / direction; in the box where it is between all three.
+    # For each pair of faces, the ray is between them at depths between the two values of (corner -
+    # origin) / direction; it is in the box where it is between all three pairs.
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = np.sort((corners - origin) / direction, axis=0)
-    # 0 / 0 is a ray within a face's plane, which limits nothing.
+    # 0 / 0 is a ray within a face's plane, which sets no limit.
     near = float(np.max(np.nan_to_num(crossings[0], nan=-np.inf)))
     far = float(np.min(np.nan_to_num(crossings[1], nan=np.inf)))
     if far <= max(near, 0.0):
         return None
-    # The ray starts at the camera: within the box it begins at a thousandth of its end.
+    # A ray that starts within the box begins at a thousandth of its end.
     return 1.0 / max(near, 1e-3 * far), 1.0 / far
 
 
@@ -235,7 +235,7 @@ def _project(
     direction: Float[np.ndarray, "3"],
     inverse: Float[np.ndarray, "views samples"],
 ) -> tuple[Float[np.ndarray, "views samples 2"], Bool[np.ndarray, "views samples"]]:
-    """Return the pixels of the ray's points at inverse depths, each view's own."""
+    """Return the pixels of the ray's points at each view's inverse depths."""
     # Padded views repeat the last one, with its depths.
     padded = repeat_last(inverse, len(views.padded))
     ray = np.stack([origin, direction])
@@ -252,7 +252,7 @@ def _project_ray(
     ray: Float[Array, "2 3"],
     inverse: Float[Array, "views samples"],
 ) -> tuple[Float[Array, "views samples 2"], Bool[Array, "views samples"]]:
-    """Return pixels of points of a ray; those behind a camera or outside its lens are not valid."""
+    """Return pixels of points of a ray; behind a camera or outside its lens they are not valid."""
     # The direction of o + d / s from the camera is s (R o + t) + R d for s > 0: finite at s = 0,
     # the point at infinity.
     rotation, translation = camera_from_world[:, :3, :3], camera_from_world[:, :3, 3]
@@ -266,7 +266,7 @@ def _clip(
     valid: Bool[np.ndarray, "samples"],
     size: tuple[int, int],
 ) -> tuple[Float[np.ndarray, "segments"], Float[np.ndarray, "segments"]]:
-    """Return where each segment of a polyline enters and leaves the picture, in parts of it.
+    """Return where each segment of a polyline enters and leaves the picture, as fractions of it.
 
     A segment that does not cross the picture leaves it before it enters.
 
@@ -303,11 +303,11 @@ def _evenly_within(
     visible_length = length * (leave - enter)[crossing]
     change = np.diff(inverse)[crossing]
     start, step = inverse[:-1][crossing] + enter[crossing] * change, (leave - enter)[crossing]
-    # Each segment gets samples in proportion to its length; both ends of each stay.
+    # Each segment gets samples in proportion to its length; both ends are kept.
     ends = np.concatenate([[0.0], np.cumsum(np.maximum(visible_length, 1e-12))])
-    wanted = np.linspace(0.0, ends[-1], len(inverse))
-    k = np.clip(np.searchsorted(ends, wanted, side="right") - 1, 0, len(length) - 1)
-    part = (wanted - ends[k]) / (ends[k + 1] - ends[k])
+    targets = np.linspace(0.0, ends[-1], len(inverse))
+    k = np.clip(np.searchsorted(ends, targets, side="right") - 1, 0, len(length) - 1)
+    part = (targets - ends[k]) / (ends[k + 1] - ends[k])
     return start[k] + np.clip(part, 0.0, 1.0) * (step * change)[k]
 
 
@@ -320,19 +320,19 @@ def _cut(
     """Return pixels, depths and piece numbers of the polyline within the picture."""
     enter, leave = _clip(pixels, valid, size)
     crossing = np.flatnonzero(leave > enter)
-    found: list[tuple[np.ndarray, float, int]] = []
+    cut: list[tuple[np.ndarray, float, int]] = []
     piece, last = -1, None
-    # A segment continues the last piece if that ended, uncut, where this one begins.
+    # A segment continues the last piece if that one ended, uncut, where this one begins.
     for k in crossing:
         along, change = pixels[k + 1] - pixels[k], inverse[k + 1] - inverse[k]
         continues = last == k - 1 and enter[k] == 0.0 and leave[k - 1] == 1.0
         if not continues:
             piece += 1
-            found.append((pixels[k] + enter[k] * along, inverse[k] + enter[k] * change, piece))
-        found.append((pixels[k] + leave[k] * along, inverse[k] + leave[k] * change, piece))
+            cut.append((pixels[k] + enter[k] * along, inverse[k] + enter[k] * change, piece))
+        cut.append((pixels[k] + leave[k] * along, inverse[k] + leave[k] * change, piece))
         last = k
-    if not found:
+    if not cut:
         return np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int)
-    points, inverses, numbers = zip(*found, strict=True)
+    points, inverses, numbers = zip(*cut, strict=True)
     with np.errstate(divide="ignore"):
         return np.array(points), 1.0 / np.array(inverses), np.array(numbers)

@@ -1,4 +1,4 @@
-"""Define what all estimates of features from pictures have: status, residuals, errors by cause."""
+"""Define the common part of all features estimated from pictures: status, residuals, errors."""
 
 import abc
 import dataclasses
@@ -14,19 +14,19 @@ from .point_status import PointStatus, failure_messages
 class EstimatedFeatures(abc.ABC):
     """Points or lines, each of n numbers, that were estimated from pictures.
 
-    A feature's errors have two causes: the pictures, which err in each feature, and the
-    calibration, whose errors all features have in common.
+    A feature's errors have two causes: the pictures, with separate errors for each feature, and the
+    calibration, whose errors are common to all features.
 
     Attributes:
         picture_covariance: covariance of each feature's numbers due to the pictures; m^2 for
             points, and m and rad for lines (see `Lines`).
         calibration_jacobian: derivatives of each feature's numbers by the uncertain numbers of the
-            calibration and of the views' poses; there are none without a covariance of these.
+            calibration and of the views' poses; empty without a covariance of the calibration.
         calibration_covariance: covariance of the uncertain numbers, in their own units.
         calibration_names: names of the uncertain numbers.
-        residuals: px, NaN where not visible: of points measured minus predicted pixels; of lines
-            the distances of both ends of each segment from the line's picture.
-        status: a `PointStatus` for each feature; one that failed is NaN.
+        residuals: px, NaN where not visible: for points, measured minus predicted pixels; for
+            lines, the distances of both ends of each segment from the line's picture.
+        status: a `PointStatus` for each feature; failed features are NaN.
     """
 
     picture_covariance: Float[np.ndarray, "features n n"]
@@ -48,7 +48,7 @@ class EstimatedFeatures(abc.ABC):
 
     def covariance(self) -> Float[np.ndarray, "features n n"]:
         """Return the covariance of each feature's numbers due to pictures and calibration."""
-        # Independent causes: their covariances add.
+        # Independent causes: their covariances add up.
         J = self.calibration_jacobian
         return self.picture_covariance + J @ self.calibration_covariance @ J.swapaxes(1, 2)
 
@@ -72,8 +72,8 @@ class EstimatedPoints(EstimatedFeatures):
         """
         chosen = np.arange(len(self.points)) if points is None else np.asarray(points, dtype=int)
         J = self.calibration_jacobian[chosen].reshape(3 * len(chosen), len(self.calibration_names))
-        own = self.joint_picture_covariance(chosen.tolist())
-        return own + J @ self.calibration_covariance @ J.T
+        from_pictures = self.joint_picture_covariance(chosen.tolist())
+        return from_pictures + J @ self.calibration_covariance @ J.T
 
     @abc.abstractmethod
     def joint_picture_covariance(

@@ -1,8 +1,8 @@
-"""Describe the flat faces of an object model, and say what is wrong with one that cannot be.
+"""Describe the flat faces of an object model, and say what is wrong with an invalid one.
 
 A face is a loop of vertices that runs counter-clockwise as seen from outside the object, so that
-its normal points outward by the right-hand rule; each hole is a further loop, which runs the other
-way round. All functions are NumPy, because a model has few faces.
+its normal points outward by the right-hand rule; each hole is a further loop, in the opposite
+direction. All functions are NumPy, because a model has few faces.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ PLANAR_TOLERANCE = 0.01
 """Largest distance of a vertex from the plane of its face, relative to the face's extent."""
 
 MIN_RELATIVE_AREA = 1e-6
-"""Smallest area of a face over its squared extent; below it the face is only a line."""
+"""Smallest area of a face over its squared extent; a smaller face is only a line."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Face:
         loop: indices of the vertices around it, counter-clockwise as seen from outside.
         holes: a loop for each hole, clockwise as seen from outside.
         name: for people; may be empty.
-        graspable: whether a finger may touch it; None if nobody has said so yet.
+        graspable: whether a finger may touch it; None if unknown.
     """
 
     loop: tuple[int, ...]
@@ -93,13 +93,13 @@ class FacePlane(NamedTuple):
 
 def area_vector(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
     """Return the normal of a closed polygon with the polygon's area as its length (Newell)."""
-    # a = 1/2 sum_i (p_i - m) x (p_{i+1} - m); the mean m changes nothing but the rounding.
+    # a = 1/2 sum_i (p_i - m) x (p_{i+1} - m); subtracting the mean m only reduces rounding errors.
     centred = points - points.mean(axis=0)
     return 0.5 * np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
 
 
 def face_plane(vertices: Float[np.ndarray, "V 3"], face: Face) -> FacePlane:
-    """Return the plane of a face, its normal to the side from which the loop is seen.
+    """Return the plane of a face, with its normal to the side from which it is visible.
 
     Raises:
         ValueError: the loop crosses itself or encloses no area, so that it has no normal.
@@ -113,13 +113,12 @@ def face_plane(vertices: Float[np.ndarray, "V 3"], face: Face) -> FacePlane:
             raise ValueError("it crosses itself, so that its two halves cancel")
         raise ValueError("its vertices are on one line or in one point, so it has no area")
     normal = vector / area
-    # The frame's x is along the longest edge: a person sees where it points.
+    # The frame's x is along the longest edge, where a person recognises it.
     sides = np.roll(outer, -1, axis=0) - outer
     longest = sides[np.argmax(np.linalg.norm(sides, axis=1))]
     x = longest - normal * (normal @ longest)
     x /= np.linalg.norm(x)
     origin = outer.mean(axis=0)
-    # A hole takes away what it encloses.
     holes = sum(float(np.linalg.norm(area_vector(vertices[list(hole)]))) for hole in face.holes)
     distances = (vertices[face.indices] - origin) @ normal
     return FacePlane(origin, np.stack([x, np.cross(normal, x), normal]), area - holes, distances)
@@ -156,7 +155,6 @@ def check_face(
     for loop in face.loops:
         _check_loop(loop, len(vertices))
     plane = face_plane(vertices, face)
-    # A large face may bend by more millimetres than a small one.
     extent = float(np.ptp(vertices[list(face.loop)], axis=0).max())
     allowed = np.full(len(face.indices), planar_tolerance * extent)
     if vertex_sigma is not None:
@@ -173,7 +171,7 @@ def check_face(
 
 
 def _check_loop(loop: tuple[int, ...], vertex_count: int) -> None:
-    """Raise an error for a loop that is too short, leads to nowhere or meets a vertex twice."""
+    """Raise an error for a loop that is too short, has missing vertices or repeats one."""
     if len(loop) < 3:
         raise ValueError(f"a loop of {len(loop)} vertices {list(loop)}; expected at least 3")
     missing = [index for index in loop if not 0 <= index < vertex_count]
@@ -181,7 +179,7 @@ def _check_loop(loop: tuple[int, ...], vertex_count: int) -> None:
         raise ValueError(
             f"vertex {missing[0]} does not exist: the model has {vertex_count} vertices, from 0"
         )
-    # A vertex that is met twice would make two faces that touch in a point.
+    # A repeated vertex would make two faces that touch in a point.
     index, count = Counter(loop).most_common(1)[0]
     if count > 1:
         raise ValueError(f"it meets vertex {index} {count} times")
@@ -195,10 +193,10 @@ def _check_crossings(plane: FacePlane, vertices: Float[np.ndarray, "V 3"], face:
     crossing = _segments_cross(starts, ends)
     # Sides that share a vertex touch there and cannot cross anywhere else.
     shared = (pairs[:, None, :, None] == pairs[None, :, None, :]).any(axis=(2, 3))
-    found = np.argwhere(crossing & ~shared)
-    if len(found):
-        one, other = (tuple(int(index) for index in pairs[k]) for k in found[0])
-        raise ValueError(f"it crosses itself: side {one} crosses side {other}")
+    crossings = np.argwhere(crossing & ~shared)
+    if len(crossings):
+        side, other_side = (tuple(int(index) for index in pairs[k]) for k in crossings[0])
+        raise ValueError(f"it crosses itself: side {side} crosses side {other_side}")
     outer = plane.coordinates(vertices[list(face.loop)])
     for hole in face.holes:
         inside = points_in_loops(plane.coordinates(vertices[list(hole)]), [outer])
@@ -243,11 +241,11 @@ def points_in_loops(
 
 
 def open_edges(faces: Sequence[Face]) -> list[tuple[int, int]]:
-    """Return the edges at which the surface is open: those without a face on either side.
+    """Return the edges at which the surface is open, with no face on one of their sides.
 
     In a closed and consistently oriented surface every edge is used twice, once in each direction.
     """
-    # Directed, so that two neighbours of opposite orientation are an open edge as well.
+    # Directed, so that an edge between faces of opposite orientation is open as well.
     uses = Counter(pair for face in faces for pair in face.directed_edges)
     return sorted(
         {
@@ -261,7 +259,7 @@ def open_edges(faces: Sequence[Face]) -> list[tuple[int, int]]:
 def signed_volume(vertices: Float[np.ndarray, "V 3"], faces: Sequence[Face]) -> float:
     """Return the volume inside a closed surface, m^3; negative if its normals point inward."""
     # By the divergence theorem 3 V = sum over faces of (point on the face) . (area vector).
-    # About the mean, or the difference of large products would lose digits.
+    # About the mean, since the difference of large products would lose digits.
     centred = vertices - vertices.mean(axis=0)
     return sum(
         float(centred[loop[0]] @ area_vector(centred[list(loop)])) / 3.0
@@ -274,7 +272,7 @@ def oriented_outward(vertices: Float[np.ndarray, "V 3"], faces: Sequence[Face]) 
     """Return the faces with all normals outward, turned over where necessary.
 
     Faces that share an edge are made consistent with one another; each closed part is then turned
-    so that it encloses a positive volume. A part that is open keeps the side of its first face.
+    so that it encloses a positive volume. An open part keeps the side of its first face.
     """
     result = [with_oriented_holes(vertices, face) for face in faces]
     for part in _connected_parts(result):
@@ -287,7 +285,7 @@ def oriented_outward(vertices: Float[np.ndarray, "V 3"], faces: Sequence[Face]) 
 
 
 def _connected_parts(faces: list[Face]) -> list[list[int]]:
-    """Return groups of faces connected by edges, after turning each to fit its neighbours."""
+    """Return groups of faces connected by edges, after orienting each like its neighbours."""
     users: dict[frozenset[int], list[int]] = {}
     for k, face in enumerate(faces):
         for pair in face.directed_edges:

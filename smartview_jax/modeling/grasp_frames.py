@@ -31,8 +31,8 @@ class Grasp:
         object_from_tool: pose of the tool in the object's frame, 4x4, m.
         opening: distance between the fingers before they close, m.
         depth: of the fingertips below the face, m.
-        tolerance: largest error of position along the opening direction with which the object is
-            still between the fingers, m.
+        tolerance: largest position error along the opening direction with which the object is still
+            between the fingers, m.
     """
 
     name: str
@@ -106,10 +106,10 @@ def grasp_on_face(
     # At the fingertips' depth, which is where they close.
     width = width_between_fingers(model, object_from_tool)
     if opening is None:
-        # Where the model is open its width is not known; the face's own extent stands for it.
+        # Where the model is open its width is unknown, and the face's own extent is used.
         corners = model.vertices[model.faces[face].indices]
         opening = 1.2 * (float(np.ptp(corners @ frame[:, 0])) if width is None else width)
-    # Half of the room is on either side of the object.
+    # Half of the clearance is on either side of the object.
     room = opening - (0.0 if width is None else width)
     if not (opening > 0.0 and room > 0.0 and depth >= 0.0):
         raise ValueError(
@@ -123,11 +123,11 @@ def _tool_axes(
     normal: Float[np.ndarray, "3"], opening_direction: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3 3"]:
     """Return the tool's axes as columns: x in the face along the opening, z inward."""
-    # Only the part of the direction within the face counts.
-    wanted = np.asarray(opening_direction, dtype=float)
-    x = wanted - normal * (normal @ wanted)
+    # Only the component of the direction in the face counts.
+    direction = np.asarray(opening_direction, dtype=float)
+    x = direction - normal * (normal @ direction)
     length = float(np.linalg.norm(x))
-    if not length > 1e-6 * float(np.linalg.norm(wanted)):
+    if not length > 1e-6 * float(np.linalg.norm(direction)):
         raise ValueError("the opening direction is along the normal of the face, or zero")
     return np.column_stack([x / length, np.cross(-normal, x / length), -normal])
 
@@ -144,10 +144,10 @@ def turned(grasp: Grasp, angle: float) -> Grasp:
 def width_between_fingers(
     model: "ObjectModel", object_from_tool: Float[np.ndarray, "4 4"]
 ) -> float | None:
-    """Return how wide the object is along the opening direction of a tool pose, m.
+    """Return the width of the object along the opening direction of a tool pose, m.
 
-    It is the sum of the distances from the tool's origin to the surface on both sides, at their
-    outermost; None where the model has no face on one of the sides.
+    It is the distance between the outermost surface points on both sides of the tool's origin;
+    None where the model has no face on one of the sides.
     """
     width = float(widths_between_fingers(model, object_from_tool[None])[0])
     return None if np.isnan(width) else width
@@ -156,9 +156,9 @@ def width_between_fingers(
 def widths_between_fingers(
     model: "ObjectModel", object_from_tool: Float[np.ndarray, "poses 4 4"]
 ) -> Float[np.ndarray, "poses"]:
-    """Return `width_between_fingers` of many tool poses, NaN where there is none."""
+    """Return `width_between_fingers` for many tool poses; NaN where there is none."""
     origins, directions = object_from_tool[:, :3, 3], object_from_tool[:, :3, 0]
-    # The outermost hits on both sides: fingers close from outside, over hollows.
+    # The outermost hits on both sides, since fingers close from outside, over hollows.
     scale = _ON_SURFACE * model.extent
     ahead, behind = np.full(len(origins), -np.inf), np.full(len(origins), np.inf)
     for face in model.faces:

@@ -1,9 +1,9 @@
-"""Measure how far segments are from the pictures of straight lines in space, and differentiate it.
+"""Measure distances of segments from the pictures of lines in space, with their derivatives.
 
-A straight line is straight in a picture only where the lens does not distort. So the distance is
-measured on rays: a camera's centre and a line span a plane, and the ray of a pixel on the picture
-of the line lies in it. The angle between ray and plane, over the angle that one pixel makes across
-the plane, is the distance of the pixel from the line's picture to first order (Sampson distance).
+A straight line is straight in a picture only without distortion. So the distance is measured on
+rays: a camera's centre and a line span a plane, and the ray of a pixel on the picture of the line
+lies in it. The angle between ray and plane, over the angle that one pixel makes across the plane,
+is the distance of the pixel from the line's picture to first order (Sampson distance).
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ class Lines(NamedTuple):
     """Straight lines in space, each by a point on it and its unit direction.
 
     Four numbers move a line: two shift the point and two turn the direction, along the two axes of
-    `perpendicular`. The point stays the same under the other movements, which do not move the line.
+    `perpendicular`. The other movements of the point and direction do not move the line.
 
     Attributes:
         points: a point on each line, m.
@@ -55,7 +55,7 @@ def perpendicular_axes(
     directions: Float[np.ndarray, "vectors 3"],
 ) -> Float[np.ndarray, "vectors 3 2"]:
     """Return two unit vectors perpendicular to each unit vector, and to each other."""
-    # The coordinate axis that is farthest from the direction gives a well-conditioned product.
+    # The coordinate axis farthest from the direction gives a well-conditioned product.
     farthest = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
     first = np.cross(directions, farthest)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -65,7 +65,7 @@ def perpendicular_axes(
 class LineJacobians(NamedTuple):
     """The distances of segments' ends from the pictures of lines, with their derivatives.
 
-    All is zero where a segment is not seen.
+    All values are zero where a segment is not visible.
 
     Attributes:
         distances: signed distance of both ends from the line's picture, px.
@@ -97,23 +97,23 @@ def line_jacobians(
         segments: both ends of each line's segment in each view, px.
         covariances: covariance of each end, px^2.
         visible: where a line has a segment.
-        camera_from_world: poses instead of those of `views`, such as corrected ones.
+        camera_from_world: poses to use in place of the ones of `views`, such as corrected ones.
     """
     view_count, count = visible.shape
     poses = views.padded
     if camera_from_world is not None:
         poses = repeat_last(camera_from_world, len(poses))
     shape = (len(poses), padded_count(count))
-    # Padding is a line and a pixel that any camera can compute with, and that is not visible.
+    # Padding is a line and a pixel that work with any camera, and are not visible.
     filler = views.centres[0] + views.camera_from_world[0, 2, :3]
     numbers = np.concatenate(
         [lines.points, lines.directions, lines.perpendicular.reshape(count, 6)], axis=1
     )
     padding = np.concatenate([filler, np.eye(3)[0], np.eye(3)[:, 1:].ravel()])
     rows = np.tile(padding, (shape[1] - count, 1))
-    # Ends that are not seen may be NaN; the top-left pixel is within every lens.
+    # Ends that are not visible may be NaN; the top-left pixel is within every lens.
     safe = np.where(visible[..., None, None], segments, 0.0)
-    found = _jacobians(
+    arrays = _jacobians(
         views.camera,
         to_device(poses),
         to_device(np.concatenate([numbers, rows])),
@@ -121,7 +121,7 @@ def line_jacobians(
         to_device(padded_to(covariances, shape)),
         to_device(padded_to(visible, shape, False)),
     )
-    return LineJacobians(*(np.asarray(array)[:view_count, :count] for array in found))
+    return LineJacobians(*(np.asarray(array)[:view_count, :count] for array in arrays))
 
 
 @compiled
@@ -142,7 +142,7 @@ def _jacobians(
     numbers, rebuild = ravel_pytree(camera)
     count = numbers.size
 
-    def one(pose: Array, line: Array, pixel: Array, covariance: Array, used: Array) -> tuple:
+    def of_end(pose: Array, line: Array, pixel: Array, covariance: Array, used: Array) -> tuple:
         def angle(step: Array, z: Array) -> Array:
             """Return the sine of the angle between a pixel's ray and the line's plane."""
             point, direction = line[:3], line[3:6]
@@ -160,7 +160,7 @@ def _jacobians(
             return jnp.where(valid, normal @ ray / jnp.linalg.norm(normal), 0.0)
 
         zero = jnp.zeros(4 + count + 6)
-        # The scale is held: its own derivative is multiplied by the residual, which is small.
+        # The scale is held constant: its derivative is multiplied by the residual, which is small.
         value, by_step = jax.value_and_grad(angle)(zero, pixel)
         by_pixel = jax.grad(angle, argnums=1)(zero, pixel)
         per_pixel = jnp.linalg.norm(by_pixel)
@@ -171,7 +171,7 @@ def _jacobians(
         return value * scale, sigma, by_step[:4] * scale, by_step[4:] * scale
 
     # Both ends of a segment share its line and view; all lines share the view's pose.
-    ends = jax.vmap(one, (None, None, 0, 0, None))
+    ends = jax.vmap(of_end, (None, None, 0, 0, None))
     over_lines = jax.vmap(ends, (None, 0, 0, 0, 0))
     over_views = jax.vmap(over_lines, (0, None, 0, 0, 0))
     return over_views(camera_from_world, lines, segments, covariances, visible)

@@ -1,12 +1,13 @@
 """Triangulate straight lines from segments of two or more views whose ends do not correspond.
 
 Every segment spans a plane with its camera's centre, and the line lies in all these planes. The
-start is their intersection by linear least squares; Gauss-Newton then minimises the distances of
-the segments' ends from the picture of the line through the real lens. A line in the epipolar plane
-of its views has one plane only: any line of that plane explains the pictures, and it is named.
+initial line is their intersection by linear least squares; Gauss-Newton then minimises the
+distances of the segments' ends from the picture of the line, with the real lens. A line in the
+epipolar plane of its views has only one plane: any line in this plane explains the pictures, and
+the line is reported as failed.
 
 Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 2004, section 8.1; the
-four numbers of a line are those of Bartoli and Sturm, Structure-from-motion using lines, 2005.
+four numbers of a line follow Bartoli and Sturm, Structure-from-motion using lines, 2005.
 """
 
 import dataclasses
@@ -31,18 +32,18 @@ MIN_SEGMENT_LENGTH = 2.0
 """Shortest segment, px, that has a direction."""
 
 MIN_PLANE_SPREAD = 1e-14
-"""Smallest second eigenvalue of the scatter of the planes' unit normals, over the largest, of
-planes that are not one: below it, at turns of some 1e-7 rad, their intersection is rounding error.
-"""
+"""Smallest ratio of the second to the largest eigenvalue, in the scatter of the planes' unit
+normals, for planes that differ: below it, at angles of some 1e-7 rad, their intersection is
+rounding error."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TriangulatedLines(EstimatedFeatures):
-    """Triangulated lines with their errors by cause; NaN where `status` says that one failed.
+    """Triangulated lines with their errors by cause; failed lines (see `status`) are NaN.
 
     Attributes:
         lines: a point and the unit direction of each; the point is in the middle of `ends`.
-        ends: ends of the part of each line that some view saw, m.
+        ends: ends of the part of each line that at least one view saw, m.
     """
 
     lines: Lines
@@ -70,35 +71,35 @@ def triangulate_lines(
 
     Args:
         calibration: the calibrated camera; results are in its world frame, in true metres.
-        poses: what the robot reported in each view, `base_from_tool`.
-        segments: `(views, lines, 2, 2)`, both ends of each line's segment, px. The ends of
+        poses: poses that the robot reported in each view, `base_from_tool`.
+        segments: `(views, lines, 2, 2)`, both ends of each line's segment, px. The ends in
             different views need not be the same points of the line.
         visible: `(views, lines)`, where each has a segment; by default where it is finite.
-        covariance: a joint fit, or a bound, that states how well the calibration is known; None
-            takes it as exact.
-        noise: sizes of the robot's noise in these views; by default that of the fit.
+        covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
+            calibration as exact.
+        noise: sizes of the robot's noise in these views; by default the noise of the fit.
         pixel_sigma: standard deviation of an end, px, as one number or `(views, lines)`; or
             covariances of the ends `(views, lines, 2, 2, 2)`, px^2.
 
     Raises:
-        ValueError: arrays of shapes that do not belong together, ends outside the picture, a
-            segment without length, or as in `triangulate_points`.
+        ValueError: arrays whose shapes do not match, ends outside the picture, a segment without
+            length, or as in `triangulate_points`.
     """
     views = SeenViews.of(calibration, poses)
-    measured, seen = views.checked_segments(segments, visible)
-    _check_lengths(measured, seen)
-    covariances = end_covariances(pixel_sigma, seen.shape)
-    rays, seen = world_rays(views, measured, seen)
-    start, enough, in_one_plane = _plane_intersections(views, rays, seen)
-    lines, information, failed = _refine(views, start, measured, covariances, seen, enough)
-    status = _status(views, rays, lines, information, seen, enough, in_one_plane, failed)
+    measured, visible = views.checked_segments(segments, visible)
+    _check_lengths(measured, visible)
+    covariances = end_covariances(pixel_sigma, visible.shape)
+    rays, visible = world_rays(views, measured, visible)
+    start, enough, in_one_plane = _plane_intersections(views, rays, visible)
+    lines, information, failed = _refine(views, start, measured, covariances, visible, enough)
+    status = _status(views, rays, lines, information, visible, enough, in_one_plane, failed)
     ok = status == PointStatus.OK
     kept = Lines(*(np.where(ok[:, None], a, b) for a, b in zip(lines, start, strict=True)))
-    ends = _seen_part(views, rays, seen, kept)
+    ends = _seen_part(views, rays, visible, kept)
     lines = Lines(ends.mean(axis=1), kept.directions)
-    # The four numbers refer to the middle of the seen part, where they are least correlated.
+    # The four numbers refer to the middle of the visible part, where they are least correlated.
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
-    local = line_jacobians(views, lines, measured, covariances, seen)
+    local = line_jacobians(views, lines, measured, covariances, visible)
     weighted = local.by_line / np.where(local.sigmas > 0.0, local.sigmas, 1.0)[..., None] ** 2
     normal = np.einsum("vlei,vlej->lij", weighted, local.by_line)
     normal[~ok] = np.eye(4)
@@ -112,7 +113,7 @@ def triangulate_lines(
         calibration_jacobian=np.where(where, jacobian, np.nan),
         calibration_covariance=uncertainty.covariance,
         calibration_names=uncertainty.names,
-        residuals=np.where((seen & ok)[..., None], local.distances, np.nan),
+        residuals=np.where((visible & ok)[..., None], local.distances, np.nan),
         status=status,
     )
 
@@ -120,22 +121,22 @@ def triangulate_lines(
 def end_covariances(
     pixel_sigma: float | np.ndarray, shape: tuple[int, int]
 ) -> Float[np.ndarray, "views lines 2 2 2"]:
-    """Return the covariances of segments' ends, from one of the forms that a caller may give.
+    """Return the covariances of segments' ends, from any form of `pixel_sigma`.
 
     Raises:
-        ValueError: another shape, or standard deviations that are not positive.
+        ValueError: a wrong shape, or standard deviations that are not positive.
     """
-    given = np.asarray(pixel_sigma, dtype=float)
-    if given.shape not in ((), shape, (*shape, 2, 2, 2)):
+    sigma = np.asarray(pixel_sigma, dtype=float)
+    if sigma.shape not in ((), shape, (*shape, 2, 2, 2)):
         raise ValueError(
-            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2, 2)}; found {given.shape}"
+            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2, 2)}; found {sigma.shape}"
         )
-    if given.ndim == 5:
-        return given
-    if not np.all(given > 0.0):
-        raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")
-    # The same error in all directions: only its part across the line counts.
-    variance = np.broadcast_to(given, shape)[..., None, None, None] ** 2
+    if sigma.ndim == 5:
+        return sigma
+    if not np.all(sigma > 0.0):
+        raise ValueError(f"pixel_sigma: expected positive numbers, found {sigma.min():g}")
+    # Equal in all directions, since only the part across the line counts.
+    variance = np.broadcast_to(sigma, shape)[..., None, None, None] ** 2
     return variance * np.broadcast_to(np.eye(2), (*shape, 2, 2, 2))
 
 
@@ -174,12 +175,12 @@ def _plane_intersections(
     rays: Float[np.ndarray, "views lines 2 3"],
     seen: Bool[np.ndarray, "views lines"],
 ) -> tuple[Lines, Bool[np.ndarray, "lines"], Bool[np.ndarray, "lines"]]:
-    """Return the lines that are nearest to all planes of their segments.
+    """Return the lines nearest to all planes of their segments.
 
-    Also which of them have enough views, and of which all planes are one plane.
+    Also whether each has enough views, and whether all its planes are the same.
     """
     normals = np.cross(rays[:, :, 0], rays[:, :, 1])
-    # Unit normals: a long segment would otherwise count more in the start than it deserves.
+    # Unit normals; otherwise a long segment would have too much weight in the start.
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
     # The direction is perpendicular to all normals: the last right singular vector.
@@ -193,7 +194,8 @@ def _plane_intersections(
     rows = np.concatenate([stacked, directions[:, None]], axis=1)
     right = np.concatenate([offsets, middle[:, None]], axis=1)
     points = np.einsum("lij,lj->li", np.linalg.pinv(rows), right)
-    # Then to the middle of what was seen, where turns and shifts are least correlated.
+    # Then move the point to the middle of the visible part, where turns and shifts are least
+    # correlated.
     lines = Lines(points, directions)
     points = _seen_part(views, rays, seen, lines).mean(axis=1)
     in_one_plane = ~(values[:, 1] > MIN_PLANE_SPREAD * values[:, 2])
@@ -209,8 +211,8 @@ def _refine(
     enough: Bool[np.ndarray, "lines"],
 ) -> tuple[Lines, Float[np.ndarray, "lines 4 4"], Bool[np.ndarray, "lines"]]:
     """Minimise the whitened distances; return lines, normal matrices, and which failed."""
-    # All lines step together, each with its own damping; there are too few of them for a loop
-    # within a compiled program to pay.
+    # All lines step together, each with its own damping; for so few of them a loop within a
+    # compiled program does not pay.
     lines, damping = start, np.full(len(enough), 1e-6)
     cost, decrement = np.full(len(enough), np.inf), np.full(len(enough), np.inf)
     normal = np.tile(np.eye(4), (len(enough), 1, 1))
@@ -259,11 +261,11 @@ def _status(
     """Return a `PointStatus` for every line."""
     # The line's own distance from a camera, and the signed depth of the points that are seen.
     parameters, depths = _nearest_on_lines(views, rays, lines)
-    seen_depths = np.where(seen[..., None], depths, np.nan)
-    behind = np.nanmin(np.where(enough[None, :, None], seen_depths, 1.0), axis=(0, 2)) <= 0.0
-    distance = np.abs(np.nanmean(np.where(enough[None, :, None], seen_depths, 1.0), axis=(0, 2)))
-    # Turned by two numbers about the point, shifted by two: at the middle of the seen part its
-    # shift has the covariance of u + t w, with t the distance from the point.
+    visible_depths = np.where(seen[..., None], depths, np.nan)
+    behind = np.nanmin(np.where(enough[None, :, None], visible_depths, 1.0), axis=(0, 2)) <= 0.0
+    distance = np.abs(np.nanmean(np.where(enough[None, :, None], visible_depths, 1.0), axis=(0, 2)))
+    # Two numbers turn the line about the point and two shift it: at a distance t from the point, in
+    # the middle of the visible part, the shift has the covariance of u + t w.
     middle = np.sum(np.where(seen[..., None], parameters, 0.0), axis=(0, 2)) / np.maximum(
         2.0 * seen.sum(axis=0), 1.0
     )
@@ -275,11 +277,11 @@ def _status(
     scale = np.where(scale > 0.0, scale, 1.0)
     correlation = information / (scale[:, :, None] * scale[:, None])
     values, vectors = np.linalg.eigh(correlation)
-    # An eigenvalue at rounding error is a direction that nothing determines.
+    # An eigenvalue at rounding error means that nothing determines its direction.
     roots = vectors / np.sqrt(np.maximum(values, 1e-14))[:, None] / scale[:, :, None]
     variance = np.sum((shift @ roots) ** 2, axis=(1, 2))
-    # Of one plane the estimate is any line in it, one through a camera's centre included, where
-    # neither the variance nor the depth says anything.
+    # For a single plane the estimate is an arbitrary line in it, possibly through a camera's
+    # centre, so that neither the variance nor the depth means anything.
     degenerate = in_one_plane | ~(variance < (MAX_RELATIVE_STD * distance) ** 2)
     status = np.where(failed, PointStatus.NOT_CONVERGED, PointStatus.OK)
     status = np.where(behind, PointStatus.BEHIND_CAMERA, status)
@@ -307,10 +309,10 @@ def _seen_part(
     seen: Bool[np.ndarray, "views lines"],
     lines: Lines,
 ) -> Float[np.ndarray, "lines 2 3"]:
-    """Return the ends of the part of each line that some view saw."""
+    """Return the ends of the part of each line that at least one view saw."""
     t, _ = _nearest_on_lines(views, rays, lines)
     low = np.where(seen[..., None], t, np.inf).min(axis=(0, 2), initial=np.inf)
     high = np.where(seen[..., None], t, -np.inf).max(axis=(0, 2), initial=-np.inf)
-    # A line that no view sees has no part; its status says so.
+    # A line that no view sees has no such part; its status says so.
     limits = np.nan_to_num(np.stack([low, high], axis=1), posinf=0.0, neginf=0.0)
     return lines.points[:, None] + limits[..., None] * lines.directions[:, None]

@@ -24,16 +24,16 @@ from .grasp_frames import Grasp
 from .symmetry import Symmetry
 
 MAX_EXTENT = 100.0
-"""Largest extent of an object, m: a larger one was given in another unit."""
+"""Largest extent of an object, m; a larger one was probably given in another unit."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ObjectModel:
     """A model of an object: vertices, edges, faces, grasps; checked when it is made.
 
-    The covariance of the vertices has two parts. `covariance` is that of the pictures' noise.
-    The calibration's error is common to all vertices; it is kept as a Jacobian, so that distances
-    within the object are not made worse by what moves the object as a whole:
+    The covariance of the vertices has two parts. `covariance` holds the pictures' noise. The
+    calibration's error is common to all vertices; it is kept as a Jacobian, so that an error that
+    moves the object as a whole does not affect distances within it:
 
         covariance of all coordinates = covariance + calibration_factor @ calibration_factor.T
 
@@ -47,9 +47,9 @@ class ObjectModel:
             independent error of the calibration, `(3V, errors)`, m; None if the calibration was
             taken as exact.
         grasps: poses of the gripper on faces.
-        symmetry: rotations that map the object onto itself; None if not looked for.
+        symmetry: rotations that map the object onto itself; None if it was not computed.
         name: for people.
-        provenance: sentences on where the model is from, the oldest first.
+        provenance: sentences on the origin of the model, the oldest first.
         planar_tolerance: largest distance of a vertex from the plane of its face, over the extent
             of the face.
     """
@@ -84,7 +84,8 @@ class ObjectModel:
             except ValueError as error:
                 raise ValueError(f"face {face_label(k, face)}: {error}") from None
             faces.append(with_oriented_holes(self.vertices, face))
-        # The class is frozen; holes are put in order before anyone sees the model.
+        # The class is frozen, but the orientation of holes is corrected before anyone uses the
+        # model.
         object.__setattr__(self, "faces", tuple(faces))
         for grasp in self.grasps:
             if not 0 <= grasp.face < len(self.faces):
@@ -99,7 +100,7 @@ class ObjectModel:
             raise ValueError(
                 f"vertex {wrong[0]}: not finite: {self.vertices[wrong[0]].round(6).tolist()}"
             )
-        # Millimetres that were given as metres make a house of a bracket.
+        # Millimetres given as metres would turn a bracket into a house.
         if self.extent > MAX_EXTENT:
             raise ValueError(
                 f"vertices: an object of {self.extent:.4g} m; expected metres, up to "
@@ -108,7 +109,7 @@ class ObjectModel:
 
     def _check_edges(self) -> None:
         """Raise an error for an edge to nowhere, from a vertex to itself, or given twice."""
-        seen: set[frozenset[int]] = set()
+        known: set[frozenset[int]] = set()
         for k, (a, b) in enumerate(self.edges.tolist()):
             for index in (a, b):
                 if not 0 <= index < len(self.vertices):
@@ -119,21 +120,23 @@ class ObjectModel:
             if a == b:
                 raise ValueError(f"edge {k} leads from vertex {a} to itself")
             # Edges have no direction.
-            if frozenset((a, b)) in seen:
-                raise ValueError(f"edge {k} {(a, b)} is there twice")
-            seen.add(frozenset((a, b)))
+            if frozenset((a, b)) in known:
+                raise ValueError(f"edge {k} {(a, b)} is listed twice")
+            known.add(frozenset((a, b)))
 
     def _check_covariances(self) -> None:
         """Raise an error for covariances of another size, not finite or not symmetric."""
         count = len(self.vertices)
-        given, factor = self.covariance, self.calibration_factor
-        if given is not None:
-            if given.shape not in ((count, 3, 3), (3 * count, 3 * count)):
+        covariance, factor = self.covariance, self.calibration_factor
+        if covariance is not None:
+            if covariance.shape not in ((count, 3, 3), (3 * count, 3 * count)):
                 raise ValueError(
                     f"covariance: expected shape {(count, 3, 3)} or {(3 * count, 3 * count)}, "
-                    f"found {given.shape}"
+                    f"found {covariance.shape}"
                 )
-            if not np.isfinite(given).all() or not np.allclose(given, given.swapaxes(-1, -2)):
+            if not np.isfinite(covariance).all() or not np.allclose(
+                covariance, covariance.swapaxes(-1, -2)
+            ):
                 raise ValueError("covariance: expected finite symmetric matrices")
         if factor is not None and (
             factor.ndim != 2 or len(factor) != 3 * count or not np.isfinite(factor).all()
@@ -149,13 +152,13 @@ class ObjectModel:
     def object_from_object(self) -> Float[np.ndarray, "K 4 4"]:
         """The transforms that map the object onto itself, the identity first.
 
-        The identity alone where no symmetry is known.
+        Only the identity if no symmetry is known.
         """
         return np.eye(4)[None] if self.symmetry is None else self.symmetry.object_from_object
 
     @property
     def is_exact(self) -> bool:
-        """Whether the vertices have no uncertainty, as those of CAD."""
+        """Whether the vertices have no uncertainty, as in CAD."""
         return self.covariance is None and self.calibration_factor is None
 
     @property
@@ -185,7 +188,7 @@ class ObjectModel:
     def distance(self, a: int, b: int) -> tuple[float, float]:
         """Return the distance of two vertices and its standard deviation, m.
 
-        What the calibration's error does to both vertices alike cancels.
+        Errors of the calibration that move both vertices alike cancel.
         """
         # d = |p_b - p_a|,  n = (p_b - p_a) / d,  var d = n^T cov(p_b - p_a) n
         difference = self.vertices[b] - self.vertices[a]
@@ -243,8 +246,8 @@ class ObjectModel:
         if factor is not None:
             factor = (R @ factor.reshape(count, 3, -1)).reshape(3 * count, -1)
         grasps = tuple(
-            dataclasses.replace(one, object_from_tool=target_from_object @ one.object_from_tool)
-            for one in self.grasps
+            dataclasses.replace(grasp, object_from_tool=target_from_object @ grasp.object_from_tool)
+            for grasp in self.grasps
         )
         symmetry = self.symmetry
         if symmetry is not None:
@@ -274,7 +277,7 @@ class ObjectModel:
 
 
 def face_label(number: int, face: Face) -> str:
-    """Return how a message names a face: its number, and its name if it has one."""
+    """Return the name of a face in messages: its number and, if it has one, its name."""
     return f"{number} ({face.name})" if face.name else str(number)
 
 

@@ -54,7 +54,7 @@ class CheckedObservations(NamedTuple):
     Attributes:
         views: camera and poses.
         pixels, visible, whitening: of the vertices.
-        segments, segments_visible, covariances: of the lines; no lines where there are none.
+        segments, segments_visible, covariances: of the lines; empty without lines.
     """
 
     views: SeenViews
@@ -73,9 +73,9 @@ class CheckedObservations(NamedTuple):
             ValueError: as in `triangulate_points` and `triangulate_lines`.
         """
         views = SeenViews.of(observations.calibration, observations.poses)
-        pixels, seen = views.checked_points(observations.pixels, observations.visible)
-        # No lines are lines of number zero, so that nothing below has to ask.
-        segments, segments_seen = views.checked_segments(
+        pixels, visible = views.checked_points(observations.pixels, observations.visible)
+        # Without lines the arrays are empty, so that no special case is needed below.
+        segments, segments_visible = views.checked_segments(
             np.zeros((len(pixels), 0, 2, 2))
             if observations.segments is None
             else observations.segments,
@@ -83,12 +83,12 @@ class CheckedObservations(NamedTuple):
         )
         return cls(
             views,
-            np.where(seen[..., None], pixels, 0.0),
-            seen,
-            whitening_of(observations.pixel_sigma, seen.shape),
+            np.where(visible[..., None], pixels, 0.0),
+            visible,
+            whitening_of(observations.pixel_sigma, visible.shape),
             segments,
-            segments_seen,
-            end_covariances(observations.segment_sigma, segments_seen.shape),
+            segments_visible,
+            end_covariances(observations.segment_sigma, segments_visible.shape),
         )
 
 
@@ -136,27 +136,26 @@ def picture_equations(
     """
     views, poses = _displaced(observed.views, uncertainty, offsets)
     local = uncertainty.view_jacobian @ columns
-    found = pixel_jacobians(views, shape.points, poses)
-    residuals = np.where(observed.visible[..., None], observed.pixels - found.pixels, 0.0)
+    projected = pixel_jacobians(views, shape.points, poses)
+    residuals = np.where(observed.visible[..., None], observed.pixels - projected.pixels, 0.0)
     # Whitened errors e = L (f(x) - z), so that the gradient is J^T e.
     whitening = np.where(observed.visible[..., None, None], observed.whitening, 0.0)
     e = np.einsum("vpij,vpj->vpi", whitening, -residuals)
     squared = np.sum(e**2, axis=-1)
     cost, weight = _robust(loss, squared)
-    # A step that takes a point behind a camera is refused by its infinite cost.
-    if np.any(observed.visible & ~found.valid):
+    # A step that moves a point behind a camera is rejected by its infinite cost.
+    if np.any(observed.visible & ~projected.valid):
         cost = np.inf
     root = np.sqrt(weight)[..., None]
-    # Reweighted least squares: the root of the weight scales residuals and Jacobians alike.
-    J = (whitening @ found.by_point) * root[..., None]
-    N = (whitening @ found.by_view) * root[..., None]
+    J = (whitening @ projected.by_point) * root[..., None]
+    N = (whitening @ projected.by_view) * root[..., None]
     points = _accumulate(e * root, J, N, local)
 
-    e, J, N = _line_terms(observed, views, shape, poses, found.by_view.shape[3])
+    e, J, N = _line_terms(observed, views, shape, poses, projected.by_view.shape[3])
     distances = e.distances
     lines = _accumulate(e.whitened, J, N, local)
     cost += float(np.sum(e.whitened**2))
-    # Points first, lines after them, as everywhere.
+    # Points first, then lines, as everywhere.
     rows = 3 * len(points.blocks), 4 * len(lines.blocks)
     return PictureEquations(
         0.5 * cost,
@@ -166,8 +165,8 @@ def picture_equations(
         points.number_gradient + lines.number_gradient,
         np.concatenate(
             [
-                one.coupling.reshape(count, columns.shape[1])
-                for one, count in zip((points, lines), rows, strict=True)
+                kind.coupling.reshape(count, columns.shape[1])
+                for kind, count in zip((points, lines), rows, strict=True)
             ]
         ),
         residuals,
@@ -194,8 +193,8 @@ def _line_terms(
     """Return the distances of all segments and their whitened derivatives by lines and views."""
     sizes = observed.segments_visible.shape
     if not sizes[1]:
-        none = np.zeros((*sizes, 2))
-        return _LineTerms(none, none), np.zeros((*sizes, 2, 4)), np.zeros((*sizes, 2, local))
+        empty = np.zeros((*sizes, 2))
+        return _LineTerms(empty, empty), np.zeros((*sizes, 2, 4)), np.zeros((*sizes, 2, local))
     at = line_jacobians(
         views,
         shape.lines,
@@ -204,7 +203,7 @@ def _line_terms(
         observed.segments_visible,
         poses,
     )
-    # Segments that are not seen have sigma zero and distance zero.
+    # Invisible segments have zero sigma and zero distance.
     inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
     terms = _LineTerms(at.distances * inverse, at.distances)
     return terms, at.by_line * inverse[..., None], at.by_view * inverse[..., None]
@@ -226,9 +225,9 @@ def _accumulate(
     N: Float[np.ndarray, "views features 2 local"],
     local: Float[np.ndarray, "views local numbers"],
 ) -> _Accumulated:
-    """Return the sums; what is local to a view is multiplied out once a view."""
+    """Return the sums; local derivatives of a view are multiplied out once per view."""
     Jt = J.swapaxes(-1, -2)
-    # Sum over features first, in each view's few local numbers, and then apply the chain rule.
+    # Sum over features first, in the few local numbers of each view, then apply the chain rule.
     gram = np.einsum("vfia,vfib->vab", N, N, optimize=True)
     local_gradient = np.einsum("vfia,vfi->va", N, e)
     return _Accumulated(
@@ -264,10 +263,10 @@ def _displaced(
     offsets: Float[np.ndarray, "all_numbers"],
 ) -> tuple[SeenViews, Float[np.ndarray, "views 4 4"]]:
     """Return the camera and the poses after offsets of the calibration's numbers."""
-    # Without offsets the exact matrices, rather than the product with the identity.
+    # Without offsets return the exact matrices, rather than a product with the identity.
     if not offsets.any():
         return views, views.camera_from_world
-    # exp(Ad d) acts on the left of camera_from_world; `view_jacobian` has the adjoints in it.
+    # exp(Ad d) acts on the left of camera_from_world; `view_jacobian` includes the adjoints.
     change = uncertainty.view_jacobian @ offsets
     twists, camera_step = change[:, -6:], change[0, : camera_parameter_count(views)]
     return (
@@ -278,7 +277,7 @@ def _displaced(
 
 def _displaced_camera(camera: Camera, step: Float[np.ndarray, "parameters"]) -> Camera:
     """Return the camera with a step added to its parameters, in their flat order."""
-    # By leaves and on the host: `ravel_pytree` would compile a program for it.
+    # By leaves and on the host, since `ravel_pytree` would compile a program for it.
     leaves, structure = jax.tree.flatten(camera)
     ends = np.cumsum([np.size(leaf) for leaf in leaves])[:-1]
     moved = [

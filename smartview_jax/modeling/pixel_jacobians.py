@@ -1,4 +1,4 @@
-"""Differentiate the pixels of points by the points, by the camera and by the pose of each view."""
+"""Differentiate the pixels of points by the points, the camera and the pose of each view."""
 
 from typing import NamedTuple
 
@@ -42,16 +42,16 @@ def pixel_jacobians(
     Args:
         views: camera and poses.
         points: in the world, m.
-        camera_from_world: poses instead of those of `views`, such as corrected ones.
+        camera_from_world: poses to use in place of the ones of `views`, such as corrected ones.
     """
     view_count, count = len(views.camera_from_world), len(points)
     poses = views.poses_for(count)
     if camera_from_world is not None:
         poses = repeat_last(camera_from_world, len(poses))
-    # A padded point may lie behind a camera: it is not valid there, and cut off below.
+    # A padded point may lie behind a camera, where it is invalid; padding is cut off below.
     padded = padded_to(points, (padded_count(count),), 0.0)
-    found = _jacobians(views.camera, to_device(poses), to_device(padded))
-    return PixelJacobians(*(np.asarray(array)[:view_count, :count] for array in found))
+    arrays = _jacobians(views.camera, to_device(poses), to_device(padded))
+    return PixelJacobians(*(np.asarray(array)[:view_count, :count] for array in arrays))
 
 
 @compiled
@@ -86,7 +86,7 @@ def _jacobians(
     by_point = jnp.einsum("vpui,vij->vpuj", D, rotation)
     by_view = jnp.concatenate([C, D, turned], axis=-1)
 
-    # Where there is no pixel there is no derivative; zeros leave sums as they are.
+    # Zero derivatives where there is no pixel leave sums unchanged.
     def zero_where_invalid(array: Array) -> Array:
         return jnp.where(valid.reshape(valid.shape + (1,) * (array.ndim - 2)), array, 0.0)
 

@@ -1,7 +1,7 @@
-"""State the least-squares problem of points that are seen in several views, all points at once.
+"""State the least-squares problem of points seen in several views, for all points at once.
 
-Costs, gradients and normal matrices are tuples of their components rather than small matrices,
-because XLA's batched products of those are slow on CPUs.
+Gradients and normal matrices are tuples of their components rather than small matrices, because
+XLA's batched products of small matrices are slow on CPUs.
 """
 
 from typing import NamedTuple
@@ -26,10 +26,7 @@ class PointProblem(NamedTuple):
 
 
 class Linearisation(NamedTuple):
-    """The cost of points, with gradient and normal matrix as tuples of their components.
-
-    Components rather than small matrices, because XLA's batched products of those are slow on CPUs.
-    """
+    """The cost of points, with gradient and normal matrix as tuples of their components."""
 
     cost: Float[Array, "points"]
     gradient: tuple[Array, ...]
@@ -42,7 +39,8 @@ def to_camera(
     problem: PointProblem, points: Float[Array, "points 3"]
 ) -> Float[Array, "views points 3"]:
     """Return points in the frames of all cameras."""
-    # Sums of products of vectors, which XLA fuses with what follows; a batched product it does not.
+    # Sums of vector products, which XLA fuses with the following operations, unlike a batched
+    # product.
     pose = problem.camera_from_world
     return jnp.stack(
         [
@@ -55,7 +53,7 @@ def to_camera(
 
 def linearise(problem: PointProblem, points: Float[Array, "points 3"]) -> Linearisation:
     """Compute the cost of all points with its gradient and Gauss-Newton matrix."""
-    # Masked pixels are zero before they are multiplied: zero times NaN would be NaN.
+    # Masked pixels are set to zero before the product, since zero times NaN is NaN.
     in_camera, visible = to_camera(problem, points), problem.visible
     pose, whitening = problem.camera_from_world, problem.whitening
     predicted, valid = problem.camera.project(in_camera)
@@ -93,7 +91,7 @@ def linearise(problem: PointProblem, points: Float[Array, "points 3"]) -> Linear
         for i in range(3)
         for k in range(i, 3)
     )
-    # A visible pixel without a prediction has no cost that could be compared: infinite.
+    # A visible pixel without a prediction makes the cost infinite.
     all_valid = jnp.all(valid | ~visible, axis=0)
     plain = (jnp.where(used, residual[..., 0], 0.0), jnp.where(used, residual[..., 1], 0.0))
     total = jnp.where(all_valid, jnp.sum(cost, axis=0), jnp.inf)
@@ -103,18 +101,18 @@ def linearise(problem: PointProblem, points: Float[Array, "points 3"]) -> Linear
 def inverse(normal: tuple[Array, ...]) -> tuple[Array, tuple[Array, ...]]:
     """Return trace and components of the inverses of symmetric 3x3 matrices, by their adjugates.
 
-    Where a matrix is singular the trace is infinite and the inverse zero.
+    For a singular matrix the trace is infinite and the inverse zero.
     """
     # Rows of the symmetric matrix: (a b c), (b d e), (c e f); capitals are its cofactors.
     a, b, c, d, e, f = normal
     A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
     D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
     determinant = a * A + b * B + c * C
-    # Below the rounding error of its terms a determinant is zero.
+    # A determinant below the rounding error of its terms counts as zero.
     regular = determinant > 1e-14 * a * d * f
     factor = jnp.where(regular, 1.0 / jnp.where(regular, determinant, 1.0), 0.0)
     trace = jnp.where(regular, (A + D + F) * factor, jnp.inf)
-    return trace, tuple(one * factor for one in (A, B, C, D, E, F))
+    return trace, tuple(cofactor * factor for cofactor in (A, B, C, D, E, F))
 
 
 def solve(
@@ -131,6 +129,6 @@ def mean_distance(
 ) -> Float[Array, "points"]:
     """Return the mean distance of points from the cameras that see them."""
     distance = jnp.linalg.norm(to_camera(problem, points), axis=-1)
-    # Views that do not see it have no say in how far a point may be off.
-    seen = problem.visible.astype(float)
-    return jnp.sum(seen * distance, axis=0) / jnp.maximum(jnp.sum(seen, axis=0), 1.0)
+    # Views that do not see a point do not count.
+    weight = problem.visible.astype(float)
+    return jnp.sum(weight * distance, axis=0) / jnp.maximum(jnp.sum(weight, axis=0), 1.0)

@@ -1,9 +1,9 @@
 """Estimate points from the pixels of several views by least squares, as one batched program.
 
-The start is linear: the point nearest to all rays. Each step of Levenberg-Marquardt then minimises
-the squared whitened pixel residuals through the real lens, for all points at once. The result is
-differentiable, by one Newton step from the optimum, whose derivative is that of the optimum itself
-to first order in the residuals.
+The start is linear: the point nearest to all rays. Levenberg-Marquardt then minimises the squared
+whitened pixel residuals with the real lens, for all points at once. The result is differentiable
+through one Newton step from the optimum, whose derivative equals the optimum's derivative to first
+order in the residuals.
 """
 
 from typing import NamedTuple
@@ -20,20 +20,20 @@ from .point_start import nearest_to_rays
 from .point_status import MAX_RELATIVE_STD, PointStatus
 
 MAX_STEPS = 30
-"""The largest number of steps of Levenberg-Marquardt."""
+"""Largest number of Levenberg-Marquardt steps."""
 
 CONVERGED_DECREMENT = 1e-10
-"""The squared length of a step, in standard deviations of the point, that ends the iterations."""
+"""Squared length of a step, in standard deviations of the point, at which the iterations end."""
 
 INITIAL_DAMPING, MIN_DAMPING = 1e-6, 1e-12
-"""Damping relative to the diagonal of the normal matrix, at the start and at its smallest."""
+"""Initial and smallest damping, relative to the diagonal of the normal matrix."""
 
 CHUNK = 2048
-"""Points that are estimated at once."""
+"""Number of points that are estimated at once."""
 
 
 class PointSolution(NamedTuple):
-    """The estimated points as JAX arrays; numbers of points that failed are arbitrary.
+    """The estimated points as JAX arrays; the values of failed points are arbitrary.
 
     Attributes:
         points: in the world, m.
@@ -59,22 +59,22 @@ def estimate_points(
 ) -> PointSolution:
     """Estimate points from their pixels in views of known pose.
 
-    It works under `jit`, `vmap` and differentiation by all arrays and the camera's parameters.
+    It supports `jit`, `vmap` and differentiation by all arrays and the camera's parameters.
 
     Args:
         camera: intrinsics and lens.
         camera_from_world: extrinsics.
         pixels: px; any finite number where not visible.
         whitening: matrices that scale pixel errors to unit covariance.
-        visible: where a point is seen.
+        visible: where a point is visible.
         loss: robust loss of the whitened residuals; None is least squares.
     """
     problem = PointProblem(camera, camera_from_world, pixels, whitening, visible, loss)
     count = pixels.shape[1]
     if count <= CHUNK:
         return _estimate(problem)
-    # Points are independent: a chunk at a time stays in the processor's cache, and ends its
-    # iterations when its own points are done.
+    # Points are independent: one chunk at a time stays in the processor's cache, and iterates only
+    # until its own points converge.
     chunks = -(-count // CHUNK)
 
     def in_chunks(array: Array) -> Array:
@@ -85,15 +85,15 @@ def estimate_points(
         parts = jnp.pad(array, rest).reshape(array.shape[0], chunks, CHUNK, *array.shape[2:])
         return jnp.moveaxis(parts, 1, 0)
 
-    def one(chunk: tuple[Array, Array, Array]) -> PointSolution:
+    def estimate_chunk(chunk: tuple[Array, Array, Array]) -> PointSolution:
         pixels, whitening, visible = chunk
         return _estimate(problem._replace(pixels=pixels, whitening=whitening, visible=visible))
 
-    found = jax.lax.map(one, tuple(map(in_chunks, (pixels, whitening, visible))))
-    residuals = jnp.moveaxis(found.residuals, 0, 1).reshape(len(pixels), -1, 2)
+    chunked = jax.lax.map(estimate_chunk, tuple(map(in_chunks, (pixels, whitening, visible))))
+    residuals = jnp.moveaxis(chunked.residuals, 0, 1).reshape(len(pixels), -1, 2)
     points, covariance, status = (
         array.reshape(-1, *array.shape[2:])[:count]
-        for array in (found.points, found.covariance, found.status)
+        for array in (chunked.points, chunked.covariance, chunked.status)
     )
     return PointSolution(points, covariance, residuals[:, :count], status)
 
@@ -110,20 +110,20 @@ def _estimate(problem: PointProblem) -> PointSolution:
 def _estimate_jvp(
     primals: tuple[PointProblem], tangents: tuple[PointProblem]
 ) -> tuple[PointSolution, PointSolution]:
-    """Return the estimate and its directional derivative, without those of the iterations."""
-    (problem,), found = primals, _estimate(*primals)
-    points = jax.lax.stop_gradient(found.points)
+    """Return the estimate and its directional derivative; the iterations are not differentiated."""
+    (problem,), solution = primals, _estimate(*primals)
+    points = jax.lax.stop_gradient(solution.points)
 
     def one_step(problem: PointProblem) -> PointSolution:
-        # One more Newton step, x - H^-1 g(x) with H held, stays at the optimum, and its derivative
-        # is that of the optimum.
+        # One more Newton step, x - H^-1 g(x) with H held constant, stays at the optimum and has the
+        # optimum's derivative.
         at = linearise(problem, points)
         _, step = solve(jax.lax.stop_gradient(at.normal), at.gradient)
         moved = points - jnp.where(at.valid[:, None], jnp.stack(step, axis=-1), 0.0)
         settled = jnp.zeros(len(points)), jnp.zeros(len(points), bool), jnp.ones(len(points), bool)
         return _solution(problem, moved, at, settled)
 
-    return found, jax.jvp(one_step, (problem,), tangents)[1]
+    return solution, jax.jvp(one_step, (problem,), tangents)[1]
 
 
 def _solution(
@@ -136,9 +136,10 @@ def _solution(
     decrement, degenerate, enough = outcome
     distance = mean_distance(problem, points)
     trace, (a, b, c, d, e, f) = inverse(at.normal)
-    # At the optimum, too: the start knows only about angles between rays.
+    # Tested at the optimum, too: the start uses only angles between rays.
     degenerate |= at.valid & (trace > (MAX_RELATIVE_STD * distance) ** 2)
-    # The last line wins, so that the first cause is named: too few views before all others.
+    # The last assignment wins, so that the first cause is reported: too few views before all
+    # others.
     status = jnp.where(decrement > CONVERGED_DECREMENT, PointStatus.NOT_CONVERGED, PointStatus.OK)
     status = jnp.where(at.valid, status, PointStatus.BEHIND_CAMERA)
     status = jnp.where(degenerate, PointStatus.DEGENERATE_BASELINE, status)
@@ -158,8 +159,8 @@ def _minimise(
         The points, their linearisation, and the squared length of the next undamped step in
         standard deviations.
     """
-    # Each trial is linearised at once, whether it is accepted or not: in all but a few points it
-    # is, and one pass over the pixels then does both.
+    # Each trial is linearised immediately: nearly all are accepted, so one pass over the pixels
+    # gives both cost and derivatives.
     first = linearise(problem, start)
     damping = jnp.full(start.shape[0], INITIAL_DAMPING)
 
@@ -170,7 +171,7 @@ def _minimise(
 
     def unfinished(state: tuple) -> Bool[Array, ""]:
         count, _, at, _ = state
-        # Points that failed already do not keep the others waiting.
+        # Points that failed already do not delay the others.
         open_points = ~skip & at.valid & (decrement(at) > CONVERGED_DECREMENT)
         return (count < MAX_STEPS) & jnp.any(open_points)
 
@@ -182,7 +183,7 @@ def _minimise(
         _, change = solve((a * more, b, c, d * more, e, f * more), at.gradient)
         trial_points = points - jnp.stack(change, axis=-1)
         trial = linearise(problem, trial_points)
-        # A trial behind a camera has infinite cost, and is never better.
+        # A trial behind a camera has infinite cost and is never accepted.
         better = trial.cost <= at.cost
         kept = jax.tree.map(
             lambda new, old: jnp.where(
@@ -192,7 +193,7 @@ def _minimise(
             at,
         )
         points = jnp.where(better[:, None], trial_points, points)
-        # Refused steps are rare, and mostly far off: damping rises faster than it falls.
+        # Rejected steps are rare, and mostly far off: damping rises faster than it falls.
         damping = jnp.where(better, jnp.maximum(0.1 * damping, MIN_DAMPING), 100.0 * damping)
         return count + 1, points, kept, damping
 

@@ -1,4 +1,4 @@
-"""Say how the estimation of a point or a line ended, in words for people."""
+"""Describe in words how the estimation of a point or a line ended."""
 
 from enum import IntEnum
 
@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Int
 
 MAX_RELATIVE_STD = 0.25
-"""The standard deviation of a point's distance, over the distance, beyond which it is not returned.
+"""Largest standard deviation of a point's distance, over the distance, of a returned point.
 
-Its rays are then parallel within their errors, and no Gaussian describes where it is."""
+Above it its rays are parallel within their errors, and no Gaussian describes its position."""
 
 
 class PointStatus(IntEnum):
@@ -31,7 +31,7 @@ _MESSAGES = {
     PointStatus.OK: "it was estimated",
     PointStatus.TOO_FEW_VIEWS: "fewer than two views see it where their lens is valid",
     PointStatus.DEGENERATE_BASELINE: "its rays are parallel within their errors, so that its "
-    "distance is open: views from further apart are needed",
+    "distance is undetermined: views from further apart are needed",
     PointStatus.BEHIND_CAMERA: "its rays meet behind a camera that sees it, or outside its "
     "lens: the correspondence or a pose is wrong",
     PointStatus.NOT_CONVERGED: "the least-squares estimate did not converge",
@@ -41,7 +41,6 @@ _MESSAGES = {
 
 
 def failure_messages(status: Int[np.ndarray, "features"]) -> dict[int, str]:
-    """Return the reason, in words, of every point or line that was not estimated, by its index."""
-    # By number, because most callers look up one feature.
+    """Return the reason, in words, for every point or line that failed, by its index."""
     failed = np.flatnonzero(status != PointStatus.OK)
     return {int(k): PointStatus(status[k]).message for k in failed}

@@ -27,7 +27,7 @@ def project_points(
         projected = _project(views.camera, to_device(views.padded), to_device(padded))
         pixels[:, start : start + len(part)] = np.asarray(projected)[:count, : len(part)]
     size = np.array(views.camera.image_size)
-    # Comparisons with NaN are false: what cannot be projected counts as outside.
+    # Comparisons with NaN are false, so that points without a pixel count as outside.
     with np.errstate(invalid="ignore"):
         within = (pixels > -0.5) & (pixels < size - 0.5)
     return np.where(within.all(axis=-1, keepdims=True), pixels, np.nan)

@@ -39,13 +39,13 @@ class ModelProposal(NamedTuple):
 
     Attributes:
         points: in the world, m.
-        covariances: due to the pictures and, where a fit was given, the calibration, m^2.
-        corners: index of the corner of each view's features, -1 where it was not found.
-        pixels: of these corners, NaN where there is none.
+        covariances: due to the pictures and, if a fit was given, the calibration, m^2.
+        corners: index of the corner in each view's features, -1 where it was not found.
+        pixels: pixels of these corners, NaN where there is none.
         rms: reprojection error of each point, px.
         similarity: mean correlation of the patches of each point.
         edges: pairs of points that segments join.
-        edge_segments: index of the segment of each view's features, -1 where there is none.
+        edge_segments: index of the segment in each view's features, -1 where there is none.
         features: of each view.
     """
 
@@ -81,19 +81,19 @@ def propose_model(
     covariance: CalibrationEstimate | None = None,
     region: Region | None = None,
 ) -> ModelProposal:
-    """Match the corners of all views by themselves, and propose points and edges.
+    """Match the corners of all views automatically, and propose points and edges.
 
     Args:
         calibration: the calibrated camera; results are in its world frame, m.
-        poses: what the robot reported in each view, `base_from_tool`.
+        poses: poses that the robot reported in each view, `base_from_tool`.
         pictures: of the object, one for each view.
         depths: smallest and largest distance of the object's points from the cameras, m.
-        features: of each picture, where `features.find` was called already.
-        min_views: smallest number of views in which a point has to be found; by default 3, or 2
-            where there are only two views.
+        features: of each picture, if `features.find` was called already.
+        min_views: smallest number of views in which a point has to be found; by default 3, or 2 for
+            two views.
         covariance: the fit of the calibration, for the points' covariances; None takes the
             calibration as exact.
-        region: where the points are looked for; None is everywhere within `depths`.
+        region: where points are searched; None for everywhere within `depths`.
 
     Raises:
         ValueError: fewer than two views, numbers of poses, pictures and features that differ, wrong
@@ -101,27 +101,29 @@ def propose_model(
             view is named.
     """
     # Poses are checked before pictures, which take longer.
-    seen = SeenViews.of(calibration, poses)
-    count = len(seen.camera_from_world)
-    needed = _checked(count, pictures, features, depths, min_views, seen.camera.image_size)
+    camera_views = SeenViews.of(calibration, poses)
+    count = len(camera_views.camera_from_world)
+    needed = _checked(count, pictures, features, depths, min_views, camera_views.camera.image_size)
     region = region or Region()
-    region.check([str(k) for k in range(count)], seen.camera.image_size)
-    found = tuple(features or _found(pictures, calibration))
-    views = _corner_views(seen, pictures, found)
+    region.check([str(k) for k in range(count)], camera_views.camera.image_size)
+    picture_features = tuple(features or _found(pictures, calibration))
+    views = _corner_views(camera_views, pictures, picture_features)
     # Every two views, since a point may be hidden or missed in any of them.
     all_pairs = [
         epipolar_pairs(views, a, b, depths) for a in range(count) for b in range(a + 1, count)
     ]
     pairs = Pairs(*(np.concatenate(parts) for parts in zip(*all_pairs, strict=True)))
-    projected = project_points(seen, pairs.points)
-    # Before corners are given to points: what is outside takes none of them away.
+    projected = project_points(camera_views, pairs.points)
+    # Before corners are assigned to points, so that points outside take no corners away.
     inside = region.contains(pairs.points, projected)
     pairs = Pairs(*(part[inside] for part in pairs))
     tracks = supported_tracks(views, pairs, projected[:, inside], needed)
-    proposal = _proposal(calibration, poses, seen, found, tracks, needed, covariance)
-    # The final points are not those of the pairs; on the border one may have moved out.
+    proposal = _proposal(
+        calibration, poses, camera_views, picture_features, tracks, needed, covariance
+    )
+    # The final points differ from the pairs' points: at the border one may have moved out.
     return _within(
-        proposal, region.contains(proposal.points, project_points(seen, proposal.points))
+        proposal, region.contains(proposal.points, project_points(camera_views, proposal.points))
     )
 
 
@@ -140,10 +142,11 @@ def _checked(
         raise ValueError(f"pictures: expected one for each of {count} poses, found {len(pictures)}")
     if features is not None and len(features) != count:
         raise ValueError(f"features: expected one for each of {count} views, found {len(features)}")
-    for k, own in enumerate(features or ()):
-        if tuple(own.image_size) != tuple(image_size):
+    for k, view_features in enumerate(features or ()):
+        width, height = view_features.image_size
+        if (width, height) != tuple(image_size):
             raise ValueError(
-                f"view {k}: features of a picture of {own.image_size[0]} x {own.image_size[1]} px; "
+                f"view {k}: features of a picture of {width} x {height} px; "
                 f"the camera's have {image_size[0]} x {image_size[1]} px"
             )
     if not 0.0 <= depths[0] < depths[1]:
@@ -156,43 +159,43 @@ def _checked(
 
 def _found(pictures: Sequence[np.ndarray], calibration: Calibration) -> list[Features]:
     """Return the features of every picture; an error names the view."""
-    found = []
+    features = []
     for k, picture in enumerate(pictures):
         try:
-            found.append(find(picture, calibration.camera))
+            features.append(find(picture, calibration.camera))
         except ValueError as error:
             raise ValueError(f"view {k}: {error}") from error
-    return found
+    return features
 
 
 def _corner_views(
-    seen: SeenViews, pictures: Sequence[np.ndarray], found: tuple[Features, ...]
+    views: SeenViews, pictures: Sequence[np.ndarray], found: tuple[Features, ...]
 ) -> list[CornerView]:
-    """Return the corners of all views with their rays and how they look."""
-    plane = IdealPlane(seen.camera)
-    rotations = seen.camera_from_world[:, :3, :3]
-    # The mean of the cameras' x axes is across the line of sight in all of them.
+    """Return the corners of all views with their rays and their appearance."""
+    plane = IdealPlane(views.camera)
+    rotations = views.camera_from_world[:, :3, :3]
+    # The mean of the cameras' x axes is perpendicular to the line of sight in all of them.
     reference = rotations[:, 0].mean(axis=0)
-    views = []
+    corner_views = []
     for k, (picture, features) in enumerate(zip(pictures, found, strict=True)):
         try:
-            look = describe(picture, seen.camera, features, rotations[k] @ reference)
-        # Where the features were given, nobody has looked at the picture before.
+            look = describe(picture, views.camera, features, rotations[k] @ reference)
+        # If the features were given, the picture has not been checked yet.
         except ValueError as error:
             raise ValueError(f"view {k}: {error}") from error
         rays = plane.rays(plane.from_pixels(features.corners)) @ rotations[k]
-        views.append(
+        corner_views.append(
             CornerView(
                 features.corners,
                 rays,
-                seen.centres[k],
+                views.centres[k],
                 look.patches,
                 look.directions,
                 features.corner_segments[:, 1] >= 0,
                 plane.focal_length,
             )
         )
-    return views
+    return corner_views
 
 
 def _proposal(
@@ -210,11 +213,11 @@ def _proposal(
     similarity = tracks.similarity[kept]
     points = triangulated_tracks(calibration, poses, found, corners, covariance)
     rms = track_rms(points)
-    # What fits badly or looks different is not worth a person's time.
+    # Points that fit badly or look different are not worth a person's time.
     good = points.ok & (rms < MAX_RMS) & (similarity > MIN_SIMILARITY)
     order = np.flatnonzero(good)
     order = order[_distinct(project_points(seen, points.points[order]))]
-    # Dots and grain on an edge would divide it into pieces: edges run between junctions.
+    # Edges run between junctions: dots and grain on an edge would divide it into pieces.
     ends = np.flatnonzero(junction_counts(found, corners[:, order]) >= 2)
     edges, edge_segments = joined_edges(seen, found, points.points[order[ends]])
     return ModelProposal(
@@ -231,7 +234,7 @@ def _proposal(
 
 
 def _within(proposal: ModelProposal, inside: Bool[np.ndarray, "points"]) -> ModelProposal:
-    """Return the part of a proposal with only some of its points, and the edges between them."""
+    """Return a proposal reduced to the selected points, and the edges between them."""
     number = np.cumsum(inside) - 1
     kept = inside[proposal.edges].all(axis=1)
     return proposal._replace(
@@ -247,12 +250,12 @@ def _within(proposal: ModelProposal, inside: Bool[np.ndarray, "points"]) -> Mode
 
 
 def _distinct(projected: Float[np.ndarray, "views points 2"]) -> Bool[np.ndarray, "points"]:
-    """Return which points are not seen everywhere at a better one before them."""
+    """Return which points do not coincide, in every view, with a better point before them."""
     keep = np.ones(projected.shape[1], dtype=bool)
     for k in range(1, len(keep)):
         before = np.flatnonzero(keep[:k])
         gap = np.linalg.norm(projected[:, before] - projected[:, k : k + 1], axis=-1)
-        # NaN where one of the two is not seen.
+        # NaN where either point is not visible.
         largest = np.where(np.isfinite(gap), gap, 0.0).max(axis=0)
         keep[k] = not (np.isfinite(gap).any(axis=0) & (largest < SAME_POINT_DISTANCE)).any()
     return keep

@@ -18,8 +18,8 @@ from .line_jacobians import Lines
 class RefinedFeatures(EstimatedPoints):
     """Refined points and lines, with their errors by cause.
 
-    The covariances that are called those of the pictures hold what the constraints and the free
-    numbers add; the numbers of the calibration are those that were not free.
+    `picture_covariance` also includes the effect of the constraints and of the free numbers; the
+    numbers of the calibration are the ones that were fixed.
 
     Attributes:
         lines: refined lines; NaN where `line_status` is not OK.
@@ -30,7 +30,7 @@ class RefinedFeatures(EstimatedPoints):
         verdicts: one for each constraint, in order.
         constraints_p_value: probability of the cost of all constraints together if they are true.
         result: whether it converged.
-        posterior: the factorised equations, from which covariances between features come.
+        posterior: the factorised equations, for covariances between features.
         weak: indices of points that are determined by constraints or not at all.
     """
 
@@ -52,9 +52,11 @@ class RefinedFeatures(EstimatedPoints):
 
     @property
     def contradictions(self) -> tuple[ConstraintVerdict, ...]:
-        """The constraints to be doubted, the most expensive first."""
-        doubted = [one for one in self.verdicts if one.contradicts or one.violated]
-        return tuple(sorted(doubted, key=lambda one: (one.violated, one.cost), reverse=True))
+        """The constraints that contradict the pictures or each other, the worst first."""
+        doubted = [verdict for verdict in self.verdicts if verdict.contradicts or verdict.violated]
+        return tuple(
+            sorted(doubted, key=lambda verdict: (verdict.violated, verdict.cost), reverse=True)
+        )
 
     @property
     def rms(self) -> float:
@@ -64,16 +66,16 @@ class RefinedFeatures(EstimatedPoints):
     def joint_picture_covariance(
         self, points: Sequence[int]
     ) -> Float[np.ndarray, "coordinates coordinates"]:
-        """Return the part that is due to the pictures, the constraints and what was free, m^2.
+        """Return the covariance due to the pictures, the constraints and the free numbers, m^2.
 
-        Unlike triangulated points, those that a constraint binds have errors in common here.
+        Unlike triangulated points, points that share a constraint have correlated errors here.
         """
         rows = [self._rows(int(k)) for k in points]
         return self.posterior.covariance(np.concatenate(rows) if rows else np.zeros(0, int))
 
     def _rows(self, point: int) -> np.ndarray:
         """Return the rows of a point's coordinates among the unknowns of the posterior."""
-        # Points in the border come after those that are eliminated, at its end.
+        # Points in the border come after the eliminated ones, at the end.
         if point in self.weak:
             place = int(np.flatnonzero(self.weak == point)[0])
             first = self.posterior.features.size + self.posterior.border_size

@@ -1,8 +1,8 @@
-"""Refine all points and lines of an object together, with what a person knows of it.
+"""Refine all points and lines of an object together, using prior knowledge of it.
 
 The squared whitened residuals of all pictures are minimised under soft and exact constraints. On
-request the poses of the views, or the whole calibration, are free under their prior, so that what
-many features say together improves them. Every constraint is then judged by the chi-square that
+request the poses of the views, or the whole calibration, are free under their prior, so that they
+are improved by all features together. Every constraint is then judged by the chi-square that
 releasing it would save: one that contradicts the pictures costs more than chance explains.
 
 Reference: Nocedal and Wright, Numerical optimization, 2006, section 18.1 (Lagrange-Newton).
@@ -38,20 +38,20 @@ from .refinement_problem import (
 from .triangulation import solve_points
 
 Freedom: TypeAlias = Literal["nothing", "poses", "calibration"]
-"""Estimated besides the features: nothing, the views' own noise, or all that is uncertain."""
+"""Estimated together with the features: nothing, the views' own noise, or all uncertain numbers."""
 
 WEAK_PRIOR_STD = 10.0
-"""Standard deviation of a prior, over the distance, that keeps points finite that nothing measures.
+"""Standard deviation, over the distance, of a prior that keeps unmeasured points finite.
 
-It is far above `MAX_RELATIVE_STD`, so that whatever only this prior holds is named."""
+It is far above `MAX_RELATIVE_STD`, so that points held only by this prior are reported."""
 
 FALSE_ALARM_PROBABILITY = 0.01
-"""Probability that any constraint is said to contradict the pictures when all are true."""
+"""Probability that any constraint is said to contradict the pictures although all are true."""
 
 
 @runtime_checkable
 class HasVertices(Protocol):
-    """A model whose vertices are a start of the refinement."""
+    """A model whose vertices are the initial points of the refinement."""
 
     @property
     def vertices(self) -> Float[np.ndarray, "points 3"]: ...
@@ -71,40 +71,41 @@ def refine(
 ) -> RefinedFeatures:
     """Refine all points and lines together, under constraints.
 
-    A point that fewer than two views see is determined too if constraints determine it; it needs a
-    start, or one view whose ray gives one.
+    A point that fewer than two views see can still be determined by constraints; it needs an
+    initial value, or one view whose ray gives one.
 
     Args:
         start: a model with `vertices`, or points, m; None or NaN where they are triangulated first.
         observations: the pictures.
-        constraints: what is known of the object, each soft or exact.
+        constraints: known properties of the object, each soft or exact.
         free: `"poses"` also estimates the robot's own noise in each view, `"calibration"`
-            everything that `covariance` and `noise` say is uncertain, under their prior.
-        covariance: how well the calibration is known, as in `triangulate_points`.
-        noise: sizes of the robot's noise, likewise.
+            everything that `covariance` and `noise` call uncertain, under their prior.
+        covariance: uncertainty of the calibration, as in `triangulate_points`.
+        noise: sizes of the robot's noise, as in `triangulate_points`.
         loss: robust loss of the points' whitened residuals; None is least squares.
         false_alarm: probability that any true constraint is said to contradict the pictures.
 
     Raises:
-        ValueError: bad observations or constraints, a start of another number of points, a point
+        ValueError: bad observations or constraints, a start with a wrong number of points, a point
             without start and view, a line of a constraint that cannot be triangulated, or `free`
-            without anything that says how uncertain it is.
+            without an uncertainty.
     """
     observed = CheckedObservations.of(observations)
     count, line_count = observed.visible.shape[1], observed.segments_visible.shape[1]
     check_constraints(constraints, count, line_count)
-    # Described once: what is free is estimated under it, what is held is propagated by it.
+    # One description for both: free numbers are estimated under it, fixed ones are propagated by
+    # it.
     uncertainty = CalibrationUncertainty.of(
         observed.views, observations.calibration, covariance, noise
     )
     if free != "nothing" and not uncertainty.names:
-        raise ValueError(f"free={free!r}: covariance or noise says how uncertain that is")
+        raise ValueError(f"free={free!r}: give covariance or noise, their prior")
     points, weak = _initial_points(start, observed)
     check_edges(constraints, points)
     lines, line_status = _initial_lines(observations, observed, constraints)
     shape, planes = _with_planes(points, lines, constraints)
     roots = _prior_roots(uncertainty)
-    # The views' own noise comes after what all views have in common.
+    # The views' own noise comes after the numbers that all views share.
     index = np.arange(roots.shape[1])
     chosen = {
         "nothing": index < 0,
@@ -123,23 +124,23 @@ def refine(
 def _initial_points(
     start: HasVertices | np.ndarray | None, observed: CheckedObservations
 ) -> tuple[Float[np.ndarray, "points 3"], np.ndarray]:
-    """Return points to start from, and the indices of those that the pictures leave open."""
+    """Return initial points, and the indices of points that the pictures do not determine."""
     count = observed.visible.shape[1]
-    found, _, _, status = solve_points(
+    triangulated, _, _, status = solve_points(
         observed.views, observed.pixels, observed.whitening, observed.visible
     )
-    # A start that is given counts, also where the pictures alone would tell: it may be the one
-    # that a person chose among several.
-    points = np.where((status == PointStatus.OK)[:, None], found, np.nan)
+    # A given start takes precedence over the triangulation: a person may have chosen it among
+    # several.
+    points = np.where((status == PointStatus.OK)[:, None], triangulated, np.nan)
     if start is not None:
-        given = start.vertices if isinstance(start, HasVertices) else start
-        given = np.asarray(given, dtype=float)
-        if given.shape != (count, 3):
+        initial = start.vertices if isinstance(start, HasVertices) else start
+        initial = np.asarray(initial, dtype=float)
+        if initial.shape != (count, 3):
             raise ValueError(
-                f"start: expected {(count, 3)} as there are pixels; found {given.shape}"
+                f"start: expected {(count, 3)} as there are pixels; found {initial.shape}"
             )
-        points = np.where(np.isfinite(given), given, points)
-    # Points of one view start on its ray, as far away as the rest of the object.
+        points = np.where(np.isfinite(initial), initial, points)
+    # Points of one view start on its ray, at the distance of the other points.
     centre = np.nanmean(points, axis=0) if np.isfinite(points).any() else np.full(3, np.nan)
     for k in np.flatnonzero(np.isnan(points).any(axis=1)):
         points[k] = _on_a_ray(observed, int(k), centre)
@@ -159,8 +160,8 @@ def _on_a_ray(
     view = views[0]
     pixel = observed.pixels[view, point]
     segments = np.tile(pixel, (len(observed.visible), 1, 2, 1))
-    seen = np.arange(len(observed.visible))[:, None] == view
-    rays, _ = world_rays(observed.views, segments, seen)
+    visible = np.arange(len(observed.visible))[:, None] == view
+    rays, _ = world_rays(observed.views, segments, visible)
     ray, origin = rays[view, 0, 0], observed.views.centres[view]
     return origin + ((centre - origin) @ ray) * ray
 
@@ -170,10 +171,10 @@ def _initial_lines(
     observed: CheckedObservations,
     constraints: Sequence[AbstractConstraint],
 ) -> tuple[Lines, np.ndarray]:
-    """Return lines to start from, and the status of each; one that failed has no segments left."""
+    """Return initial lines, and the status of each; failed lines have no segments left."""
     if not observed.segments.shape[1]:
         return Lines(np.zeros((0, 3)), np.zeros((0, 3))), np.zeros(0, dtype=int)
-    found = triangulate_lines(
+    triangulated = triangulate_lines(
         observations.calibration,
         observations.poses,
         observed.segments,
@@ -182,17 +183,17 @@ def _initial_lines(
     )
     for constraint in constraints:
         for line in constraint.lines:
-            if line in found.failures:
-                raise ValueError(f"{constraint}: line {line}: {found.failures[line]}")
-    # It stays in the arrays, so that indices remain those of the caller.
-    failed = ~found.ok
+            if line in triangulated.failures:
+                raise ValueError(f"{constraint}: line {line}: {triangulated.failures[line]}")
+    # Failed lines stay in the arrays, so that the caller's indices remain valid.
+    failed = ~triangulated.ok
     observed.segments_visible[:, failed] = False
     filler = observed.views.centres[0] + observed.views.camera_from_world[0, 2, :3]
     lines = Lines(
-        np.where(failed[:, None], filler, found.lines.points),
-        np.where(failed[:, None], [1.0, 0.0, 0.0], found.lines.directions),
+        np.where(failed[:, None], filler, triangulated.lines.points),
+        np.where(failed[:, None], [1.0, 0.0, 0.0], triangulated.lines.directions),
     )
-    return lines, found.status
+    return lines, triangulated.status
 
 
 def _with_planes(
@@ -200,19 +201,19 @@ def _with_planes(
     lines: Lines,
     constraints: Sequence[AbstractConstraint],
 ) -> tuple[Shape, tuple[int, ...]]:
-    """Return the shape with the planes of all constraints, and the index of each one's plane."""
-    found, indices = [], []
+    """Return the shape with the planes of all constraints, and each constraint's plane index."""
+    constraint_planes, indices = [], []
     for constraint in constraints:
         plane = constraint.initial_plane(points)
-        indices.append(-1 if plane is None else len(found))
-        found += [] if plane is None else [plane]
-    centres = np.array([centre for centre, _ in found]).reshape(-1, 3)
-    normals = np.array([normal for _, normal in found]).reshape(-1, 3)
-    return Shape(points, lines, normals, np.zeros(len(found)), centres), tuple(indices)
+        indices.append(-1 if plane is None else len(constraint_planes))
+        constraint_planes += [] if plane is None else [plane]
+    centres = np.array([centre for centre, _ in constraint_planes]).reshape(-1, 3)
+    normals = np.array([normal for _, normal in constraint_planes]).reshape(-1, 3)
+    return Shape(points, lines, normals, np.zeros(len(constraint_planes)), centres), tuple(indices)
 
 
 def _prior_roots(uncertainty: CalibrationUncertainty) -> Float[np.ndarray, "numbers combinations"]:
-    """Return L with covariance `L L^T`, whose last columns are those of the views' own noise."""
+    """Return L with covariance `L L^T`; the last columns belong to the views' own noise."""
     covariance, shared = uncertainty.covariance, uncertainty.shared_count
     std = np.sqrt(np.diagonal(covariance))
     root = np.diag(std)
@@ -225,7 +226,7 @@ def _typical_distance(
     observed: CheckedObservations, points: Float[np.ndarray, "points 3"]
 ) -> float:
     """Return the median distance of the points from the cameras, m."""
-    # The scale of what "far" and "open" mean, in the units of the poses.
+    # The scale for "far" and "undetermined", in the units of the poses.
     offsets = points[None] - observed.views.centres[:, None]
     return float(np.median(np.linalg.norm(offsets, axis=-1))) if len(points) else 1.0
 
@@ -238,8 +239,8 @@ def _summarise(
     distance: float,
     false_alarm: float,
 ) -> RefinedFeatures:
-    """Return the answer with covariances, verdicts and statuses."""
-    # Without damping: that is for steps, not for covariances.
+    """Return the result with covariances, verdicts and statuses."""
+    # Damping is for steps, not for covariances.
     at = linearise(problem, state, problem.free)
     posterior = at.system.factorised()
     blocks = posterior.feature_blocks()
@@ -247,7 +248,7 @@ def _summarise(
     first = posterior.features.size + posterior.border_size - 3 * len(weak)
     for k, point in enumerate(weak):
         blocks.points[point] = posterior.covariance(first + 3 * k + np.arange(3))
-    # The prior of points that nothing measures is not a measurement.
+    # The prior of unmeasured points is no measurement.
     status = np.full(len(state.shape.points), int(PointStatus.OK))
     open_points = np.trace(blocks.points, axis1=1, axis2=2) > (MAX_RELATIVE_STD * distance) ** 2
     status[open_points] = PointStatus.DEGENERATE_BASELINE
@@ -256,7 +257,7 @@ def _summarise(
     if not result.converged:
         status[:] = PointStatus.NOT_CONVERGED
         line_status = np.full_like(line_status, PointStatus.NOT_CONVERGED)
-    # From here on, whatever failed is NaN beside the status that names why.
+    # From here on failed features are NaN, with the reason in their status.
     ok, lines_ok = status == PointStatus.OK, line_status == PointStatus.OK
     fixed = ~problem.free
     names, covariance, jacobian = _calibration_part(problem, state, at, posterior, fixed)
@@ -303,13 +304,13 @@ def _calibration_part(
 ) -> tuple[
     tuple[str, ...], Float[np.ndarray, "numbers numbers"], Float[np.ndarray, "points 3 numbers"]
 ]:
-    """Return names and covariance of the numbers that were held, and the points' derivatives."""
+    """Return names and covariance of the fixed numbers, and the points' derivatives by them."""
     names = tuple(n for n, held in zip(problem.uncertainty.names, fixed, strict=True) if held)
     covariance = problem.uncertainty.covariance[np.ix_(fixed, fixed)]
     count = len(state.shape.points)
     if not names:
         return names, covariance, np.zeros((count, 3, 0))
-    # Numbers, not combinations: those that are held are all the shared ones, or all.
+    # Numbers, not combinations: the fixed ones are either all shared numbers or all numbers.
     everything = picture_equations(
         problem.observed,
         state.shape,
@@ -318,7 +319,7 @@ def _calibration_part(
         np.eye(len(problem.uncertainty.names)),
         problem.loss,
     )
-    # Mixed derivatives of the held numbers with features, and with the numbers that are free.
+    # Mixed derivatives of the fixed numbers with features and with free numbers.
     free_roots = problem.roots[:, problem.free]
     mixed = everything.coupling[:, fixed].copy()
     reduced = np.zeros((len(posterior.reduced), len(names)))
@@ -326,11 +327,11 @@ def _calibration_part(
     reduced[:numbers] = free_roots.T @ everything.numbers[:, fixed]
     first = posterior.border_size - 3 * len(problem.weak)
     for k, point in enumerate(problem.weak):
-        own = slice(3 * point, 3 * point + 3)
-        reduced[first + 3 * k : first + 3 * k + 3] = mixed[own]
-        mixed[own] = 0.0
-    # The gradients change by these columns; the solution by minus the inverse times them.
-    # At the optimum the gradient is zero; a change of the held numbers changes it by these columns.
+        rows = slice(3 * point, 3 * point + 3)
+        reduced[first + 3 * k : first + 3 * k + 3] = mixed[rows]
+        mixed[rows] = 0.0
+    # At the optimum the gradient is zero; a change of the fixed numbers changes it by these
+    # columns, and the solution by minus the inverse times them.
     features, rest = posterior.solve(-mixed, -reduced)
     jacobian = features[: 3 * count].reshape(count, 3, -1).copy()
     jacobian[problem.weak] = rest[first : posterior.border_size].reshape(-1, 3, len(names))

@@ -18,11 +18,11 @@ MAX_STEPS = 50
 """Largest number of Gauss-Newton steps."""
 
 CONVERGED_STEP = 1e-8
-"""Squared step of a feature, in standard deviations that its pictures give, that ends the steps."""
+"""Squared step of a feature, in its standard deviations by the pictures, that ends the steps."""
 
 MERIT_VARIANCE, MERIT_SLACK = 1e-2, 0.1
-"""The variance of exact constraints over what the pictures leave them, by which steps are judged,
-and the rise of half the chi-square that is let pass: steps near the optimum are all taken."""
+"""Variance of exact constraints when steps are judged, over the variance that the pictures leave
+them; and the tolerated increase of half the chi-square: steps near the optimum are all taken."""
 
 
 class RefinementProblem(NamedTuple):
@@ -36,8 +36,8 @@ class RefinementProblem(NamedTuple):
         constraints: the constraints.
         planes: index of each constraint's own plane; -1 for none.
         weak: indices of points in the border.
-        start: points at the start, the mean of the weak prior.
-        weak_sigma: its standard deviation, m.
+        start: initial points, the mean of the weak prior.
+        weak_sigma: standard deviation of the weak prior, m.
         loss: robust loss.
     """
 
@@ -54,7 +54,7 @@ class RefinementProblem(NamedTuple):
 
 
 class RefinementState(NamedTuple):
-    """A point of the search: the shape, and the combinations of the numbers, all of them."""
+    """A state of the search: the shape, and all combinations of the numbers."""
 
     shape: Shape
     combinations: Float[np.ndarray, "combinations"]
@@ -64,7 +64,7 @@ class RefinementEquations(NamedTuple):
     """The linearised problem at a state.
 
     Attributes:
-        pictures: the part of the pictures.
+        pictures: contribution of the pictures.
         system: the matrix.
         feature_right: right-hand side of the features.
         reduced_right: right-hand side of border and constraints.
@@ -100,7 +100,7 @@ def linearise(
     first_weak = numbers + 3 * planes
     rows = pictures.features.size
     border = np.zeros((border_size, border_size))
-    # Combinations of unit variance have the identity as the precision of their prior.
+    # Combinations have unit variance, so that the precision of their prior is the identity.
     border[:numbers, :numbers] = pictures.numbers + np.eye(numbers)
     gradient = np.zeros(border_size)
     gradient[:numbers] = pictures.number_gradient + state.combinations[free]
@@ -108,40 +108,44 @@ def linearise(
     coupling = np.zeros((rows, border_size))
     coupling[:, :numbers] = pictures.coupling
     feature_gradient = pictures.feature_gradient.copy()
-    # Lines that no view sees any more, and points that move to the border, are idle here.
+    # Lines that no view sees and points that move to the border are inactive here.
     blocks.lines[~problem.observed.segments_visible.any(axis=0)] = np.eye(4)
     prior = 1.0 / problem.weak_sigma**2
     # A point that its pictures do not determine has a singular block, which cannot be eliminated
-    # first. In the border, its constraints and a very weak prior make it regular.
+    # first. In the border, its constraints and a very weak prior make the system regular.
     for k, point in enumerate(weak):
-        place, own = (
+        place, rows_of_point = (
             slice(first_weak + 3 * k, first_weak + 3 * k + 3),
             slice(3 * point, 3 * point + 3),
         )
         border[place, place] = blocks.points[point] + prior * np.eye(3)
-        border[place, :numbers] = coupling[own, :numbers]
-        border[:numbers, place] = coupling[own, :numbers].T
-        gradient[place] = feature_gradient[own] + prior * (
+        border[place, :numbers] = coupling[rows_of_point, :numbers]
+        border[:numbers, place] = coupling[rows_of_point, :numbers].T
+        gradient[place] = feature_gradient[rows_of_point] + prior * (
             shape.points[point] - problem.start[point]
         )
-        blocks.points[point], coupling[own], feature_gradient[own] = np.eye(3), 0.0, 0.0
+        blocks.points[point], coupling[rows_of_point], feature_gradient[rows_of_point] = (
+            np.eye(3),
+            0.0,
+            0.0,
+        )
 
     evaluations = [
-        one.evaluate(shape, plane)
-        for one, plane in zip(problem.constraints, problem.planes, strict=True)
+        constraint.evaluate(shape, plane)
+        for constraint, plane in zip(problem.constraints, problem.planes, strict=True)
     ]
-    sizes = [len(one.values) for one in evaluations]
+    sizes = [len(evaluation.values) for evaluation in evaluations]
     ends = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
     A, C = np.zeros((ends[-1], rows)), np.zeros((ends[-1], border_size))
     variance, values = np.zeros(ends[-1]), np.zeros(ends[-1])
     weak_place = {int(point): first_weak + 3 * k for k, point in enumerate(weak)}
     first_line = 3 * len(shape.points)
     slices = tuple(slice(*pair) for pair in itertools.pairwise(ends))
-    # Derivatives go to the columns of features that are eliminated, or to those of the border.
-    for where, constraint, one in zip(slices, problem.constraints, evaluations, strict=True):
-        values[where] = one.values
+    # Derivatives go to the columns of eliminated features, or of the border.
+    for where, constraint, evaluation in zip(slices, problem.constraints, evaluations, strict=True):
+        values[where] = evaluation.values
         variance[where] = 0.0 if constraint.sigma is None else constraint.sigma**2
-        for (kind, k), jacobian in one.jacobians.items():
+        for (kind, k), jacobian in evaluation.jacobians.items():
             width = jacobian.shape[1]
             if kind == "plane":
                 C[where, numbers + 3 * k : numbers + 3 * k + width] += jacobian
@@ -172,7 +176,7 @@ def minimise(
 ) -> tuple[RefinementState, FitResult]:
     """Take damped Gauss-Newton steps until all features stay where they are."""
     state, damping = start, 0.0
-    # Gauss-Newton with Levenberg's damping; constraints enter every step linearised anew.
+    # Gauss-Newton with Levenberg's damping; constraints are linearised again in every step.
     at = linearise(problem, state, problem.free)
     if not np.isfinite(at.cost):
         return state, FitResult(FitCode.DIVERGED, "a point starts behind a camera that sees it")
@@ -181,14 +185,14 @@ def minimise(
         step, rest = factors.solve(at.feature_right, at.reduced_right)
         trial = _moved(problem, state, step, rest[: factors.border_size])
         new = linearise(problem, trial, problem.free)
-        # The last step is taken whatever the cost says: that differs by rounding only.
+        # The last step is taken whatever the cost: it differs only by rounding.
         small = _largest_step(at.system, step, rest) < CONVERGED_STEP
         if small or _merit(new) <= _merit(at) + MERIT_SLACK:
             state, at, damping = trial, new, 0.1 * damping if damping > 1e-6 else 0.0
             if small and damping == 0.0:
                 return state, FitResult(FitCode.CONVERGED, "all features stay where they are")
         else:
-            # Undamped first: from a triangulated start a full step is nearly always right.
+            # Undamped first: from triangulated points a full step is nearly always right.
             damping = max(10.0 * damping, 1e-4)
             if damping > 1e8:
                 break
@@ -198,9 +202,9 @@ def minimise(
 
 
 def _merit(at: RefinementEquations) -> float:
-    """Return the cost with the squares of all constraints; exact ones have a sigma for this."""
+    """Return the cost including the squares of all constraints."""
     inverse = at.system.features.inverse()
-    # Exact constraints need a weight that neither hides the pictures nor is hidden by them.
+    # For this, exact constraints get a variance that balances them with the pictures.
     variance = np.maximum(
         at.system.constraint_variance, MERIT_VARIANCE * at.system.variance_by_pictures(inverse)
     )
@@ -214,7 +218,7 @@ def _moved(
     count, planes = len(state.shape.points), len(state.shape.normals)
     numbers = int(problem.free.sum())
     points = step[: 3 * count].reshape(count, 3).copy()
-    # The rows of points in the border are idle among the features.
+    # The rows of border points are inactive among the features.
     points[problem.weak] = border[numbers + 3 * planes :].reshape(-1, 3)
     combinations = state.combinations.copy()
     combinations[problem.free] += border[:numbers]
@@ -230,7 +234,7 @@ def _largest_step(
     system: ConstrainedSystem, step: Float[np.ndarray, "rows"], rest: Float[np.ndarray, "reduced"]
 ) -> float:
     """Return the largest squared step of a feature, in its standard deviations by the pictures."""
-    # dx^T H dx of each feature: one is a standard deviation, whatever the unit.
+    # dx^T H dx of each feature: one means one standard deviation, whatever the unit.
     weighted = step * system.features.times(step)
     split = 3 * len(system.features.points)
     sizes = [

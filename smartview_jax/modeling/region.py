@@ -1,4 +1,4 @@
-"""Limit a search for points to a part of space: a box of the cell, and rectangles in pictures."""
+"""Limit the search for points to a part of space: a box, and rectangles in pictures."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -10,17 +10,17 @@ from jaxtyping import Bool, Float
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Region:
-    """The part of space in which an object's points are looked for.
+    """The part of space in which an object's points are searched.
 
-    A rectangle stands for everything in space that is seen in it. So one rectangle around the
-    object in one picture leaves out what stands beside it in all views; a second one, in a view
-    from elsewhere, leaves out what is in front of it or behind.
+    A rectangle selects everything in space that is seen in it. So a rectangle around the object in
+    one picture leaves out whatever is next to it, in all views; a second one, in a view from
+    another direction, leaves out whatever is in front of it or behind.
 
     Attributes:
         box: smallest and largest x, y and z in the world, m; infinite where a side is open. None
-            limits nothing.
+            for no limit.
         rectangles: around the object in pictures, by the view's index: smallest u and v, then
-            largest u and v, px. What is no rectangle is refused by `check`, in words.
+            largest u and v, px. `check` rejects invalid ones.
     """
 
     box: Float[np.ndarray, "2 3"] | Sequence[Sequence[float | int]] | None = None
@@ -34,7 +34,7 @@ class Region:
             image_size: width and height of the pictures, px.
 
         Raises:
-            ValueError: what was found, with the view's name.
+            ValueError: the message names the view and what was found.
         """
         if self.box is not None:
             box = np.asarray(self.box, dtype=float)
@@ -45,7 +45,7 @@ class Region:
                     f"found {box.tolist()}"
                 )
         for view, rectangle in self.rectangles.items():
-            # A negative index would silently mean another view, counted from the end.
+            # A negative index would silently select another view, counted from the end.
             if view not in range(len(names)):
                 raise ValueError(
                     f"region: there is no view number {view}, only 0 to {len(names) - 1}"
@@ -61,14 +61,13 @@ class Region:
 
         Args:
             points: in the world, m.
-            projected: their pixels in all views; NaN outside of a picture, which is in none of
-                its rectangles.
+            projected: their pixels in all views; NaN outside a picture, and so in none of its
+                rectangles.
         """
         inside = np.ones(len(points), dtype=bool)
         if self.box is not None:
             low, high = np.asarray(self.box, dtype=float)
             inside &= ((points >= low) & (points <= high)).all(axis=1)
-        # Comparisons with NaN are false, as they should be, but NumPy warns of them.
         with np.errstate(invalid="ignore"):
             for view, rectangle in self.rectangles.items():
                 low, high = np.reshape(np.asarray(rectangle, dtype=float), (2, 2))
@@ -91,7 +90,7 @@ def _check_rectangle(rectangle: Any, view: str, image_size: tuple[int, int]) -> 
             f"region: view {view}: expected u {left:g} below {right:g} and v {top:g} below "
             f"{bottom:g} px"
         )
-    # Beyond the border it may reach: people draw rectangles generously.
+    # It may extend beyond the border: people draw rectangles generously.
     width, height = image_size
     if right < 0 or bottom < 0 or left > width - 1 or top > height - 1:
         raise ValueError(

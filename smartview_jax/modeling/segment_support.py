@@ -17,7 +17,7 @@ MAX_END_DISTANCE = 8.0
 """Largest distance of a point beyond the end of a segment that joins it, px."""
 
 MIN_COVERED = 0.75
-"""Smallest part of the way between two points that a segment covers."""
+"""Smallest share of the distance between two points that a segment covers."""
 
 MIN_SEPARATION = 6.0
 """Smallest distance in the picture between two points that are joined, px."""
@@ -33,59 +33,59 @@ def joined_points(
 
     Args:
         features: of the view.
-        pixels: where the points are seen, px; NaN where they are not.
+        pixels: pixels of the points; NaN where they are not visible.
         rays: unit rays of the points in the camera's frame.
         focal_length: px.
     """
-    seen = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    visible = np.flatnonzero(np.isfinite(pixels).all(axis=1))
     # The sine of the angle between a ray and a segment's plane is the distance in units of 1 / f.
-    offset = np.abs(features.lines @ rays[seen].T) * focal_length
+    offset = np.abs(features.lines @ rays[visible].T) * focal_length
     starts, ends = features.segments[:, 0], features.segments[:, 1]
     lengths = np.linalg.norm(ends - starts, axis=1)
     directions = (ends - starts) / np.maximum(lengths, 1e-12)[:, None]
-    along = np.einsum("skj,sj->sk", pixels[seen] - starts[:, None], directions)
+    along = np.einsum("skj,sj->sk", pixels[visible] - starts[:, None], directions)
     near = (offset < MAX_OFFSET) & (along > -MAX_END_DISTANCE)
     near &= along < lengths[:, None] + MAX_END_DISTANCE
     pairs, segments = [], []
     for k in np.flatnonzero(near.sum(axis=1) >= 2):
-        # Neighbours along the segment are joined; others are, by way of them.
+        # Neighbours along the segment are joined directly; others through them.
         members = np.flatnonzero(near[k])
         members = members[np.argsort(along[k, members])]
         for p, q in pairwise(members):
             low, high = along[k, p], along[k, q]
             covered = min(high, lengths[k]) - max(low, 0.0)
             if high - low >= MIN_SEPARATION and covered >= MIN_COVERED * (high - low):
-                pairs.append(sorted((seen[p], seen[q])))
+                pairs.append(sorted((visible[p], visible[q])))
                 segments.append(k)
     return np.array(pairs, dtype=int).reshape(-1, 2), np.array(segments, dtype=int)
 
 
 def junction_counts(
-    found: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
+    views_features: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
 ) -> Int[np.ndarray, "points"]:
     """Return in how many views two or more segments meet in the corner of each point."""
     joins = [
         flags_of(row, features.corner_segments[:, 1] >= 0)
-        for row, features in zip(corners, found, strict=True)
+        for row, features in zip(corners, views_features, strict=True)
     ]
     return np.sum(joins, axis=0)
 
 
 def joined_edges(
-    seen: SeenViews, found: tuple[Features, ...], points: Float[np.ndarray, "points 3"]
+    views: SeenViews, views_features: tuple[Features, ...], points: Float[np.ndarray, "points 3"]
 ) -> tuple[Int[np.ndarray, "edges 2"], Int[np.ndarray, "views edges"]]:
-    """Return pairs of points that segments of two or more views join, and those segments."""
-    # Points are looked for where they are seen, found there or not: segments tell more.
-    projected, plane = project_points(seen, points), IdealPlane(seen.camera)
+    """Return pairs of points that segments of two or more views join, and these segments."""
+    # Segments count wherever both points project, even where no corner was found.
+    projected, plane = project_points(views, points), IdealPlane(views.camera)
     segment_of: dict[tuple[int, int], Int[np.ndarray, "views"]] = {}
-    for k, features in enumerate(found):
-        matrix = seen.camera_from_world[k]
+    for k, features in enumerate(views_features):
+        matrix = views.camera_from_world[k]
         rays = points @ matrix[:3, :3].T + matrix[:3, 3]
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         pairs, segments = joined_points(features, projected[k], rays, plane.focal_length)
         for pair, segment in zip(map(tuple, pairs.tolist()), segments, strict=True):
-            segment_of.setdefault(pair, np.full(len(found), -1))[k] = segment
-    kept = sorted(pair for pair, views in segment_of.items() if (views >= 0).sum() >= 2)
+            segment_of.setdefault(pair, np.full(len(views_features), -1))[k] = segment
+    kept = sorted(pair for pair, in_views in segment_of.items() if (in_views >= 0).sum() >= 2)
     edges = np.array(kept, dtype=int).reshape(-1, 2)
     columns = [segment_of[pair] for pair in kept]
-    return edges, np.array(columns, dtype=int).reshape(-1, len(found)).T
+    return edges, np.array(columns, dtype=int).reshape(-1, len(views_features)).T

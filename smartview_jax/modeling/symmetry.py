@@ -1,8 +1,8 @@
 """Find the rotations that map an object model onto itself.
 
-A symmetric object has several poses that no picture tells apart, and several grasps that are the
-same. The group is found from the geometry; whether it is meant, for example in spite of a label on
-one side, is for a person to confirm.
+A symmetric object has several poses that no picture can distinguish, and several equivalent
+grasps. The group is computed from the geometry; whether it is intended, for example despite a label
+on one side, is for a person to confirm.
 """
 
 import dataclasses
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from .object_model import ObjectModel
 
 SYMMETRY_TOLERANCE = 1e-3
-"""Largest distance between a turned vertex and the one that it meets, over the object's extent."""
+"""Largest distance between a rotated vertex and the one it meets, over the object's extent."""
 
 AXIS_ORDER = 16
-"""Smallest number of equal turns about one axis that stand for a surface of revolution.
+"""Smallest number of equal turns about an axis that counts as a surface of revolution.
 
-A mesh has a cylinder as a prism; no object made of few flat faces has so many.
+A mesh represents a cylinder as a prism; no object made of few flat faces has so many turns.
 """
 
 
 _SAME_DIRECTION = 1e-3
-"""Angle of a turn, or between two axes, below which there is none, rad."""
+"""Angle of a turn, or between two axes, below which it counts as zero, rad."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,8 +53,9 @@ class Symmetry:
 
     Attributes:
         rotations: a finite group, with the identity first; rotation matrices in the object's frame.
-        centre: the point that all of them leave in place, in the object's frame, m.
+        centre: the common fixed point, in the object's frame, m.
         axis: unit vector of the axis of a surface of revolution, about which every rotation maps
+            the object onto itself; None if there is no such axis.
             the object onto itself; None if there is no such axis.
         confirmed: whether a person has confirmed it.
     """
@@ -74,29 +75,29 @@ class Symmetry:
         """The axes of the turns, those with the most turns first."""
         vectors = Rotation.from_matrix(self.rotations).as_rotvec()
         angles = np.linalg.norm(vectors, axis=1)
-        found: list[SymmetryAxis] = []
+        axes: list[SymmetryAxis] = []
         for vector, angle in zip(vectors, angles, strict=True):
             direction = vector / max(angle, 1e-30)
             # The identity has no axis, and each axis has several turns.
-            if angle < _SAME_DIRECTION or any(one.is_along(direction) for one in found):
+            if angle < _SAME_DIRECTION or any(axis.is_along(direction) for axis in axes):
                 continue
             about = np.linalg.norm(np.cross(vectors, direction), axis=1) < _SAME_DIRECTION
-            # The way in which it points up, where it does: one axis has two unit vectors.
+            # An axis has two unit vectors; take the one with a positive last non-zero component.
             sign = np.sign(direction[np.flatnonzero(np.abs(direction) > 1e-6)[-1]])
-            # With the identity, which is a turn about any axis.
-            found.append(SymmetryAxis(sign * direction, int(about.sum())))
-        return tuple(sorted(found, key=lambda one: -one.fold))
+            # Including the identity, which is a turn about any axis.
+            axes.append(SymmetryAxis(sign * direction, int(about.sum())))
+        return tuple(sorted(axes, key=lambda axis: -axis.fold))
 
     @property
     def words(self) -> str:
         """The turns in words, such as "4-fold about (0, 0, 1); 2-fold about 4 axes"."""
         if self.axis is not None:
             return f"round about {_coordinates(self.axis)}"
-        folds = [one.fold for one in self.axes]
+        folds = [axis.fold for axis in self.axes]
         parts = []
         for fold in dict.fromkeys(folds):
-            same = [one for one in self.axes if one.fold == fold]
-            # One axis is named; many are counted.
+            same = [axis for axis in self.axes if axis.fold == fold]
+            # A single axis is named; several are counted.
             where = _coordinates(same[0].direction) if len(same) == 1 else f"{len(same)} axes"
             parts.append(f"{fold}-fold about {where}")
         return "; ".join(parts) or "no turn maps it onto itself"
@@ -116,7 +117,7 @@ def find_symmetry(model: "ObjectModel", tolerance: float | None = None) -> Symme
 
     Args:
         model: with at least three vertices that are not on one line.
-        tolerance: largest distance between a turned vertex and the one it meets, m; by default
+        tolerance: largest distance between a rotated vertex and the one it meets, m; by default
             `SYMMETRY_TOLERANCE` of the extent, or three times the vertices' standard deviation.
 
     Raises:
@@ -137,10 +138,10 @@ def find_symmetry(model: "ObjectModel", tolerance: float | None = None) -> Symme
     for rotation in _candidate_rotations(centred, tolerance):
         distances, nearest = tree.query(centred @ rotation.T)
         targets = np.asarray(nearest, int)
-        # A rotation is not near one that was accepted already if some vertex goes elsewhere.
-        known = any(np.abs(centred @ (rotation - one).T).max() < tolerance for one in accepted)
+        # A rotation is new if it moves some vertex elsewhere than every accepted one.
+        known = any(np.abs(centred @ (rotation - other).T).max() < tolerance for other in accepted)
         if not known and np.max(distances) <= tolerance and _keeps_structure(model, targets):
-            # Fitted to all vertices, because two of them give it only as accurately as they are.
+            # Fitted to all vertices, which is more accurate than from the two vertices.
             accepted.append(_nearest_rotation(centred, centred[targets]))
     rotations = np.stack(accepted)
     return Symmetry(rotations, centre, _revolution_axis(rotations))
@@ -149,11 +150,11 @@ def find_symmetry(model: "ObjectModel", tolerance: float | None = None) -> Symme
 def _candidate_rotations(
     centred: Float[np.ndarray, "V 3"], tolerance: float
 ) -> list[Float[np.ndarray, "3 3"]]:
-    """Return the rotations that take one pair of vertices to another of the same shape."""
-    # A rotation is given by where it takes two vertices that are not on one line with the centre.
+    """Return the rotations that move a pair of vertices to another pair of the same shape."""
+    # Two vertices that are not on one line with the centre determine a rotation.
     radii = np.linalg.norm(centred, axis=1)
-    # The farthest vertex, and the one that spans the largest triangle with it and the centre, give
-    # the rotation most accurately.
+    # The farthest vertex, and the one that spans the largest triangle with it and the centre,
+    # determine the rotation most accurately.
     first = int(np.argmax(radii))
     areas = np.linalg.norm(np.cross(centred[first], centred), axis=1)
     second = int(np.argmax(areas))
@@ -172,7 +173,7 @@ def _candidate_rotations(
 def _nearest_rotation(
     source: Float[np.ndarray, "n 3"], target: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation that best takes points to others (Kabsch)."""
+    """Return the rotation that best aligns points with others (Kabsch)."""
     # Minimises sum |R s - t|^2: with S^T T = U D V^T, R = V diag(1, 1, det) U^T.
     U, _, Vt = np.linalg.svd(source.T @ target)
     sign = np.sign(np.linalg.det(Vt.T @ U.T))
@@ -180,8 +181,8 @@ def _nearest_rotation(
 
 
 def _keeps_structure(model: "ObjectModel", targets: Int[np.ndarray, "V"]) -> bool:
-    """Return whether a permutation of the vertices takes edges to edges and faces to faces."""
-    # Two vertices may meet the same one where the tolerance is large.
+    """Return whether a permutation of the vertices maps edges to edges and faces to faces."""
+    # With a large tolerance two vertices may meet the same one.
     if len(set(targets.tolist())) != len(targets):
         return False
     edges = {frozenset(edge) for edge in model.edges.tolist()}
@@ -192,7 +193,7 @@ def _keeps_structure(model: "ObjectModel", targets: Int[np.ndarray, "V"]) -> boo
 
 
 def _revolution_axis(rotations: Float[np.ndarray, "K 3 3"]) -> Float[np.ndarray, "3"] | None:
-    """Return the axis about which there are at least `AXIS_ORDER` turns, or None."""
+    """Return the axis with at least `AXIS_ORDER` turns, or None."""
     vectors = Rotation.from_matrix(rotations).as_rotvec()
     angles = np.linalg.norm(vectors, axis=1)
     for vector, angle in zip(vectors, angles, strict=True):
@@ -206,5 +207,5 @@ def _revolution_axis(rotations: Float[np.ndarray, "K 3 3"]) -> Float[np.ndarray,
 
 
 def _coordinates(direction: Float[np.ndarray, "3"]) -> str:
-    """Return a direction in few digits, without negative zeros."""
+    """Return a direction with few digits, without negative zeros."""
     return "(" + ", ".join(f"{x:g}" for x in direction.round(2) + 0.0) + ")"

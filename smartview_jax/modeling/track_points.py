@@ -10,40 +10,42 @@ from ..robots import CommandLike
 from .triangulation import TriangulatedPoints, triangulate_points
 
 MATCH_SIGMA = 0.3
-"""Standard deviation of a corner of one view from the same corner of another, px."""
+"""Standard deviation between matched corners of two views beyond their own errors, px."""
 
 MAX_DISTANCE = 2.0
-"""Distance of a corner from its point, px, beyond which the worst corner of a point is left out."""
+"""Distance of a corner from its point, px, above which a point's worst corner is left out."""
 
 
 def corner_pixels(
-    found: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
+    features_of_views: tuple[Features, ...], corners: Int[np.ndarray, "views points"]
 ) -> Float[np.ndarray, "views points 2"]:
     """Return the pixels of corners by view, NaN where there is none."""
     pixels = np.full((*corners.shape, 2), np.nan)
-    for k, features in enumerate(found):
-        own = corners[k] >= 0
-        pixels[k, own] = features.corners[corners[k, own]]
+    for k, features in enumerate(features_of_views):
+        has_corner = corners[k] >= 0
+        pixels[k, has_corner] = features.corners[corners[k, has_corner]]
     return pixels
 
 
 def triangulated_tracks(
     calibration: Calibration,
     poses: CommandLike,
-    found: tuple[Features, ...],
+    features_of_views: tuple[Features, ...],
     corners: Int[np.ndarray, "views points"],
     covariance: CalibrationEstimate | None = None,
 ) -> TriangulatedPoints:
-    """Return the points of corners, each weighted by its own covariance."""
+    """Return the points of corners, each corner weighted by its covariance."""
     sigmas = np.tile(np.eye(2), (*corners.shape, 1, 1))
-    for k, features in enumerate(found):
-        own = corners[k] >= 0
-        # Corners of different views are never quite the same point of a surface.
-        sigmas[k, own] = features.corner_covariances[corners[k, own]] + MATCH_SIGMA**2 * np.eye(2)
+    for k, features in enumerate(features_of_views):
+        has_corner = corners[k] >= 0
+        # Corners of different views are never exactly the same point of a surface.
+        sigmas[k, has_corner] = features.corner_covariances[
+            corners[k, has_corner]
+        ] + MATCH_SIGMA**2 * np.eye(2)
     return triangulate_points(
         calibration,
         poses,
-        corner_pixels(found, corners),
+        corner_pixels(features_of_views, corners),
         corners >= 0,
         covariance=covariance,
         pixel_sigma=sigmas,
@@ -54,7 +56,6 @@ def track_rms(points: TriangulatedPoints) -> Float[np.ndarray, "points"]:
     """Return the RMS reprojection error of each point over its views, px; infinite if it failed."""
     squared = (points.residuals**2).sum(axis=-1)
     count = np.isfinite(squared).sum(axis=0)
-    # A point that failed has no residuals, and its error is infinite.
     mean = np.nansum(squared, axis=0) / np.maximum(count, 1)
     return np.where(points.ok & (count > 0), np.sqrt(mean), np.inf)
 
@@ -62,14 +63,14 @@ def track_rms(points: TriangulatedPoints) -> Float[np.ndarray, "points"]:
 def without_misfits(
     calibration: Calibration,
     poses: CommandLike,
-    found: tuple[Features, ...],
+    features_of_views: tuple[Features, ...],
     corners: Int[np.ndarray, "views points"],
     needed: int,
 ) -> tuple[Int[np.ndarray, "views kept"], Int[np.ndarray, "kept"]]:
-    """Return the tracks without corners that are too far from their point, and which remain."""
-    points = triangulated_tracks(calibration, poses, found, corners)
+    """Return the tracks without corners far from their point, and the indices of these tracks."""
+    points = triangulated_tracks(calibration, poses, features_of_views, corners)
     distance = np.linalg.norm(points.residuals, axis=-1)
-    # One wrong corner moves the point, and with it all distances: only the worst one goes.
+    # A wrong corner moves the point, and so all distances: remove only the worst one.
     distance = np.where(np.isfinite(distance), distance, -np.inf)
     worst = np.argmax(distance, axis=0), np.arange(corners.shape[1])
     corners = corners.copy()

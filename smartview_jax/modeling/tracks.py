@@ -1,7 +1,7 @@
 """Find which corners of several views are the same point in space.
 
 Every two views propose pairs that satisfy the epipolar constraint and look alike. The point of each
-pair is looked for in all other views. What the most views agree on is accepted first, and no corner
+pair is searched in all other views. Points found in most views are accepted first, and no corner
 belongs to two points.
 """
 
@@ -17,20 +17,20 @@ EPIPOLAR_GATE = 2.0
 """Largest distance of a corner from the epipolar line of another, px."""
 
 REPROJECTION_GATE = 2.0
-"""Largest distance of a corner from where the point of a pair is seen, px."""
+"""Largest distance of a corner from the projection of a pair's point, px."""
 
 MIN_PAIR_SIMILARITY, MIN_VIEW_SIMILARITY = 0.6, 0.5
 """Smallest correlation of patches of a pair, and with a pair's patches in a further view."""
 
 CANDIDATES_PER_CORNER = 4
-"""Largest number of corners in another view that one is paired with."""
+"""Largest number of corners in another view with which a corner is paired."""
 
 MIN_PARALLAX = float(np.deg2rad(1.0))
 """Smallest angle between the rays of a pair, rad; below it the depth is not known."""
 
 
 class CornerView(NamedTuple):
-    """The corners of one view as the search uses them.
+    """The corners of one view, as used in the search.
 
     Attributes:
         pixels: px.
@@ -86,7 +86,7 @@ def epipolar_pairs(
 
     Args:
         views: all views.
-        first, second: indices of the two.
+        first, second: indices of the two views.
         depths: smallest and largest distance of points from the cameras, m.
     """
     a, b = views[first], views[second]
@@ -94,7 +94,7 @@ def epipolar_pairs(
     points, in_range = _intersections(a, b, i, j, depths)
     i, j, similarity, points = (x[in_range] for x in (i, j, similarity, points))
     turn = direction_turn(a.directions[i], b.directions[j])
-    # The same weights as in `rank_candidates`, in units of correlation.
+    # The same relative weights as in `rank_candidates`, in units of correlation.
     rank = similarity - 0.05 * turn_cost(turn)
     keep = _among_best(i, rank) & _among_best(j, rank)
     pair_views = np.tile([first, second], (int(keep.sum()), 1))
@@ -111,7 +111,7 @@ def _alike_on_epipolar_lines(
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)
     near = np.abs(normals @ b.rays.T) < EPIPOLAR_GATE / b.focal_length
-    # Single precision is exact enough for correlations, and the largest part of the time.
+    # Single precision is enough for correlations, which take most of the time.
     similarity = a.patches.astype(np.float32) @ b.patches.T.astype(np.float32)
     i, j = np.nonzero(near & (similarity > MIN_PAIR_SIMILARITY))
     return i, j, similarity[i, j].astype(float)
@@ -124,7 +124,7 @@ def _intersections(
     j: Int[np.ndarray, "pairs"],
     depths: tuple[float, float],
 ) -> tuple[Float[np.ndarray, "pairs 3"], Bool[np.ndarray, "pairs"]]:
-    """Return the points nearest to two rays each, and whether they are in the range of depths."""
+    """Return the points nearest to pairs of rays, and whether they are in the range of depths."""
     # The feet a + s d and b + t e of the common perpendicular: with w = b - a and c = d . e,
     #     s = (w . d - c w . e) / (1 - c^2),   t = (c w . d - w . e) / (1 - c^2).
     d, e, w = a.rays[i], b.rays[j], b.centre - a.centre
@@ -144,7 +144,7 @@ def _among_best(
     """Return whether each pair is among the best of its corner."""
     order = np.lexsort((-rank, corner))
     ordered = corner[order]
-    # The place of each within its corner: the position minus that of the corner's first pair.
+    # The rank of each pair within its corner.
     first = np.searchsorted(ordered, ordered)
     best = np.zeros(len(corner), dtype=bool)
     best[order] = np.arange(len(corner)) - first < CANDIDATES_PER_CORNER
@@ -157,12 +157,12 @@ def supported_tracks(
     projected: Float[np.ndarray, "views pairs 2"],
     min_views: int,
 ) -> Tracks:
-    """Return the tracks of pairs whose point is seen in other views too, one for each corner.
+    """Return the tracks of pairs whose point is seen in other views too, each corner used once.
 
     Args:
         views: all views.
-        pairs: of all two views.
-        projected: pixels of the pairs' points in all views; NaN where they are not seen.
+        pairs: pairs of all views.
+        projected: pixels of the pairs' points in all views; NaN where not visible.
         min_views: smallest number of views of a track.
     """
     corners, similarity, distance = _supporters(views, pairs, projected)
@@ -172,8 +172,7 @@ def supported_tracks(
     junctions = sum(
         flags_of(row, view.is_junction) for row, view in zip(corners, views, strict=True)
     )
-    # More views first, then more junctions; among as many, those that look more alike and lie
-    # closer.
+    # More views first, then more junctions, then higher similarity and smaller distance.
     score = count + 0.2 * junctions + mean_similarity - 0.5 * spread / REPROJECTION_GATE
     order = np.argsort(-np.where(count >= min_views, score, -np.inf), kind="stable")
     order = order[count[order] >= min_views]
@@ -185,17 +184,17 @@ def supported_tracks(
 def flags_of(
     corners: Int[np.ndarray, "tracks"], flags: Bool[np.ndarray, "corners"]
 ) -> Bool[np.ndarray, "tracks"]:
-    """Return the flag of each track's corner in a view; False where it has none there."""
-    found = corners >= 0
-    # Not `flags[corners]` at once: a view in which nothing is seen has no corner -1, either.
-    found[found] = flags[corners[found]]
-    return found
+    """Return the flag of each track's corner in a view; False for tracks without a corner there."""
+    has_flag = corners >= 0
+    # Not `flags[corners]` directly: a view without corners has no element -1.
+    has_flag[has_flag] = flags[corners[has_flag]]
+    return has_flag
 
 
 def _supporters(
     views: list[CornerView], pairs: Pairs, projected: Float[np.ndarray, "views pairs 2"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the corner in every view that is nearest to each pair's point and looks like it.
+    """Return the corner in every view that is nearest to each pair's point and looks alike.
 
     Returns:
         indices, -1 where there is none; correlations and distances (px), NaN there.
@@ -205,24 +204,24 @@ def _supporters(
     similarity, distance = np.full(shape, np.nan), np.full(shape, np.nan)
     patches = [_patches_of(views, pairs, side) for side in (0, 1)]
     for k, view in enumerate(views):
-        seen = np.flatnonzero(np.isfinite(projected[k]).all(axis=1))
-        if not len(seen) or not len(view.pixels):
+        visible = np.flatnonzero(np.isfinite(projected[k]).all(axis=1))
+        if not len(visible) or not len(view.pixels):
             continue
-        gap, nearest = map(np.asarray, KDTree(view.pixels).query(projected[k, seen]))
+        gap, nearest = map(np.asarray, KDTree(view.pixels).query(projected[k, visible]))
         alike = np.minimum(
-            *((view.patches[nearest] * patch[seen]).sum(axis=1) for patch in patches)
+            *((view.patches[nearest] * patch[visible]).sum(axis=1) for patch in patches)
         )
         good = (gap < REPROJECTION_GATE) & (alike > MIN_VIEW_SIMILARITY)
-        corners[k, seen[good]] = nearest[good]
-        similarity[k, seen[good]], distance[k, seen[good]] = alike[good], gap[good]
+        corners[k, visible[good]] = nearest[good]
+        similarity[k, visible[good]], distance[k, visible[good]] = alike[good], gap[good]
     for side in (0, 1):
         # The pair's own corners, which may not be the nearest ones.
-        own = pairs.views[:, side], np.arange(shape[1])
-        corners[own], similarity[own] = pairs.corners[:, side], pairs.similarity
+        of_pair = pairs.views[:, side], np.arange(shape[1])
+        corners[of_pair], similarity[of_pair] = pairs.corners[:, side], pairs.similarity
         pixels = np.array(
-            [views[v].pixels[c] for v, c in zip(own[0], pairs.corners[:, side], strict=True)]
+            [views[v].pixels[c] for v, c in zip(of_pair[0], pairs.corners[:, side], strict=True)]
         ).reshape(-1, 2)
-        distance[own] = np.linalg.norm(projected[own] - pixels, axis=1)
+        distance[of_pair] = np.linalg.norm(projected[of_pair] - pixels, axis=1)
     return corners, similarity, distance
 
 
@@ -230,15 +229,15 @@ def _patches_of(views: list[CornerView], pairs: Pairs, side: int) -> np.ndarray:
     """Return the patches of the first or second corner of each pair."""
     patches = np.empty((len(pairs.views), views[0].patches.shape[1]))
     for k, view in enumerate(views):
-        own = pairs.views[:, side] == k
-        patches[own] = view.patches[pairs.corners[own, side]]
+        in_view = pairs.views[:, side] == k
+        patches[in_view] = view.patches[pairs.corners[in_view, side]]
     return patches
 
 
 def _one_to_one(
     corners: Int[np.ndarray, "views tracks"], counts: list[int]
 ) -> Int[np.ndarray, "chosen"]:
-    """Return the tracks that share no corner with one before them."""
+    """Return the tracks that share no corner with an earlier one."""
     used = [np.zeros(count, dtype=bool) for count in counts]
     chosen = []
     for k, track in enumerate(corners.T):

@@ -1,8 +1,8 @@
 """Triangulate points from the pixels of two or more views, with the covariance of each cause.
 
 The estimate minimises the squared reprojection errors (the paper's "least-mean-square
-minimisation", Section 5.1). Its errors come from the pictures, which err independently in each
-point, and from the calibration, whose errors are common to all points: the two are kept apart.
+minimisation", Section 5.1). Its errors come from the pictures, independently for each point, and
+from the calibration, in common for all points: the two are kept separate.
 
 Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 2004, chapter 12.
 """
@@ -31,18 +31,18 @@ from .view_poses import (
 )
 
 CLICK_SIGMA = 0.5
-"""Standard deviation of u and of v, px, of a feature that a person clicked, unless stated."""
+"""Default standard deviation of u and of v of a clicked feature, px."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TriangulatedPoints(EstimatedPoints):
-    """Triangulated points with their errors by cause; NaN where `status` says that one failed."""
+    """Triangulated points with their errors by cause; failed points (see `status`) are NaN."""
 
     def joint_picture_covariance(
         self, points: Sequence[int]
     ) -> Float[np.ndarray, "coordinates coordinates"]:
         """Return the part of the joint covariance that is due to the pictures, m^2."""
-        # The pictures' errors are each point's own: they are on the diagonal only.
+        # Errors of the pictures are independent between points: the matrix is block-diagonal.
         covariance = np.zeros((3 * len(points), 3 * len(points)))
         for k, point in enumerate(points):
             covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = self.picture_covariance[point]
@@ -50,7 +50,7 @@ class TriangulatedPoints(EstimatedPoints):
 
     @property
     def rms(self) -> float:
-        """The root mean square reprojection error of all points that were estimated, px."""
+        """The root mean square reprojection error of all estimated points, px."""
         return root_mean_square(np.linalg.norm(self.residuals[:, self.ok], axis=-1))
 
 
@@ -68,39 +68,39 @@ def triangulate_points(
     """Triangulate points from their pixels in two or more views.
 
     A point that cannot be triangulated is NaN, and `status` and `failures` name the reason. The
-    covariance due to the calibration holds for views that the calibration was not estimated from.
+    covariance due to the calibration is valid for views not used to estimate the calibration.
 
     Args:
         calibration: the calibrated camera; results are in its world frame, in true metres.
-        poses: what the robot reported in each view, `base_from_tool`.
+        poses: poses that the robot reported in each view, `base_from_tool`.
         pixels: `(views, points, 2)`, px, OpenCV's convention.
-        visible: `(views, points)`, where each is seen; by default where its pixel is finite.
-        covariance: a joint fit, or a bound, that states how well the calibration is known; None
-            takes it as exact.
-        noise: sizes of the robot's noise in these views; by default that of the fit.
+        visible: `(views, points)`, where each is visible; by default where its pixel is finite.
+        covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
+            calibration as exact.
+        noise: sizes of the robot's noise in these views; by default the noise of the fit.
         pixel_sigma: standard deviation of u and of v, px, as one number or `(views, points)`; or
             covariances `(views, points, 2, 2)`, px^2.
         loss: robust loss of the whitened residuals; None is least squares.
 
     Raises:
-        ValueError: arrays of shapes that do not belong together, pixels outside the picture, poses
-            that are not rigid, or a covariance of other parameters.
+        ValueError: arrays whose shapes do not match, pixels outside the picture, poses that are not
+            rigid, or a covariance of other parameters.
     """
-    # Everything is checked on the host before anything is computed.
+    # Everything is checked on the host first.
     views = SeenViews.of(calibration, poses)
-    measured, seen = views.checked_points(pixels, visible)
-    whitening = whitening_of(pixel_sigma, seen.shape)
+    measured, visible = views.checked_points(pixels, visible)
+    whitening = whitening_of(pixel_sigma, visible.shape)
     points, picture_covariance, residuals, status = solve_points(
-        views, measured, whitening, seen, loss
+        views, measured, whitening, visible, loss
     )
     ok = status == PointStatus.OK
     picture_covariance = np.where(ok[:, None, None], picture_covariance, np.nan)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
-    # The calibration's part costs more than the points: only where it is asked for.
+    # The calibration's part takes longer than the points, so it is computed only on request.
     jacobian = np.zeros((len(points), 3, 0))
     if uncertainty.names:
         jacobian = _calibration_jacobian(
-            views, uncertainty, points, picture_covariance, whitening, seen & ok
+            views, uncertainty, points, picture_covariance, whitening, visible & ok
         )
     return TriangulatedPoints(
         points=np.where(ok[:, None], points, np.nan),
@@ -108,7 +108,7 @@ def triangulate_points(
         calibration_jacobian=jacobian,
         calibration_covariance=uncertainty.covariance,
         calibration_names=uncertainty.names,
-        residuals=np.where((seen & ok)[..., None], residuals, np.nan),
+        residuals=np.where((visible & ok)[..., None], residuals, np.nan),
         status=status,
     )
 
@@ -130,10 +130,10 @@ def solve_points(
     poses = views.poses_for(count)
     shape = (len(poses), padded_count(count))
     safe = np.where(visible[..., None], pixels, 0.0)
-    # One sigma for all stays one matrix, which is broadcast in the program.
+    # A single sigma for all stays one matrix, which is broadcast in the program.
     if whitening.shape[:2] != (1, 1):
         whitening = padded_to(whitening, shape)
-    found = estimate_points(
+    solution = estimate_points(
         views.camera,
         to_device(poses),
         to_device(padded_to(safe, shape)),
@@ -141,7 +141,7 @@ def solve_points(
         to_device(padded_to(visible, shape, False)),
         loss,
     )
-    points, covariance, residuals, status = map(np.asarray, found)
+    points, covariance, residuals, status = map(np.asarray, solution)
     return (
         points[:count],
         covariance[:count],
@@ -163,7 +163,7 @@ def _calibration_jacobian(
     #     dx/dt = -P J^T W A,   with P = (J^T W J)^-1 the covariance due to the pictures,
     # up to terms in the residuals.
     jacobians = pixel_jacobians(views, np.where(np.any(visible, axis=0)[:, None], points, 0.0))
-    # Observations that are not seen have no weight, whatever their numbers are.
+    # Invisible observations have no weight, whatever their values.
     information = whitening.swapaxes(-1, -2) @ whitening
     weighted = np.where(visible[..., None, None], information @ jacobians.by_point, 0.0)
     sensitivity = -weighted.swapaxes(-1, -2) @ jacobians.by_view

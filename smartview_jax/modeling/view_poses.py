@@ -16,24 +16,24 @@ from ..runtime.array_namespace import to_device
 from ..runtime.padding import power_of_two_from, repeat_last
 
 PADDED_VIEWS = 4
-"""Views are padded to a multiple of this number, so that one more view compiles nothing."""
+"""Views are padded to a multiple of this number, so that one more view needs no compilation."""
 
 PADDED_FEATURES, MAX_PADDED_FEATURES = 16, 4096
 """Features are padded to a power of two, from the first number up to the second.
 
-More features than the second are not padded: there the time saved by compiling less is lost."""
+Above the second they are not padded: computing on padding would cost more than compiling."""
 
 
 def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -> Command:
-    """Return what the robot reported in some views as a command of host arrays.
+    """Return the reported poses of views as a command of host arrays.
 
     Args:
         poses: with one batch axis.
-        names: of the views, whose number is to be that of the poses; by default view 0, view 1, ...
+        names: names of the views, as many as poses; by default view 0, view 1, ...
 
     Raises:
         ValueError: a pose that is not rigid, with the view; poses without one batch axis, or not
-            one for each view; or joint readings of another number of views.
+            one for each view; or joint readings for another number of views.
     """
     reported, joints = poses, None
     if isinstance(poses, Command):
@@ -46,11 +46,11 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
     views = len(matrices)
     if names is not None and len(names) != views:
         raise ValueError(f"poses: expected one for each of {len(names)} views, found {views}")
-    # A pose in millimetres or with a transposed rotation is far more likely than a rare robot.
+    # A wrong pose is most probably in millimetres or has a transposed rotation.
     known_as = tuple(f"view {k if names is None else names[k]}" for k in range(views))
     if problems := check_rigid(matrices, known_as):
-        found = "; ".join(f"{view}: {text}" for view, text in problems.items())
-        raise ValueError(f"poses: {found}")
+        problem_texts = "; ".join(f"{view}: {text}" for view, text in problems.items())
+        raise ValueError(f"poses: {problem_texts}")
     if joints is None:
         return Command(host_transforms(matrices))
     readings = np.asarray(joints, dtype=float)
@@ -60,8 +60,8 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
 
 
 def command_at(command: Command, views: int | Sequence[int]) -> Command:
-    """Return what the robot reported in one view, without a batch axis, or in some views."""
-    # On the host: an index of a device's array compiles a program.
+    """Return the reported pose of one view, without a batch axis, or of several views."""
+    # On the host, since indexing a device array compiles a program.
     return jax.tree.map(lambda array: to_device(np.asarray(array)[views]), command)
 
 
@@ -102,7 +102,7 @@ class SeenViews(NamedTuple):
         camera: intrinsics and lens.
         camera_from_world: extrinsics without padding, on the host.
         padded: extrinsics with the last view repeated, for programs.
-        command: what the robot reported, padded likewise.
+        command: the reported poses, padded in the same way.
     """
 
     camera: Camera
@@ -118,14 +118,14 @@ class SeenViews(NamedTuple):
             ValueError: a pose that is not rigid, with the view.
         """
         checked = as_checked_command(poses)
-        # The last view is repeated, not a made-up one: every program can compute with it.
+        # The last view is repeated, because every program can compute with it.
         command = padded_views(checked)
         padded = np.asarray(calibration.camera_from_world_matrices(command))
         views = len(checked.base_from_tool.wxyz_xyz)
         return cls(calibration.camera, padded[:views], padded, command)
 
     def poses_for(self, count: int) -> Float[np.ndarray, "_ 4 4"]:
-        """Return the extrinsics for a program of so many features: padded, unless they are many."""
+        """Return the extrinsics for a program of `count` features, padded unless these are many."""
         return self.padded if count <= MAX_PADDED_FEATURES else self.camera_from_world
 
     @property
@@ -141,7 +141,7 @@ class SeenViews(NamedTuple):
     def checked_points(
         self, pixels: np.ndarray | Array, visible: np.ndarray | Array | None
     ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
-        """Return pixels of points and where they are seen, checked as `checked_visibility` does."""
+        """Return pixels of points and where they are visible, checked by `checked_visibility`."""
         measured = np.asarray(pixels, dtype=float)
         if measured.ndim != 3 or measured.shape[2] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {measured.shape}")
@@ -150,7 +150,7 @@ class SeenViews(NamedTuple):
     def checked_segments(
         self, segments: np.ndarray | Array, visible: np.ndarray | Array | None
     ) -> tuple[Float[np.ndarray, "views lines 2 2"], Bool[np.ndarray, "views lines"]]:
-        """Return the ends of segments and where they are seen, checked likewise."""
+        """Return the ends of segments and where they are visible, checked in the same way."""
         measured = np.asarray(segments, dtype=float)
         if measured.ndim != 4 or measured.shape[2:] != (2, 2):
             raise ValueError(
@@ -161,7 +161,7 @@ class SeenViews(NamedTuple):
     def _checked_visibility(
         self, pixels: Float[np.ndarray, "views *features 2"], visible: np.ndarray | Array | None
     ) -> Bool[np.ndarray, "views features"]:
-        """Return where features of these views are seen."""
+        """Return where features of these views are visible."""
         views = len(self.camera_from_world)
         return checked_visibility(pixels, visible, self.camera.image_size, views)
 
@@ -172,43 +172,42 @@ def checked_visibility(
     image_size: tuple[int, int],
     view_count: int,
 ) -> Bool[np.ndarray, "views features"]:
-    """Return where features are seen, after checking that they are seen within the picture.
+    """Return where features are visible, after checking that these are within the picture.
 
     Args:
         pixels: `(views, points, 2)`, or `(views, segments, 2, 2)` for the ends of segments.
-        visible: where they are seen; by default wherever the pixels are finite.
+        visible: where they are visible; by default wherever the pixels are finite.
         image_size: width and height, px.
-        view_count: number of poses that belong to them.
+        view_count: number of poses.
 
     Raises:
-        ValueError: other numbers of views or features, or a visible pixel that is not finite or
-            lies outside the picture, with the view and the feature.
+        ValueError: wrong numbers of views or features, or a visible pixel that is not finite or is
+            outside the picture, with the view and the feature.
     """
     if len(pixels) != view_count:
         raise ValueError(
             f"pixels: expected {view_count} views as there are poses, found {len(pixels)}"
         )
     last = tuple(range(2, pixels.ndim))
-    # Shapes first, so that a wrong one is not reported as a pixel outside the picture.
+    # Shapes first, so that a wrong shape is not reported as a pixel outside the picture.
     finite = np.isfinite(pixels).all(axis=last)
-    seen = finite if visible is None else np.asarray(visible, dtype=bool)
-    if seen.shape != pixels.shape[:2]:
-        raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {seen.shape}")
-    # The centre of the first pixel is (0, 0): the picture's border is half a pixel further out.
+    is_visible = finite if visible is None else np.asarray(visible, dtype=bool)
+    if is_visible.shape != pixels.shape[:2]:
+        raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {is_visible.shape}")
+    # The centre of the first pixel is (0, 0), so that the picture's border is half a pixel out.
     low, high = -0.5, np.array(image_size) - 0.5
-    # Comparisons with NaN are false, as wanted.
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= low) & (pixels <= high)).all(axis=last)
-    # NaN and infinity are outside, too; the message shows which it is.
-    wrong = np.argwhere(seen & ~inside)
+    # NaN and infinity count as outside, too; the message shows which.
+    wrong = np.argwhere(is_visible & ~inside)
     if len(wrong):
         view, feature = wrong[0]
         raise ValueError(
             f"pixels: view {view}, feature {feature}: {pixels[view, feature].tolist()} px is not "
             f"in the picture of {image_size[0]} x {image_size[1]} px ({len(wrong)} such)"
         )
-    # A copy, so that nobody's own mask changes.
-    return np.array(seen)
+    # A copy, so that the caller's mask never changes.
+    return np.array(is_visible)
 
 
 def whitening_of(
@@ -217,27 +216,27 @@ def whitening_of(
     """Return matrices that scale pixel errors to unit covariance, one for each observation.
 
     Args:
-        pixel_sigma: standard deviation of u and of v, px: one, or one for each observation
-            `(views, features)`; or covariances `(views, features, 2, 2)`, px^2.
-        shape: number of views and of features; the result is broadcast to it only where
-            `pixel_sigma` differs between observations.
+        pixel_sigma: standard deviation of u and of v, px: one, or one for each observation `(views,
+            features)`; or covariances `(views, features, 2, 2)`, px^2.
+        shape: numbers of views and features; the result is broadcast to it only if `pixel_sigma`
+            differs between observations.
 
     Raises:
-        ValueError: another shape, or values that are not positive.
+        ValueError: a wrong shape, or values that are not positive.
     """
-    given = np.asarray(pixel_sigma, dtype=float)
-    if given.shape not in ((), shape, (*shape, 2, 2)):
+    sigma = np.asarray(pixel_sigma, dtype=float)
+    if sigma.shape not in ((), shape, (*shape, 2, 2)):
         raise ValueError(
-            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2)}; found {given.shape}"
+            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2)}; found {sigma.shape}"
         )
     # Equal and independent errors of u and v are a multiple of the identity.
-    if given.ndim < 3:
-        if not np.all(given > 0.0):
-            raise ValueError(f"pixel_sigma: expected positive numbers, found {given.min():g}")
-        scale = given if given.ndim else given[None, None]
+    if sigma.ndim < 3:
+        if not np.all(sigma > 0.0):
+            raise ValueError(f"pixel_sigma: expected positive numbers, found {sigma.min():g}")
+        scale = sigma if sigma.ndim else sigma[None, None]
         return np.eye(2) / scale[..., None, None]
     try:
         # C = L L^T, and the covariance of L^-1 e is the identity.
-        return np.linalg.inv(np.linalg.cholesky(given))
+        return np.linalg.inv(np.linalg.cholesky(sigma))
     except np.linalg.LinAlgError as error:
         raise ValueError("pixel_sigma: a covariance is not positive definite") from error

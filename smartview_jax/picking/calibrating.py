@@ -27,17 +27,17 @@ DISTANCES = (0.36, 0.6)
 """Smallest and largest distance of the camera from the board by default, m."""
 
 MAX_TILT, AIM_SPREAD = float(np.deg2rad(35.0)), 0.25
-"""Largest tilt of the camera by default, rad, and how far it aims beside the board's middle, over
-the board's size."""
+"""Largest tilt of the camera by default, rad, and the largest distance of its aim from the board's
+middle, over the board's size."""
 
 
 class CellCalibration(NamedTuple):
-    """The calibration of a cell, and what it rests on.
+    """The calibration of a cell, with the data it is based on.
 
     Attributes:
         fit: the staged and the joint fit.
-        data: the board's points as they were found.
-        pictures: of the board, those in which it was found.
+        data: the detected points of the board.
+        pictures: of the board, only those in which it was found.
     """
 
     fit: CalibrationFit
@@ -59,25 +59,25 @@ def calibrate_cell(
 ) -> CellCalibration:
     """Take pictures of a board that lies in a cell, and fit the calibration to them.
 
-    Views in which the board is not found are left out. Of circles whose radius is stated, the
-    centres are corrected for what perspective makes of them.
+    Views in which the board is not found are left out. Centres of circles with known radii are
+    corrected for perspective.
 
     Args:
         cell: with the board in place.
-        board: what lies there; its frame becomes the world.
-        drawing: where camera and board are, roughly, by which the views are planned.
-        arm: the nominal arm, whose errors are estimated too; None if its joints are not known.
+        board: the board in the cell; its frame becomes the world.
+        drawing: approximate poses of camera and board, used to plan the views.
+        arm: the nominal arm, whose errors are estimated too; None if its joints are unknown.
         views: number of views.
         seed: of the views, which are tilted and rolled at random.
         progress: called with a line of text for each step.
         distances: smallest and largest distance of the camera from the board, m; at the smallest,
-            most of the board should be in the picture, and be sharp.
+            most of the board should be in the picture and sharp.
         max_tilt: largest angle of the camera's axis from the board's normal, rad.
 
     Raises:
         ValueError: the distances are not positive or out of order, the tilt is not below a right
             angle, or the board was found in fewer than `MIN_VIEWS` views.
-        CellError: the robot does not get to a view.
+        CellError: the robot does not reach a view.
     """
     if not 0.0 < distances[0] <= distances[1]:
         raise ValueError(f"distances: expected 0 < smallest <= largest, found {distances} m")
@@ -85,44 +85,44 @@ def calibrate_cell(
         raise ValueError(f"max_tilt: expected 0 to below {0.5 * np.pi:.3f} rad, found {max_tilt}")
     say = progress or (lambda _: None)
     flat = board.board if isinstance(board, StackedTarget) else board
-    pictures, found, commands = [], [], []
+    pictures, detections, commands = [], [], []
     planned = _planned_views(board, views, seed, distances, max_tilt)
     for k, pose in enumerate(planned):
-        # Counted as planned, whether or not the board is found there.
+        # Counted as planned, whether or not the board is found in it.
         say(f"calibrating: view {k + 1} of {views}")
         command = _command(cell, drawing, pose, arm)
         if command is None:
             continue
         reported, picture = cell.move(command), cell.picture()
         pixels = np.asarray(detect(picture, flat).pixels)
-        # Half of the points say more of the view than a stray few.
+        # Half of the points constrain the view better than a few stray ones.
         if np.isfinite(pixels).all(axis=-1).sum() >= len(pixels) // 2:
             pictures.append(picture)
-            found.append(pixels)
+            detections.append(pixels)
             commands.append(reported)
-    if len(found) < MIN_VIEWS:
+    if len(detections) < MIN_VIEWS:
         raise ValueError(
-            f"the board was found in {len(found)} of {views} views; expected {MIN_VIEWS} or more: "
-            "does it lie where the drawing says?"
+            f"the board was found in {len(detections)} of {views} views; expected at least "
+            f"{MIN_VIEWS}: is it where the drawing says?"
         )
     # Only views in which the board was found.
     stacked = stacked_commands(commands)
-    # Joints without an arm, or an arm without joints, tell nothing.
+    # Joints without an arm, or an arm without joints, cannot be used.
     with_joints = arm is not None and stacked.joints is not None
     height, width = pictures[0].shape
     data = Dataset.from_arrays(
         board.points,
-        np.stack(found),
+        np.stack(detections),
         stacked.base_from_tool,
         image_size=(width, height),
         target=board,
         joints=stacked.joints if with_joints else None,
         arm=arm if with_joints else None,
     )
-    # Other targets have corners, which perspective leaves where they are.
+    # Other targets have corners, which perspective does not shift.
     corrected = data
     if isinstance(flat, CircleGrid) and flat.has_known_radii:
-        # A rough calibration is enough for it; a tenth of a pixel is far more than the noise.
+        # A rough calibration is enough: a tenth of a pixel is far more than the noise.
         corrected = correct_circle_centres(data, fit_staged(data).calibration)
     return CellCalibration(calibrate(corrected, progress=progress), data, tuple(pictures))
 
@@ -138,14 +138,14 @@ def _planned_views(
     rng = np.random.default_rng((seed, 21))
     points = board.points
     size, middle = np.ptp(points, axis=0), points.mean(axis=0)
-    # Off the middle, so that the corners of the picture see points too.
+    # Off the middle, so that the corners of the picture contain points too.
     aims = middle + AIM_SPREAD * size * rng.uniform(-1.0, 1.0, (count, 3))
     azimuth, roll = rng.uniform(0.0, 2.0 * np.pi, (2, count))
-    # The tilts alternate, so that few views are enough to have steep ones among them.
+    # The tilts alternate, so that even few views contain steep ones.
     tilt = max_tilt * (0.35 + 0.65 * (np.arange(count) % 2)) * rng.uniform(0.7, 1.0, count)
     above = board.y_up
     directions = np.asarray(viewing_direction(tilt, azimuth, above))
-    # Half turns leave the picture's longer side along the board's; two and three of them are none
+    # Half turns keep the picture's longer side along the board's; two and three of them equal none
     # and one.
     half_turns = np.floor(4.0 * roll / (2.0 * np.pi))
     rolls = np.pi * half_turns + rng.uniform(-0.4, 0.4, count)
@@ -159,21 +159,21 @@ def _command(
     arm: SerialArm | None,
 ) -> Command | None:
     """Return the command for a view by the drawing; None if the nominal arm does not reach it."""
-    wanted = drawing.command_for(camera_from_world)
+    pose = drawing.command_for(camera_from_world)
     joints = cell.where().joints
     if arm is None or joints is None:
-        return Command(wanted)
-    # Near where it stands, so that it does not turn over between two views.
-    solution = joints_for_pose(arm, wanted, joints)
-    return Command(wanted, solution.joints) if bool(solution.is_solved) else None
+        return Command(pose)
+    # Near the current joints, so that the arm does not turn over between two views.
+    solution = joints_for_pose(arm, pose, joints)
+    return Command(pose, solution.joints) if bool(solution.is_solved) else None
 
 
 def stacked_commands(commands: list[Command]) -> Command:
     """Return single commands as one batch."""
-    poses = np.stack([np.asarray(one.base_from_tool.wxyz_xyz) for one in commands])
-    joints = [one.joints for one in commands]
-    known = all(one is not None for one in joints)
+    poses = np.stack([np.asarray(command.base_from_tool.wxyz_xyz) for command in commands])
+    joints = [command.joints for command in commands]
+    known = all(readings is not None for readings in joints)
     return Command(
         type(commands[0].base_from_tool)(to_device(poses)),
-        to_device(np.stack([np.asarray(one) for one in joints])) if known else None,
+        to_device(np.stack([np.asarray(readings) for readings in joints])) if known else None,
     )

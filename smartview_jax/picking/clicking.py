@@ -1,4 +1,4 @@
-"""Make the model of an object by scripted clicks, which play the part of a person at the editor.
+"""Make the model of an object by scripted clicks, which imitate a person at the editor.
 
 In every picture that shows a vertex the script "clicks" the nearest detected corner, or the pixel
 itself where there is none, through the same `ModelSession` as the page of the editor.
@@ -19,7 +19,7 @@ from ..modeling import ObjectModel, find_symmetry
 from ..robots import Command
 
 SNAP_DISTANCE = 1.0
-"""Largest distance of a detected corner from where a person would click, px."""
+"""Largest distance of a detected corner from the true pixel for a click to snap to it, px."""
 
 CLICK_SIGMA = 0.3
 """Standard deviation of the clicks, px."""
@@ -40,18 +40,18 @@ def model_by_clicks(
 
     Args:
         calibration: of the pictures.
-        estimate: fit with its covariance, for that of the vertices.
-        command: what the robot reported in each view.
+        estimate: fit with the calibration's covariance, for the covariance of the vertices.
+        command: reported poses of the robot, one for each view.
         pictures: of the object.
         seen_pixels: where a person sees each vertex, px.
         visible: whether a person sees it.
-        faces: loops of vertices, of which those are added that all can be clicked.
-        path: of the model's file, which has the symmetry too.
+        faces: loops of vertices; a face is added if all its vertices can be clicked.
+        path: of the model's file, which includes the symmetry.
         name: of the model.
 
     Raises:
-        ValueError: a vertex that fewer than two pictures show well enough to click, so that no face
-            is complete.
+        ValueError: too few vertices can be clicked in at least two pictures, so that no face is
+            complete.
     """
     names = [f"view {1 + k}" for k in range(len(pictures))]
     with ModelSession(
@@ -63,24 +63,24 @@ def model_by_clicks(
         covariance=estimate,
         click_sigma=CLICK_SIGMA,
     ) as session:
-        # Detected corners, to which the editor's page snaps as well.
-        corners = {one: session.features(one).corners for one in names}
+        # Detected corners, to which the editor's page snaps too.
+        corners = {picture_name: session.features(picture_name).corners for picture_name in names}
         points: dict[int, int] = {}
         for vertex in range(seen_pixels.shape[1]):
             clicks = []
-            for view, one in enumerate(names):
-                distance = np.linalg.norm(corners[one] - seen_pixels[view, vertex], axis=1)
+            for view, picture_name in enumerate(names):
+                distance = np.linalg.norm(corners[picture_name] - seen_pixels[view, vertex], axis=1)
                 if not visible[view, vertex]:
                     continue
                 # Where no corner was detected a person clicks by eye, on a whole pixel.
                 snaps = distance.min(initial=np.inf) < SNAP_DISTANCE
-                pixel = corners[one][int(np.argmin(distance))] if snaps else None
+                pixel = corners[picture_name][int(np.argmin(distance))] if snaps else None
                 by_eye = np.rint(seen_pixels[view, vertex])
-                clicks.append((one, (by_eye if pixel is None else pixel).tolist()))
+                clicks.append((picture_name, (by_eye if pixel is None else pixel).tolist()))
             point = None
-            # Two clicks make a point in space, further ones improve it.
-            for one, pixel in clicks if len(clicks) > 1 else ():
-                point = session.click(one, pixel, point)
+            # Two clicks make a point in space; further ones improve it.
+            for picture_name, pixel in clicks if len(clicks) > 1 else ():
+                point = session.click(picture_name, pixel, point)
             if point is not None:
                 points[vertex] = point
         # A face needs all of its corners.
@@ -93,6 +93,6 @@ def model_by_clicks(
         saved = session.save()
     model = load_object_model(saved)
     model = dataclasses.replace(model, symmetry=find_symmetry(model))
-    # The session writes a symmetry only if a person confirmed it; the file is what is used.
+    # The session writes a symmetry only if a person confirmed it, but the file needs it.
     save_object_model(model, saved)
     return model

@@ -1,4 +1,4 @@
-"""Tell the paper's whole story in a simulated cell: calibrate, model, localise, verify, grasp."""
+"""Run the paper's whole story in a simulated cell: calibrate, model, localise, verify, grasp."""
 
 import tempfile
 import time
@@ -43,18 +43,18 @@ MODEL_VIEWS, MODEL_TILT, MODEL_DISTANCE = 6, float(np.deg2rad(38.0)), 0.33
 """Views of the object that is modelled, all around it: number, tilt (rad), distance (m)."""
 
 BYSTANDER_SIZE, BYSTANDER_FOCAL = (640, 480), 900.0
-"""Pictures of the bystander, who watches the grasp: size and focal length, px."""
+"""Pictures of the bystander camera, which watches the grasp: size and focal length, px."""
 
 
 class DemoResult(NamedTuple):
-    """The outcome of the demo, and the judge's word on it.
+    """The outcome of the demo, compared with the true state of the simulation.
 
     Attributes:
         page: the HTML page.
         held: whether the object is in the hand, by the physics.
         pick: the attempt.
         calibration: of the cell.
-        model: that was clicked.
+        model: the clicked model.
         position_error: distance of the localised object from the true one, m; NaN without one.
     """
 
@@ -73,7 +73,7 @@ def run_demo(
 
     Args:
         out: folder of the page and the model.
-        seed: of the cell and of how the objects fall.
+        seed: random seed of the cell and of the objects' fall.
         views: number of views of the board.
         progress: called with a line of text for each step.
 
@@ -90,7 +90,7 @@ def run_demo(
         times.append((name, time.perf_counter() - start))
         start = time.perf_counter()
 
-    # Everything below drives it by the methods of any cell, but for the judge.
+    # Apart from the judge, everything below uses only the methods of any cell.
     cell = SimulatedCell(seed)
     calibrated = calibrate_cell(
         cell, cell.board, drawn_calibration(), cell.arm, views, seed, progress
@@ -98,7 +98,7 @@ def run_demo(
     done(f"calibration from {len(calibrated.pictures)} pictures")
     say("modelling: pictures all around the object")
     block = CellObject("stepped block", stepped_block(0.06))
-    # In a folder of its own: a session goes on with the clicks of an earlier one, of another run.
+    # In a separate folder: a session would continue with the clicks of an earlier run.
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.json"
         model, model_pictures, model_poses = modelled(cell, calibrated, block, path)
@@ -110,7 +110,7 @@ def run_demo(
     strip = [("before", watched(cell))]
     region = Region(cell.centre, (0.24, 0.18, 0.12))
     fit = calibrated.fit
-    walls = [Obstacle.box(one.name, one.size, one.world_from_box) for one in cell.fixtures]
+    walls = [Obstacle.box(wall.name, wall.size, wall.world_from_box) for wall in cell.fixtures]
     scene = GraspScene(
         fit.calibration,
         (Obstacle.table(), *walls),
@@ -119,7 +119,7 @@ def run_demo(
         estimate=fit.joint,
         link_radius=0.04,
     )
-    # The judge looks before the grasp moves the object.
+    # Ask the judge before the grasp moves the object.
     before = cell.judge().world_from_object[block.name]
     attempt = pick(
         cell, [model], cell.gripper, region, scene,
@@ -145,43 +145,43 @@ def run_demo(
 def modelled(
     cell: SimulatedCell, calibrated: CellCalibration, block: CellObject, path: Path
 ) -> tuple[ObjectModel, list[np.ndarray], Command]:
-    """Return the model of an object that stands alone, with the pictures it was clicked in.
+    """Return the model of an object that stands alone, with its pictures.
 
     Args:
-        cell: in which the object is put, in the place of everything else.
+        cell: in which the object replaces everything else.
         calibrated: its calibration.
         block: the object.
         path: of the model's file, in a folder without an earlier session.
 
     Returns:
-        The model, the pictures, and what the robot reported in them.
+        The model, the pictures, and the reported poses of the robot.
     """
     world_from_object = np.eye(4)
-    # Where the board lay: there the calibration is best.
+    # At the place of the board, where the calibration is best.
     world_from_object[:3, 3] = cell.centre
     cell.place([block], [world_from_object])
     calibration = calibrated.fit.calibration
     solid = block.solid.moved(cell.judge().world_from_object[block.name])
     aim = solid.vertices.mean(axis=0)
-    # Evenly, and not along the sides of the object.
+    # Evenly spaced, and not along the sides of the object.
     azimuths = 2.0 * np.pi * np.arange(MODEL_VIEWS) / MODEL_VIEWS + 0.3
     directions = np.asarray(viewing_direction(np.full(MODEL_VIEWS, MODEL_TILT), azimuths))
     near = np.asarray(cell.where().joints)
     # All around, as far as the arm reaches.
-    wanted = viewpoint_commands(
+    planned = viewpoint_commands(
         calibration, look_at(aim, directions, MODEL_DISTANCE), arm=cell.arm, near=near
     )
-    reached = np.flatnonzero([not r for r in wanted.checks.reasons(("reach", "tool_distance"))])
-    pictures, commands, seen, visible = [], [], [], []
+    reached = np.flatnonzero([not r for r in planned.checks.reasons(("reach", "tool_distance"))])
+    pictures, commands, seen_pixels, visible = [], [], [], []
     truth = cell.truth.calibration.uncorrected
     for k in reached.tolist():
-        joints = None if wanted.joints is None else wanted.joints[k]
-        pose = type(wanted.base_from_tool)(wanted.base_from_tool.wxyz_xyz[k])
+        joints = None if planned.joints is None else planned.joints[k]
+        pose = type(planned.base_from_tool)(planned.base_from_tool.wxyz_xyz[k])
         commands.append(cell.move(Command(pose, joints)))
         pictures.append(cell.picture())
-        # The script sees what a person would: where corners are in the picture.
+        # The script clicks where a person would: at the corners' true pixels.
         actual = host_transforms(cell.judge_tool())
-        seen.append(np.asarray(truth.project(actual, solid.vertices)[0]))
+        seen_pixels.append(np.asarray(truth.project(actual, solid.vertices)[0]))
         centre = np.linalg.inv(host_matrices(truth.camera_from_world(actual)))[:3, 3]
         visible.append(_visible_vertices(solid, centre))
     stacked = stacked_commands(commands)
@@ -190,7 +190,7 @@ def modelled(
         calibrated.fit.joint,
         stacked,
         pictures,
-        np.stack(seen),
+        np.stack(seen_pixels),
         np.stack(visible),
         block.solid.faces,
         path,
@@ -202,7 +202,7 @@ def modelled(
 def _visible_vertices(
     solid: Polyhedron, centre: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, "vertices"]:
-    """Return which vertices belong to a face that looks towards a camera."""
+    """Return which vertices belong to a face that faces a camera."""
     visible = np.zeros(len(solid.vertices), bool)
     for loop in solid.faces:
         plane = face_plane(solid.vertices, Face(tuple(loop)))
@@ -212,12 +212,12 @@ def _visible_vertices(
 
 
 def watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
-    """Return what a bystander sees of the bin."""
+    """Return the bystander camera's picture of the bin."""
     width, height = BYSTANDER_SIZE
     camera = Camera(
         BYSTANDER_FOCAL, BYSTANDER_FOCAL, 0.5 * width, 0.5 * height, Pinhole(), (width, height)
     )
-    # Above the bin, so that the lifted object is in the picture too.
+    # Aimed above the bin, so that the lifted object is in the picture too.
     aim = cell.centre + np.array([0.0, 0.0, 0.09])
     pose = host_matrices(look_at(aim, np.array([-0.35, 1.0, -0.55]), 0.75))
     return cell.watch(pose, camera)
@@ -226,10 +226,10 @@ def watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
 def position_error(
     target: Localization | None, truth: Float[np.ndarray, "4 4"], origin: np.ndarray
 ) -> float:
-    """Return how far the middle of the localised object is from the true one, m.
+    """Return the distance of the localised object's middle from the true one, m.
 
-    The clicked model has its own frame, the world's while it was modelled; the object stood at a
-    known place then.
+    The clicked model's frame is the world's frame at the time of modelling, when the object stood
+    at a known place.
 
     Args:
         target: the localised object; without one the distance is NaN.
@@ -239,6 +239,6 @@ def position_error(
     if target is None:
         return float("nan")
     middle = target.model.vertices.mean(axis=0)
-    found = target.world_from_object[:3, :3] @ middle + target.world_from_object[:3, 3]
-    own = middle - origin
-    return float(np.linalg.norm(found - (truth[:3, :3] @ own + truth[:3, 3])))
+    estimated = target.world_from_object[:3, :3] @ middle + target.world_from_object[:3, 3]
+    local = middle - origin
+    return float(np.linalg.norm(estimated - (truth[:3, :3] @ local + truth[:3, 3])))

@@ -1,4 +1,4 @@
-"""Execute a planned grasp in a cell, by the four methods of `Cell` alone."""
+"""Execute a planned grasp in a cell, using only the four methods of `Cell`."""
 
 from collections.abc import Callable
 
@@ -23,11 +23,11 @@ def execute(
         after: called with the name of each phase when it is reached, and with "closed".
 
     Returns:
-        The distance of the closed fingers, m, and a sentence on what it tells.
+        The distance of the closed fingers, m, and a sentence that interprets it.
 
     Raises:
         ValueError: the grasp is refused.
-        CellError: the robot does not get to a pose.
+        CellError: the robot does not reach a pose.
     """
     if not grasp.is_safe:
         raise ValueError(f"the grasp is not executed: {'; '.join(grasp.reasons)}")
@@ -36,14 +36,14 @@ def execute(
     cell.set_gripper(grasp.opening)
     width = grasp.opening
     for k, phase in enumerate(PHASES):
-        # Poses alone where no arm was known to the planning.
+        # Poses only, if the planning did not know the arm.
         joints = None if grasp.joints is None else to_device(grasp.joints[k])
         cell.move(Command(host_transforms(grasp.base_from_tool[k]), joints))
         done(phase)
         if phase == "grasp":
             width = cell.set_gripper(0.0)
             done("closed")
-    # The fingers tell whether something stopped them; a real robot has no judge.
+    # The fingers show whether something stopped them; a real robot has no judge.
     if width < EMPTY_FRACTION * grasp.width:
         return width, f"the fingers closed to {1e3 * width:.1f} mm: they hold nothing"
     return width, (

@@ -1,4 +1,4 @@
-"""Look for objects: two views, and further chosen ones until the verdict is clear."""
+"""Look for objects: two views, then further chosen ones until the verdict is clear."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -23,19 +23,19 @@ from ..viewpoints import viewpoint_commands
 from .calibrating import stacked_commands
 
 FIRST_VIEWS = 2
-"""Number of views that are taken before anything is known; from one, the scale is uncertain."""
+"""Number of initial views; from a single view the scale is uncertain."""
 
 
 class FirstViews(NamedTuple):
-    """The directions and the distance from which a region is looked at first.
+    """The directions and the distance of the first views of a region.
 
     Attributes:
-        distance: of the camera from the middle of the region, m; of chosen views from their object,
-            too.
+        distance: of the camera from the middle of the region, m; also of chosen views from their
+            object.
         tilt: of the directions from the vertical, rad.
-        azimuths: of the directions about the vertical, rad, in the order in which they are tried;
-            the first two that the robot reaches are taken. By default each is 1.7 rad from the one
-            before, so that any two see the region from different sides.
+        azimuths: of the directions about the vertical, rad, in order of preference; the first two
+            that the robot reaches are taken. By default each is 1.7 rad from the previous one, so
+            that any two see the region from different sides.
     """
 
     distance: float = 0.45
@@ -44,11 +44,11 @@ class FirstViews(NamedTuple):
 
 
 STANDARD_VIEWS = FirstViews()
-"""The first views by default, as a camera of 1280 x 800 px with a lens of 50 degrees takes them."""
+"""The first views by default, for a camera of 1280 x 800 px with a lens of 50 degrees."""
 
 
 class Region(NamedTuple):
-    """A box of the world in which objects are looked for; what is elsewhere is not found.
+    """A box in the world in which objects are searched; objects outside are not found.
 
     Attributes:
         centre: of its floor, m.
@@ -65,18 +65,18 @@ class Region(NamedTuple):
 
 
 class BadPictureError(ValueError):
-    """The error that nothing can be found in one of the first pictures; its text names the view."""
+    """The error that one of the first pictures is unusable; its text names the view."""
 
 
 class Look(NamedTuple):
-    """The pictures that were taken, and what was found in them.
+    """The pictures that were taken, and the objects found in them.
 
     Attributes:
         found: in all views together.
         pictures: of all views in their order.
-        commands: what the robot reported in these views.
-        verification: the last view, if it was chosen to verify or to decide what was open; None if
-            the first two were enough.
+        commands: reported poses of the robot in these views.
+        verification: the last view, if it was chosen to verify or to decide an open verdict; None
+            if the first two were enough.
         notes: what happened, in words.
     """
 
@@ -104,8 +104,8 @@ def look_for(
 ) -> Look:
     """Look for objects in a region, from two views and then from chosen ones.
 
-    What two views accept is verified from a third one. Further views are taken while the verdict on
-    an object is open, each where it tells most about those that are.
+    An object accepted from two views is verified from a third. Further views are taken while the
+    verdict on an object is open, each where it is most informative about the open objects.
 
     Args:
         cell: the cell.
@@ -114,26 +114,26 @@ def look_for(
         region: where they may be.
         arm: the nominal arm.
         estimate: fit with the calibration's covariance.
-        noise: of the robot in these views; by default that of the estimate.
-        occluders: triangles of what is known to stand there, as for `localize`.
-        first: from where the region is looked at first.
+        noise: of the robot in these views; by default the estimate's.
+        occluders: triangles of known obstacles, as for `localize`.
+        first: distance and directions of the first views.
         max_views: largest number of views; two are always taken.
-        verify: whether what two views accept is verified.
+        verify: whether objects accepted from two views are verified.
         progress: called with a line of text for each step.
 
     Returns:
-        What was found in all views. A later view that cannot be taken, or whose picture shows
-        nothing, is left out, with a note.
+        The result for all views. A later view that cannot be taken, or whose picture is unusable,
+        is left out, with a note.
 
     Raises:
         CellError: the robot reaches fewer than two of the first views; the message says why.
-        BadPictureError: one of the first two pictures is not taken, or nothing can be found in it,
-            such as a blank one; the message names the view, from 1.
-        ValueError: as `localize`, of what was given: models, estimate, noise or occluders.
+        BadPictureError: one of the first two pictures is not taken or is unusable, such as a blank
+            one; the message names the view, from 1.
+        ValueError: as in `localize`, for invalid models, estimate, noise or occluders.
     """
     say = progress or (lambda _: None)
     workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
-    # As in `localize`: these views are taken by the robot that was calibrated.
+    # As in `localize`: these views are taken by the calibrated robot.
     if noise is None and isinstance(estimate, JointFit | SavedEstimate):
         noise = estimate.noise
     options = {
@@ -144,41 +144,41 @@ def look_for(
     }
     views = _first_views(cell, calibration, region, first, arm, say)
     say("localising")
-    taken = stacked_commands([one.command for one in views])
-    found = localize([one.evidence for one in views], taken, calibration, models, **options)
+    taken = stacked_commands([view.command for view in views])
+    results = localize([view.evidence for view in views], taken, calibration, models, **options)
     verification, notes = None, []
     while len(views) < max_views:
-        looked_at = _undecided(found, verify and len(views) == FIRST_VIEWS)
+        looked_at = _undecided(results, verify and len(views) == FIRST_VIEWS)
         if not looked_at:
             break
         number = len(views) + 1
-        # From where the arm stands now, so that it keeps its branch.
+        # Near the current joints, so that the arm stays on its branch.
         reachable = Reachable(distance=first.distance, arm=arm, near=_start_joints(cell, arm))
         try:
             chosen = next_view(
                 looked_at, calibration, reachable,
-                noise=noise, models=models, neighbours=found, occluders=occluders,
+                noise=noise, models=models, neighbours=results, occluders=occluders,
             )  # fmt: skip
             say(
                 f"{'verifying' if looked_at[0].accepted else 'deciding'}: view {number}: "
                 f"{chosen.reason}"
             )
             view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
-            # All views together are judged anew.
+            # Judged again, from all views together.
             latest = stacked_commands([view.command])
-            found = localize(
-                [view.evidence], latest, calibration, models, previous=found, **options
+            results = localize(
+                [view.evidence], latest, calibration, models, previous=results, **options
             )
         except (CellError, ValueError) as error:
-            # What the earlier views found is worth more than an error.
+            # A failed later view does not discard the results of the earlier ones.
             notes.append(f"no further view: view {number}: {error}")
             break
         notes.append(f"view {number}: {chosen.reason}")
         views.append(view)
         verification = chosen
-    pictures = tuple(one.picture for one in views)
-    commands = stacked_commands([one.command for one in views])
-    return Look(found, pictures, commands, verification, tuple(notes))
+    pictures = tuple(view.picture for view in views)
+    commands = stacked_commands([view.command for view in views])
+    return Look(results, pictures, commands, verification, tuple(notes))
 
 
 class _View(NamedTuple):
@@ -186,8 +186,8 @@ class _View(NamedTuple):
 
     Attributes:
         picture: grey levels.
-        evidence: what was found in it.
-        command: what the robot reported there.
+        evidence: the features of the picture.
+        command: the reported pose of the robot.
     """
 
     picture: UInt8[np.ndarray, "rows columns"]
@@ -203,12 +203,12 @@ def _first_views(
     arm: SerialArm | None,
     say: Callable[[str], None],
 ) -> list[_View]:
-    """Return the views that are taken before anything is known."""
+    """Return the initial views."""
     # Aimed above the floor, where objects are.
     middle = region.centre + np.array([0.0, 0.0, 0.25 * region.size[2]])
     views, reasons = [], []
     for azimuth in first.azimuths:
-        # Counted by what was taken: a view that is not reached has no number.
+        # Counted by views taken: a view that is not reached has no number.
         number = len(views) + 1
         if number > FIRST_VIEWS:
             break
@@ -218,13 +218,13 @@ def _first_views(
         try:
             command = cell.move(_command(cell, calibration, view, arm))
         except CellError as error:
-            # A bin's wall or a joint's limit on one side leaves the other sides.
+            # If a bin's wall or a joint's limit blocks one side, the other sides remain.
             reasons.append(f"azimuth {azimuth:.2g} rad: {error}")
             continue
         try:
             views.append(_seen(cell, command, calibration.camera))
         except (CellError, ValueError) as error:
-            # With one view less the scale would not be known: nothing is found without it.
+            # With fewer views the scale would be unknown, so nothing could be found.
             raise BadPictureError(f"view {number}: {error}") from error
     if len(views) < FIRST_VIEWS:
         raise CellError(
@@ -239,27 +239,27 @@ def _seen(cell: Cell, command: Command, camera: Camera) -> _View:
 
     Raises:
         CellError: no picture is taken.
-        ValueError: nothing can be found in it.
+        ValueError: the picture is unusable.
     """
     picture = cell.picture()
     return _View(picture, picture_evidence(picture, camera), command)
 
 
 def _undecided(found: Localizations, unverified: bool) -> Sequence[Localization]:
-    """Return the objects that a further view is for; none where nothing is left to decide."""
-    # One view verifies what was accepted; what stays open may need several.
+    """Return the objects that need a further view; none if everything is decided."""
+    # One view verifies an accepted object; an open one may need several.
     return found.accepted[:1] if found.accepted and unverified else found.open
 
 
 def _start_joints(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
-    """Return the joint readings at which the arm is; None without an arm."""
+    """Return the arm's current joint readings; None without an arm."""
     joints = cell.where().joints
     return None if arm is None or joints is None else np.asarray(joints)
 
 
 def _view_command(view: NextView) -> Command:
     """Return the command of a chosen view."""
-    # Joints were solved with the view: the same branch of the arm is kept.
+    # The joints were solved with the view: the arm stays on the same branch.
     joints = None if view.joints is None else to_device(np.asarray(view.joints))
     return Command(host_transforms(np.asarray(view.base_from_tool)), joints)
 

@@ -16,12 +16,11 @@ class Pick(NamedTuple):
     """An attempt to pick an object.
 
     Attributes:
-        look: pictures, views and what was found; None where one of the first pictures shows
-            nothing.
-        target: the object that was chosen; None if none was accepted or none can be grasped.
-        plan: its grasps; of the last object tried where no grasp is safe.
-        grasp: the one that was executed.
-        width: distance of the closed fingers, m; NaN where nothing was executed.
+        look: pictures, views and found objects; None if one of the first pictures is unusable.
+        target: the chosen object; None if none was accepted or none can be grasped.
+        plan: its grasps; for the last object tried if no grasp is safe.
+        grasp: the executed grasp.
+        width: distance of the closed fingers, m; NaN if nothing was executed.
         outcome: what happened, in words.
     """
 
@@ -48,22 +47,23 @@ def pick(
 ) -> Pick:
     """Look for objects, choose the one with the safest grasp, and execute it.
 
-    What was found but not chosen is an obstacle, even where its verdict is open, unless its model
-    has no faces: the outcome says so. What was not found is not known, and not avoided.
+    Found objects that are not chosen are obstacles, even if their verdict is open, unless their
+    model has no faces: the outcome says so. Objects that were not found are unknown, and not
+    avoided.
 
     Args:
         cell: with an empty gripper.
         models: of the objects that may be there.
         gripper: on the hand.
-        region: where objects are looked for.
-        scene: the calibrated robot, with which the cell looks too, and what stands around.
+        region: where objects are searched.
+        scene: the calibrated robot, which also takes the views, and the obstacles.
         motion: as for `grasps_for`.
         first, verify, progress: as for `look_for`.
         after: as for `execute`.
 
     Raises:
         CellError: the robot reaches fewer than two of the first views.
-        ValueError: as `look_for`, of what was given, and as `grasps_for`.
+        ValueError: as in `look_for`, for invalid arguments, and as in `grasps_for`.
     """
     say, nothing = progress or (lambda _: None), float("nan")
     try:
@@ -72,9 +72,9 @@ def pick(
             occluders=scene.triangles, first=first, verify=verify, progress=progress,
         )  # fmt: skip
     except BadPictureError as error:
-        # No fault of the program: a lamp that is off, a cover on the lens.
+        # No program fault, but for example a lamp that is off or a cover on the lens.
         return Pick(None, None, None, None, nothing, f"not found: {error}")
-    # Nothing is grasped that the verdict did not accept.
+    # Only accepted objects are grasped.
     if not look.found.accepted:
         return Pick(look, None, None, None, nothing, "; ".join(look.found.messages))
     say("planning grasps")
@@ -82,13 +82,13 @@ def pick(
     if target is None or plan is None:
         return Pick(look, None, plan, None, nothing, "; ".join(reasons))
     say(plan.summary)
-    # The gripper may touch what is no obstacle: whoever reads the outcome should know.
-    bare = [one.name for one in _obstacles(look.found) if not one.model.faces]
+    # The gripper may touch objects that are no obstacles: the outcome says so.
+    bare = [obj.name for obj in _obstacles(look.found) if not obj.model.faces]
     note = f"; not avoided, because their models have no faces: {', '.join(bare)}" if bare else ""
     try:
         width, outcome = execute(cell, plan.best, after)
     except CellError as error:
-        # What the fingers hold then is not known.
+        # It is unknown what the fingers hold then.
         width, outcome = nothing, f"not executed to the end: {error}"
     return Pick(look, target, plan, plan.best, width, outcome + note)
 
@@ -96,30 +96,30 @@ def pick(
 def _safest(
     found: Localizations, gripper: Gripper, scene: GraspScene, motion: Motion | None
 ) -> tuple[Localization | None, GraspPlan | None, list[str]]:
-    """Return the object whose best grasp is the most probable of all, with its plan.
+    """Return the object with the most probable grasp of all, with its plan.
 
-    Where no grasp is safe there is no object, the plan is the last one, and the sentences say why.
+    If no grasp is safe the object is None, the plan is the last one, and the sentences say why.
     """
     best: tuple[Localization, GraspPlan] | None = None
     plan, reasons = None, []
-    for one in found.accepted:
-        # A wireframe has no width that fingers could be opened for.
-        if not one.model.faces:
-            reasons.append(f"no safe grasp of {one.name}: its model has no faces")
+    for obj in found.accepted:
+        # A wireframe without faces has no width for the fingers.
+        if not obj.model.faces:
+            reasons.append(f"no safe grasp of {obj.name}: its model has no faces")
             continue
-        # Objects are told apart by identity: two may be of one model.
-        others = [other for other in _obstacles(found) if other is not one and other.model.faces]
-        plan = grasps_for(one, gripper, scene.with_objects(others), motion)
-        # Each object that cannot be grasped has its own reason.
+        # Compared by identity, since two objects may be of one model.
+        others = [other for other in _obstacles(found) if other is not obj and other.model.faces]
+        plan = grasps_for(obj, gripper, scene.with_objects(others), motion)
+        # Each object without a safe grasp has its own reason.
         if not len(plan):
             reasons.append(plan.summary)
         elif best is None or _chance(plan) > _chance(best[1]):
-            best = one, plan
+            best = obj, plan
     return (None, plan, reasons) if best is None else (*best, reasons)
 
 
 def _obstacles(found: Localizations) -> tuple[Localization, ...]:
-    """Return the objects that may be where they were found, the open ones too."""
+    """Return the objects that may be at their poses: accepted and open ones."""
     return (*found.accepted, *found.open)
 
 

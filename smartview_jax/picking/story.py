@@ -1,4 +1,4 @@
-"""Tell a run of the demo in pictures and numbers: the sections of its page, Fig. 8 among them."""
+"""Tell a run of the demo in pictures and numbers: the sections of its page, including Fig. 8."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from .looking import Look, Region
 from .pick import Pick
 
 BORDER = 25.0
-"""Border of the pictures about the region that they show, px."""
+"""Border of the pictures around the region, px."""
 
 
 def model_section(
@@ -32,7 +32,7 @@ def model_section(
         )
         for k, picture in enumerate(pictures[:3])
     ]
-    # An exact model has no uncertainty to tell of.
+    # An exact model has no uncertainty to report.
     sigma = model.vertex_sigma
     known = "" if sigma is None else f", known to {1e3 * float(np.median(sigma)):.2f} mm (median)"
     text = (
@@ -52,10 +52,10 @@ def localised_section(
     """Return the part of the page with Fig. 8 (a) to (f) of this run.
 
     Args:
-        look: pictures, and what was found in them.
+        look: pictures and found objects.
         calibrated: the calibration.
-        region: the part of the pictures that is shown.
-        strip: pictures of a bystander by phase; the last one is Fig. 8 (f).
+        region: the part of the pictures to show.
+        strip: pictures of the bystander by phase; the last one is Fig. 8 (f).
     """
     calibration = calibrated.fit.calibration
     camera, views = (
@@ -72,8 +72,8 @@ def localised_section(
         for k, evidence in enumerate(look.found.pictures[:2])
     ]
     last = len(look.pictures) - 1
-    objects = [(one.model, np.asarray(one.world_from_object)) for one in look.found.accepted]
-    # The last view is the one that verified, where there was one.
+    objects = [(obj.model, np.asarray(obj.world_from_object)) for obj in look.found.accepted]
+    # The last view is the verification view, if there is one.
     shown = {
         "the verification view" if look.verification is not None else "the last view": (
             look.pictures[last]
@@ -85,7 +85,7 @@ def localised_section(
         StoryFigure(f"({letter})", text, cropped(picture, corners[last], BORDER))
         for letter, (text, picture) in zip("cde", shown.items(), strict=True)
     ]
-    # The last phase that was reached, wherever the run ended.
+    # The last phase reached, wherever the run ended.
     phase, picture = strip[-1]
     figures.append(StoryFigure("(f)", f"the bin, last seen: {_phase_name(phase)}", picture))
     text = "Two views are searched for the model."
@@ -104,7 +104,7 @@ def grasp_section(attempt: Pick, strip: list[tuple[str, np.ndarray]]) -> Section
 
 
 def _phase_name(phase: str) -> str:
-    """Return the name of a phase as it is printed."""
+    """Return the printed name of a phase."""
     return phase.replace("_", "-")
 
 
@@ -148,7 +148,7 @@ def numbers_section(
         ]  # fmt: skip
     rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
     rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
-    # Without a look the outcome is all there is to tell.
+    # Without a look only the outcome can be reported.
     notes = (attempt.outcome,) if look is None else (*look.notes, *look.found.messages)
     rows += [("note", text) for text in notes]
     return Section("What happened", "", (), (), rows)
@@ -158,9 +158,9 @@ def verdict_sentence(attempt: Pick, held: bool) -> str:
     """Return the result in a sentence."""
     if attempt.grasp is None:
         return f"Nothing was grasped: {attempt.outcome}."
-    what = attempt.target.model.name if attempt.target is not None else "object"
+    object_name = attempt.target.model.name if attempt.target is not None else "object"
     state = "is in the hand" if held else "is not in the hand"
     return (
-        f"The {what} {state} after the lift; predicted probability "
+        f"The {object_name} {state} after the lift; predicted probability "
         f"{attempt.grasp.success_probability:.0%}."
     )

@@ -1,4 +1,4 @@
-"""Place cameras and target in the target's frame, for every drawing of them in space."""
+"""Place cameras and target in the target's frame, for all drawings of them in space."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from ..calibration import Calibration
 from ..dataset import Dataset
 
 FRUSTUM_DEPTH = 0.18
-"""Depth of a drawn camera over the cameras' median distance from the target."""
+"""Depth of a drawn camera, over the cameras' median distance from the target."""
 
 
 class CameraScene(NamedTuple):
@@ -18,9 +18,9 @@ class CameraScene(NamedTuple):
     Attributes:
         view_ids: names of the views.
         centres: centre of each camera.
-        corners: corners of each picture, moved into space, in order around it.
+        corners: corners of each picture, projected into space, in order around it.
         used: whether a view has any point that was not rejected.
-        target: every point of the target that was seen, once.
+        target: every visible point of the target, once.
         axis_length: length at which to draw the axes of the frame.
     """
 
@@ -38,7 +38,7 @@ class CameraScene(NamedTuple):
 
 
 def camera_scene(data: Dataset, calibration: Calibration) -> CameraScene:
-    """Return where a calibration puts the cameras of a data set.
+    """Return the poses of a data set's cameras according to a calibration.
 
     Raises:
         ValueError: no view shows any point.
@@ -49,7 +49,8 @@ def camera_scene(data: Dataset, calibration: Calibration) -> CameraScene:
     world_from_camera = np.linalg.inv(calibration.camera_from_world_matrices(data.command))
     centres, rotations = world_from_camera[:, :3, 3], world_from_camera[:, :3, :3]
     target = np.asarray(data.points)[visible]
-    # Every target point once, although most views show it; equal to a micrometre is the same point.
+    # Every target point once, although most views show it; points equal to a micrometre are the
+    # same.
     target = target[np.unique(np.round(target, 6), axis=0, return_index=True)[1]]
     length = FRUSTUM_DEPTH * float(np.median(np.linalg.norm(centres - target.mean(axis=0), axis=1)))
     camera = calibration.camera

@@ -16,8 +16,8 @@ AXIS_LENGTH = 0.12
 def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> PlotFigure:
     """Draw base, tool, camera and world frame of one view in their true places, as in Fig. 4.
 
-    The links between them are the transforms of the chain: those that the robot reports are grey,
-    those that a calibration finds are blue.
+    The links between them are the transforms of the chain: grey if the robot reports them, blue if
+    they are calibrated.
 
     Args:
         data: the views.
@@ -28,9 +28,9 @@ def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> Pl
     base_from_tool = host_matrices(data.command.base_from_tool)[view]
     camera_from_world = np.asarray(calibration.camera_from_world_matrices(data.command))[view]
     holder_from_world = host_matrices(calibration.holder_from_world)
-    # Beside the arm it is the target that the tool carries.
+    # With a fixed camera the tool carries the target.
     base_from_world = holder_from_world if eye_in_hand else base_from_tool @ holder_from_world
-    # All in the base's frame: the camera by way of the target, as the whole chain predicts it.
+    # All in the base's frame; the camera through the target, as the whole chain predicts it.
     base_from_frame = {
         "base": np.eye(4),
         "tool": base_from_tool,

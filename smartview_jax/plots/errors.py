@@ -10,10 +10,10 @@ from ..joint import Influence
 from .figures import BLUE, PlotFigure, method_colour, picture_axes, single_plot
 
 MAX_VIEW_LABELS = 60
-"""Largest number of views whose names stand beside each other under a plot."""
+"""Largest number of views whose names are printed side by side under a plot."""
 
 MAX_LABEL_CHARACTERS = 90
-"""Largest number of characters that fit beside each other under a plot."""
+"""Largest number of characters that fit side by side under a plot."""
 
 
 def error_histogram(errors: Mapping[str, ReprojectionErrors]) -> PlotFigure:
@@ -26,17 +26,17 @@ def error_histogram(errors: Mapping[str, ReprojectionErrors]) -> PlotFigure:
         ValueError: no error is finite.
     """
     figure, axes = single_plot(4.7, 3.3)
-    if not any(one.values.size for one in errors.values()):
+    if not any(e.values.size for e in errors.values()):
         raise ValueError("errors: no point was predicted, so there is nothing to draw")
     # The 99.5th percentile limits the axis, so that a few outliers do not compress the histogram.
     limit = max(float(np.percentile(e.values, 99.5)) for e in errors.values() if e.values.size)
     bins = np.linspace(0.0, limit, 40).tolist()
-    for k, (name, one) in enumerate(errors.items()):
+    for k, (name, method_errors) in enumerate(errors.items()):
         colour = method_colour(name, k)
         # A light area for the shape, and a line that stays visible where two overlap.
-        axes.hist(one.values, bins, alpha=0.35, color=colour)
-        axes.hist(one.values, bins, histtype="step", color=colour, label=name)
-        axes.axvline(one.mean, color=colour, linestyle="--", linewidth=1)
+        axes.hist(method_errors.values, bins, alpha=0.35, color=colour)
+        axes.hist(method_errors.values, bins, histtype="step", color=colour, label=name)
+        axes.axvline(method_errors.mean, color=colour, linestyle="--", linewidth=1)
     axes.set_xlabel("reprojection error (px); dashed: mean")
     axes.set_ylabel("points")
     axes.legend(frameon=False)
@@ -53,14 +53,14 @@ def view_errors(data: Dataset, errors: Mapping[str, ReprojectionErrors]) -> Plot
     figure, axes = single_plot(9.6, 3.2)
     positions = np.arange(data.view_count)
     width = 0.8 / max(len(errors), 1)
-    for k, (name, one) in enumerate(errors.items()):
+    for k, (name, method_errors) in enumerate(errors.items()):
         # The bars of a view stand side by side, centred on its position.
         offset = (k - 0.5 * (len(errors) - 1)) * width
-        heights = np.nan_to_num(one.rms_per_view)
+        heights = np.nan_to_num(method_errors.rms_per_view)
         axes.bar(
             positions + offset, heights, 0.95 * width, color=method_colour(name, k), label=name
         )
-    # Names that would overlap are left out: of many views every second, third, ... has its name.
+    # To avoid overlap, only every second, third, ... of many views is labelled.
     step = -(-data.view_count // MAX_VIEW_LABELS)
     longest = max(map(len, data.view_ids))
     crowded = longest * data.view_count / step > MAX_LABEL_CHARACTERS
@@ -80,7 +80,7 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> PlotFigure:
     Args:
         data: the data set.
         residuals: measured minus predicted pixels, `(views, points, 2)`, as in
-            `JointFit.residuals`; those that are not finite are left out.
+            `JointFit.residuals`; values that are not finite are left out.
 
     Raises:
         ValueError: no residual is finite.
@@ -93,7 +93,7 @@ def residual_vectors(data: Dataset, residuals: np.ndarray) -> PlotFigure:
     # An arrow of RMS length becomes 3 % of the picture's width.
     rms_length = float(np.sqrt(np.mean(np.sum(vectors**2, axis=-1)))) or 1.0
     magnification = 0.03 * data.image_size[0] / rms_length
-    # At most 2500 arrows, drawn at random, remain distinguishable.
+    # At most 2500 arrows, chosen at random, remain distinguishable.
     rng = np.random.default_rng(0)
     sample = rng.permutation(len(positions))[:2500]
     lengths = np.linalg.norm(vectors, axis=1)

@@ -1,7 +1,7 @@
-"""Show cameras and target in a scene that a reader turns with the mouse, without any network.
+"""Show cameras and target in a scene that a reader can turn with the mouse, without a network.
 
-The scene is drawn by plotly.js (the part of it for three dimensions, from its npm package), which
-stands in the page itself.
+The scene is drawn by plotly.js (its three-dimensional part, from the npm package), which is
+included in the page.
 """
 
 import json
@@ -23,11 +23,11 @@ SCENE_HEIGHT = 620
 
 
 class InteractiveScene:
-    """Cameras and target in space, which a notebook or a page shows as a scene to turn.
+    """Cameras and target in space, shown in a notebook or a page as an interactive scene.
 
     Attributes:
-        traces: what is drawn, as plotly.js takes it.
-        layout: axes and background, likewise.
+        traces: the content, in plotly.js's format.
+        layout: axes and background, in plotly.js's format.
     """
 
     def __init__(self, traces: list[dict[str, Any]], layout: dict[str, Any]):
@@ -36,14 +36,14 @@ class InteractiveScene:
         self.layout: dict[str, Any] = layout
 
     def html(self, element_id: str = "scene") -> str:
-        """Return a part of a page with the scene, and with the program that draws it.
+        """Return a part of a page with the scene and the program that draws it.
 
         Args:
             element_id: id of the element in the page; each scene of a page has its own.
         """
         script = files("smartview_jax.plots").joinpath(_SCRIPT).read_text(encoding="utf-8")
         # In a name, `</script>` would end the script and `<!--<script>` would swallow the rest of
-        # the page; JSON reads the escape as the same text.
+        # the page; JSON reads the escaped form as the same text.
         description = json.dumps([self.traces, self.layout], allow_nan=False)
         description = description.replace("<", "\\u003c")
         return (
@@ -65,7 +65,7 @@ def interactive_cameras(
     calibration: Calibration,
     rms_per_view: Sequence[float] | np.ndarray | None = None,
 ) -> InteractiveScene:
-    """Return the cameras and the target in the target's frame, mm, as a scene to turn.
+    """Return the cameras and the target in the target's frame, mm, as an interactive scene.
 
     Args:
         data: the views.
@@ -79,7 +79,7 @@ def interactive_cameras(
             f"view {name}<br>{rms:.2f} px RMS" if np.isfinite(rms) else f"view {name}<br>not used"
             for name, rms in zip(scene.view_ids, rms_per_view, strict=True)
         ]
-    # The target has no texts: its points would hide those of the cameras.
+    # The target has no texts, because its points would cover the cameras' texts.
     traces = [_points("target", scene.target, GREY, 2.0)]
     for name, chosen, colour in (
         ("cameras", scene.used, BLUE),
@@ -99,7 +99,7 @@ def interactive_cameras(
 
 def _coordinates(points: np.ndarray) -> dict[str, list[float | None]]:
     """Return points in mm as plotly.js takes them, to 0.01 mm; NaN ends a line."""
-    # More digits would make the page larger than the eye sees.
+    # More digits would enlarge the page without a visible difference.
     millimetres = np.round(1e3 * points, 2)
     return {
         name: [float(x) if np.isfinite(x) else None for x in column]
@@ -135,8 +135,8 @@ def _pyramids(scene: CameraScene, views: np.ndarray, colour: str) -> dict[str, A
 
 
 def _layout(scene: CameraScene) -> dict[str, Any]:
-    """Return the axes, which have one scale, and the place from which a reader first looks."""
-    # The cameras stay on top where the target's z points away from them.
+    """Return the axes, which share one scale, and the initial viewpoint."""
+    # The cameras are drawn on top, also where the target's z points away from them.
     up = -1.0 if scene.camera_side_is_below else 1.0
     axes = {f"{name}axis": {"title": {"text": f"{name} (mm)"}} for name in "xyz"}
     view = {
@@ -144,7 +144,7 @@ def _layout(scene: CameraScene) -> dict[str, Any]:
         "eye": {"x": 1.2, "y": 1.2 * up, "z": 0.7 * up},
     }
     return {
-        # A turntable would always have z upwards.
+        # With a turntable z would always point upwards.
         "scene": axes | {"aspectmode": "data", "camera": view, "dragmode": "orbit"},
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "legend": {"x": 0.0, "y": 1.0},

@@ -1,7 +1,7 @@
-"""Draw what was seen and found: edge maps with features, and wireframes over pictures.
+"""Draw pictures of objects: edge maps with features, and wireframes over pictures.
 
-What knows objects is imported where one is drawn: a calibration's report draws none, and would take
-a quarter longer to import.
+Modules on objects are imported on first use: a calibration's report needs none, and would take a
+quarter longer to import.
 """
 
 import functools
@@ -28,14 +28,14 @@ WIREFRAME_COLOURS = ((255, 160, 30), (60, 190, 255), (200, 90, 220), (90, 220, 9
 """Colours of wireframes, one after the other: blue, green, red."""
 
 SHIFT = 4
-"""Binary digits after the point in coordinates of OpenCV's drawing."""
+"""Number of fractional bits in the coordinates of OpenCV's drawing."""
 
 SAMPLES = 600
-"""Points along the edges of a wireframe that are drawn."""
+"""Number of points drawn along the edges of a wireframe."""
 
 
 def edge_map(evidence: "PictureEvidence") -> UInt8[np.ndarray, "rows columns 3"]:
-    """Return the edge points of a picture with the segments and corners that were found."""
+    """Return the edge points of a picture with its segments and corners."""
     width, height = evidence.features.image_size
     canvas = np.full((height, width, 3), 18, np.uint8)
     # Whole pixels are enough for points; lines are drawn with fractions.
@@ -59,8 +59,8 @@ def with_wireframes(
     """Return a picture with the visible edges of objects drawn over it.
 
     Args:
-        picture: grey; None draws on a dark ground.
-        camera: that took it.
+        picture: grey; None draws on a dark background.
+        camera: the camera that took it.
         camera_from_world: its pose.
         objects: models and their poses `world_from_object`.
     """
@@ -73,11 +73,11 @@ def with_wireframes(
         canvas = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
     for k, (model, pose) in enumerate(objects):
         wireframe, pose_in_camera = Wireframe.of(model, SAMPLES), camera_from_world @ pose
-        seen = _compiled_prediction()(wireframe, camera, to_device(pose_in_camera))
-        pixels, visible = np.asarray(seen.samples), np.asarray(seen.sample_visible)
+        predicted = _compiled_prediction()(wireframe, camera, to_device(pose_in_camera))
+        pixels, visible = np.asarray(predicted.samples), np.asarray(predicted.sample_visible)
         # Half a step to either side, so that neighbours meet.
-        steps = np.asarray(seen.directions) * 0.5 * np.asarray(seen.sample_px)[:, None]
-        # Each sample stands for a short piece of its edge.
+        steps = np.asarray(predicted.directions) * 0.5 * np.asarray(predicted.sample_px)[:, None]
+        # Each sample is drawn as a short piece of its edge.
         for pixel, step in zip(pixels[visible], steps[visible], strict=True):
             a, b = _fixed(pixel - step), _fixed(pixel + step)
             colour = WIREFRAME_COLOURS[k % len(WIREFRAME_COLOURS)]
@@ -88,7 +88,7 @@ def with_wireframes(
 def cropped(
     picture: np.ndarray, pixels: Float[np.ndarray, "points 2"], margin: float = 60.0
 ) -> np.ndarray:
-    """Return the part of a picture about some pixels."""
+    """Return the part of a picture around the given pixels."""
     height, width = picture.shape[:2]
     known = pixels[np.isfinite(pixels).all(axis=1)]
     if not len(known):

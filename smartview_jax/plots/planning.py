@@ -1,4 +1,4 @@
-"""Draw what more views would bring."""
+"""Draw the expected benefit of more views."""
 
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter

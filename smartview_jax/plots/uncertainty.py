@@ -1,4 +1,4 @@
-"""Draw how well a calibration is known: over the picture, over the workspace, by parameter."""
+"""Draw the uncertainty of a calibration: over the picture, over the workspace, by parameter."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ def picture_uncertainty(uncertainty: PictureUncertainty) -> PlotFigure:
         uncertainty: result of `evaluation.picture_uncertainty`.
     """
     figure, axes = single_plot(4.7, 3.3)
-    # The places are not a grid: distortion has moved them.
+    # The points are not a grid, because distortion has moved them.
     u, v = uncertainty.pixels.T
     contours = axes.tricontourf(u, v, uncertainty.std, levels=12)
     figure.colorbar(contours, ax=axes, label="standard deviation (px)", shrink=0.85)
@@ -27,7 +27,7 @@ def picture_uncertainty(uncertainty: PictureUncertainty) -> PlotFigure:
 
 
 def workspace_uncertainty(uncertainty: WorkspaceUncertainty) -> PlotFigure:
-    """Draw the standard deviation of where a camera looks that is sent over the workspace, mm.
+    """Draw the standard deviation of a camera's aim over the workspace, mm.
 
     Args:
         uncertainty: result of `evaluation.workspace_uncertainty`.
@@ -44,7 +44,7 @@ def workspace_uncertainty(uncertainty: WorkspaceUncertainty) -> PlotFigure:
 def parameter_intervals(
     fit: JointFit, prefixes: Sequence[str], truth: Calibration | None = None
 ) -> PlotFigure:
-    """Draw estimates of parameters with their 95 % intervals, beside the truth where it is known.
+    """Draw estimates of parameters with their 95 % intervals, and the true values if known.
 
     Args:
         fit: a joint fit.
@@ -53,27 +53,27 @@ def parameter_intervals(
         truth: the true calibration of a simulation, with the same parameters.
 
     Raises:
-        ValueError: the fit has no parameter of that name that it estimated.
+        ValueError: the fit estimated no parameter whose name begins so.
     """
-    estimates = [one for one in parameter_estimates(fit) if one.half_width is not None]
+    estimates = [e for e in parameter_estimates(fit) if e.half_width is not None]
     true_values = {} if truth is None else displayed_values(truth)
     figure = PlotFigure(figsize=(2.8 * max(len(prefixes), 1), 3.0), layout="constrained")
     for axes, prefix in zip(
         figure.subplots(1, len(prefixes), squeeze=False)[0], prefixes, strict=True
     ):
-        chosen = [one for one in estimates if one.name.startswith(prefix)]
+        chosen = [e for e in estimates if e.name.startswith(prefix)]
         if not chosen:
             raise ValueError(f"prefixes: no parameter that was estimated begins with {prefix!r}")
-        # The line of zero is the nominal value of an arm's errors.
+        # Zero is the nominal value of an arm's errors.
         axes.axhline(0.0, color="0.8", linewidth=1)
-        labels = [one.name.removeprefix(prefix).strip(".") for one in chosen]
-        values = np.array([one.value for one in chosen])
-        half_widths = np.array([one.half_width for one in chosen], dtype=float)
+        labels = [e.name.removeprefix(prefix).strip(".") for e in chosen]
+        values = np.array([e.value for e in chosen])
+        half_widths = np.array([e.half_width for e in chosen], dtype=float)
         axes.errorbar(
             labels, values, half_widths, fmt="o", color=BLUE, capsize=3, label="estimated"
         )
         if true_values:
-            true = [true_values[one.name][0] for one in chosen]
+            true = [true_values[e.name][0] for e in chosen]
             axes.plot(labels, true, "x", color=RED, markersize=8, label="true")
         axes.set_title(prefix.replace("_", " "), fontsize=10)
         axes.set_ylabel(chosen[0].unit)

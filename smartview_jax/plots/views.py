@@ -1,4 +1,4 @@
-"""Draw what cameras saw, and where they stood."""
+"""Draw what cameras saw, and their poses."""
 
 import numpy as np
 from mpl_toolkits.mplot3d import Axes3D
@@ -18,8 +18,8 @@ def prediction_overlay(
     Args:
         data: data set with the detected points.
         view: index of the view.
-        picture: grey picture, `(h, w)`; for a `StackedTarget`, the one at the first height at which
-            a point was found, as `data.pictures` has it.
+        picture: grey picture, `(h, w)`; for a `StackedTarget`, at the first height with a detected
+            point, as in `data.pictures`.
         calibration: calibration that predicts the points.
     """
     point_slice = _points_in_picture(data, view)
@@ -30,7 +30,7 @@ def prediction_overlay(
     measured = np.asarray(data.pixels)[view, point_slice][
         np.asarray(data.visible)[view, point_slice]
     ]
-    # Rings, in whose middle a cross stays visible where both agree.
+    # Rings, so that a cross in the middle stays visible where both agree.
     axes.plot(
         *measured.T,
         "o",
@@ -41,7 +41,7 @@ def prediction_overlay(
         label="measured",
     )
     axes.plot(u, v, "+", color=RED, markersize=6, markeredgewidth=0.9, label="predicted")
-    # In the picture of a view that is not used nothing may have been found.
+    # In the picture of an unused view nothing may have been found.
     if len(measured):
         # The picture is cropped to the measured points and a margin of 12 % of their extent.
         margin = 0.12 * float(np.ptp(measured, axis=0).max())
@@ -56,11 +56,11 @@ def prediction_overlay(
 
 
 def _points_in_picture(data: Dataset, view: int) -> slice:
-    """Return the points of a target that are in `data.pictures[view]`: those at one height."""
+    """Return the points of a target that are in `data.pictures[view]`: the points at one height."""
     if not isinstance(data.target, StackedTarget):
         return slice(None)
     count = len(data.target.board.points)
-    # `argmax` finds the first height at which a point was found; the first one if none was.
+    # `argmax` finds the first height with a detected point; the first height if there is none.
     height = int(np.argmax(np.asarray(data.visible)[view].reshape(-1, count).any(axis=1)))
     return slice(height * count, (1 + height) * count)
 

@@ -1,4 +1,4 @@
-"""Write how well calibrations predict pictures that they were not fitted to, as one HTML page."""
+"""Write an HTML page on how well calibrations predict pictures that they were not fitted to."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,12 +26,12 @@ def write_evaluation_page(
         path: of the HTML file.
         title: of the page.
         verdict: the result in a sentence.
-        calibration: the first calibration, which predicts in the pictures.
-        data: the views that are predicted.
+        calibration: the first calibration, used for predictions in the pictures.
+        data: the predicted views.
         summaries: errors of every calibration.
-        rows: the table, the names of the calibrations first.
+        rows: the table, with the names of the calibrations in the first row.
     """
-    errors = {one.name: one.reprojection_errors for one in summaries}
+    errors = {summary.name: summary.reprojection_errors for summary in summaries}
     histogram = StoryFigure(
         "Fig. 7.",
         "Distances between measured and predicted points.",
@@ -39,7 +39,7 @@ def write_evaluation_page(
     )
     by_view = StoryFigure(
         "RMS of each view.",
-        "One that stands out is a wrong pose or a bad detection.",
+        "A view that stands out has a wrong pose or a bad detection.",
         plots.view_errors(data, errors),
     )
     sections = [

@@ -1,4 +1,4 @@
-"""Present what was found of objects: a table, and one HTML page with the pictures."""
+"""Present the results of a localisation: a table, and one HTML page with the pictures."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,20 +24,20 @@ LOCALIZATION_HEADINGS = (
     "edges found",
     "off by px",
 )
-"""The headings of `localization_rows`; intervals are those of 95 %."""
+"""The headings of `localization_rows`; the intervals are 95 % intervals."""
 
 
 def localization_rows(found: "Sequence[Localization]") -> list[list[str]]:
-    """Return a row for each object: verdict, pose, how well it is known, and its evidence."""
+    """Return a row for each object: verdict, pose, its uncertainty, and the evidence."""
     rows = []
-    for one in found:
-        std, evidence = np.sqrt(np.diagonal(one.covariance)), one.verdict.evidence
-        # 1.96 standard deviations are 95 % of a Gaussian; of three axes the worst counts.
+    for obj in found:
+        std, evidence = np.sqrt(np.diagonal(obj.covariance)), obj.verdict.evidence
+        # 1.96 standard deviations are 95 % of a Gaussian; the worst of three axes is shown.
         rows.append(
             [
-                one.name,
-                one.verdict.decision,
-                object_pose_text(one),
+                obj.name,
+                obj.verdict.decision,
+                object_pose_text(obj),
                 f"{1.96e3 * std[:3].max():.2f}",
                 f"{1.96 * np.rad2deg(std[3:].max()):.3f}",
                 f"{evidence.explained:.0%}",
@@ -47,10 +47,10 @@ def localization_rows(found: "Sequence[Localization]") -> list[list[str]]:
     return rows
 
 
-def object_pose_text(one: "Localization") -> str:
-    """Return `world_from_object` as `smartview grasp --object-pose` reads it."""
+def object_pose_text(obj: "Localization") -> str:
+    """Return `world_from_object` in the format of `smartview grasp --object-pose`."""
     codec = pose_codec("yaw_pitch_roll")
-    numbers = codec.encode(host_transforms(one.world_from_object), angle_unit="deg")
+    numbers = codec.encode(host_transforms(obj.world_from_object), angle_unit="deg")
     # Micrometres, and a ten-thousandth of a degree, which is 0.2 micrometres at 0.1 m.
     return ",".join([f"{x:.6f}" for x in numbers[:3]] + [f"{x:.4f}" for x in numbers[3:]])
 
@@ -59,7 +59,7 @@ def localization_verdict(found: "Localizations") -> str:
     """Return the result in a sentence."""
     if not found.accepted:
         return "Nothing was found for certain."
-    names = ", ".join(one.name for one in found.accepted)
+    names = ", ".join(obj.name for obj in found.accepted)
     return f"Found for certain in {len(found.pictures)} pictures: {names}."
 
 
@@ -71,7 +71,7 @@ def write_localization_page(
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
     view_ids: Sequence[str],
 ) -> None:
-    """Write what was found as a page: the table, the reasons, and wireframes over the pictures.
+    """Write the results as a page: the table, the reasons, and wireframes over the pictures.
 
     Args:
         path: of the HTML file.
@@ -85,17 +85,17 @@ def write_localization_page(
     sections = [
         Section(
             "What was found",
-            "Intervals are those of 95 %, by the pictures' noise and the calibration's covariance.",
+            "95 % intervals, from the pictures' noise and the calibration's covariance.",
             header=LOCALIZATION_HEADINGS,
             rows=localization_rows(found),
         )
     ]
     if found.messages:
-        sections.append(Section("What was not", rows=[[text] for text in found.messages]))
-    # What is open is drawn too: a person sees at once whether it is there.
+        sections.append(Section("What was not found", rows=[[text] for text in found.messages]))
+    # Open objects are drawn too: a person sees at once whether they are right.
     for decision in ("accepted", "open"):
-        own = [one for one in found if one.verdict.decision == decision]
-        objects = [(one.model, np.asarray(one.world_from_object)) for one in own]
+        results = [result for result in found if result.verdict.decision == decision]
+        objects = [(result.model, np.asarray(result.world_from_object)) for result in results]
         if objects:
             figures = [
                 StoryFigure(name, "", with_wireframes(picture, calibration.camera, pose, objects))

@@ -10,17 +10,17 @@ from ..joint import JointFit
 from .tables import ErrorSummary
 
 CAMERA_LIMITED_RATIO = 1.5
-"""Error of the chain over that of the camera alone up to which the camera is what limits it."""
+"""Largest ratio of the chain's error to the camera's at which the camera is the limiting factor."""
 
 MORE_VIEWS_FACTOR = 2
-"""The multiple of the views that is asked for where the hand-eye transform is known too badly."""
+"""Factor on the number of views that is suggested if the hand-eye transform is too uncertain."""
 
 
 def hand_eye_half_widths(fit: JointFit) -> tuple[float, float]:
     """Return the largest half widths of the hand-eye transform's 95 % intervals, m and rad.
 
-    The three coordinates of the translation, then the three of the rotation; infinite where the
-    data do not determine one, NaN where all were held.
+    For the three coordinates of the translation, then for the three of the rotation; infinite if
+    the data do not determine one, NaN if all were fixed.
     """
     mount = fit.calibration.transform_names[0]
     half_widths = []
@@ -32,7 +32,7 @@ def hand_eye_half_widths(fit: JointFit) -> tuple[float, float]:
 
 
 def hand_eye_sentence(fit: JointFit) -> str:
-    """Return how well the hand-eye transform is known."""
+    """Return in words how well the hand-eye transform is known."""
     translation, rotation = hand_eye_half_widths(fit)
     name = fit.calibration.transform_names[0]
     if np.isnan(translation) and np.isnan(rotation):
@@ -46,7 +46,7 @@ def hand_eye_sentence(fit: JointFit) -> str:
 
 
 def next_steps(fit: CalibrationFit, data: Dataset, rows: Sequence[ErrorSummary]) -> list[str]:
-    """Return what limits the result and what would improve it, a sentence each.
+    """Return what limits the result and what would improve it, one sentence each.
 
     Args:
         fit: the calibration.
@@ -57,14 +57,14 @@ def next_steps(fit: CalibrationFit, data: Dataset, rows: Sequence[ErrorSummary])
         return ["Look at the rejected views below and correct or remove them, then fit again."]
     sentences = [_limit(fit, rows[1]), _more_views(fit.joint, data)]
     if rows[1].held_out is None:
-        sentences.append("Fit again with held-out errors: those of fitted views are optimistic.")
+        sentences.append("Fit again with held-out errors: errors of fitted views are optimistic.")
     return [sentence for sentence in sentences if sentence]
 
 
 def _limit(fit: CalibrationFit, joint: ErrorSummary) -> str:
     """Return whether the camera or the robot limits the error of the whole chain."""
     floor = float(fit.staged.step2.rms)
-    # Errors of fitted views are optimistic: the held-out ones, where they are known.
+    # Errors of fitted views are optimistic, so the held-out ones are used if known.
     held_out = joint.held_out
     rms = joint.reprojection_errors.rms if held_out is None else held_out.errors.rms
     if not np.isfinite(rms):
@@ -82,12 +82,11 @@ def _limit(fit: CalibrationFit, joint: ErrorSummary) -> str:
 
 
 def _more_views(fit: JointFit, data: Dataset) -> str:
-    """Return what more views bring: standard deviations fall with the root of their number."""
+    """Return the benefit of more views: standard deviations fall with the root of their number."""
     half_widths = hand_eye_half_widths(fit)
     if not np.isfinite(half_widths).all():
         return "Add views that differ in direction and in roll about the optical axis."
     used = int(np.asarray(data.visible).any(axis=1).sum())
-    # In mm, and by the root of the number of views.
     translation = 1e3 * half_widths[0]
     return (
         f"With {MORE_VIEWS_FACTOR * used} views of the same kind instead of {used} the hand-eye "

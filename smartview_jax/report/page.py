@@ -29,7 +29,7 @@ from . import tables
 from .next_steps import hand_eye_sentence, next_steps
 from .page_figures import PageFigure, page_figure
 
-# Text is escaped: names of views and folders come from the user's files.
+# Text is escaped, since names of views and folders come from the user's files.
 get_template = jinja2.Environment(
     loader=jinja2.PackageLoader("smartview_jax.report"),
     autoescape=True,
@@ -39,13 +39,13 @@ get_template = jinja2.Environment(
 
 
 class Origin(NamedTuple):
-    """The data set and the command of a page, so that a reader can make it again.
+    """The data set and the command of a page, so that a reader can reproduce it.
 
     Attributes:
         source: name of the data set.
-        command: the command that was given; empty for a page written by a script.
-        run: name of the run, which its other files contain too; None without other files.
-        given: what was known already and not found by the fit, in words.
+        command: the command that was run; empty for a page written by a script.
+        run: name of the run, which is also in its other files; None without other files.
+        given: what was known beforehand instead of fitted, in words.
     """
 
     source: str
@@ -73,7 +73,7 @@ def write_page(
         data: data set that the fit used.
         held_out_reports: result of `evaluation.held_out_reports`, the held-out errors by method;
             None if not computed.
-        origin: data set and command that the page is of; None for a script's own data.
+        origin: data set and command of the page; None for a script's own data.
         progress: called with a line of text before the plots are drawn.
         repeatability: result of `split_half_difference`; None if not computed.
         budget: result of `error_budget`; None if not computed.
@@ -120,7 +120,7 @@ def write_page(
 
 
 def _run_line(origin: Origin | None) -> str:
-    """Return when and by what the page was written, for the line under its title."""
+    """Return the date and the version for the line under the page's title."""
     parts = [f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"smartview-jax {__version__}"]
     return " \u00b7 ".join(parts if origin is None or origin.run is None else [*parts, origin.run])
 
@@ -128,7 +128,7 @@ def _run_line(origin: Origin | None) -> str:
 def _origin_facts(
     origin: Origin | None, fit: CalibrationFit, data: Dataset
 ) -> list[tuple[str, str]]:
-    """Return what was calibrated, from what, and by which command."""
+    """Return rows on what was calibrated, from which data, and by which command."""
     facts = []
     if origin is not None:
         facts = [
@@ -155,7 +155,7 @@ def _figures(
     errors = {row.name: row.reprojection_errors for row in rows}
     overlays = [
         page_figure(f"Predicted centres, view {name}.", f"Of the joint fit. {caption}", overlay)
-        # The rows are those of the staged and the joint fit.
+        # The rows are the staged and the joint fit.
         for name, caption, overlay in prediction_overlays(data, rows[-1], calibration)
     ]
     return [
@@ -168,8 +168,8 @@ def _figures(
         *_uncertainty_figures(fit, data),
         page_figure(
             "View by view.",
-            "One view that stands out is a wrong pose, a wrong pairing or a bad detection; views "
-            "that grow worse together point at the robot.",
+            "A single view that stands out has a wrong pose, a wrong pairing or a bad detection; "
+            "views that get worse together point to the robot.",
             plots.view_errors(data, errors),
         ),
         page_figure(
@@ -183,8 +183,8 @@ def _figures(
 
 
 def _uncertainty_figures(fit: CalibrationFit, data: Dataset) -> list[PageFigure]:
-    """Draw how well pixels are predicted over the picture; nothing if something is undetermined."""
-    # Views without any point that was used say nothing about a depth.
+    """Draw the uncertainty of predicted pixels; nothing if something is undetermined."""
+    # Views without any used point tell nothing about the depth.
     if fit.joint.observability.null_directions or not np.asarray(data.visible).any():
         return []
     return [
@@ -204,13 +204,13 @@ def prediction_overlays(
     """Draw the predictions in the views with the median and with the largest error.
 
     Returns:
-        The view's name, a caption and the figure of each; none where there are no pictures.
+        The view's name, a caption and the figure of each; none without pictures.
     """
     if data.pictures is None:
         return []
     caption = (
-        "Crosses: where the calibration puts the points from the robot's pose alone. Rings: where "
-        "they were measured."
+        "Crosses: points predicted by the calibration from the robot's pose alone. Rings: measured "
+        "points."
     )
     errors = summary.reprojection_errors.rms_per_view
     order = [int(k) for k in np.argsort(errors) if np.isfinite(errors[k])]
@@ -234,12 +234,15 @@ def _fit_facts(
     facts = [
         ("views", f"{used} used of {data.view_count}, {data.mount}"),
         ("observations", f"{data.observation_count} points seen"),
-        ("camera alone", f"{float(fit.staged.step2.rms):.3f} px RMS with a free pose a view"),
+        (
+            "camera alone",
+            f"{float(fit.staged.step2.rms):.3f} px RMS with a free pose for each view",
+        ),
         ("pixel sigma", f"{float(fit.staged.step2.pixel_sigma):.3f} px of u and of v (Step 2)"),
         ("staged", fit.staged.result.message),
         (
             "Step 3",
-            f"the hand-eye transforms found through either unknown differ by "
+            f"the hand-eye transforms from the two elimination orders differ by "
             f"{1e3 * step3.hand_eye_difference[0]:.2f} mm and "
             f"{np.rad2deg(step3.hand_eye_difference[1]):.3f} deg",
         ),

@@ -10,10 +10,10 @@ from jaxtyping import UInt8
 from ..plots import PlotFigure
 
 CSS_PX_PER_INCH = 96
-"""Pixels of CSS in an inch: plots are shown at their true size, with their fonts as large."""
+"""Number of CSS pixels in an inch: plots and their fonts are shown at their true size."""
 
 COLUMN_INCHES = 5.0
-"""Width from which a plot needs the whole page instead of one of two columns."""
+"""Width above which a plot needs the whole page instead of one of two columns."""
 
 
 class PageFigure(NamedTuple):
@@ -43,7 +43,7 @@ def page_figure(
         style = f"width:{inches * CSS_PX_PER_INCH:.0f}px"
         wide = inches > COLUMN_INCHES
         return PageFigure(name, text, _data_url("png", image.png()), style, wide)
-    # Pictures with noise are several times smaller as JPEG; nothing is measured in them any more.
+    # Noisy pictures are several times smaller as JPEG, and nothing is measured in them here.
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 88])
     return PageFigure(name, text, _data_url("jpeg", data.tobytes()))
 

@@ -1,4 +1,4 @@
-"""Write what happened in a run as one HTML page of pictures and tables."""
+"""Write the story of a run as one HTML page of pictures and tables."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ class StoryFigure(NamedTuple):
     Attributes:
         name: printed first, such as "(a)".
         text: what it shows.
-        picture: a plot, or a picture: grey, or in colour as OpenCV has it: blue, green, red.
+        picture: a plot, or a picture: grey, or in OpenCV's colour order: blue, green, red.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Section(NamedTuple):
     Attributes:
         title: its heading.
         text: a paragraph; may be empty.
-        figures: pictures beside each other.
+        figures: pictures side by side.
         header: names of the columns of the table; empty for a table without names.
         rows: of the table.
     """
@@ -56,13 +56,13 @@ def write_story(path: Path, title: str, verdict: str, sections: Sequence[Section
     """
     shown = [
         {
-            "title": one.title,
-            "text": one.text,
-            "figures": [page_figure(*figure) for figure in one.figures],
-            "header": one.header,
-            "rows": one.rows,
+            "title": section.title,
+            "text": section.text,
+            "figures": [page_figure(*figure) for figure in section.figures],
+            "header": section.header,
+            "rows": section.rows,
         }
-        for one in sections
+        for section in sections
     ]
     page = get_template("story.html").render(title=title, verdict=verdict, sections=shown)
     write_atomically(path, page)

@@ -50,7 +50,7 @@ def error_summaries(
     """Return the errors of the staged and the joint fit.
 
     If the joint fit corrects the robot's error, a third row has its errors without the correction.
-    Views that the joint fit rejected entirely are left out for all fits alike.
+    Views that the joint fit rejected entirely are left out for all fits.
     """
     held_out_reports, data = held_out_reports or {}, without_rejected_views(data, fit)
     calibrations = {"staged": fit.staged.calibration, "joint": fit.joint.calibration}
@@ -68,8 +68,8 @@ MEASURE_NAMES = (
     "held-out error, RMS",
     "  its 95 % interval over views",
     "  at the target",
-    "  over what the fit expected (1 is honest)",
-    "  with a free pose a view",
+    "  actual / predicted error (ideal: 1)",
+    "  with a free pose for each view",
     "held-out by region, RMS",
 )
 """The names of the rows of the table of results."""
@@ -153,12 +153,12 @@ def remarks(
     lines += _held_out_remarks(name, held_out_report.held_out)
     if held_out_report.by_region is not None:
         lines += _held_out_remarks(f"{name}, by region", held_out_report.by_region)
-    # A fold whose refit failed is reported above already.
+    # A fold whose refit failed has been reported above.
     reported_folds = {number for number, _ in held_out_report.held_out.failures}
     predicted_error = held_out_report.predicted_error
     for label, held_out in (
         ("with a free pose", held_out_report.free_pose),
-        ("what the fit expected", None if predicted_error is None else predicted_error.predicted),
+        ("predicted error", None if predicted_error is None else predicted_error.predicted),
     ):
         for number, reason in () if held_out is None else held_out.failures:
             if number not in reported_folds:
@@ -175,8 +175,8 @@ def _held_out_remarks(name: str, held_out: HeldOutErrors) -> list[str]:
     if held_out.extrapolated_views:
         count, total = len(held_out.extrapolated_views), sum(map(len, held_out.folds))
         lines.append(
-            f"{name}: {count} of {total} held-out views lie outside the hull of the viewpoints "
-            "that were left: extrapolated"
+            f"{name}: {count} of {total} held-out views lie outside the hull of the remaining "
+            "viewpoints: extrapolated"
         )
     lines += [f"{name}: fold {k + 1} failed: {reason}" for k, reason in held_out.failures]
     lines += [
@@ -188,7 +188,7 @@ def _held_out_remarks(name: str, held_out: HeldOutErrors) -> list[str]:
 def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
     """Return views and reasons of rejection: whole views first, then counts of rejected points."""
     view_reasons, rejected_points = {}, {}
-    # A rejection without a point is that of a whole view. A set counts every point once.
+    # A rejection without a point concerns the whole view. The sets count every point once.
     for view, point, reason in rejected_by(fit) or ():
         if point is None:
             view_reasons[view] = reason
@@ -210,14 +210,14 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         return []
     probabilities = ", ".join(
         f"{candidate.name} {candidate.probability:.2f}"
-        for candidate in sorted(estimate.candidates, key=lambda one: -one.probability)
+        for candidate in sorted(estimate.candidates, key=lambda c: -c.probability)
         if candidate.probability >= 0.005
     )
     within_view_text = (
         "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
     )
-    # A relative standard deviation of 100 % or more means that the variance component may as well
-    # be zero: it is not printed.
+    # With a relative standard deviation of 100 % or more the variance component may as well be
+    # zero, so the deviation is not printed.
     relative_std_texts = [
         f" +- {relative:.0%}" if relative < 1.0 else "" for relative in estimate.relative_std
     ]
@@ -239,12 +239,12 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         lines.append(
             (
                 "without the correction",
-                f"{uncorrected_rms:.2f} px RMS: what a program sees that takes the "
-                "transforms from here and leaves the robot's error out",
+                f"{uncorrected_rms:.2f} px RMS: the error of a program that uses these transforms "
+                "without the robot's correction",
             )
         )
     if not estimate.converged:
-        lines.append(("standard deviations", "the search ended before they converged: take care"))
+        lines.append(("standard deviations", "the search ended before they converged: be careful"))
     return lines
 
 
@@ -252,7 +252,7 @@ MODEL_DESCRIPTIONS = {
     "white": "of every pose independently",
     "position": "smooth, linear in the tool's position",
     "pose": "smooth, linear in the tool's pose",
-    "six_axis_arm": "those of a six-axis arm, which the poses imply",
+    "six_axis_arm": "of a six-axis arm derived from the poses",
     "joint_offsets": "zeros of the joints",
     "dh": "zeros of the joints, lengths and twists of the links",
 }
@@ -265,10 +265,10 @@ def _model_with_description(name: str) -> str:
 
 
 def model_counts_text(names: Iterable[str]) -> str:
-    """Return a clause that counts the robot error models of refits; empty if none was estimated."""
+    """Return a clause that counts the robot error models of refits; empty if there were none."""
     counts = Counter(names).most_common()
     listed = ", ".join(f"{name} {count}" for name, count in counts)
-    return f"; errors of the robot there: {listed}" if counts else ""
+    return f"; robot error models in the folds: {listed}" if counts else ""
 
 
 def repeatability_rows(repeatability: SplitHalfDifference | None) -> list[tuple[str, str]]:
@@ -279,7 +279,7 @@ def repeatability_rows(repeatability: SplitHalfDifference | None) -> list[tuple[
     model_counts = model_counts_text(
         estimate.name for estimate in estimates if estimate is not None
     )
-    text = f"the hand-eye transforms that they find are {repeatability.description}{model_counts}"
+    text = f"their hand-eye transforms are {repeatability.description}{model_counts}"
     return [("even and odd views", text)]
 
 
@@ -291,8 +291,8 @@ def budget_rows(budget: ErrorBudget) -> list[tuple[str, str, str]]:
 def scale_hypothesis_rows(budget: ErrorBudget) -> list[tuple[str, str, str, str, str]]:
     """Return rows on the hypotheses that explain the robot's error by a single scale.
 
-    A row has the name, the scale, the decrease of the deviance (and that by a robot error field
-    instead), the further decrease in addition to that field, and the held-out RMS by region.
+    A row has the name, the scale, the decrease of the deviance (and the decrease by a robot error
+    field instead), the further decrease in addition to that field, and the held-out RMS by region.
     """
     return [
         (
@@ -325,22 +325,22 @@ def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:
         return f"The joint fit did not converge: {fit.joint.result.message}."
     staged, joint = rows[:2]
     rms = [staged.reprojection_errors.rms, joint.reprojection_errors.rms]
-    evaluated_on = "on the views it was fitted to"
+    evaluated_on = "on the views that it was fitted to"
     if staged.held_out is not None and joint.held_out is not None:
         held_out_rms = [staged.held_out.errors.rms, joint.held_out.errors.rms]
-        # Without a single successful fold the held-out RMS is not finite, and the registration
-        # errors are reported instead.
+        # Without a successful fold the held-out RMS is not finite, and the errors of fitted views
+        # are reported instead.
         if np.isfinite(held_out_rms).all():
             rms, evaluated_on = held_out_rms, "on views it never saw"
-    # With a free pose for every view the residual is that of the camera model and the detections
-    # alone: no calibration of the whole chain can be expected to be below it.
+    # With a free pose for every view only errors of the camera model and the detections remain: no
+    # calibration of the whole chain can be expected to do better.
     floor = float(fit.staged.step2.rms)
     text = (
         f"The joint fit predicts target points to {rms[1]:.2f} px RMS {evaluated_on}; "
         f"the staged pipeline to {rms[0]:.2f} px. "
         f"With a free pose for every view the camera alone would reach {floor:.2f} px"
     )
-    # Far above the floor the camera is not what limits the result.
+    # Far above this floor the camera is not the limiting factor.
     if rms[1] > 3.0 * floor:
         text += ": the rest comes from the robot's poses, the target's size or too few views."
     else:

@@ -2,9 +2,9 @@
 
 Unlike the linear fields these are exact: the actual pose is the forward kinematics of the corrected
 parameters. An error at either end of the chain that is the same in all views is equivalent to a
-displacement of the base or of the tool: the zero of the last joint is not observable separately
-from the hand-eye transform, nor that of the first joint separately from the pose of the target.
-Their priors keep such coefficients at zero.
+displacement of the base or of the tool: the zero of the last joint cannot be separated from the
+hand-eye transform, nor the zero of the first joint from the target pose. Their priors keep such
+coefficients at zero.
 """
 
 import abc

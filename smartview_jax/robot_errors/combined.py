@@ -46,7 +46,7 @@ class CombinedField(AbstractPreparedField):
         return self.first.reference_length
 
     def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
-        # The result is inside only where both fields are.
+        # A pose is inside the combined field only if it is inside both fields.
         return jnp.maximum(
             self.first.normalised_distance(reported), self.second.normalised_distance(reported)
         )

@@ -2,7 +2,7 @@
 
 If joints, links and gears of a robot differ from the controller's model, its reported poses are
 wrong by nearly the same amount whenever it returns to a pose. For given coefficients, an error
-field maps what the robot reports to the actual pose of the tool.
+field maps a reported pose to the actual pose of the tool.
 """
 
 import abc
@@ -25,7 +25,7 @@ Each step multiplies the remaining error by the ratio of robot error to reach, a
 
 
 class AbstractField(eqx.Module):
-    """A function from what a robot reports to the actual pose of its tool.
+    """A function from a reported robot pose to the actual pose of the tool.
 
     Its coefficients are in groups; all coefficients of a group have the same variance component.
     With all coefficients zero, the reported pose is the actual one. Subclass this class, or
@@ -42,22 +42,22 @@ class AbstractField(eqx.Module):
         """Return the actual `base_from_tool`, `(*views)`."""
 
     def prepare(self, reported: Command) -> Any:
-        """Return what the field needs of reported poses, whatever its coefficients.
+        """Return everything that the field computes from reported poses without its coefficients.
 
         A fit calls it once, and then `prepared_pose` and `prepared_jacobian` at every step. By
-        default it is the report itself; a field for which much does not depend on the coefficients
-        returns that, as arrays whose first axis is the views.
+        default it is the report itself. A field that can compute much in advance returns this as
+        arrays whose first axis is the views.
         """
         return reported
 
     def prepared_pose(self, prepared: Any, coefficients: Float[Array, "coefficients"]) -> SE3:
-        """Return `actual_pose` from what `prepare` returned."""
+        """Return `actual_pose` from the result of `prepare`."""
         return self.actual_pose(prepared, coefficients)
 
     def prepared_jacobian(
         self, prepared: Any, coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:
-        """Return `jacobian` from what `prepare` returned."""
+        """Return `jacobian` from the result of `prepare`."""
         return self.jacobian(prepared, coefficients)
 
     def jacobian(
@@ -91,7 +91,7 @@ class AbstractField(eqx.Module):
     ) -> Command:
         """Return the command that brings the tool to an actual pose; it inverts `actual_pose`.
 
-        It is what the robot reports at that pose.
+        It is the robot's report at this pose.
 
         Args:
             actual: wanted `base_from_tool`, `(*views)`.
@@ -110,15 +110,16 @@ class AbstractField(eqx.Module):
         return Command(jax.lax.scan(fixed_point_step, actual, length=INVERSION_STEPS)[0])
 
     def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
-        """Return how far poses are from the field's centre, relative to those it was made for.
+        """Return the distance of poses from the field's centre, in units of the field's extent.
 
-        A value of 1 is about the edge of those poses; zero for a field without a known extent.
+        A value of 1 is about the edge of the poses that the field was made for. The distance is
+        zero for a field without a known extent.
         """
         return jnp.zeros(reported.base_from_tool.get_batch_axes())
 
     @property
     def nested_fields(self) -> "tuple[AbstractField, ...]":
-        """The simpler fields that consist of the first groups alone, then this field itself."""
+        """The simpler fields that have only the first groups, then this field itself."""
         return (self,)
 
     @property

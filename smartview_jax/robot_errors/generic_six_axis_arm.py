@@ -2,9 +2,9 @@
 
 Errors of joint zeros, link lengths and link twists move the tool in a correlated manner: a wrong
 elbow angle translates and rotates it at once, and more so the farther the arm reaches. A field that
-is linear in the pose has to estimate this correlation anew from every data set. But upright
-six-axis arms of all makes reach a pose in nearly the same configuration: upper arm and forearm in a
-plane through the first axis, carrying the wrist. So an arm of usual proportions, with joints from
+is linear in the pose has to estimate this correlation from every data set. But upright six-axis
+arms of all makes reach a pose in nearly the same configuration: upper arm and forearm in a plane
+through the first axis, carrying the wrist. So an arm of usual proportions, with joints from
 closed-form inverse kinematics, models the errors of a real arm better than no arm at all, although
 none of its lengths is correct.
 """
@@ -103,10 +103,10 @@ class GenericSixAxisArm(AbstractPreparedField):
         return max_normalised_offset(self.centre, self.reach, reported)
 
     def prepare(self, reported: Command) -> tuple[SE3, Command]:
-        """Return reported poses times the inverse of the inferred arm's, and the inferred joints.
+        """Return reported poses times the inferred arm's inverse poses, and the inferred joints.
 
-        The inferred arm's pose is the reported one where the arm reaches it; where it does not,
-        the joints are those that come closest.
+        The inferred arm's pose is the reported pose if the arm reaches it; otherwise the joints
+        bring the arm as close to it as possible.
         """
         pose = reported.base_from_tool
         inferred = self.arm.command(branch_joints(self.arm, pose, self.branch))

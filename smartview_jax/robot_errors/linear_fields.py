@@ -114,7 +114,7 @@ def centre_and_reach(base_from_tool: SE3) -> tuple[Float[Array, "3"], Float[Arra
     # Made once on the host, where NumPy needs no compilation.
     positions = np.asarray(base_from_tool.wxyz_xyz)[:, 4:]
     variance = np.sum(np.var(positions, axis=0)) / 3.0
-    # A robot that only rotated has no standard deviation to scale by: its reach is that of a
+    # A robot that only rotated has no standard deviation to scale by. Its reach corresponds to a
     # standard deviation of 1 m, with which the field hardly depends on the position.
     std = np.sqrt(np.where(variance > MIN_POSITION_STD**2, variance, 1.0))
     return jax.device_put((np.mean(positions, axis=0), UNIFORM_HALF_WIDTH * std))

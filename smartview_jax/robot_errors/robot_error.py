@@ -32,8 +32,8 @@ class RobotError(eqx.Module):
     def converted_to(self, field: AbstractField) -> "RobotError":
         """Return the error with another field, which has some of the same groups of coefficients.
 
-        Coefficients are taken over by name; those that this field does not have are zero. It is the
-        same error if those that the other field does not have are zero.
+        Coefficients are copied by name, and coefficients that only the new field has are zero. It
+        is the same error if all coefficients that only the old field has are zero.
         """
         values = dict(zip(self.field.names, np.asarray(self.coefficients), strict=True))
         return RobotError(field, to_device([float(values.get(name, 0.0)) for name in field.names]))
@@ -50,27 +50,27 @@ class RobotError(eqx.Module):
         return _jacobian(self, as_command(reported))
 
     def relevance(self, reported: CommandLike) -> Float[Array, "*views"]:
-        """Return how far the fitted coefficients hold at poses: 1 among the data, 0 far away.
+        """Return how far the fitted coefficients apply to poses: 1 among the data, 0 far away.
 
-        A field is linear only near the poses that it was fitted to. At other places the robot has
-        other coefficients, drawn from the same prior, whose correlation with the fitted ones falls
+        A field is linear only near the poses that it was fitted to. Elsewhere the robot has other
+        coefficients, drawn from the same prior. Their correlation with the fitted ones decreases
         with the distance d beyond the edge of these poses as exp(-d^2 / 2). The unit of d is the
-        field's own: the distance over which it was taken as linear.
+        field's extent, within which it was assumed to be linear.
 
-        The errors of an arm's joints hold everywhere.
+        The errors of an arm's joints apply everywhere.
         """
         return _relevance(self, as_command(reported))
 
     def expected_pose(self, reported: CommandLike) -> SE3:
         """Return the expected actual pose: `actual_pose`, with a correction that fades far away.
 
-        Of coefficients that hold only in part (see `relevance`), the prior's mean of zero is the
-        expected value of the rest.
+        Where the coefficients apply only in part (see `relevance`), the rest of the error has the
+        prior's mean of zero.
         """
         return _expected_pose(self, as_command(reported))
 
     def expected_command(self, actual: SE3, near: JointsLike | None = None) -> Command:
-        """Return the command whose `expected_pose` is the actual one; arguments as `command`."""
+        """Return the command whose `expected_pose` is the actual one; arguments as in `command`."""
         return _expected_command(self, actual, near)
 
     def command(self, actual: SE3, near: JointsLike | None = None) -> Command:
@@ -120,11 +120,11 @@ def _expected_pose(error: RobotError, reported: Command) -> SE3:
 def _expected_command(error: RobotError, actual: SE3, near: JointsLike | None) -> Command:
     """Compute `RobotError.expected_command` as one program."""
     command = error.field.command(actual, error.coefficients, near)
-    # The errors of an arm's joints, which hold everywhere, and whose readings belong to this pose.
+    # The errors of an arm's joints apply everywhere, and the joint readings belong to this pose.
     if command.joints is not None:
         return command
 
-    # The fixed point of `AbstractField.command`, for the pose that is expected.
+    # The fixed point of `AbstractField.command`, for the expected pose.
     def fixed_point_step(reported: SE3, _: None) -> tuple[SE3, None]:
         return reported @ (_expected_pose(error, Command(reported)).inverse() @ actual), None
 

@@ -3,8 +3,8 @@
 A flexible error field can absorb almost any fault of a calibration: a board of another size,
 mirrored pictures, plain noise in few views. But the errors of real arms are limited, and their
 limits are known. They enter the likelihood as log-normal priors on the standard deviations of the
-errors: the median is typical of a good industrial arm, and a factor of `geometric_std` corresponds
-to one standard deviation of the logarithm.
+errors: the median is typical of a good industrial arm, and a factor of `geometric_std` is one
+standard deviation of the logarithm.
 
 Sources: ISO 9283 repeatability in makers' data sheets of arms up to 20 kg payload is 0.01 to 0.1
 mm. Absolute accuracy before kinematic calibration is 0.3 to several mm. Its largest part are joint
@@ -12,9 +12,9 @@ zeros wrong by 0.01 to 1 degree; link lengths and twists contribute some tenths 
 milliradian (Mooring, Roth and Driels, Fundamentals of Manipulator Calibration, 1991; Nubiola and
 Bonev, Absolute calibration of an ABB IRB 1600 robot using a laser tracker, 2013).
 
-Some robots are far weaker: light arms, arms that still move when the picture is taken, poses of
-another instant. They are a hypothesis of their own with its own medians, not the far end of good
-arms' errors: there, every halving of the noise would seem many times as plausible.
+Some robots are far less accurate: light arms, arms that still move when the picture is taken, poses
+that were logged at another time. They are a separate hypothesis with its own medians, not the tail
+of the prior of good arms: in that tail, every halving of the noise would seem many times as likely.
 
 Targets are a part of the robot's world. Printed sheets on boards bow by 0.1 to 0.3 mm over 0.2 to
 0.4 m, glass and milled plates by a hundredth of it; printers stretch one axis by some 0.1 % more
@@ -86,9 +86,8 @@ class RobotPrior:
         target_print_median: median displacement of its edge within its plane, by a different
             stretch of both axes and by shear, in the same unit.
         target_geometric_std: exp of the standard deviation of the logarithms of both.
-        wrong_lens_probability: probability that the lens bends otherwise than its model describes;
-            zero does not ask. The covariance of the transforms covers what such a lens would
-            change.
+        wrong_lens_probability: probability that the lens deviates from its model; zero skips this
+            hypothesis. The covariance of the transforms includes the effect of such a lens.
     """
 
     translation_median: float = 5e-5

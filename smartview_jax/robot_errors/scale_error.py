@@ -71,8 +71,8 @@ class ScaleError(AbstractField):
     ) -> Float[Array, "views 6 coefficients"]:
         # With a = scale_twist and its coefficient s, actual_pose = field(c) exp(-s a), and
         #     field(c) exp(d) exp(-s a) = actual_pose exp(Ad(exp(s a)) d):
-        # the other field's Jacobian is transformed to the tool by the adjoint. That of the scale is
-        # -a.
+        # the other field's Jacobian is transformed to the tool by the adjoint. The column of the
+        # scale is -a.
         field_jacobian = self.field.jacobian(reported, coefficients[:-1])
         scale_twist = self._scale_twist(reported)
         adjoint = SE3.exp(coefficients[-1] * scale_twist).adjoint()
@@ -123,8 +123,8 @@ class LinearInPoseWithScales(AbstractLinearField):
         self, linear_basis: Float[Array, "*views 6 54"], base_from_tool: SE3
     ) -> Float[Array, "*views 6 56"]:
         """Return the active columns of the linear field and of the scale errors."""
-        # Both scale errors are translations proportional to a position relative to the centre: that
-        # of the tool, and that of the camera, which is offset from it by `scaled_point`.
+        # Both scale errors are translations proportional to a position relative to the centre: the
+        # position of the tool, and of the camera, which is offset from it by `scaled_point`.
         tool = _displacement(base_from_tool, self.linear_in_pose.centre) / self.linear_in_pose.reach
         camera = tool + _broadcast_like(self.scaled_point, tool) / self.linear_in_pose.reach
         scale_columns = jnp.stack([_translation_twist(tool), _translation_twist(camera)], axis=-1)

@@ -49,7 +49,7 @@ def robot_error_from_dict(content: dict[str, Any], field: AbstractField | None) 
         field: an instance of the same class, for a field that the library does not know.
 
     Raises:
-        ValueError: the numbers are not those of the field.
+        ValueError: the names of the numbers are not the field's names.
         KeyError: an entry is missing.
     """
     restored = _field_from_dict(content["field"], field)
@@ -99,6 +99,6 @@ def _differences(found: Iterable[str], known: Iterable[str]) -> str:
     ]
     return "; ".join(
         f"{words} {', '.join(names[:5])}{' and more' * (len(names) > 5)}"
-        for words, names in (("missing are", missing), ("of no use are", unknown))
+        for words, names in (("missing", missing), ("unknown", unknown))
         if names
     )

@@ -1,8 +1,8 @@
 """Describe a parallel-jaw gripper by the boxes it is made of.
 
-The frame `gripper` is that of a grasp: z is the approach, x the direction along which the fingers
-close, and the origin is the point between the fingertips. A robot reports and moves its *tool*
-frame, which for most controllers is the flange: `tool_from_gripper` says where the gripper is.
+The frame `gripper` is the frame of a grasp: z is the approach, x the direction along which the
+fingers close, and the origin is the point between the fingertips. A robot reports and moves its
+*tool* frame, which for most controllers is the flange: `tool_from_gripper` is the gripper's pose.
 """
 
 import dataclasses

@@ -103,7 +103,7 @@ def _common_normal(
 
 
 def _perpendicular(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Return a unit vector perpendicular to an axis: the base's x if that is perpendicular."""
+    """Return a unit vector perpendicular to an axis: the base's x if it is perpendicular."""
     reference = np.eye(3)[0 if abs(axis[0]) < 0.9 else 1]
     x = reference - (reference @ axis) * axis
     return x / np.linalg.norm(x)

@@ -1,7 +1,7 @@
 """Find times at which a log of poses has a gap that no interpolation bridges.
 
-How far an interpolation over some duration misses is measured in the log itself: windows of that
-duration are taken where the log is complete, bridged from their ends as the gap would be, and
+The error of an interpolation over some duration is measured in the log itself: windows of this
+duration are chosen where the log is complete, interpolated from their ends as in the gap, and
 compared with the poses that were logged within.
 """
 
@@ -19,8 +19,8 @@ class GapLimits:
     """Limits beyond which an interval between two logged poses is a gap.
 
     Attributes:
-        position, angle: error that is no harm at any time, m and rad; robots repeat a pose to about
-            this much.
+        position, angle: error that is always acceptable, m and rad; robots repeat a pose to about
+            this accuracy.
         windows: largest number of windows in which the error is measured.
     """
 
@@ -32,25 +32,25 @@ class GapLimits:
 def times_in_gaps(
     trajectory: Trajectory, times: Float[np.ndarray, "views"], limits: GapLimits | None = None
 ) -> Bool[np.ndarray, "views"]:
-    """Return which times lie where the interpolated pose is invented rather than measured.
+    """Return which times are in a gap of the log, where the interpolated pose is not reliable.
 
-    A time is in a gap if its interval is longer than the log's usual one, the robot moved across
-    it, and interpolation over this duration misses by more than the limits, and by more than it
-    does at the usual interval.
+    A time is in a gap if its interval is longer than usual in this log, the robot moved across it,
+    and interpolation over this duration has an error above the limits and above its error at the
+    usual interval.
 
     Args:
         trajectory: the logged poses.
-        times: within the logged ones, s.
+        times: times within the log, s.
         limits: by default `GapLimits()`.
     """
     limits = limits or GapLimits()
     logged = trajectory.times
     usual = 2.0 * float(np.median(np.diff(logged)))
-    # The error at twice the median interval, whose middle poses are logged, is above the error at
-    # the median one.
+    # The error at twice the median interval, where the poses in the middle are logged, is larger
+    # than the error at the median interval.
     allowed = np.array([limits.position, limits.angle])
     accepted = np.fmax(allowed, _error(trajectory, usual, 0.5, usual, limits))
-    found = np.zeros(len(times), dtype=bool)
+    in_gap = np.zeros(len(times), dtype=bool)
     for k, time in enumerate(times):
         after = int(np.clip(np.searchsorted(logged, time), 1, len(logged) - 1))
         start, duration = logged[after - 1], logged[after] - logged[after - 1]
@@ -60,22 +60,22 @@ def times_in_gaps(
         if (_sizes(ends) <= allowed).all():
             continue
         error = _error(trajectory, duration, (time - start) / duration, usual, limits)
-        # Without a window of this duration nothing speaks for the interpolation.
-        found[k] = np.isnan(error).any() or (error > accepted).any()
-    return found
+        # Without a window of this duration the interpolation has no support.
+        in_gap[k] = np.isnan(error).any() or (error > accepted).any()
+    return in_gap
 
 
 def _error(
     trajectory: Trajectory, duration: float, fraction: float, usual: float, limits: GapLimits
 ) -> Float[np.ndarray, "2"]:
-    """Return the RMS error of position and angle where poses within a duration are bridged.
+    """Return the RMS error of position and angle of interpolation over a duration.
 
     Args:
         trajectory: the logged poses.
         duration: of the windows, s.
-        fraction: where within the window the pose is asked for, 0 to 1.
+        fraction: place within the window where the pose is interpolated, 0 to 1.
         usual: longest interval at which a log is complete, s.
-        limits: number of windows, and the motion that counts as none.
+        limits: number of windows, and the largest motion that counts as none.
 
     Returns:
         Position in m, angle in rad; NaN where the log has no complete window with motion.
@@ -90,7 +90,7 @@ def _error(
     first, last = first[complete], last[complete]
     if not first.size:
         return np.full(2, np.nan)
-    # Evenly over the log, which is the same in every run.
+    # Evenly over the log, so that every run uses the same windows.
     chosen = np.unique(np.linspace(0, len(first) - 1, limits.windows).astype(int))
     first, last = first[chosen], last[chosen]
     ends = _motion(trajectory, first, last)
@@ -98,8 +98,8 @@ def _error(
     if not moved.any():
         return np.full(2, np.nan)
     first, last, ends = first[moved], last[moved], ends[moved]
-    wanted = logged[first] + fraction * (logged[last] - logged[first])
-    middle = np.clip(np.searchsorted(logged, wanted), first + 1, last - 1)
+    query = logged[first] + fraction * (logged[last] - logged[first])
+    middle = np.clip(np.searchsorted(logged, query), first + 1, last - 1)
     length = (logged[last] - logged[first])[:, None]
     s = (logged[middle] - logged[first])[:, None] / length
     # A cubic with the ends' poses and speeds, as the spline has in a gap.

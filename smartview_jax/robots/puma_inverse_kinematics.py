@@ -174,7 +174,7 @@ def _is_standard_six_revolute(arm: SerialArm) -> bool:
 
 @one_program
 def _structure_deviation(arm: SerialArm) -> Float[Array, ""]:
-    """Return how far the parameters of an arm are from a Puma-like arm, m or rad.
+    """Return the deviation of an arm's parameters from a Puma-like arm, m or rad.
 
     It is infinite where the closed form would divide by zero (a2 = 0, or a3 = d4 = 0), and for
     alpha2 near 180 degrees.
@@ -196,7 +196,7 @@ def _solve_branch(
 ) -> tuple[Float[Array, "6"], Bool[Array, ""], Bool[Array, "3"]]:
     """Return the angles `reading + theta` of one branch, whether it reaches, and its singularities.
 
-    The three singularity flags are those of shoulder, elbow and wrist.
+    The three singularity flags are for shoulder, elbow and wrist.
     """
     # s_k = sin(alpha_k) is +1 or -1 where the twist is +-90 degrees; t_k is the angle of joint k.
     s = jnp.sin(arm.alpha)

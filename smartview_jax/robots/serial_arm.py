@@ -110,10 +110,10 @@ class SerialArm(eqx.Module):
         return _forward_kinematics(self, joints)
 
     def frame_origins(self, joints: JointsLike) -> Float[Array, "*views origins 3"]:
-        """Return where the frames along the chain are, in the base frame, m, the tool's last.
+        """Return the origins of the frames along the chain in the base frame, m, the tool's last.
 
-        There are two for each joint, one before either screw of it: the straight lines from one to
-        the next run along the joint's axis and along the link.
+        There are two for each joint, one before either screw: the straight lines from one to the
+        next run along the joint's axis and along the link.
         """
         return _origins(self, _as_jax_array(joints))
 
@@ -136,7 +136,7 @@ class SerialArm(eqx.Module):
 
 
 def _as_jax_array(numbers: Sequence[Any] | np.ndarray | Array) -> Float[Array, "..."]:
-    """Return numbers as a JAX array; those of the host without compiling a program."""
+    """Return numbers as a JAX array; host numbers without compiling a program."""
     if any(isinstance(x, Array) for x in jax.tree.leaves(numbers)):
         return jnp.asarray(numbers, dtype=float)
     # A copy, because `device_put` may share the memory of the caller's array.
@@ -206,8 +206,8 @@ def _screw_twists(
     """Return the tool's twists per unit of a turn about each joint's z or x axis, and of a slide.
 
     Args:
-        convention: that of the Denavit-Hartenberg parameters.
-        tool, frames: of `_chain_frames`.
+        convention: of the Denavit-Hartenberg parameters.
+        tool, frames: results of `_chain_frames`.
         axis: 2 for the screws about z (`theta` and `d`), 0 for those about x (`alpha` and `a`).
     """
     # In the standard convention the z screw is the first of a link and the x screw the second; in

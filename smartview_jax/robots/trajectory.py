@@ -12,16 +12,16 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 MIN_LOGGED_POSES = 4
-"""Smallest number of poses of which a cubic spline is determined."""
+"""Smallest number of poses that determines a cubic spline."""
 
 
 class Trajectory(NamedTuple):
-    """Poses of the tool over time, between which splines with continuous acceleration are taken.
+    """Poses of the tool over time, interpolated by splines with continuous acceleration.
 
     Attributes:
-        times: when the robot was there by its own clock, s, increasing.
+        times: times of the poses by the robot's clock, s, increasing.
         base_from_tool: poses.
-        rotations, positions: the splines, over the times.
+        rotations, positions: the splines over time.
     """
 
     times: Float[np.ndarray, "logged"]
@@ -60,16 +60,16 @@ class Trajectory(NamedTuple):
         return ~((self.times[0] <= times) & (times <= self.times[-1]))
 
     def at(self, times: Float[np.ndarray, "views"]) -> Float[np.ndarray, "views 4 4"]:
-        """Return the poses at some times, which must be within those that were logged.
+        """Return the poses at some times, which must be within the logged times.
 
         Raises:
             ValueError: a time before the first or after the last logged one.
         """
         outside = self.outside(times)
         if outside.any():
-            found = times[int(np.argmax(outside))]
+            time = times[int(np.argmax(outside))]
             raise ValueError(
-                f"trajectory: {found:.9g} s is not within the logged times, {self.times[0]:.9g} to "
+                f"trajectory: {time:.9g} s is not within the logged times, {self.times[0]:.9g} to "
                 f"{self.times[-1]:.9g} s"
             )
         poses = np.tile(np.eye(4), (len(times), 1, 1))

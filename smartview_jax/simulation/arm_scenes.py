@@ -48,13 +48,13 @@ WARP_RANGE = (1e-4, 1.5e-4)
 
 
 class ArmScene(eqx.Module):
-    """A simulated data set of an arm, together with the truth behind it.
+    """A simulated data set of an arm, together with its true values.
 
     Attributes:
-        data: the data set of the experiment, with the poses that the robot reports as commands.
+        data: the data set of the experiment, with the robot's reported poses as commands.
         held_out: held-out views, also with reported poses; their pixels and the arm's poses have no
             random noise.
-        calibration: the true calibration, whose robot error is that of the arm.
+        calibration: the true calibration, including the arm's error.
         joints: joint readings in the views of `data`, rad.
         held_out_joints: joint readings in the views of `held_out`, rad.
     """
@@ -104,13 +104,13 @@ def six_axis_scene(
     error = random_kinematic_errors(arm, rng, error_scale)
     truth = dataclasses.replace(_true_calibration(), robot_error=error)
     warped_board = board + _random_warp(board, rng.uniform(*warp_range), rng)
-    wanted = random_viewpoints(
+    camera_poses = random_viewpoints(
         rng, views + held_out_views, board.mean(axis=0), DISTANCE_RANGE, MAX_TILT
     )
     initial_joints = np.tile(HOME_JOINTS, (views + held_out_views, 1))
     # The nominal arm is sent to the wanted views; the real arm misses them by its errors.
     joints, reached = solve_joints_iteratively(
-        arm, truth.command_for(wanted, corrected=False), initial_joints
+        arm, truth.command_for(camera_poses, corrected=False), initial_joints
     )
     if not np.all(reached):
         raise RuntimeError(f"the arm reaches {np.sum(reached)} of {len(reached)} views")
@@ -128,7 +128,7 @@ def six_axis_scene(
         part = jax.tree.map(lambda x, chosen=view_slice: to_device(np.asarray(x)[chosen]), command)
         actual_part = SE3(to_device(np.asarray(actual_poses.wxyz_xyz)[view_slice]))
         simulated = simulate(truth.uncorrected, actual_part, warped_board, seed, sigma).data
-        # The pixels show the warped board, but the data set states the flat one.
+        # The pixels show the warped board, but the data set contains the flat one.
         flat = to_device(np.broadcast_to(board, simulated.points.shape))
         datasets.append(
             dataclasses.replace(simulated, points=flat, base_from_tool=part.base_from_tool)
@@ -179,7 +179,7 @@ def random_kinematic_errors(arm: SerialArm, rng: np.random.Generator, scale: flo
 def _random_warp(
     board: Float[np.ndarray, "points 3"], max_deviation: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "points 3"]:
-    """Return the deviation of the points from a warped board: a random quadratic, minus its plane.
+    """Return the deviations of a warped board's points: a random quadratic, minus its plane.
 
     The largest deviation is `max_deviation`, m.
     """

@@ -1,9 +1,9 @@
-"""Simulate what a user of the object models starts from: pictures of a board and of an object.
+"""Simulate the input for an object model: pictures of a board and of an object.
 
-One rig takes both: the paper's camera and distance (`simulation.paper`), five viewpoints of the
-paper's pattern (Fig. 6) of a polyhedral object, and pictures of a circle grid that calibrate the
-rig. The middle one of the five looks down obliquely, so that sides of the object are seen too. The
-object has texture and stands among printed and solid clutter; shadows fall.
+One rig takes both: the paper's camera and distance (`simulation.paper`), five viewpoints of a
+polyhedral object in the paper's pattern (Fig. 6), and pictures of a circle grid that calibrate the
+rig. The middle one of the five looks down obliquely, so that sides of the object are visible too.
+The object has texture and stands among printed and solid clutter; there are shadows.
 """
 
 import json
@@ -33,7 +33,7 @@ BOARD_VIEWS = 12
 """Number of pictures of the board."""
 
 DISTANCE = 0.2
-"""Distance from the camera to what it aims at, m, as in the paper."""
+"""Distance from the camera to its point of aim, m, as in the paper."""
 
 TILT = float(np.deg2rad(32.0))
 """Angle of the middle viewpoint of the five from the vertical, rad."""
@@ -50,14 +50,14 @@ EXPOSURE = 1.3
 
 
 class ObjectExample(NamedTuple):
-    """Pictures of an object, what the robot reported, and the truth behind them.
+    """Pictures of an object, the robot's reported poses, and the true values.
 
     Attributes:
         pictures: five pictures of the object.
         reported: `base_from_tool`, `(5)`, as the robot reported it.
         base_from_tool: the true poses.
-        calibration: the true calibration; its world is the board's frame, in which the object
-            stands too.
+        calibration: the true calibration; its world is the board's frame, which also contains the
+            object.
         solid: the object in the world's frame.
     """
 
@@ -72,7 +72,7 @@ def object_example(seed: int = 0, pattern: str = "cross") -> ObjectExample:
     """Return five pictures of the example's object, rendered in a few seconds.
 
     Args:
-        seed: of the noise of camera and robot; the scene is always the same.
+        seed: seed of the noise of camera and robot; the scene is always the same.
         pattern: arrangement of the viewpoints, as in `five_viewpoints`.
 
     Raises:
@@ -81,7 +81,7 @@ def object_example(seed: int = 0, pattern: str = "cross") -> ObjectExample:
     truth, solid = paper_calibration(), example_solid()
     scene = _example_scene(solid)
     poses = truth.command_for(_tilted_viewpoints(solid.vertices.mean(axis=0), pattern))
-    # A generator of its own for the robot, so that the boards' number does not change its noise.
+    # A separate generator for the robot, so that the number of boards does not change its noise.
     rng = np.random.default_rng((seed, 1))
     pictures = tuple(
         render_solids(truth, pose, scene, exposure=EXPOSURE, seed=5 * seed + k, samples=16)
@@ -92,7 +92,7 @@ def object_example(seed: int = 0, pattern: str = "cross") -> ObjectExample:
 
 
 def example_solid() -> Polyhedron:
-    """Return the object of the example where it stands: on the board's plane, at its centre."""
+    """Return the object of the example at its pose: on the board's plane, at its centre."""
     world_from_object = SE3.from_rotation_and_translation(
         SO3.from_z_radians(0.5), jnp.asarray([*_board_centre()[:2], 0.0])
     )
@@ -120,9 +120,9 @@ def _example_scene(solid: Polyhedron) -> SolidScene:
     centre = _board_centre()
     shift = np.eye(4)
     shift[:3, 3] = centre
-    # Textures are centred where the object stands: they are functions of their own frame.
+    # Textures are functions of their own frame; centre them at the object.
     printed = labelled(speckled(0.5, 0.1, 0.0025, seed=3), 40, 0.014, 0.06, seed=4)
-    # Low boxes at the border of the pictures: clutter with edges and shadows of its own.
+    # Low boxes at the border of the pictures: clutter with its own edges and shadows.
     boxes = [
         box(*size).moved(shift @ _turned(angle, x, y))
         for size, angle, x, y in (
@@ -135,13 +135,16 @@ def _example_scene(solid: Polyhedron) -> SolidScene:
         (
             Surface.of_plane(0.3, lambda points: printed(points - centre)),
             Surface.of_polyhedron(solid, lambda points: cast(points - centre)),
-            *(Surface.of_polyhedron(one, speckled(0.35, 0.05, 0.002, seed=5)) for one in boxes),
+            *(
+                Surface.of_polyhedron(clutter, speckled(0.35, 0.05, 0.002, seed=5))
+                for clutter in boxes
+            ),
         )
     )
 
 
 def _turned(angle: float, x: float, y: float) -> np.ndarray:
-    """Return the pose of something turned about z and moved on the table."""
+    """Return the pose of an object turned about z and moved on the table."""
     pose = SE3.from_rotation_and_translation(SO3.from_z_radians(angle), jnp.asarray([x, y, 0.0]))
     return host_matrices(pose)
 
@@ -161,7 +164,7 @@ class BoardPoses(NamedTuple):
 
 
 def object_example_boards(seed: int = 0) -> BoardPoses:
-    """Return the poses from which the example's board is seen, tilted and rolled at random."""
+    """Return the poses of the example's pictures of its board, tilted and rolled at random."""
     truth, rng = paper_calibration(), np.random.default_rng((seed, 2))
     tilt = float(np.deg2rad(35.0))
     views = random_viewpoints(rng, BOARD_VIEWS, _board_centre(), (0.19, 0.23), tilt)
@@ -173,7 +176,7 @@ def object_example_boards(seed: int = 0) -> BoardPoses:
 def write_object_example(
     folder: str | Path, seed: int = 0, pattern: str = "cross", suffix: str = ".png"
 ) -> Path:
-    """Write the example as a user would have it, and the truth beside it.
+    """Write the example as a user would have it, together with the true values.
 
     The folder itself is the data set of the board's pictures, which `load_dataset` reads and
     `calibrate` fits; `object` has the pictures of the object, for `load_object_views`; and
@@ -181,7 +184,7 @@ def write_object_example(
 
     Args:
         folder: folder to create.
-        seed: of the noise of camera and robot.
+        seed: seed of the noise of camera and robot.
         pattern: arrangement of the viewpoints, as in `five_viewpoints`.
         suffix: kind of the picture files.
     """
@@ -201,7 +204,7 @@ def write_object_example(
     )
     names = [f"object_{k}" for k in range(len(example.pictures))]
     write_object_views(folder / "object", names, example.pictures, example.reported, suffix)
-    # In the board's frame, in which a calibration by these boards places its results.
+    # In the board's frame, as results of a calibration with these pictures.
     content = {
         "unit": "m",
         "frame": "world",

@@ -8,7 +8,7 @@ The paper's text states only this. The rest is chosen to reproduce all three row
 strong lens distortion (k1 = 0.7), a robot with white noise of 0.08 mm and 0.01 degrees in every
 pose, including the held-out ones, and viewpoints whose point of aim has an error of 0.25 mm per
 axis. The last is an independent assumption: without it the viewpoints are so regular that
-interpolation between them is too accurate, 1.6 px where the paper has 4.2.
+interpolation between them is too accurate, 1.6 px instead of the paper's 4.2.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from .rendered_scenes import rendered_scene
 from .scenes import Scene, paper_calibration, reported_poses, simulate
 
 DISTANCE = 0.2
-"""Distance from a camera to the point that it aims at, m."""
+"""Distance from a camera to its point of aim, m."""
 
 
 class PaperSetUp(NamedTuple):
@@ -43,7 +43,7 @@ class PaperSetUp(NamedTuple):
         pattern: arrangement of the five viewpoints: `"cross"`, or `"L"`: 9.5 and 19 degrees along X
             and Y.
         roll: largest rotation of a viewpoint about its optical axis, in either direction, rad.
-        aim_sigma: standard deviation, per axis, of the point that a viewpoint aims at, m.
+        aim_sigma: standard deviation of a viewpoint's point of aim, per axis, m.
         k1: radial distortion coefficient of the lens.
         columns, rows: number of circles along X and along Y.
         spacing: distance between circles, m.
@@ -113,7 +113,7 @@ def paper_held_out(seed: int = 0, setup: PaperSetUp = PAPER_SETUP, views: int = 
     """Return held-out views from between the paper's five viewpoints, without pixel noise.
 
     They fill the convex hull of the five uniformly; their errors of aim and the robot's errors have
-    the same standard deviations as in the five.
+    the same standard deviations as for the five.
     """
     rng = np.random.default_rng((seed, 2))
     max_offset = np.sin(FIVE_VIEWPOINT_STEP * np.max(FIVE_VIEWPOINT_PATTERNS[setup.pattern]))
@@ -153,6 +153,7 @@ def paper_rendered_scene(
     """Return the paper's experiment with circles that are detected in rendered pictures."""
     truth, rng = setup.calibration, np.random.default_rng((seed, 3))
     poses = truth.command_for(paper_viewpoints(np.random.default_rng((seed, 1)), setup))
-    # A separate generator for the robot's noise, so that the viewpoints are those of `paper_scene`.
+    # A separate generator for the robot's noise, so that the viewpoints are the same as in
+    # `paper_scene`.
     reported = reported_poses(poses, rng, setup.translation_noise, setup.rotation_noise)
     return rendered_scene(truth, poses, setup.target, reported, seed, progress, samples=2)

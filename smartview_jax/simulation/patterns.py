@@ -15,7 +15,7 @@ Pattern = Callable[
 """A function that returns whether a board is dark at x and y of the board's own frame, m."""
 
 ORIGIN_MARK_RATIO = 1.5
-"""Ratio of the larger corner circle's radius to the others', where the target does not state it."""
+"""Ratio of the larger corner circle's radius to the others', if the target does not state it."""
 
 
 def printed_pattern(target: AbstractTarget) -> Pattern:
@@ -25,7 +25,7 @@ def printed_pattern(target: AbstractTarget) -> Pattern:
     background of light circles is dark everywhere.
 
     Raises:
-        ValueError: the pattern of the target is not known.
+        ValueError: the pattern of the target is unknown.
     """
     if isinstance(target, CircleGrid):
         return _circle_pattern(target)
@@ -45,8 +45,8 @@ def _circle_pattern(target: CircleGrid) -> Pattern:
     mark_radius = ORIGIN_MARK_RATIO * radius if target.mark_radius is None else target.mark_radius
 
     def is_dark(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        # The nearest circle decides, which needs no loop over circles. Odd rows of an asymmetric
-        # grid are shifted by one step, and the pitch of its columns is two.
+        # The nearest circle decides, so that no loop over circles is needed. Odd rows of an
+        # asymmetric grid are shifted by one step, and the pitch of its columns is two.
         i = np.clip(np.rint(y / step), 0, target.rows - 1)
         shift, pitch = (i % 2, 2.0) if target.asymmetric else (0.0, 1.0)
         j = np.clip(np.rint((x / step - shift) / pitch), 0, target.columns - 1)
@@ -97,7 +97,7 @@ def _tag_pattern(target: TagGrid | AprilGrid) -> Pattern:
     bits = _marker_cells(target.dictionary, target.ids[-1] + 1, target.border_bits)
     is_april = isinstance(target, AprilGrid)
     if is_april:
-        # Kalibr prints tags turned by half a turn against OpenCV's drawings.
+        # Kalibr prints tags rotated by half a turn compared with OpenCV's drawings.
         bits = bits[:, ::-1, ::-1]
     gap = target.spacing * target.size if isinstance(target, AprilGrid) else target.gap or 0.0
     from_bottom = isinstance(target, AprilGrid) or target.rows_from == "bottom"
@@ -116,7 +116,7 @@ def _tag_pattern(target: TagGrid | AprilGrid) -> Pattern:
         )
         if not is_april:
             return dark
-        # Squares fill the crossings of the gaps, and go as far around the board.
+        # Squares fill the crossings of the gaps, also in a border around the board.
         within = (x >= left - gap) & (x < right + gap) & (y > bottom - gap) & (y <= top + gap)
         crossing = ((x - left) % pitch >= target.size) & ((top - y) % pitch >= target.size)
         return dark | (within & crossing)

@@ -49,7 +49,7 @@ class Polyhedron(NamedTuple):
 
 
 def loop_pairs(face: Sequence[int]) -> list[tuple[int, int]]:
-    """Return each vertex of a loop with the one after it."""
+    """Return each vertex of a loop with its successor."""
     return list(zip(face, (*face[1:], face[0]), strict=True))
 
 
@@ -66,7 +66,7 @@ def face_normal(
 def _triangulated(
     vertices: Float[np.ndarray, "vertices 3"], face: Sequence[int]
 ) -> Int[np.ndarray, "triangles 3"]:
-    """Return a face as triangles, by cutting off ears: vertices whose triangle holds no other."""
+    """Return a face as triangles, by cutting off ears (their triangle contains no other corner)."""
     normal, remaining, triangles = face_normal(vertices, face), list(face), []
     while len(remaining) > 3:
         ear = next(k for k in range(len(remaining)) if _is_ear(vertices, remaining, k, normal))
@@ -114,8 +114,8 @@ def stepped_block(size: float = 0.03) -> Polyhedron:
     Args:
         size: length of the longest edge, m.
     """
-    # The profile in the plane of x and z is an L, which lies on its long side; it is extruded
-    # along y. One end of the upper part is bevelled, so that no rotation maps it to itself.
+    # The profile in the plane of x and z is an L on its long side; it is extruded along y. One end
+    # of the upper part is bevelled, so that no rotation maps it to itself.
     profile = np.array(
         [[-0.5, 0.0], [0.5, 0.0], [0.5, 0.25], [0.0, 0.25], [-0.1, 0.6], [-0.5, 0.6]]
     )
@@ -198,7 +198,7 @@ def _intersection(
 
 
 def _is_plain(solid: Polyhedron, radius: float) -> bool:
-    """Return whether no edge is too short to see, nor too blunt, and the solid is not a needle."""
+    """Return whether no edge is too short or too blunt to see, and the solid is not a needle."""
     a, b = solid.vertices[solid.edges].transpose(1, 0, 2)
     if np.linalg.norm(a - b, axis=1).min() < MIN_EDGE_RATIO * radius:
         return False

@@ -26,7 +26,7 @@ class Hits(NamedTuple):
     Attributes:
         triangle: index of the triangle, `MISSED` where the ray hits nothing.
         points: in the meshes' frame, m; zero where nothing is hit.
-        normals: unit normals of the triangles, on the side that the ray comes from.
+        normals: unit normals of the triangles, on the side of the ray's origin.
     """
 
     triangle: Int[np.ndarray, "rays"]
@@ -35,7 +35,7 @@ class Hits(NamedTuple):
 
 
 class RayCaster:
-    """Triangles that are prepared for casting rays at them."""
+    """Triangles prepared for ray casting."""
 
     def __init__(
         self,
@@ -67,16 +67,16 @@ class RayCaster:
     def first_hits(
         self, origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "rays 3"]
     ) -> Hits:
-        """Return what rays from one point hit first.
+        """Return the first hits of rays from one point.
 
         Args:
-            origin: where all rays start, m.
+            origin: start of all rays, m.
             directions: of any length but zero.
         """
         origins = np.broadcast_to(origin, directions.shape)
         triangle = np.asarray(self._intersector.intersects_first(origins, directions), dtype=int)
-        # The point follows in double precision from the triangle's plane, n (o + t d - p) = 0:
-        # Embree's own would be off by some 1e-7 of the scene.
+        # The point is computed in double precision from the triangle's plane, n (o + t d - p) = 0:
+        # Embree's is off by some 1e-7 of the scene.
         hit = triangle != MISSED
         normals = np.where(hit[:, None], self._normals[triangle], 0.0)
         towards = np.einsum("ij,ij->i", normals, directions)
@@ -124,5 +124,5 @@ def _embree_intersector(vertices: np.ndarray, triangles: np.ndarray) -> Any:
         import_extra(module, "objects", "a picture of solid objects")
         for module in ("trimesh", "embreex", "trimesh.ray.ray_pyembree")
     )
-    # `process=False` keeps the order of the triangles, by which hits are named.
+    # `process=False` keeps the order of the triangles, which identifies hits.
     return embree.RayMeshIntersector(trimesh.Trimesh(vertices, triangles, process=False))

@@ -27,7 +27,7 @@ DARK_LEVEL, LIGHT_LEVEL, BACKGROUND_LEVEL = 40.0, 215.0, 120.0
 """Grey levels of the print, of the paper, and of everything other than the board's front."""
 
 ROWS_PER_BATCH = 64
-"""Number of picture rows that are sampled at once, which limits memory."""
+"""Number of picture rows sampled at once, to limit memory."""
 
 
 def render(
@@ -61,7 +61,7 @@ def render(
         calibration.camera, camera_from_world, z, target.y_up, samples
     )
     plane_points = plane_points / float(calibration.target_scale)
-    # The y axis of a stack points up, that of most boards down.
+    # The y axis of a stack points up, but down on most boards.
     y_sign = 1.0 if board.y_up == target.y_up else -1.0
     dark = printed_pattern(board)(
         plane_points[..., 0].ravel(), y_sign * plane_points[..., 1].ravel()
@@ -143,7 +143,7 @@ def write_pictures(
         target: target in the pictures.
         reported_poses: `(views)` poses that the robot reports; the true ones by default.
         suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
-        pose_format: the way in which `poses.csv` has the poses: one of `POSE_CODECS`.
+        pose_format: format of the poses in `poses.csv`: one of `POSE_CODECS`.
         options: passed on to `render`, other than its height and seed.
     """
     folder, poses = Path(folder), as_se3(base_from_tool)

@@ -19,7 +19,7 @@ from .scenes import Scene
 MAX_DETECTION_ERROR = 5.0
 """Largest distance, px, of a detected point from its true projection.
 
-A detection that is farther away belongs to another point.
+A detection farther away belongs to another point.
 """
 
 
@@ -86,8 +86,8 @@ def _order_nearest_truth(
     board: AbstractTarget,
 ) -> Float[np.ndarray, "points 2"]:
     """Return the detected points in the order closest to the truth; NaN if no order is close."""
-    # The distance of an order is the largest of its points, since one swapped pair disqualifies it.
-    # Missing points are ignored.
+    # The distance of an order is the largest of its points' distances, since one swapped pair
+    # disqualifies it. Missing points are ignored.
     errors = [np.abs(detected[order] - true_pixels) for order in board.symmetries]
     max_errors = [np.nanmax(error, initial=0.0) for error in errors]
     best = int(np.argmin(max_errors))

@@ -18,7 +18,7 @@ from ..targets import AbstractTarget
 
 
 class Scene(eqx.Module):
-    """A simulated data set, together with the truth behind it.
+    """A simulated data set, together with its true values.
 
     Attributes:
         data: the data set of the experiment: noisy pixels and reported poses.
@@ -73,7 +73,7 @@ def simulate(
     pixels = pixels + outliers[..., None] * shift
 
     size = np.array(calibration.camera.image_size)
-    # Points that cannot be projected are NaN, and comparisons with NaN are false, as wanted.
+    # Points that cannot be projected are NaN; comparisons with NaN are false.
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= 0.0) & (pixels <= size - 1.0)).all(axis=-1)
     visible = np.asarray(valid) & inside
@@ -90,7 +90,7 @@ def simulate(
 def reported_poses(
     base_from_tool: SE3, rng: np.random.Generator, translation_noise: float, rotation_noise: float
 ) -> SE3:
-    """Return what a robot reports for true poses `(views)`; the noise is that of `simulate`."""
+    """Return a robot's reports of true poses `(views)`, with the noise described in `simulate`."""
     # In terms of tool_from_base, true = exp(correction) reported; inverted, base_from_tool has
     # reported = true exp(correction).
     sigmas = np.repeat([translation_noise, rotation_noise], 3)
@@ -181,7 +181,7 @@ def random_scene(
     """
     truth = paper_calibration() if calibration is None else calibration
     target_points = paper_points((0.0, 0.02)) if points is None else points
-    # A generator of its own, so that viewpoints do not depend on the random numbers of the noise.
+    # A separate generator, so that viewpoints do not depend on the random numbers of the noise.
     rng = np.random.default_rng((seed, 1))
     camera_from_world = random_viewpoints(rng, views, target_points.mean(axis=0), distance, tilt)
     return simulate(
@@ -210,7 +210,7 @@ def random_target_scene(
     Args:
         seed: the same seed gives the same scene.
         views: number of views.
-        target: what is seen; it is written to the data set.
+        target: the visible target; it is stored in the data set.
         calibration: the true one; by default the paper's.
         tilt: largest tilt of the camera, rad.
         distance: smallest and largest distance from the middle of the target, m.
@@ -222,7 +222,7 @@ def random_target_scene(
     camera_from_world = random_viewpoints(rng, views, centre, distance, tilt)
     if not target.y_up:
         # z points into the board, so that its printed side is seen from below: the viewpoints are
-        # turned by half a turn about the target's own x axis.
+        # rotated by half a turn about the target's own x axis.
         turn = np.diag([1.0, -1.0, -1.0, 1.0])
         turn[:3, 3] = centre - turn[:3, :3] @ centre
         camera_from_world = as_se3(host_matrices(camera_from_world) @ turn)

@@ -1,4 +1,4 @@
-"""Turn the brightness that falls on a sensor into a picture: exposure, blur, noise, 8 bits."""
+"""Turn the brightness on a sensor into a picture: exposure, blur, noise, 8 bits."""
 
 import cv2
 import numpy as np
@@ -16,14 +16,13 @@ def sensor_picture(
     """Return the picture that a sensor takes of the brightness averaged over each pixel.
 
     Args:
-        brightness: grey levels at an exposure of one; what exceeds 255 saturates.
+        brightness: grey levels at an exposure of one; values above 255 saturate.
         blur: standard deviation of the lens's blur, px.
         noise: standard deviation of the sensor's noise, grey levels.
         exposure: factor by which the brightness is multiplied.
         seed: seed of the noise.
     """
     picture = np.asarray(brightness, dtype=float)
-    # Blur, then noise: the order of optics and sensor.
     if blur > 0.0:
         picture = cv2.GaussianBlur(picture, (0, 0), blur)
     picture = exposure * picture

@@ -2,7 +2,7 @@
 
 Rays start at pixels and follow `Camera.unproject`, so that straight edges are bent exactly as the
 lens bends them, and a vertex appears where `Calibration.project` puts it. Every pixel is sampled
-once; pixels at edges, of surfaces, shadows or textures, are sampled many times.
+once; pixels at edges (of surfaces, shadows or textures) are sampled many times.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ from .sensor import sensor_picture
 from .textures import Texture, matt
 
 RAYS_PER_BATCH = 65_536
-"""Number of rays that are cast at once: one compiled program, and bounded memory."""
+"""Number of rays cast at once: one compiled program, and bounded memory."""
 
 MAX_SMOOTH_STEP = 4.0
 """Difference between neighbouring pixels, grey levels, above which both are sampled many times."""
@@ -63,7 +63,7 @@ class Light(NamedTuple):
 
     Attributes:
         direction: from the scene to the light, in the world's frame, of any length but zero.
-        strength: fraction of full light on a surface at a right angle to it.
+        strength: fraction of full light on a surface perpendicular to it.
     """
 
     direction: tuple[float, float, float]
@@ -71,13 +71,13 @@ class Light(NamedTuple):
 
 
 class SolidScene(NamedTuple):
-    """Surfaces and the light that falls on them.
+    """Surfaces and their illumination.
 
     Attributes:
-        surfaces: all that can be seen.
-        lights: distant lights; they add up.
-        ambient: light from everywhere, as a fraction of full light; it casts no shadows.
-        background: grey level where no surface is seen.
+        surfaces: all visible surfaces.
+        lights: distant lights, which add up.
+        ambient: light from all directions, as a fraction of full light, without shadows.
+        background: grey level where there is no surface.
     """
 
     surfaces: Sequence[Surface]
@@ -106,10 +106,10 @@ def render_solids(
         scene: surfaces and lights.
         blur: standard deviation of the lens's blur, px.
         noise: standard deviation of the sensor's noise, grey levels.
-        exposure: factor of the brightness; what exceeds 255 saturates.
+        exposure: factor of the brightness; values above 255 saturate.
         seed: seed of the noise.
         samples: number of rays in a pixel at an edge.
-        stride: distance of the pixels that are looked at first, as in `scene_brightness`.
+        stride: step between the pixels that are sampled first, as in `scene_brightness`.
 
     Raises:
         ImportError: trimesh or embreex is not installed.
@@ -128,14 +128,14 @@ def scene_brightness(
 ) -> Float[np.ndarray, "rows columns"]:
     """Return the mean brightness over each pixel, grey levels, before the lens's blur.
 
-    With a stride, every so manieth pixel is looked at first, and between those that differ little
-    the brightness is interpolated: large pictures take a fraction of the time, and lose what is
-    smaller than the stride and far from any edge.
+    With a stride only every stride-th pixel is sampled first, and the brightness is interpolated
+    where neighbours differ little: large pictures take a fraction of the time, but details smaller
+    than the stride and far from any edge are lost.
     """
     camera_from_world = host_matrices(calibration.camera_from_world(as_se3(base_from_tool)))
     if camera_from_world.shape != (4, 4):
         raise ValueError(f"base_from_tool: expected one pose, found {camera_from_world.shape[:-2]}")
-    # One ray for every pixel shows where edges are; only there more are needed.
+    # One ray per pixel shows where edges are; only there more rays are needed.
     brightness_along = _ray_brightness(scene, calibration.camera, np.linalg.inv(camera_from_world))
     width, rows = calibration.camera.image_size
     pixels = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(rows))), axis=-1)
@@ -162,7 +162,7 @@ def _coarse_to_fine(
     coarse = brightness_along(grid.reshape(-1, 2)).reshape(len(v), len(u))
     x, y = ((pixels[..., k] / stride).astype(np.float32) for k in (0, 1))
     picture = cv2.remap(coarse, x, y, cv2.INTER_LINEAR)
-    # Around a coarse pixel that differs from a neighbour all pixels are looked at.
+    # Around a coarse pixel that differs from a neighbour all pixels are sampled.
     uneven = _at_edges(coarse).astype(np.uint8)
     fine = cv2.remap(uneven, x, y, cv2.INTER_NEAREST) > 0
     picture[fine] = brightness_along(pixels[fine])
@@ -180,7 +180,7 @@ def _sample_offsets(samples: int) -> Float[np.ndarray, "samples 2"]:
     """Return points spread evenly over a pixel about its centre, px.
 
     They are Hammersley's: no two share a row or a column, so that an edge of any direction divides
-    them nearly in the ratio of the areas, where a square grid would err along its own axes.
+    them nearly in the ratio of the areas, while a square grid would err along its own axes.
     """
     index = np.arange(samples)
     # The radical inverse in base 2 mirrors the index's bits about the binary point.
@@ -192,13 +192,13 @@ def _sample_offsets(samples: int) -> Float[np.ndarray, "samples 2"]:
 def _ray_brightness(
     scene: SolidScene, camera: Camera, world_from_camera: Float[np.ndarray, "4 4"]
 ) -> Callable[[Float[np.ndarray, "pixels 2"]], Float[np.ndarray, "pixels"]]:
-    """Return a function that casts a ray from each pixel and returns what brightness it meets."""
+    """Return a function that casts a ray from each pixel and returns the brightness it hits."""
     if not scene.surfaces:
         raise ValueError("scene: expected at least one surface, found none")
     counts = [len(surface.vertices) for surface in scene.surfaces]
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     parts = [s.triangles + start for s, start in zip(scene.surfaces, starts, strict=True)]
-    # One mesh for all surfaces, so that each hides the others and throws shadows on them.
+    # One mesh for all surfaces, so that each occludes the others and throws shadows on them.
     caster = RayCaster(
         np.concatenate([surface.vertices for surface in scene.surfaces]), np.concatenate(parts)
     )
@@ -210,7 +210,7 @@ def _ray_brightness(
         padded[: len(pixels)] = pixels
         rays, valid = (np.asarray(x)[: len(pixels)] for x in _unproject(camera, to_device(padded)))
         directions = np.where(valid[:, None], rays, [0.0, 0.0, 1.0]) @ world_from_camera[:3, :3].T
-        # Pixels that the lens has no ray for get any ray, and count as a miss below.
+        # Pixels without a ray get an arbitrary one, and count as a miss below.
         hits = caster.first_hits(world_from_camera[:3, 3], directions)
         surface = np.where(valid & (hits.triangle != MISSED), surface_of[hits.triangle], MISSED)
         return _shade(scene, caster, hits, surface)
@@ -233,11 +233,11 @@ def _unproject(
 def _shade(
     scene: SolidScene, caster: RayCaster, hits: Hits, surface: Int[np.ndarray, "rays"]
 ) -> Float[np.ndarray, "rays"]:
-    """Return the brightness of what rays hit, of matt surfaces (Lambert's law)."""
+    """Return the brightness of hits on matt surfaces (Lambert's law)."""
     # brightness = white * albedo * (ambient + sum over lights of strength * max(n . l, 0)), without
     # the lights that something hides.
     light = np.full(len(surface), scene.ambient)
-    # A surface that faces away from a light is dark without asking what hides it.
+    # A surface that faces away from a light is dark, without testing for shadows.
     for direction, strength in scene.lights:
         unit = np.array(direction) / np.linalg.norm(direction)
         cosine = hits.normals @ unit
@@ -246,6 +246,8 @@ def _shade(
         light[lit] += np.where(hidden, 0.0, strength * cosine[lit])
     brightness = np.full(len(surface), scene.background)
     for k, part in enumerate(scene.surfaces):
-        own = surface == k
-        brightness[own] = WHITE_LEVEL * part.texture(hits.points[own]) * light[own]
+        on_surface = surface == k
+        brightness[on_surface] = (
+            WHITE_LEVEL * part.texture(hits.points[on_surface]) * light[on_surface]
+        )
     return brightness

@@ -1,4 +1,4 @@
-"""Define how light or dark surfaces are: procedural textures, which are sharp at every distance.
+"""Define the albedo of surfaces: procedural textures, which are sharp at every distance.
 
 A texture is a function of points of a surface, in the surface's own frame, that returns the albedo:
 the fraction of the light that a matt surface reflects, from 0 (black) to 1 (white).
@@ -17,24 +17,24 @@ LATTICE_SIZE = 32
 
 
 def matt(albedo: float) -> Texture:
-    """Return the texture of a surface of one albedo."""
+    """Return the texture of a surface with a uniform albedo."""
     return lambda points: np.full(len(points), albedo)
 
 
 def speckled(albedo: float, contrast: float, grain: float, seed: int = 0) -> Texture:
-    """Return a smooth random texture, like that of cast metal or cardboard.
+    """Return a smooth random texture, as of cast metal or cardboard.
 
     Args:
         albedo: its mean.
         contrast: largest deviation from the mean.
         grain: distance over which it changes, m.
-        seed: of the random values.
+        seed: seed of the random values.
     """
     values = np.random.default_rng(seed).uniform(-1.0, 1.0, (LATTICE_SIZE,) * 3)
 
     def texture(points: np.ndarray) -> np.ndarray:
-        # Values at the corners of a lattice, interpolated with s = 3 t^2 - 2 t^3, which has no
-        # kinks at the cells' borders.
+        # Values at the corners of a lattice, interpolated with s = 3 t^2 - 2 t^3, which is smooth
+        # at the cells' borders.
         cell = np.floor(points / grain).astype(int)
         t = points / grain - cell
         s = t * t * (3.0 - 2.0 * t)
@@ -50,15 +50,15 @@ def speckled(albedo: float, contrast: float, grain: float, seed: int = 0) -> Tex
 def labelled(ground: Texture, count: int, size: float, extent: float, seed: int = 0) -> Texture:
     """Return a texture with dark and light rectangles stuck on it, like labels and scraps of paper.
 
-    Each rectangle is the cut of a box with the surface, turned about z: on a plane of constant z
-    they are rectangles, on an upright face stripes.
+    Each rectangle is the intersection of a box, turned about z, with the surface: a rectangle on a
+    plane of constant z, and a stripe on an upright face.
 
     Args:
         ground: the texture below them.
         count: number of rectangles.
         size: their largest length, m.
         extent: they are centred within this distance of the origin, along x and y, m.
-        seed: of the random values.
+        seed: seed of the random values.
     """
     rng = np.random.default_rng(seed)
     centres = rng.uniform(-extent, extent, (count, 2))

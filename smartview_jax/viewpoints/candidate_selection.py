@@ -55,7 +55,7 @@ def exchange_selection(
     chosen: Int[Array, "count"],
     allowed: Bool[Array, "candidates"],
 ) -> Int[Array, "count"]:
-    """Return the selection with each view replaced by a better candidate, as long as that helps."""
+    """Return the selection after replacing views by better candidates, as long as this helps."""
     start = prior_information + _regularisation(information, prior_information)
 
     def exchange_view(k: Int[Array, ""], chosen: Int[Array, "count"]) -> Int[Array, "count"]:
@@ -101,14 +101,14 @@ def views_needed(
 
     Args:
         values: values of a `cumulative_criterion`.
-        min_relative_decrease: relative decrease by one more view that is worth taking it.
+        min_relative_decrease: smallest relative decrease by one more view for it to be worthwhile.
         required_value: value of the criterion at which to stop even if more views would decrease
             it further.
 
     Returns:
         A number from 1; the number of all views if neither condition is met earlier.
     """
-    # `value` is that after k views, and values[k], counted from zero, that after k + 1 views.
+    # `value` belongs to k views, and values[k], counted from zero, to k + 1 views.
     values = np.asarray(values)
     for k, value in enumerate(values, start=1):
         if required_value is not None and value <= required_value:
@@ -127,7 +127,7 @@ def _criterion_values(
     information: Float[Array, "candidates free free"],
     available: Bool[Array, "candidates"],
 ) -> Float[Array, "candidates"]:
-    """Return the criterion with each candidate added; infinite for those not available."""
+    """Return the criterion with each candidate added; infinite for unavailable candidates."""
     values = jax.vmap(criterion)(information)
     return jnp.where(available & jnp.isfinite(values), values, jnp.inf)
 

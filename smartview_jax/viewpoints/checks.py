@@ -20,17 +20,17 @@ CHECK_MESSAGES = {
     "tool_distance": "the tool is {:.4g} m from the base: no arm is that long; "
     "millimetres as metres?",
     "side": "the camera is {:.3f} m behind the target's plane",
-    "tool_side": "the tool is {:.3f} m behind the target's plane: through what the target lies on",
+    "tool_side": "the tool is {:.3f} m behind the target's plane, where its support is",
     "viewed_region": "the camera is {:.1f} times as far from the middle of the calibrated views as "
     "these were from the target",
     "singular": "the arm is singular there",
     "in_picture": "only {:.0%} of the target is well inside the picture",
-    "near_focus": "the target is as near as {:.3f} m: too near to be sharp",
-    "far_focus": "the target is as far as {:.3f} m: too far to be sharp",
+    "near_focus": "the nearest target point is at {:.3f} m: too near to be sharp",
+    "far_focus": "the farthest target point is at {:.3f} m: too far to be sharp",
     "camera_clearance": "the camera is {:.3f} m above the table: too low",
     "tool_clearance": "the tool is {:.3f} m above the table: too low",
-    "known_region": "{:.1f} times as far out as the poses that the robot's error is known from: "
-    "the correction fades there, and the stated error grows",
+    "known_region": "{:.1f} times as far out as the poses from which the robot's error was "
+    "estimated: the correction fades there, and the stated error grows",
 }
 """Message of each failed check; the number in it is the measured value.
 
@@ -82,7 +82,7 @@ class Limits(eqx.Module):
         focus_range: smallest and largest depth of target points at which the lens is sharp, m.
         clearance_plane: plane that camera and tool keep clear of; None for no plane.
         max_error_field_extent: largest normalised distance of poses at which the robot error is
-            corrected; 1 is about the edge of the poses that it was estimated from.
+            corrected; 1 is about the edge of the poses from which it was estimated.
         max_viewed_region_extent: largest normalised distance of cameras from the centroid of the
             views that the calibration was fitted to; 1 is the farthest distance of such a view from
             the target (see `ViewedRegion.normalised_distance`).
@@ -116,7 +116,7 @@ class Checks(eqx.Module):
 
     @property
     def safe(self) -> Bool[Array, "*views"]:
-        """Whether a viewpoint passes those of the `SAFETY_CHECKS` that could be checked."""
+        """Whether a viewpoint passes all `SAFETY_CHECKS` that could be made."""
         masks = [mask for name, mask in self.passed.items() if name in SAFETY_CHECKS]
         return _all_of(masks)
 
@@ -125,9 +125,9 @@ class Checks(eqx.Module):
         return self.reasons(SAFETY_CHECKS)
 
     def failed(self, check_names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the checks, of the given ones, that some viewpoint fails."""
+        """Return the names of the given checks that at least one viewpoint fails."""
         masks = {name: ~np.ravel(self.passed[name]) for name in check_names if name in self.passed}
-        # As in `reasons`: of a pose that is out of reach this is all that counts.
+        # As in `reasons`: for a pose out of reach the other checks do not count.
         reached = ~masks["reach"] if "reach" in masks else True
         return tuple(
             name for name, mask in masks.items() if (mask & (reached | (name == "reach"))).any()
@@ -145,7 +145,7 @@ class Checks(eqx.Module):
         measured = {name: np.ravel(values) for name, values in self.measured.items()}
         checks = [name for name in CHECK_MESSAGES if name in failed and name in check_names]
         return tuple(
-            # Without a pose that the arm reaches, the values of the other checks have no meaning.
+            # For a pose out of reach the values of the other checks have no meaning.
             self._message("reach", 0.0, k)
             if failed["reach"][k] and "reach" in check_names
             else "; ".join(self._message(n, measured[n][k], k) for n in checks if failed[n][k])
@@ -192,7 +192,7 @@ def check_views(
         passed = {"reach": joint_solution.is_solved, "singular": ~is_singular(joint_solution)}
         measured["singular"] = jnp.zeros(views)
 
-    # Every check keeps its value beside its mask, for the message.
+    # The value of each check is kept with its mask, for the message.
     def record(name: str, value: Array, ok: Array) -> None:
         passed[name], measured[name] = ok, value
 
@@ -216,7 +216,7 @@ def check_views(
     else:
         _check_side_of_camera(calibration, command, camera_from_world, record)
     if limits.clearance_plane is not None:
-        # Clearance is a matter of where the robot really is, so the robot error is applied.
+        # Clearance depends on the robot's actual pose, so the robot error is applied.
         actual_pose = command.base_from_tool if error is None else error.actual_pose(command)
         camera = _camera_in_base(calibration, actual_pose)
         for name, position, min_height in (
@@ -241,14 +241,14 @@ def _check_viewed_region(
     """Record the checks against the views that the calibration was fitted to."""
     region = calibration.region
     assert region is not None
-    # Heights are positive on the side that was seen; the messages state how far behind it a
-    # position is, hence the minus signs. Both sides were seen where `side` is zero.
+    # Heights are positive on the side from which the target was seen. The messages state the
+    # distance behind it, hence the minus signs. `side` is zero if both sides were seen.
     cameras = camera_from_world.inverse().translation()
     camera_height = region.height(cameras)
     record("side", -camera_height, (camera_height > 0.0) | (region.side == 0.0))
     if calibration.mount == "eye_in_hand":
         tool_height = region.height(_tool_in_world(calibration, command))
-        # The tool must stay above the target's plane. If it was lower beside the target in the
+        # The tool must stay above the target's plane. If it was lower, next to the target, in the
         # views of the fit, it may be as low again.
         record("tool_side", -tool_height, tool_height >= jnp.minimum(region.min_tool_height, 0.0))
     extent = region.normalised_distance(cameras)
@@ -261,10 +261,10 @@ def _check_side_of_camera(
     camera_from_world: SE3,
     record: Callable[[str, Array, Array], None],
 ) -> None:
-    """Record the checks of the target's side where no region says from which side it was seen.
+    """Record the checks of the target's side where no region tells from which side it was seen.
 
-    A camera that looks down on the target's plane, whole picture included, belongs above the plane,
-    and so does the tool that carries it. A camera that also sees along the plane tells no side.
+    A camera that looks down on the target's plane, with its whole picture, belongs above the plane,
+    and so does the tool that carries it. A camera that also looks along the plane tells no side.
     """
     world_from_camera = camera_from_world.inverse()
     # How steeply the optical axis, z of the camera, meets the plane z = 0 of the world.
@@ -279,7 +279,7 @@ def _check_side_of_camera(
 
 
 def _half_field_of_view(calibration: Calibration) -> Float[Array, ""]:
-    """Return the angle, rad, between the optical axis and the picture's corners, without lens."""
+    """Return the angle from the optical axis to the picture's corners, without the lens, rad."""
     camera = calibration.camera
     width, height = camera.image_size
     return jnp.arctan(jnp.hypot(0.5 * width / camera.alpha_u, 0.5 * height / camera.alpha_v))
@@ -306,15 +306,15 @@ def unchecked(calibration: Calibration, arm_is_known: bool) -> tuple[str, ...]:
     sentences = []
     region = calibration.region
     if region is not None and float(region.side) == 0.0:
-        sentences.append("both sides of the target were seen: which side is free is not known")
+        sentences.append("both sides of the target were seen: which side is free is unknown")
     if region is None:
         sentences.append(
-            "the calibration has no region: how far the camera is from the calibrated views is not "
+            "the calibration has no region: the camera's distance from the calibrated views is not "
             "checked; the target's side is taken from the direction in which the camera looks, and "
-            "not checked where it looks along the target"
+            "not checked if the camera looks along the target"
         )
     if not arm_is_known:
-        sentences.append("no arm is known (--arm): whether it gets there is not checked")
+        sentences.append("no arm is known (--arm): whether it reaches the pose is not checked")
     sentences.append("collisions of arm, tool and cables are not checked")
     return tuple(sentences)
 

@@ -21,7 +21,7 @@ PREDICTION_BATCH_SIZE = 500
 
 
 class ViewCalibration(eqx.Module):
-    """The calibration of viewpoints in the form that a program needs which only uses pictures.
+    """The calibration of viewpoints, reduced to what a program needs that only uses pictures.
 
     Attributes:
         camera: intrinsics and lens, common to all views.
@@ -36,7 +36,7 @@ class ViewCalibration(eqx.Module):
 def predict(calibration: Calibration, command: CommandLike) -> ViewCalibration:
     """Return the calibration of any viewpoints, from robot commands or reports, `(*views)`.
 
-    It needs no picture, which is the paper's reason for calibrating the chain of transforms instead
+    It needs no picture: this is the paper's reason for calibrating the chain of transforms instead
     of each viewpoint.
     """
     reported = as_command(command)
@@ -45,8 +45,7 @@ def predict(calibration: Calibration, command: CommandLike) -> ViewCalibration:
     def camera_pose(view_command: Command) -> Float[Array, "7"]:
         return calibration.camera_from_world(view_command).wxyz_xyz
 
-    # Batches of views instead of one large array: the arrays of all views at once would not fit the
-    # cache.
+    # In batches, because the arrays of all views at once would not fit the cache.
     flat = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), reported)
     poses = jax.lax.map(camera_pose, flat, batch_size=PREDICTION_BATCH_SIZE)
     return ViewCalibration(calibration.camera, SE3(poses.reshape(*views, 7)))
@@ -100,23 +99,23 @@ def viewpoint_commands(
     """
     if arm is not None and near is None:
         raise ValueError("an arm reaches a pose in several ways: give near=joints to begin from")
-    wanted = as_se3(camera_from_world)
+    target_poses = as_se3(camera_from_world)
     if near is not None:
-        shape = (*wanted.get_batch_axes(), np.shape(near)[-1])
+        shape = (*target_poses.get_batch_axes(), np.shape(near)[-1])
         near = (
             jnp.broadcast_to(jnp.asarray(near, dtype=float), shape)
             if is_traced(near)
             else as_float_array(np.broadcast_to(near, shape))
         )
     if calibration.robot_error is None:
-        command = calibration.robot_command_for(wanted)
+        command = calibration.robot_command_for(target_poses)
     else:
-        # Where the robot's error is not known, half a correction is better than a wrong one.
-        actual_pose = calibration.command_for(wanted, corrected=False)
+        # Where the robot's error is unknown, half a correction is better than a wrong one.
+        actual_pose = calibration.command_for(target_poses, corrected=False)
         command = calibration.robot_error.expected_command(actual_pose, near)
     solution = None
     if arm is not None and near is not None:
-        # Outside jit, because only there the arm's parameters show whether it has a closed form.
+        # Outside jit, where the arm's parameters can be inspected for a closed form.
         solution = solve_joints(arm, command, near)
         command = Command(command.base_from_tool, solution.joints)
     points = None if points is None else as_float_array(points)

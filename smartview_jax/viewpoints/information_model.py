@@ -1,10 +1,10 @@
 """Compute the information that views carry about a calibration, before any picture is taken.
 
 The pixels of a view depend on its pose and on parameters common to all views; the error of its
-reported pose is its own. With the latter marginalised, every view carries an information matrix of
-its own for the shared parameters (Fisher information), and the matrices of independent views add
-up. So candidates are linearised once, and the information of any set of them is a sum. The inverse
-of the sum is the Cramer-Rao bound, as computed by `cramer_rao`.
+reported pose is independent. With this error marginalised, every view has its own information
+matrix for the shared parameters (Fisher information), and the matrices of independent views add up.
+So candidates are linearised once, and the information of any set of them is a sum. The inverse of
+the sum is the Cramer-Rao bound, as computed by `cramer_rao`.
 """
 
 import dataclasses
@@ -34,8 +34,8 @@ class InformationModel(eqx.Module):
         problem: shared parameters, priors and error sizes; its observations are not used.
         points: target points, m.
         prior_information: information matrix that is available without any view.
-        near: joint readings near which an arm takes its views; None for robots that are commanded
-            by poses. A view that the arm cannot reach from there has no visible points.
+        near: joint readings near which an arm takes its views; None for robots commanded by poses.
+            A view that the arm cannot reach from there has no visible points.
         parameter_names: names of the free parameters, in the order of all matrices here.
     """
 
@@ -59,9 +59,9 @@ class InformationModel(eqx.Module):
         previous_data: Dataset | None = None,
         near: JointsLike | None = None,
     ) -> "InformationModel":
-        """Return a survey from the same arguments as a fit or a Cramer-Rao bound.
+        """Return a model from the same arguments as a fit or a Cramer-Rao bound.
 
-        Its errors have the same meaning as there.
+        Errors have the same meaning as there.
 
         Args:
             calibration: the true calibration as far as it is known; nominal values suffice for a
@@ -69,9 +69,9 @@ class InformationModel(eqx.Module):
             points: target points, m.
             noise: sizes of all errors; a number is the pixel sigma, with an exact robot.
             field: robot error field, with one standard deviation for each of its groups in `noise`.
-            fixed: paths of parameters that are known, as in a fit; `free` likewise.
+            fixed: paths of known parameters, as in a fit; `free` in the same way.
             free: see `fixed`.
-            priors: priors as in a fit; they are all that is known before any view is taken.
+            priors: priors as in a fit: the knowledge before any view is taken.
             previous_data: views that have already been taken.
             near: joint readings, `(joints)`, from which an arm starts towards a view; required if
                 arm errors are fitted or are the field.
@@ -85,8 +85,8 @@ class InformationModel(eqx.Module):
             raise ValueError(
                 "an arm reaches a view in several ways: give near=joints to begin from"
             )
-        # Building the problem needs some data set. Three arbitrary views suffice, since only the
-        # priors and parameter layout are used.
+        # Building the problem needs a data set. Three arbitrary views suffice, since only the
+        # priors and the parameter layout are used.
         data = Dataset.from_arrays(
             target,
             np.zeros((3, len(target), 2)),
@@ -146,8 +146,8 @@ class InformationModel(eqx.Module):
         of the squared displacement, u and v together, px^2, to first order.
         """
         observations = self.expected_observations(camera_from_world)
-        # With a pixel sigma of 1 px the information J^T J of the pixels is, by itself, the sum of
-        # squared displacements; only the mean over the visible points remains.
+        # With a pixel sigma of 1 px the information J^T J of the pixels is the sum of squared
+        # displacements; it is divided by the number of visible points.
         problem = eqx.tree_at(
             lambda p: p.pixel_sigma, self._with_observations(observations), jnp.ones(())
         )
@@ -231,7 +231,7 @@ class InformationModel(eqx.Module):
 
 
 def _placeholder_commands(calibration: Calibration, points: Float[Array, "points 3"]) -> SE3:
-    """Return three arbitrary views, on which the used parts of the problem do not depend."""
+    """Return three arbitrary views, which do not affect the used parts of the problem."""
     target = np.asarray(points)
     size, middle = np.ptp(target, axis=0).max(), target.mean(axis=0)
     facing = look_at(middle, np.array([[0.0, 0.0, -1.0]] * 3), 10.0 * size)

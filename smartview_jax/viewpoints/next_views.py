@@ -1,4 +1,4 @@
-"""Plan the next views of a calibration, or the first of a rough one, with what they will bring."""
+"""Plan the next views of a calibration, or the first views of a rough one, with their benefit."""
 
 import dataclasses
 from collections.abc import Callable
@@ -27,18 +27,18 @@ TYPICAL_NOISE = Noise(0.3, 1e-4, float(np.deg2rad(0.02)))
 """Errors of pixels and of an industrial arm that are assumed before any picture is taken."""
 
 PICTURE_PARTS = (0.35, 0.6)
-"""Least and greatest part of the picture's shorter side that the target fills in first views."""
+"""Smallest and largest share of the picture's shorter side that the target fills in first views."""
 
 
 class ViewPlan(NamedTuple):
-    """The views to take next, best first, and what each of them brings.
+    """The views to take next, best first, and the benefit of each.
 
     Attributes:
         camera_from_world: camera poses of the views as matrices, `(count, 4, 4)`.
         before: value of the criterion without them; infinite where something is undetermined.
-        values: its value after the first of all views that were considered, after two, and so on.
-        unit: unit of the criterion: m, or px where the hand-eye transform is held.
-        distance: distance from the camera of the point whose displacement is meant, m.
+        values: its value after the first of all considered views, after two, and so on.
+        unit: unit of the criterion: m, or px if the hand-eye transform is fixed.
+        distance: distance from the camera of the point whose displacement is minimised, m.
     """
 
     camera_from_world: Float[np.ndarray, "count 4 4"]
@@ -59,12 +59,12 @@ def model_from_estimate(
     points: Float[np.ndarray, "points 3"],
     near: JointsLike | None = None,
 ) -> InformationModel:
-    """Return the information model whose prior is the covariance that an estimate states.
+    """Return the information model whose prior is the covariance of an estimate.
 
     Args:
         estimate: a calibration with its covariance and noise.
         points: target points, m.
-        near: joint readings, where the estimate is of an arm's joints.
+        near: joint readings, if the estimate contains an arm's joints.
 
     Raises:
         ValueError: the estimate has parameters that its calibration lacks.
@@ -72,7 +72,7 @@ def model_from_estimate(
     calibration, noise = estimate.calibration, estimate.noise
     field = calibration.field
     if noise is not None:
-        # What is known of the robot's smooth error is in the covariance; no other prior counts.
+        # All knowledge of the robot's smooth error is in the covariance; no other prior applies.
         groups = () if field is None else field.groups
         noise = dataclasses.replace(noise, field=(1.0,) * len(groups))
     estimated = set(estimate.parameter_names)
@@ -85,7 +85,7 @@ def model_from_estimate(
         free=tuple(name for name in ("target_scale",) if name in estimated),
         near=near,
     )
-    # The file's order need not be the model's.
+    # The order in the file need not be the model's.
     order = [estimate.parameter_names.index(name) for name in model.parameter_names]
     covariance = estimate.covariance[np.ix_(order, order)]
     # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
@@ -98,7 +98,7 @@ def first_view_distances(
     calibration: Calibration, points: Float[np.ndarray, "points 3"]
 ) -> tuple[float, float]:
     """Return the distances, m, from which the target fills `PICTURE_PARTS` of the picture."""
-    # The diagonal: however the target is turned in the picture, it fits.
+    # By the diagonal, so that the target fits the picture at any rotation.
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     focal = min(float(calibration.camera.alpha_u), float(calibration.camera.alpha_v))
     shorter_side = min(calibration.camera.image_size)
@@ -113,12 +113,12 @@ def with_assumed_region(
     distances: tuple[float, float],
     above: bool,
 ) -> Calibration:
-    """Return a rough calibration with the side from which its first views look at the target.
+    """Return a rough calibration with the side from which its first views see the target.
 
-    Views and tool are then checked to stay on that side, as those of a fitted calibration are.
+    Views and tool are then checked to stay on that side, as with a fitted calibration.
     """
     side = 1.0 if above else -1.0
-    # The plane is that of the points which are farthest from the cameras.
+    # The plane contains the points that are farthest from the cameras.
     height = points[:, 2]
     plane_z = height.min() if above else height.max()
     centroid = points.mean(axis=0) + np.array([0.0, 0.0, side * float(np.mean(distances))])
@@ -139,17 +139,17 @@ def plan_views(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ViewPlan:
-    """Choose views that the robot may take, up to where one more is not worth its time.
+    """Choose views that the robot may take, up to where another one is no longer worth its time.
 
     Args:
-        model: what is known, and what a view tells.
+        model: the current information, and the information of views.
         views: range of the views.
-        count: most views to choose.
+        count: largest number of views.
         goal: value of the criterion at which to stop, m or px.
         least_gain: relative decrease by one more view below which to stop.
         border_margin: smallest distance from the picture's border of a point that counts, px.
         min_visible_fraction: smallest fraction of the target's points that a view has to show.
-        arm: the arm, where its joints are known; it is solved near the model's readings.
+        arm: the arm, if its joints are known; it is solved near the model's readings.
         seed: seed of the random candidates.
         progress: called with a text for each stage.
 
@@ -158,7 +158,7 @@ def plan_views(
     """
     limits = Limits(border_margin=border_margin, min_visible_fraction=min_visible_fraction)
 
-    # The checks that refuse a command later are those that a candidate has to pass now.
+    # Candidates have to pass the checks that would later refuse their commands.
     def is_safe(poses) -> Bool[Array, "views"]:
         near = model.near if arm is not None else None
         commands = viewpoint_commands(model.calibration, poses, None, arm, near, limits)
@@ -166,7 +166,7 @@ def plan_views(
 
     distance = 0.5 * sum(views.distance)
     criterion = _criterion(model, views, distance, seed)
-    # Sorted best first, so that any first few of them are a good choice too.
+    # Sorted best first, so that the first few of them are a good choice too.
     chosen = choose_views(
         model,
         criterion,
@@ -176,14 +176,14 @@ def plan_views(
         min_visible_fraction,
         is_safe,
         seed,
-        # Candidates are checked one by one; moved by the gradient they might fail the checks.
+        # Candidates are checked one by one; views moved by the gradient might fail the checks.
         refine=False,
         progress=progress,
     )
     before = float(criterion(model.prior_information))
     before = before if np.isfinite(before) else float("inf")
     values = tuple(np.asarray(chosen.cumulative_criterion).tolist())
-    # The state before counts too: it may be that no view at all is worth taking.
+    # The state before counts too: possibly no view at all is worthwhile.
     needed = views_needed(to_device([before, *values]), least_gain, goal) - 1
     matrices = host_matrices(chosen.camera_from_world)[:needed]
     return ViewPlan(matrices, before, values, criterion.unit, distance)
@@ -192,10 +192,10 @@ def plan_views(
 def _criterion(
     model: InformationModel, views: ViewRange, distance: float, seed: int
 ) -> OptimalityCriterion:
-    """Return what is to be made small: the error of a point before the camera, m, or px."""
+    """Return the criterion to minimise: the error of a point before the camera, m, or of pixels."""
     mount = model.calibration.transform_names[0]
     if any(name.startswith(f"{mount}.") for name in model.parameter_names):
         return a_optimal(model, distance)
-    # With a held hand-eye transform only the prediction of pixels is left to improve.
+    # With a fixed hand-eye transform only the prediction of pixels can be improved.
     coordinates = views.sample(np.random.default_rng(seed), 50)
     return i_optimal(model, views.poses(coordinates))

@@ -1,6 +1,6 @@
 """Define optimality criteria of view planning: one number per set of views, to be minimised.
 
-The covariance that views allow is the inverse of their information matrix. A criterion is either
+The covariance after some views is the inverse of their information matrix. A criterion is either
 its volume (D-optimal: all parameters, without a unit), or the mean square of a quantity that
 depends on the parameters: the trace of the covariance times a matrix (A-optimal if the quantity is
 a parameter, I-optimal if it is a prediction).
@@ -43,8 +43,8 @@ class OptimalityCriterion(eqx.Module):
         #     D-optimal: det(P)^(1/(2n)) = exp(-(sum log L_ii + sum log D_ii) / n)
         #     A-optimal: sqrt(trace(M P)) = sqrt(sum of (A M) * A), with A = L^-1 D^-1
         # where D holds the `scales`, L is the `factor` and A the `inverse_factor`.
-        # Scaling to unit diagonal keeps the digits of the Cholesky factor, since pixels and radians
-        # differ by many orders of magnitude.
+        # Scaling to unit diagonal keeps the precision of the Cholesky factor, since pixels and
+        # radians differ by many orders of magnitude.
         scales = jnp.sqrt(jnp.diagonal(information))
         scaled = information / (scales[:, None] * scales[None])
         factor = jnp.linalg.cholesky(scaled)
@@ -69,8 +69,8 @@ def a_optimal(information_model: InformationModel, lever_arm: float) -> Optimali
 
     Args:
         information_model: the model whose parameters the criterion refers to.
-        lever_arm: distance from the mount's origin of the point whose displacement is meant, m; it
-            weights rotations against translations.
+        lever_arm: distance from the mount's origin of the point whose displacement is minimised, m;
+            it weights rotations against translations.
 
     Raises:
         ValueError: all parameters of the transform are fixed.
@@ -90,8 +90,8 @@ def a_optimal(information_model: InformationModel, lever_arm: float) -> Optimali
     )
     if not (is_translation | is_rotation).any():
         raise ValueError(f"{name} is held fixed: it has no uncertainty to minimise")
-    # A rotation about an axis does not displace points on it: on average over directions two of
-    # three axes displace the point, hence 2/3 lever_arm^2.
+    # A rotation about an axis does not displace points on the axis: on average over directions, two
+    # of three axes displace the point, hence 2/3 lever_arm^2.
     return OptimalityCriterion(
         to_device(np.diag(is_translation + 2.0 / 3.0 * lever_arm**2 * is_rotation)), "m"
     )

@@ -21,15 +21,14 @@ def solve_joints(arm: SerialArm, command: Command, near: JointsLike) -> JointSol
 
     Args:
         arm: the nominal arm.
-        command: poses `(*views)`; joints that a command has already are kept, NaN where there are
-            none.
+        command: poses `(*views)`; joints in the command are kept, NaN where there are none.
         near: joint readings near which to solve.
     """
     joints = command.joints
     if joints is None:
         return joints_for_pose(arm, command.base_from_tool, near)
     # The command has joints already, for example because arm errors were compensated. They are only
-    # checked: another solution would undo the compensation.
+    # checked, since another solution would undo the compensation.
     out_of_limits = arm.violated_limits(joints, LIMIT_TOLERANCE)
     has_joints = jnp.all(jnp.isfinite(joints), axis=-1)
     status = jnp.where(has_joints, 0, int(SolutionStatus.OUT_OF_REACH))

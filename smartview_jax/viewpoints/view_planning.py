@@ -25,10 +25,10 @@ MAX_BFGS_STEPS = 150
 """Largest number of BFGS iterations."""
 
 BORDER_PENALTY_SCALE = 10.0
-"""Distance, px, beyond the margin at which a point costs as much as a factor e of the criterion."""
+"""Distance beyond the margin, px, at which a point costs as much as a factor e of the criterion."""
 
 BACKTRACKING_FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Fractions of its displacement that a refined view may keep until it is allowed again."""
+"""Fractions of its displacement that a refined view may keep so as to be admissible."""
 
 ViewPredicate = Callable[[SE3], Bool[Array, "views"]]
 """A function that returns which views `camera_from_world` `(views)` may be taken."""
@@ -101,13 +101,13 @@ def choose_views(
     admissible_count = int(np.sum(admissible))
     if admissible_count < count or count < 1:
         raise ValueError(
-            f"{count} views asked for; of {len(admissible)} candidates {admissible_count} may be "
-            "taken"
+            f"{count} views requested, but only {admissible_count} of {len(admissible)} candidates "
+            "may be taken"
         )
     say(f"choosing {count} of {admissible_count} candidates")
     information = information_model.information(candidates)
-    # Greedy selection is fast but depends on the order; exchange repairs its early choices. Only
-    # then does the gradient displace views from their candidates.
+    # Greedy selection is fast but depends on the order; exchange corrects its early choices. Then
+    # the gradient moves the views away from their candidates.
     index = greedy_selection(
         information, information_model.prior_information, criterion, count, admissible
     )
@@ -127,14 +127,14 @@ def choose_views(
             is_admissible,
         )
         refined_information = information_model.information(refined_poses)
-        # Backtracking to admissible views can undo the improvement, so the refined views are kept
-        # only if they have the smaller criterion.
+        # Backtracking to admissible views may undo the improvement, so that the refined views are
+        # kept only if their criterion is smaller.
         if float(_total_criterion(criterion, refined_information, information_model)) < float(
             _total_criterion(criterion, selected_information, information_model)
         ):
             poses, selected_information = refined_poses, refined_information
-    # The chosen views are sorted by how much each reduces the criterion, so that any first few of
-    # them are a good choice too.
+    # Sorted by how much each view reduces the criterion, so that the first few are a good choice
+    # too.
     order = greedy_selection(
         selected_information,
         information_model.prior_information,
@@ -160,7 +160,7 @@ def _rows(arrays: Any, index: Int[Array, "count"]) -> Any:
 def visible_fraction(
     information_model: InformationModel, camera_from_world: SE3, border_margin: float
 ) -> Float[Array, "views"]:
-    """Return the fraction of the target's points that are visible, a margin inside the border."""
+    """Return the fraction of the target's points visible at least a margin inside the border."""
     inside = information_model.border_distance(camera_from_world) >= border_margin
     return jnp.mean(inside.astype(float), axis=-1)
 
@@ -177,14 +177,14 @@ def refine_views(
     """Return views refined by BFGS towards the smallest criterion, all of them admissible.
 
     The limits of the range always hold. Points that leave the picture are penalised. A refined view
-    that is not admissible is brought back towards its initial pose until it is.
+    that is not admissible is moved back towards its initial pose until it is.
     """
     initial = views.to_unbounded(coordinates)
     minimiser = _minimise_bfgs(
         initial, information_model, criterion, views, border_margin, min_visible_fraction
     )
     accepted_fraction = np.zeros(len(coordinates))
-    # From small to large fractions: for each view the last one that is admissible remains.
+    # From small to large fractions: each view keeps its last admissible one.
     for fraction in BACKTRACKING_FRACTIONS[::-1]:
         poses = _poses_between(views, initial, minimiser, np.full(len(coordinates), fraction))
         accepted_fraction[np.asarray(is_admissible(poses))] = fraction
@@ -223,8 +223,9 @@ def _minimise_bfgs(
     def cost(unbounded: Float[Array, "count 6"], _: Any) -> Float[Array, ""]:
         poses = _poses_at(views, unbounded)
         inner_distance = information_model.border_distance(poses) - border_margin
-        # Only the required number of points counts, those farthest inside: the others may leave.
-        # A point that cannot be projected is at minus infinity, which has no finite square.
+        # Only the required number of points counts, the ones farthest inside: the others may leave
+        # the picture. A point that cannot be projected is at minus infinity, which has no finite
+        # square.
         inner_distance = jax.lax.top_k(
             jnp.where(jnp.isfinite(inner_distance), inner_distance, -1e3), required_points
         )[0]
@@ -246,5 +247,5 @@ def _total_criterion(
     information: Float[Array, "views free free"],
     information_model: InformationModel,
 ) -> Float[Array, ""]:
-    """Return the criterion for the prior information plus that of all views."""
+    """Return the criterion for the information of the prior and of all views."""
     return criterion(information_model.prior_information + jnp.sum(information, axis=0))

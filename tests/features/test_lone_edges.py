@@ -9,8 +9,8 @@ from scipy.special import erf
 from smartview_jax.features.edge_points import EdgePoints, find_edge_points
 from smartview_jax.features.gradient import SMOOTHING, Gradient
 from smartview_jax.features.lone_edges import (
-    BESIDE,
     CLEARANCE,
+    MAX_ALONG,
     OTHER_EDGE,
     SPREAD,
     lone_points,
@@ -24,11 +24,11 @@ def beside_another(points):
     """Which points have one of another edge beside them, from the distances of all pairs."""
     found = np.zeros(len(points.pixels), dtype=bool)
     along = np.column_stack([-points.normals[:, 1], points.normals[:, 0]])
-    for a, b in KDTree(points.pixels).query_pairs(CLEARANCE + BESIDE, output_type="ndarray"):
+    for a, b in KDTree(points.pixels).query_pairs(CLEARANCE + MAX_ALONG, output_type="ndarray"):
         gap = points.pixels[b] - points.pixels[a]
         for k in (a, b):
             across = abs(gap @ points.normals[k])
-            is_other = OTHER_EDGE < across < CLEARANCE and abs(gap @ along[k]) <= BESIDE
+            is_other = OTHER_EDGE < across < CLEARANCE and abs(gap @ along[k]) <= MAX_ALONG
             found[k] |= is_other
     return found
 

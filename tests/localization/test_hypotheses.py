@@ -81,7 +81,7 @@ def test_pictures_without_segments_give_no_hypotheses(scene, one_view):
 def test_searches_without_models_pictures_or_edges_are_refused(scene):
     with pytest.raises(ValueError, match="models: expected at least one"):
         find_hypotheses(scene.evidence, scene.views, [])
-    with pytest.raises(ValueError, match="evidence: expected that of 2 views"):
+    with pytest.raises(ValueError, match="evidence: expected one for each of 2 views"):
         find_hypotheses([], scene.views, scene.models)
     points = ObjectModel(scene.models[0].vertices, name="points")
     with pytest.raises(ValueError, match="'points' has no edges"):

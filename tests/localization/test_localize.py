@@ -177,7 +177,7 @@ def test_the_corner_of_another_block_is_not_accepted():
     (one, *_) = find(drawn(box(0.06, 0.03, 0.03), views(), POSE, 0.03))
     assert 0.5 < one.verdict.evidence.explained < 0.82
     assert one.verdict.decision == "open"
-    assert f"with face {BACK} moved in by 10 mm" in one.message
+    assert f"moving face {BACK} inward by 10 mm" in one.message
 
 
 def test_a_hidden_object_is_accepted():
@@ -395,7 +395,7 @@ def test_the_view_that_tells_rivals_apart_is_chosen(pictures):
     chosen = next_view([open_one], CALIBRATION, Reachable(candidates), models=[MODEL, lower])
     np.testing.assert_allclose(chosen.camera_from_world, candidates[1])
     assert chosen.discrimination > chosen.paper.discrimination
-    assert "1 remaining rival apart" in chosen.reason
+    assert "from 1 remaining rival" in chosen.reason
 
 
 def test_the_predicted_covariance_is_that_of_the_view(first):

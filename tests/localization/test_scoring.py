@@ -107,5 +107,5 @@ def test_poses_that_no_edge_holds_stay_finite(scene, maps, wireframe):
 
 
 def test_views_and_pictures_have_to_belong_together(scene):
-    with pytest.raises(ValueError, match="that of 2 views, at least one, found 1"):
+    with pytest.raises(ValueError, match="each of 2 views, and at least one; found 1"):
         SceneMaps.of(scene.evidence[:1], scene.views)

@@ -40,18 +40,22 @@ def test_clear_pose_is_accepted():
     ("changes", "decision", "words"),
     [
         ({"explained": 0.3}, "rejected", "only 30% of its visible edges"),
-        ({"edges": 4}, "rejected", "too few"),
-        ({"log_likelihood": 20.0}, "rejected", "too few"),
-        ({"chance": Chance(0.9, 0.1), "edge_rms": 0.9}, "rejected", "clutter explains as much"),
+        ({"edges": 4}, "rejected", "too little evidence"),
+        ({"log_likelihood": 20.0}, "rejected", "too little evidence"),
+        (
+            {"chance": Chance(0.9, 0.1), "edge_rms": 0.9},
+            "rejected",
+            "background clutter matches almost as well",
+        ),
         ({"explained": 0.75, "edge_rms": 0.6}, "open", "only 75% of its visible edges"),
-        ({"edges": 6, "log_likelihood": 140.0}, "open", "are few"),
-        ({"log_likelihood": 30.0}, "open", "are few"),
+        ({"edges": 6, "log_likelihood": 140.0}, "open", "little evidence"),
+        ({"log_likelihood": 30.0}, "open", "little evidence"),
         ({"explained_in_view": (0.95, np.nan)}, "open", "only 1 of 2 views"),
         ({"explained_in_view": (0.95, 0.4)}, "open", "view 1: 40%"),
-        ({"in_picture": 0.5}, "open", "only 50% of it are within a picture"),
-        ({"in_front": 0.2}, "open", "only 20% of its edges are not behind other objects"),
+        ({"in_picture": 0.5}, "open", "only 50% of its vertices are within a picture"),
+        ({"in_front": 0.2}, "open", "80% of its edges are occluded by other objects"),
         ({"edge_rms": 1.5}, "open", "1.50 px (RMS)"),
-        ({"contrast": 0.2}, "open", "usual contrast"),
+        ({"contrast": 0.2}, "open", "low contrast: its edges have 20%"),
         ({"uncertainty": 0.06}, "open", "uncertain by 6%"),
         ({"margin": 2.0}, "open", "ambiguous"),
     ],
@@ -93,7 +97,10 @@ def test_without_faces_nothing_can_be_taken_for_hidden():
 
 @pytest.mark.parametrize(
     ("face", "distance", "words"),
-    [(3, 0.0123, "face 3 moved out by 12 mm"), (0, -0.004, "face 0 moved in by 4 mm")],
+    [
+        (3, 0.0123, "larger than the model: moving face 3 outward by 12 mm"),
+        (0, -0.004, "smaller than the model: moving face 0 inward by 4 mm"),
+    ],
 )
 def test_a_solid_of_another_size_that_explains_more_is_named(face, distance, words):
     found = verdict(**HIDDEN | {"moved": MovedFace(face, distance, 150.0)})
@@ -144,9 +151,9 @@ def test_one_picture_alone_has_to_be_fitted_closely():
 def test_little_edge_length_is_enough_where_nearly_all_of_it_fits_exactly():
     small = {"log_likelihood": 38.0, "edges": 9, "edge_rms": 0.3}
     assert verdict(**small).decision == "accepted"
-    assert "are few" in verdict(**small | {"explained": 0.86}).reasons[0]
-    assert "are few" in verdict(**small | {"edge_rms": 0.6}).reasons[0]
-    assert "are few" in verdict(**small | {"log_likelihood": 30.0}).reasons[0]
+    assert "little evidence" in verdict(**small | {"explained": 0.86}).reasons[0]
+    assert "little evidence" in verdict(**small | {"edge_rms": 0.6}).reasons[0]
+    assert "little evidence" in verdict(**small | {"log_likelihood": 30.0}).reasons[0]
 
 
 def test_exact_edges_count_against_chance():

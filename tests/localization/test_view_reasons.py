@@ -7,8 +7,8 @@ import pytest
 
 from smartview_jax.localization.view_gains import ViewGains
 
-KNOWN = "; the position is known to 1 mm after it, 2 mm now; "
-UNREACHED = "the view along the normal of the top surface is not reached"
+ERROR = "; the position error (std) goes from 2 to 1 mm; "
+UNREACHED = "the view along the normal of the top surface is out of reach"
 
 
 def reason(paper=None, gain=0.0, **given):
@@ -21,7 +21,7 @@ def reason(paper=None, gain=0.0, **given):
         std_after=np.full(3, 1e-3),
         **numbers,
     )
-    for name in ("_told", "_beside_paper"):
+    for name in ("_expected_gain", "_paper_clause"):
         setattr(gains, name, getattr(ViewGains, name).__get__(gains))
     return ViewGains.reason(gains, 1, paper)
 
@@ -29,13 +29,22 @@ def reason(paper=None, gain=0.0, **given):
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"rivals": 1, "gain": 2.303}, "it tells 1 remaining rival apart, at expected odds of 10"),
-        ({"rivals": 2, "gain": 2.303}, "it tells 2 remaining rivals apart, at expected odds of"),
-        ({"is_open": True, "gain": 2.303}, "it tells whether the object is there, at expected"),
-        ({"count": 2, "gain": 2.303}, "it makes the objects more certain, at expected odds of"),
-        ({"gain": 2.303}, "it makes the object more certain, at expected odds of"),
-        ({"is_open": True}, "the object is still open, and shown once more;"),
-        ({"is_open": True, "count": 2}, "the objects are still open, and shown once more;"),
+        (
+            {"rivals": 1, "gain": 2.303},
+            "it separates the object from 1 remaining rival (expected odds 10",
+        ),
+        (
+            {"rivals": 2, "gain": 2.303},
+            "it separates the object from 2 remaining rivals (expected odds",
+        ),
+        ({"is_open": True, "gain": 2.303}, "it decides whether the object is there (expected odds"),
+        ({"count": 2, "gain": 2.303}, "it makes the objects more certain (expected odds"),
+        ({"gain": 2.303}, "it makes the object more certain (expected odds"),
+        ({"is_open": True}, "the object is still open, and the view shows it again;"),
+        (
+            {"is_open": True, "count": 2},
+            "the objects are still open, and the view shows them again;",
+        ),
         ({}, "the object is certain already;"),
         ({"count": 2}, "the objects are certain already;"),
     ],
@@ -43,16 +52,16 @@ def reason(paper=None, gain=0.0, **given):
 def test_words_follow_the_verdict_and_the_numbers(given, told):
     text = reason(**given)
     assert text.startswith(told)
-    assert text.endswith(KNOWN + UNREACHED)
+    assert text.endswith(ERROR + UNREACHED)
 
 
 @pytest.mark.parametrize(
     ("paper", "said"),
     [
-        (0, "the paper's view, along the normal of the top surface, would tell 25% as much"),
+        (0, "the paper's view, along the normal of the top surface, would gain 25% as much"),
         (1, "it is the paper's view, along the normal of the top surface"),
-        (2, "the paper's view, along the normal of the top surface, would tell 0% as much"),
+        (2, "the paper's view, along the normal of the top surface, would gain 0% as much"),
     ],
 )
 def test_the_papers_view_is_compared_with_the_chosen_one(paper, said):
-    assert reason(paper).endswith(KNOWN + said)
+    assert reason(paper).endswith(ERROR + said)

@@ -114,7 +114,7 @@ def test_an_uncertain_vertex_may_be_off_the_plane():
         ({"vertices": 1e4 * SQUARE, "faces": ()}, "expected metres"),
         ({"edges": np.array([[0, 9]])}, "edge 0 .* leads to vertex 9, which does not exist"),
         ({"edges": np.array([[0, 1], [2, 2]])}, "from vertex 2 to itself"),
-        ({"edges": np.array([[0, 1], [1, 0]])}, "there twice"),
+        ({"edges": np.array([[0, 1], [1, 0]])}, "listed twice"),
         ({"covariance": np.zeros((3, 3, 3))}, "covariance"),
         ({"covariance": np.triu(np.ones((24, 24)))}, "symmetric"),
         ({"calibration_factor": np.zeros((5, 2))}, "calibration_factor"),

@@ -65,6 +65,6 @@ def localizations(*found, pictures=(), command=None):
     return Localizations(found, tuple(messages), pictures, at)
 
 
-def view_of(reason="it tells 1 remaining rival apart"):
+def view_of(reason="it separates the object from 1 remaining rival"):
     """A view to take next."""
     return NextView(np.eye(4), np.eye(4), None, 1.0, (2e-3, 1e-3), 1.0, reason, None)

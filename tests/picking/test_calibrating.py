@@ -69,7 +69,7 @@ def camera_from_world(base_from_tool):
 
 
 def test_a_board_that_is_not_found_is_said_with_the_number_of_views():
-    with pytest.raises(ValueError, match="found in 0 of 7 views; expected 6 or more"):
+    with pytest.raises(ValueError, match="found in 0 of 7 views; expected at least 6"):
         calibrate_cell(Blank(), BOARD, drawn_calibration(), views=7)
 
 

@@ -17,7 +17,7 @@ from smartview_jax.robots import Command
 MODEL = box(name="box")
 CALIBRATED = CellCalibration(SimpleNamespace(calibration=CALIBRATION, pixel_sigma=0.1), None, ())
 REASONS = (
-    "it tells 1 remaining rival apart, at expected odds of 10 : 1; the position is known to 1 mm",
+    "it separates the object from 1 remaining rival (expected odds 10 : 1); the position error",
     "the objects are certain already; it is the paper's view, along the normal",
 )
 

@@ -78,7 +78,7 @@ def test_what_is_accepted_is_verified_from_one_view(look):
     assert look.looked_at == [["accepted"]]
     assert len(result.pictures) == len(cell.moves) == 3
     assert result.verification is not None
-    assert result.notes == ("view 3: it tells 1 remaining rival apart",)
+    assert result.notes == ("view 3: it separates the object from 1 remaining rival",)
 
 
 def test_what_is_open_is_looked_at_after_what_is_accepted(look):

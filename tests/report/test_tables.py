@@ -79,8 +79,8 @@ def test_the_table_shows_what_was_evaluated_and_no_empty_rows():
     assert table["its 95 % interval over views"] == ["6.00 to 8.00 px"] * 2
     assert table["held-out by region, RMS"] == ["-", "2.89 px"]
     # 6 and 8 where 3 and 4 were expected.
-    assert table["over what the fit expected (1 is honest)"] == ["-", "2.00"]
-    assert "with a free pose a view" not in table
+    assert table["actual / predicted error (ideal: 1)"] == ["-", "2.00"]
+    assert "with a free pose for each view" not in table
     assert len(table_rows([ErrorSummary("joint", FITTED, None)])) == 2
 
 
@@ -93,8 +93,8 @@ def test_remarks_say_what_the_figures_leave_out():
     ]
     outside = UNSEEN._replace(unconverged_folds=(), failures=(), extrapolated_views=(1,))
     assert remarks("linear interpolation", None, HeldOutReport(outside))[1:] == [
-        "linear interpolation: 1 of 2 held-out views lie outside the hull of the viewpoints that "
-        "were left: extrapolated"
+        "linear interpolation: 1 of 2 held-out views lie outside the hull of the remaining "
+        "viewpoints: extrapolated"
     ]
     assert remarks("joint", None, None, "no pose at all") == ["joint: no pose at all"]
     whole = ReprojectionErrors(np.ones((1, 2)), np.ones((1, 2)))
@@ -179,7 +179,9 @@ def test_a_view_that_was_rejected_does_not_count(moved_view):
         )
         assert row.reprojection_errors.rms < 0.2 * reprojection_errors(part.calibration, data).rms
     text = result_summary(rows, fit)
-    assert f"{rows[1].reprojection_errors.rms:.2f} px RMS on the views it was fitted to" in text
+    assert (
+        f"{rows[1].reprojection_errors.rms:.2f} px RMS on the views that it was fitted to" in text
+    )
     assert "Of 16 views 1 is rejected and not counted." in text
     assert "reliable" not in text
 
@@ -200,7 +202,7 @@ def test_without_a_single_good_fold_the_fitted_error_is_told(moved_view):
     unseen = dict.fromkeys(("staged", "joint"), HeldOutReport(nothing))
     text = result_summary(error_summaries(fit, data, unseen), fit)
     assert "nan" not in text
-    assert "on the views it was fitted to" in text
+    assert "on the views that it was fitted to" in text
 
 
 def test_remarks_are_on_every_measure():
@@ -212,7 +214,7 @@ def test_remarks_are_on_every_measure():
     assert "joint, by region: fold 2 failed: no pose" in found
     assert found[-2:] == [
         "joint, with a free pose: fold 1 failed: no free pose",
-        "joint, what the fit expected: fold 1 failed: leaves something open",
+        "joint, predicted error: fold 1 failed: leaves something open",
     ]
 
 

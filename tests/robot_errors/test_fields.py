@@ -202,7 +202,7 @@ def test_missing_coefficients_are_named(tmp_path, poses):
     content = calibration_with(error).to_dict()
     del content["robot_error"]["coefficients"]["rotation_by_position.3"]
     with pytest.raises(
-        ValueError, match=r"robot_error.coefficients: missing are rotation_by_position.3$"
+        ValueError, match=r"robot_error.coefficients: missing rotation_by_position.3$"
     ):
         Calibration.from_dict(content)
 

@@ -49,8 +49,8 @@ def test_the_margin_to_the_border_is_kept(axis, last):
     ("focus", "reason"),
     [
         ((0.79, 1.01), ""),
-        ((0.81, 1.01), "the target is as near as 0.800 m: too near to be sharp"),
-        ((0.79, 0.99), "the target is as far as 1.000 m: too far to be sharp"),
+        ((0.81, 1.01), "the nearest target point is at 0.800 m: too near to be sharp"),
+        ((0.79, 0.99), "the farthest target point is at 1.000 m: too far to be sharp"),
     ],
 )
 def test_all_of_the_target_is_in_focus(focus, reason):

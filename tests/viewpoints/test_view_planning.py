@@ -212,7 +212,9 @@ def test_views_that_may_not_be_taken_are_not_and_too_few_are_an_error(directions
         directions, d_optimal(), CHOSEN, poses, allowed=left, min_visible_fraction=0.3
     ).camera_from_world
     assert bool(left(found).all())
-    with pytest.raises(ValueError, match=r"13 views asked for; of 12 candidates \d+ may be taken"):
+    with pytest.raises(
+        ValueError, match=r"13 views requested, but only \d+ of 12 candidates may be taken"
+    ):
         choose_views(directions, d_optimal(), 13, poses, min_visible_fraction=0.3)
 
 
@@ -318,7 +320,9 @@ def test_a_view_that_the_arm_does_not_reach_shows_nothing_and_is_not_chosen(arm_
     found = choose_views(survey, d_optimal(), 5, all_of_them, min_visible_fraction=0.5)
     heights = found.camera_from_world.inverse().translation()[:, 2]
     assert float(jnp.max(heights)) < 1.0
-    with pytest.raises(ValueError, match=r"6 views asked for; of 6 candidates 5 may be taken"):
+    with pytest.raises(
+        ValueError, match=r"6 views requested, but only 5 of 6 candidates may be taken"
+    ):
         choose_views(survey, d_optimal(), 6, all_of_them, min_visible_fraction=0.5)
 
 

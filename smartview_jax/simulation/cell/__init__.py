@@ -1,4 +1,4 @@
-"""Simulate a robot cell with real physics, and state the interface that a real one has too."""
+"""Simulate a robot cell with real physics, and define the interface of simulated and real cells."""
 
 from .driver_cell import DriverCell as DriverCell
 from .fixtures import Bin as Bin

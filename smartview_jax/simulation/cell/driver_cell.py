@@ -1,7 +1,7 @@
 """Show how a real robot becomes a `Cell`: an example adapter for a controller, camera and gripper.
 
-Whatever the controller's own library is called, a cell needs five things of it. Write them as
-functions in the controller's own units and pose format, and `DriverCell` converts:
+Whatever the controller's own library is called, a cell needs five functions of it. Write them in
+the controller's own units and pose format, and `DriverCell` converts:
 
     cell = DriverCell(
         send_pose=lambda pose: robot.movel(pose, a=0.5, v=0.1),      # waits until it stands
@@ -26,10 +26,10 @@ from ...runtime.array_namespace import to_device
 from .interface import CellError
 
 MAX_POSITION_ERROR = 5e-3
-"""Largest distance from the commanded position to the reported one after a motion, m."""
+"""Largest distance between the commanded and the reported position after a motion, m."""
 
 MAX_ORIENTATION_ERROR = float(np.deg2rad(0.5))
-"""Largest turn from the commanded orientation to the reported one after a motion, rad."""
+"""Largest rotation between the commanded and the reported orientation after a motion, rad."""
 
 
 class DriverCell:
@@ -48,18 +48,18 @@ class DriverCell:
         send_joints: Callable[[list[float]], object] | None = None,
         read_joints: Callable[[], Sequence[float]] | None = None,
     ):
-        """Keep the functions.
+        """Store the functions.
 
         Args:
             send_pose: moves the tool in a straight line to a pose, and returns when it stands.
             read_pose: returns the pose that the controller reports.
-            grab: returns a picture, grey or in colour as OpenCV has it.
+            grab: returns a picture, grey or in OpenCV's colour order.
             send_width: moves the fingers to a distance, and returns when they stand.
             read_width: returns the distance of the fingers.
             pose_format: of the poses, one of `geometry.POSE_CODECS`, in the manufacturer's units.
             width_unit: unit of the widths, m; millimetres by default.
             send_joints: moves to joint readings, rad; None if only poses are commanded.
-            read_joints: returns joint readings, rad; None if they are not known.
+            read_joints: returns joint readings, rad; None if they are unknown.
 
         Raises:
             ValueError: no such pose format.
@@ -72,14 +72,14 @@ class DriverCell:
     def move(self, target: CommandLike | JointsLike | Sequence[float]) -> Command:
         """Move the tool as `Cell.move` does.
 
-        Of a `Command` the joint readings count if the robot takes them, otherwise the pose.
+        A `Command` is sent as joint readings if the robot takes them, otherwise as a pose.
 
         Raises:
             CellError: joint readings or a pose that are not finite; joint readings alone, which the
                 robot does not take; or another pose is reported than the commanded one.
         """
         if isinstance(target, Command):
-            # A robot that takes poses only is sent the pose of the same command.
+            # A robot that takes only poses is sent the pose of the same command.
             by_joints = target.joints is not None and self._send_joints is not None
             target = target.joints if by_joints else target.base_from_tool  # pyright: ignore
         if not hasattr(target, "wxyz_xyz") and np.ndim(target) == 1:  # pyright: ignore
@@ -97,10 +97,10 @@ class DriverCell:
         """Move to joint readings, and return where the robot is."""
         if self._send_joints is None:
             raise CellError("this robot takes poses, not joint readings")
-        # A controller may take NaN for any number.
+        # A controller may accept NaN as a number.
         if not np.isfinite(joints).all():
             raise CellError(f"joint readings that are not finite: {joints.tolist()}")
-        # What is sent as joints is not compared: the controller's own pose is what counts.
+        # Joint readings are not compared with the arrival: only the controller's own pose counts.
         self._send_joints([float(x) for x in joints])
         return self.where()
 
@@ -126,15 +126,15 @@ class DriverCell:
         Raises:
             ValueError: the width is negative or not finite.
         """
-        # How far it opens, the gripper's own controller knows.
+        # The gripper's own controller knows the largest opening.
         if not 0.0 <= width < np.inf:
             raise ValueError(f"width {width!r} m; expected a finite number of metres, 0 or more")
         self._send_width(float(width) / self._unit)
         return float(self._read_width()) * self._unit
 
     def where(self) -> Command:
-        """Return what the controller reports."""
-        # One row of numbers, as the pose format has it.
+        """Return the pose that the controller reports."""
+        # One row of numbers, in the pose format.
         row = np.asarray(self._read_pose(), dtype=float).reshape(1, -1)
         if row.shape[1] != len(self._codec.columns):
             raise CellError(
@@ -150,12 +150,12 @@ class DriverCell:
 def _check_arrival(commanded: Float[np.ndarray, "4 4"], reached: Float[np.ndarray, "4 4"]) -> None:
     """Raise a CellError if a robot reports another pose than the commanded one.
 
-    A controller that stopped on the way, or counts in other units, is found out here.
+    This detects a controller that stopped on the way, or that uses other units.
     """
     tangent = host_logarithms(np.linalg.inv(commanded) @ reached)
     distance = float(np.linalg.norm(reached[:3, 3] - commanded[:3, 3]))
     turn = float(np.linalg.norm(tangent[3:]))
-    # NaN, of a report that is not finite, compares as false.
+    # NaN, for a report that is not finite, compares as False.
     if not distance < MAX_POSITION_ERROR:
         raise CellError(
             f"the robot reports a position {1e3 * distance:.3g} mm from the commanded one"

@@ -1,4 +1,4 @@
-"""Describe what stands fixed in a cell: the table, and a bin on it."""
+"""Describe the fixed parts of a cell: the table, and a bin on it."""
 
 from typing import NamedTuple
 
@@ -31,7 +31,7 @@ class FixedBox(NamedTuple):
         return pose
 
     def surface(self, texture: Texture | None = None) -> Surface:
-        """Return what a camera sees of it."""
+        """Return the visible surface of the box."""
         vertices = self.centre + BOX_CORNERS * self.size
         return Surface(vertices, BOX_TRIANGLES, texture or speckled(0.3, 0.03, 0.004, seed=8))
 

@@ -1,4 +1,4 @@
-"""State the small interface that a robot cell has, simulated or real."""
+"""Define the small interface of a robot cell, simulated or real."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -10,16 +10,16 @@ from ...robots import Command, CommandLike, JointsLike
 
 
 class CellError(RuntimeError):
-    """The error that a cell did not do what it was told; its text says what and why."""
+    """The error that a cell did not execute a command; its text says what and why."""
 
 
 @runtime_checkable
 class Cell(Protocol):
     """An arm with a camera and a gripper on its hand.
 
-    Whatever drives a cell through these four methods alone drives a real robot by the same code.
-    All lengths are in metres and all angles in radians; `DriverCell` is an example for a robot that
-    counts in other units.
+    Code that drives a cell only through these four methods also drives a real robot. All lengths
+    are in metres and all angles in radians; `DriverCell` is an example for a robot with other
+    units.
     """
 
     def move(self, target: CommandLike | JointsLike | Sequence[float]) -> Command:
@@ -27,22 +27,21 @@ class Cell(Protocol):
 
         Args:
             target: `base_from_tool` as a 4x4 matrix or a transform, or joint readings, or a
-                `Command` with both; where there are joints, these count, unless the robot takes
-                poses only.
+                `Command` with both; joints take precedence, unless the robot takes only poses.
 
         Raises:
-            CellError: the arm does not get there, or the target is not finite; with the reason.
+            CellError: the arm does not reach the target, or this is not finite; with the reason.
         """
         ...
 
     def picture(self) -> UInt8[np.ndarray, "rows columns"]:
-        """Return a grey picture of what the camera sees from where the arm stands."""
+        """Return a grey picture from the camera's current pose."""
         ...
 
     def set_gripper(self, width: float) -> float:
         """Move the fingers to a distance from each other, and return the distance reached, m.
 
-        They stop where they meet something: zero closes the gripper on an object.
+        They stop when they meet something: zero closes the gripper on an object.
 
         Raises:
             ValueError: the width is negative, not finite, or more than the gripper opens, if that
@@ -51,5 +50,5 @@ class Cell(Protocol):
         ...
 
     def where(self) -> Command:
-        """Return what the robot reports: its tool's pose and, where it has them, its joints."""
+        """Return the robot's report: its tool's pose and, if it has them, its joints."""
         ...

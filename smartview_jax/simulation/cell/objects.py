@@ -12,17 +12,17 @@ from ..polyhedra import Polyhedron, face_normal, loop_pairs
 from ..textures import Texture, speckled
 
 FLATNESS = 1e-7
-"""Largest distance of a point from a plane that it counts as on, over the object's extent."""
+"""Largest distance of a point from a plane to count as on it, over the object's extent."""
 
 MAX_OBJECT_SIZE = 1.0
-"""Largest extent of an object, m: a larger one was given in another unit."""
+"""Largest extent of an object, m; a larger one was probably given in another unit."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CellObject:
     """A rigid object that falls, rests and is grasped.
 
-    Supported are convex polyhedra, and prisms over any polygon, in any direction.
+    Convex polyhedra are supported, and prisms over any polygon, in any direction.
 
     Attributes:
         name: unique in the cell.
@@ -69,7 +69,7 @@ class CellObject:
 
 
 def convex_parts(solid: Polyhedron, name: str = "") -> tuple[Float[np.ndarray, "corners 3"], ...]:
-    """Return the corners of convex parts that together are a solid.
+    """Return the corners of convex parts that make up a solid.
 
     Raises:
         ValueError: it is neither convex nor a prism.
@@ -98,7 +98,7 @@ def is_convex(solid: Polyhedron) -> bool:
 
 def _prism_axis(solid: Polyhedron, base: tuple[int, ...]) -> Float[np.ndarray, "3"] | None:
     """Return the translation from a base of a prism to its other base, or None."""
-    # A prism has as many vertices on its other base.
+    # A prism has as many vertices on either base.
     if 2 * len(base) != len(solid.vertices):
         return None
     others = solid.vertices[[k for k in range(len(solid.vertices)) if k not in base]]
@@ -120,7 +120,7 @@ def _convex_pieces(
     while merged:
         merged = False
         for first in pieces:
-            for second in (one for one in pieces if one is not first):
+            for second in (piece for piece in pieces if piece is not first):
                 joined = _joined(first, second)
                 if joined is not None and _turns_left(vertices, joined, normal):
                     pieces = [p for p in pieces if p is not first and p is not second]
@@ -160,7 +160,7 @@ class BoxShape(NamedTuple):
     """A box at any pose.
 
     Attributes:
-        pose: of the box's own frame, whose axes are its edges and whose origin its middle, 4x4, m.
+        pose: pose of the box's own frame, with axes along its edges and origin in its middle, m.
         size: along its axes, m.
     """
 
@@ -172,15 +172,15 @@ def as_box(corners: Float[np.ndarray, "corners 3"]) -> BoxShape | None:
     """Return the box that has these corners, or None if they are of another shape."""
     if len(corners) != 8:
         return None
-    # Its volume tells a box from other shapes with three right angles at a corner.
+    # The volume distinguishes a box from other shapes with three right angles at a corner.
     hull = ConvexHull(corners)
-    # The edges from one corner are the shortest three that stand at right angles.
+    # The edges from one corner are its shortest three perpendicular offsets.
     offsets = corners[1:] - corners[0]
     offsets = offsets[np.argsort(np.linalg.norm(offsets, axis=1))]
     chosen: list[np.ndarray] = []
     tolerance = FLATNESS * float(np.ptp(corners, axis=0).max()) ** 2
     for offset in offsets:
-        if all(abs(offset @ one) < tolerance for one in chosen) and len(chosen) < 3:
+        if all(abs(offset @ edge) < tolerance for edge in chosen) and len(chosen) < 3:
             chosen.append(offset)
     if len(chosen) < 3:
         return None

@@ -19,22 +19,22 @@ from .objects import CellObject
 from .physics_model import TIME_STEP, physics_xml
 
 REST_SPEED = 2e-3
-"""Speed below which an object rests, m/s and rad/s, if it keeps below for `REST_TIME`."""
+"""Speed below which an object is at rest, m/s and rad/s, if it stays so for `REST_TIME`."""
 
 REST_TIME = 0.15
-"""Time for which all objects have to be slow until they count as at rest, s."""
+"""Time for which all objects have to be slow to count as at rest, s."""
 
 MAX_FALL_TIME = 12.0
 """Longest time in which objects have to come to rest, s."""
 
 FALL_SPEED = 0.8
-"""Speed that falling objects tend to, m/s, as if in oil: no object jumps out of the bin."""
+"""Terminal speed of falling objects, m/s, as if in oil, so that no object jumps out of the bin."""
 
 LINEAR_SPEED, ANGULAR_SPEED = 0.12, 1.0
 """Speeds of the gripper near objects, m/s and rad/s."""
 
 STEPS_BETWEEN_CHECKS = 20
-"""Number of steps after which the physics is checked to be stable still."""
+"""Number of steps after which the stability of the physics is checked."""
 
 GRIP_TIME = 1.5
 """Longest time that the fingers move, s."""
@@ -65,11 +65,11 @@ class Physics:
         self._model: Any = self._mujoco.MjModel.from_xml_string(
             physics_xml(objects, fixtures, gripper, guide_centre, guide_size)
         )
-        # The model holds what is fixed, the data what moves.
+        # The model holds the fixed properties, the data the state.
         self._data: Any = self._mujoco.MjData(self._model)
         self._moving = False
 
-    # Where things are.
+    # Poses and state.
 
     def world_from_object(self, number: int) -> Float[np.ndarray, "4 4"]:
         """Return the pose of an object, m."""
@@ -100,7 +100,7 @@ class Physics:
         """Return MuJoCo's view of a body's free joint."""
         return self._data.joint(name)
 
-    # How things move.
+    # Motions.
 
     def place(self, number: int, world_from_object: Float[np.ndarray, "4 4"]) -> None:
         """Put an object at a pose, without motion."""
@@ -110,7 +110,7 @@ class Physics:
         self._mujoco.mj_forward(self._model, self._data)
 
     def place_gripper(self, world_from_gripper: Float[np.ndarray, "4 4"]) -> None:
-        """Put the gripper at a pose, without motion; what is on the way is not touched."""
+        """Put the gripper at a pose, without motion and without touching anything on the way."""
         numbers = _numbers(world_from_gripper)
         joint = self._free_joint("gripper")
         joint.qpos[:], joint.qvel[:] = numbers, 0.0
@@ -137,7 +137,7 @@ class Physics:
             self._model.geom_contype[guides] = self._model.geom_conaffinity[guides] = 0
             for k in range(len(mass)):
                 self._model.joint(f"o{k}").damping[:] = 0.0
-        # Without the walls, something that leaned on them may move again.
+        # Without the walls, objects that leaned on them may move again.
         self.settle()
 
     def settle(self) -> None:
@@ -146,7 +146,7 @@ class Physics:
         Raises:
             CellError: they do not come to rest, or the physics became unstable.
         """
-        # Contacts make speeds flicker: all have to stay slow for a while.
+        # Contacts make speeds flicker, so all have to stay slow for a while.
         slow_since = self.time
         start = self.time
 
@@ -174,7 +174,7 @@ class Physics:
         Raises:
             CellError: the physics became unstable.
         """
-        # From where the target is, not the body, which lags behind it.
+        # From the pose of the target, not of the body, which lags behind.
         start = _matrix(np.concatenate([self._data.mocap_pos[0], self._data.mocap_quat[0]]))
         shift = world_from_gripper[:3, 3] - start[:3, 3]
         turn = Rotation.from_matrix(world_from_gripper[:3, :3] @ start[:3, :3].T).as_rotvec()
@@ -186,11 +186,11 @@ class Physics:
         begin = self.time
 
         def follow() -> bool:
-            # s = 3 u^2 - 2 u^3 begins and ends without speed.
+            # s = 3 u^2 - 2 u^3 starts and ends at zero speed.
             u = min((self.time - begin) / duration, 1.0)
             s = u * u * (3.0 - 2.0 * u)
             pose = np.eye(4)
-            # About one fixed axis, while the origin goes straight.
+            # Rotated about one fixed axis, while the origin moves straight.
             pose[:3, :3] = Rotation.from_rotvec(s * turn).as_matrix() @ start[:3, :3]
             pose[:3, 3] = start[:3, 3] + s * shift
             numbers = _numbers(pose)
@@ -198,7 +198,7 @@ class Physics:
             return False
 
         self._run(duration, follow)
-        # What it holds swings out.
+        # The held object stops swinging.
         self._run(0.1, lambda: False)
 
     def move_fingers(self, width: float) -> float:
@@ -207,7 +207,7 @@ class Physics:
         Raises:
             CellError: the physics became unstable.
         """
-        # Each finger goes half of the way.
+        # Each finger moves half of the distance.
         self._data.ctrl[:] = 0.5 * width
         slow_since = self.time
 
@@ -222,29 +222,29 @@ class Physics:
 
     def touched_by_fingers(self) -> dict[str, set[int]]:
         """Return the numbers of the objects that each finger, "left" or "right", touches."""
-        found: dict[str, set[int]] = {"left": set(), "right": set()}
+        touched: dict[str, set[int]] = {"left": set(), "right": set()}
         for contact in self._data.contact[: self._data.ncon]:
             names = [self._model.body(self._model.geom_bodyid[geom]).name for geom in contact.geom]
             # A contact names its bodies in either order.
             for finger, other in (names, names[::-1]):
-                if finger in found and other.startswith("o"):
-                    found[finger].add(int(other[1:]))
-        return found
+                if finger in touched and other.startswith("o"):
+                    touched[finger].add(int(other[1:]))
+        return touched
 
     def _run(self, duration: float, each_step: Callable[[], bool]) -> None:
-        """Step the physics for a duration, or until `each_step` returns that it is enough."""
+        """Step the physics for a duration, or until `each_step` returns True."""
         with self._whole_motion():
             end, step = self.time + duration - 0.5 * TIME_STEP, 0
             while self.time < end and not each_step():
                 self._mujoco.mj_step(self._model, self._data)
                 step += 1
-                # MuJoCo counts what went wrong: nothing is missed between the checks.
+                # MuJoCo counts its warnings, so that nothing is missed between the checks.
                 if step % STEPS_BETWEEN_CHECKS == 0:
                     self._refuse_instability()
             self._refuse_instability()
 
     def _refuse_instability(self) -> None:
-        """Raise a CellError where MuJoCo found numbers that cannot be right."""
+        """Raise a CellError if MuJoCo found invalid numbers."""
         warnings = self._mujoco.mjtWarning
         kinds = (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
         if any(self._data.warning[int(kind)].number for kind in kinds):
@@ -255,8 +255,8 @@ class Physics:
 
     @contextmanager
     def _whole_motion(self) -> Iterator[None]:
-        """Mark a motion as under way, and refuse to begin one after another was interrupted."""
-        # The flag is still set if the motion before did not come to its end.
+        """Mark a motion as running, and refuse to start one after another was interrupted."""
+        # The flag is still set if the previous motion did not finish.
         if self._moving:
             raise CellError("the last motion was interrupted or failed; drop the objects again")
         self._moving = True
@@ -272,7 +272,7 @@ class Physics:
 
 
 def _matrix(numbers: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:
-    """Return a pose of MuJoCo, position and quaternion with its real part first, as a matrix."""
+    """Return a MuJoCo pose (position, and quaternion with its real part first) as a matrix."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_quat(np.roll(numbers[3:], -1)).as_matrix()
     pose[:3, 3] = numbers[:3]
@@ -280,5 +280,5 @@ def _matrix(numbers: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:
 
 
 def _numbers(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "7"]:
-    """Return a pose as MuJoCo has it."""
+    """Return a pose in MuJoCo's format."""
     return np.concatenate([pose[:3, 3], np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)])

@@ -1,4 +1,4 @@
-"""Write the MuJoCo model of a cell: table, bin, objects, and a gripper that is led along a path."""
+"""Write the MuJoCo model of a cell: table, bin, objects, and a gripper led along a path."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ TIME_STEP = 1e-3
 """Time step of the physics, s."""
 
 CONTACT_TIME = 4e-3
-"""Time constant of contacts, s, with which a resting object sinks in by less than a micrometre.
+"""Time constant of contacts, s; a resting object sinks in by less than a micrometre.
 
 MuJoCo's contacts are springs with dampers; the constant is at least twice the time step.
 """
@@ -22,10 +22,10 @@ GRIP_FORCE = 20.0
 """Largest force of each finger, N."""
 
 FINGER_GAIN = 4000.0
-"""Force of a finger's drive per distance from where it should be, N/m."""
+"""Force of a finger's drive per distance from its set point, N/m."""
 
 GUIDE_HEIGHT = 3.0
-"""Height of the walls that guide falling objects, m; they are there only while objects fall."""
+"""Height of the walls that guide falling objects, m; they exist only while objects fall."""
 
 GUIDE_THICKNESS = 0.05
 """Thickness of the walls that guide falling objects, m."""
@@ -88,11 +88,11 @@ def physics_xml(
     guide_centre: tuple[float, float],
     guide_size: tuple[float, float],
 ) -> str:
-    """Return the model in MuJoCo's format; its world is that of the cell, z upwards.
+    """Return the model in MuJoCo's format; its world is the cell's, z upwards.
 
-    The gripper's body is welded to a target without mass, which is moved along the path of the true
-    tool; the fingers slide, coupled to each other, and have a drive of limited force. The gripper
-    meets objects and fixtures, not itself.
+    The gripper's body is welded to a massless target, which is moved along the path of the true
+    tool; the fingers slide, coupled to each other, with a drive of limited force. The gripper
+    collides with objects and fixtures, not with itself.
 
     Args:
         objects: named o0, o1, ... in the model.
@@ -103,10 +103,10 @@ def physics_xml(
     """
     meshes: list[str] = []
     # Bits of contype and conaffinity: 1 for objects and fixtures, 2 for the gripper.
-    bodies = [_object_xml(k, one, meshes) for k, one in enumerate(objects)]
+    bodies = [_object_xml(k, obj, meshes) for k, obj in enumerate(objects)]
     x, y = guide_centre
-    # Infinitely heavy walls at a distance, thick so that nothing passes through in one step.
-    # Their inner sides are where the bin's are.
+    # Infinitely heavy walls, thick so that nothing passes through in one step. Their inner sides
+    # coincide with the bin's.
     offsets = [
         (sign * (0.5 * (guide_size[axis] + GUIDE_THICKNESS)), axis)
         for axis in (0, 1)
@@ -124,7 +124,7 @@ def physics_xml(
             f'    <geom name="guide{k}" type="box" pos="{_text(centre)}" size="{_text(size)}" '
             'contype="0" conaffinity="0" friction="0.05 0.005 0.0001"/>'
         )
-    # Drawn closed: the joints move the fingers from there.
+    # Drawn closed; the joints move the fingers from there.
     boxes = {box.name: box for box in gripper.boxes(0.0)}
     parts = {
         name: f'<geom type="box" pos="{_text(box.centre)}" size="{_text(0.5 * box.size)}" '
@@ -152,15 +152,15 @@ def physics_xml(
     )
 
 
-def _object_xml(number: int, one: CellObject, meshes: list[str]) -> str:
-    """Return the body of an object, and add the meshes of its parts that are no boxes."""
+def _object_xml(number: int, obj: CellObject, meshes: list[str]) -> str:
+    """Return the body of an object, and add meshes for its parts that are no boxes."""
     geoms = []
-    # An object's own friction counts, whatever it touches: its contacts take priority.
+    # The object's own friction is used, whatever it touches: its contacts take priority.
     common = (
-        f'density="{one.density}" friction="{one.friction} 0.005 0.0001" priority="1" '
+        f'density="{obj.density}" friction="{obj.friction} 0.005 0.0001" priority="1" '
         'contype="1" conaffinity="3"'
     )
-    for k, corners in enumerate(convex_parts(one.solid, one.name)):
+    for k, corners in enumerate(convex_parts(obj.solid, obj.name)):
         box = as_box(corners)
         if box is not None:
             quat = np.roll(Rotation.from_matrix(box.pose[:3, :3]).as_quat(), 1)
@@ -179,5 +179,5 @@ def _object_xml(number: int, one: CellObject, meshes: list[str]) -> str:
 
 
 def _text(numbers: Sequence[float] | np.ndarray) -> str:
-    """Return numbers as MuJoCo reads them, with every digit."""
+    """Return numbers in MuJoCo's format, with every digit."""
     return " ".join(repr(float(x)) for x in numbers)

@@ -1,4 +1,4 @@
-"""Simulate a whole cell: commands go in, pictures come out, the truth goes to the judge only."""
+"""Simulate a whole cell: commands in, pictures out; only the judge sees the true state."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -25,32 +25,32 @@ from .table import board_on_table, table_texture
 from .truth import BOARD, CellTruth, random_truth
 
 MAX_DROPS = 6
-"""Number of times that objects are dropped until all lie in the bin."""
+"""Largest number of drops until all objects lie in the bin."""
 
 CLEAR_HEIGHT = 0.03
-"""Height of the gripper above everything from which its path need not be simulated, m."""
+"""Height of the gripper above everything else at which its path need not be simulated, m."""
 
 HELD_HEIGHT = 2e-3
-"""Height of an object's lowest point above the bin or the table from which it counts as lifted."""
+"""Height of an object's lowest point above the bin or the table to count as lifted, m."""
 
 TABLE_HALF_WIDTH = 0.6
 """Half of the width of the table in the pictures, m."""
 
 CENTRE = (float(BOARD.points[:, 0].mean()), float(BOARD.points[:, 1].mean()))
-"""Middle of the board, about which the bin stands, m."""
+"""Middle of the board, and of the bin, m."""
 
 STANDARD_BIN = Bin(CENTRE)
-"""The bin of a cell, where the board lies otherwise."""
+"""The default bin of a cell, at the place of the board."""
 
 SAMPLES, STRIDE = 8, 3
-"""Rays in a pixel at an edge, and distance of the pixels that are looked at first."""
+"""Number of rays in a pixel at an edge, and step between the pixels that are sampled first."""
 
 EXPOSURE = 1.3
 """Exposure of the pictures."""
 
 
 class Judgement(NamedTuple):
-    """The truth about a cell, for whoever judges what was done in it.
+    """The true state of a cell, to judge the outcome of an action.
 
     Attributes:
         held: names of the objects between both fingers and above the bin.
@@ -68,10 +68,10 @@ class Judgement(NamedTuple):
 class SimulatedCell:
     """A cell whose arm, camera and objects are simulated; it has the methods of `Cell`.
 
-    The arm's true kinematics, hand-eye transform and lens are drawn at random and known to `judge`
-    alone. The dynamics of the arm are left out: the gripper is led to where the true kinematics put
-    it, and meets objects with the forces of its fingers. It throws no shadow and is never seen by
-    its own camera, which looks past it.
+    The arm's true kinematics, hand-eye transform and lens are drawn at random and known only to
+    `judge`. The dynamics of the arm are ignored: the gripper moves as the true kinematics say, and
+    its fingers act on objects with forces. It throws no shadow and is invisible to its own camera,
+    which looks past it.
     """
 
     def __init__(
@@ -88,10 +88,10 @@ class SimulatedCell:
         """Set up the cell, with the board on the table and no objects.
 
         Args:
-            seed: of everything random.
-            truth: the truth; by default `random_truth` of the seed.
+            seed: seed of everything random.
+            truth: the true state; by default `random_truth` of the seed.
             gripper: the gripper on the flange.
-            bin: where objects are dropped; None for the bare table.
+            bin: the bin for dropped objects; None for the bare table.
             clutter: whether the table is printed with labels and scraps.
             blur, noise: of the pictures, px and grey levels.
 
@@ -100,7 +100,7 @@ class SimulatedCell:
         """
         self._truth = truth or random_truth(seed)
         self.gripper: Gripper = gripper or Gripper()
-        # The arm's own randomness, which the pictures' noise does not change.
+        # A separate generator for the arm, independent of the pictures' noise.
         self._rng = np.random.default_rng((seed, 11))
         self._seed, self._pictures, self._bin = seed, 0, bin
         self._blur, self._noise = blur, noise
@@ -112,7 +112,7 @@ class SimulatedCell:
         self._base_from_tool = self._truth.base_from_tool(self._joints, self._rng)
         self._physics = self._new_physics(())
 
-    # What everyone knows of the cell.
+    # Known to everyone.
 
     @property
     def arm(self) -> SerialArm:
@@ -136,14 +136,14 @@ class SimulatedCell:
         """The walls of the bin, in the world's frame."""
         return () if self._bin is None or self.board_shown else self._bin.boxes
 
-    # What a person does in the cell.
+    # Actions of a person in the cell.
 
     def drop(self, objects: Sequence[CellObject], seed: int = 0) -> None:
-        """Take the board away and let objects fall into the bin, or on the table.
+        """Remove the board and let objects fall into the bin, or on the table.
 
         Args:
             objects: with different names.
-            seed: of how they fall; the same seed gives the same poses.
+            seed: seed of the fall; the same seed gives the same poses.
 
         Raises:
             ValueError: two objects have one name.
@@ -151,42 +151,42 @@ class SimulatedCell:
         """
         self._set_objects(objects)
         for attempt in range(MAX_DROPS):
-            # Each attempt is another throw, and the same for the same seed.
+            # Each attempt is a new throw, reproducible by the seed.
             rng = np.random.default_rng((seed, 12, attempt))
             self._physics = self._new_physics(objects)
             z = 0.02
-            for k, one in enumerate(objects):
-                middle = one.solid.vertices.mean(axis=0)
-                room = np.maximum(np.array(self._area) - 2.0 * one.radius, 0.0)
+            for k, obj in enumerate(objects):
+                middle = obj.solid.vertices.mean(axis=0)
+                room = np.maximum(np.array(self._area) - 2.0 * obj.radius, 0.0)
                 pose = np.eye(4)
                 # A normal vector in four dimensions has a uniform direction, as a quaternion.
                 pose[:3, :3] = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
-                z += one.radius
+                z += obj.radius
                 # One above the other, so that none is inside another at the start.
                 position = [*(self.centre[:2] + (rng.random(2) - 0.5) * room), z]
                 pose[:3, 3] = position - pose[:3, :3] @ middle
-                z += one.radius + 0.005
+                z += obj.radius + 0.005
                 self._physics.place(k, pose)
-            # All at once, one above the other.
+            # All fall at once.
             self._physics.fall()
             if all(self._lies_inside(k) for k in range(len(objects))):
                 return
-        raise CellError(f"after {MAX_DROPS} drops some objects still lie outside of the bin")
+        raise CellError(f"after {MAX_DROPS} drops some objects still lie outside the bin")
 
     def place(
         self,
         objects: Sequence[CellObject],
         world_from_object: Sequence[Float[np.ndarray, "4 4"]],
     ) -> None:
-        """Take the board away, put objects at poses and let them come to rest.
+        """Remove the board, put objects at poses and let them come to rest.
 
         Raises:
-            ValueError: two objects have one name, there are not as many poses as objects, or a
-                pose is not rigid; the cell is then as it was.
+            ValueError: two objects have one name, the numbers of poses and objects differ, or a
+                pose is not rigid; the cell is then unchanged.
             CellError: they do not come to rest.
         """
-        # Everything is checked first: else objects would be seen of which the physics has none.
-        poses = _checked_poses(world_from_object, [one.name for one in objects])
+        # Everything is checked first, so that the visible objects always match the physics.
+        poses = _checked_poses(world_from_object, [obj.name for obj in objects])
         self._set_objects(objects)
         self._physics = self._new_physics(objects)
         for k, pose in enumerate(poses):
@@ -199,8 +199,8 @@ class SimulatedCell:
         self._physics = self._new_physics(())
 
     def _set_objects(self, objects: Sequence[CellObject]) -> None:
-        """Set which objects are seen, and take the board away."""
-        require_distinct("objects", [one.name for one in objects])
+        """Set the visible objects, and remove the board."""
+        require_distinct("objects", [obj.name for obj in objects])
         self._objects, self.board_shown = tuple(objects), False
 
     @property
@@ -209,7 +209,7 @@ class SimulatedCell:
         return (0.24, 0.18) if self._bin is None else self._bin.size[:2]
 
     def _new_physics(self, objects: Sequence[CellObject]) -> Physics:
-        """Return new physics with the gripper where it is."""
+        """Return new physics with the gripper at its current pose."""
         x, y, _ = self.centre
         physics = Physics(objects, self.fixtures, self.gripper, (float(x), float(y)), self._area)
         physics.place_gripper(self._true_gripper())
@@ -217,23 +217,25 @@ class SimulatedCell:
         return physics
 
     def _lies_inside(self, number: int) -> bool:
-        """Return whether an object lies between the walls and not through the table."""
+        """Return whether an object lies between the walls and has not sunk into the table."""
         solid = self._objects[number].solid.moved(self._physics.world_from_object(number))
-        beside = np.abs(solid.vertices[:, :2] - self.centre[:2]) > 0.5 * np.array(self._area) + 0.02
-        return bool(solid.vertices[:, 2].min() > -1e-3 and not beside.any())
+        outside = (
+            np.abs(solid.vertices[:, :2] - self.centre[:2]) > 0.5 * np.array(self._area) + 0.02
+        )
+        return bool(solid.vertices[:, 2].min() > -1e-3 and not outside.any())
 
     # The methods of `Cell`.
 
     def move(self, target: CommandLike | JointsLike | Sequence[float]) -> Command:
         """Move the tool as `Cell.move` does; the nominal arm solves for the joints."""
         joints = self._joints_of(target)
-        # Joint readings are checked here, poses when they are solved.
+        # Joint readings are checked here; poses are checked when they are solved.
         exceeded = np.asarray(self.arm.violated_limits(joints))
         if exceeded.any():
             raise CellError(f"joint {1 + int(np.flatnonzero(exceeded)[0])} is beyond its limit")
         before = self._lowest_of_gripper()
         base_from_tool = self._truth.base_from_tool(joints, self._rng)
-        # What is reported follows the nominal arm, what happens the true one.
+        # Reports follow the nominal arm, motions the true one.
         self._joints, self._base_from_tool = joints, base_from_tool
         clear = min(before, self._lowest_of_gripper()) > self._top + CLEAR_HEIGHT
         # High above everything there is nothing to touch: the motion takes no time.
@@ -244,7 +246,7 @@ class SimulatedCell:
         return self.where()
 
     def picture(self) -> UInt8[np.ndarray, "rows columns"]:
-        """Return what the camera sees; each picture has its own noise."""
+        """Return the camera's picture; each has its own noise."""
         self._pictures += 1
         return render_solids(
             self._truth.calibration.uncorrected,
@@ -267,7 +269,7 @@ class SimulatedCell:
         return self._physics.move_fingers(width)
 
     def where(self) -> Command:
-        """Return what the robot reports: the nominal arm's pose at its joints."""
+        """Return the robot's report: the nominal arm's pose at its joints."""
         return self.arm.command(self._joints)
 
     def _joints_of(self, target: CommandLike | JointsLike | Sequence[float]) -> np.ndarray:
@@ -280,14 +282,14 @@ class SimulatedCell:
                 raise CellError(f"joint readings that are not finite: {array.tolist()}")
             return array
         pose = as_se3(target)  # pyright: ignore[reportArgumentType]
-        # The controller knows the nominal arm only: so the true one misses the pose.
+        # The controller knows only the nominal arm, so that the true one misses the pose.
         solution = joints_for_pose(self.arm, pose, self._joints)
         if pose.wxyz_xyz.shape != (7,) or not bool(solution.is_solved):
             raise CellError(f"the arm does not get there: {solution.status_text()}")
         return np.asarray(solution.joints)
 
     def _true_gripper(self) -> Float[np.ndarray, "4 4"]:
-        """Return where the gripper really is in the world."""
+        """Return the true pose of the gripper in the world."""
         world_from_tool = self._truth.world_from_base @ self._base_from_tool
         return world_from_tool @ self.gripper.tool_from_gripper
 
@@ -301,27 +303,27 @@ class SimulatedCell:
     def _top(self) -> float:
         """The height of the highest point of objects and fixtures, m."""
         tops = [float(box.centre[2] + 0.5 * box.size[2]) for box in self.fixtures]
-        tops += [float(one.vertices[:, 2].max()) for one in self._solids()]
+        tops += [float(solid.vertices[:, 2].max()) for solid in self._solids()]
         return max(tops, default=0.0)
 
-    # What only the judge and a bystander see.
+    # Visible only to the judge and a bystander.
 
     def judge(self) -> Judgement:
-        """Return the truth; what drives the cell must not look at it."""
+        """Return the true state; code that drives the cell must not use it."""
         poses = {
-            one.name: self._physics.world_from_object(k) for k, one in enumerate(self._objects)
+            obj.name: self._physics.world_from_object(k) for k, obj in enumerate(self._objects)
         }
         touched = self._physics.touched_by_fingers()
-        # Without a bin an object counts as soon as it is off the table.
+        # Without a bin an object counts as lifted as soon as it is off the table.
         floor = 0.0 if self._bin is None or self.board_shown else self._bin.rim
-        lifted = [one.vertices[:, 2].min() > floor + HELD_HEIGHT for one in self._solids()]
+        lifted = [solid.vertices[:, 2].min() > floor + HELD_HEIGHT for solid in self._solids()]
         held = tuple(
             self._objects[k].name for k in sorted(touched["left"] & touched["right"]) if lifted[k]
         )
         return Judgement(held, poses, self._physics.world_from_gripper, self._physics.opening)
 
     def judge_tool(self) -> Float[np.ndarray, "4 4"]:
-        """Return the true `base_from_tool`, m; what drives the cell must not look at it."""
+        """Return the true `base_from_tool`, m; code that drives the cell must not use it."""
         return self._base_from_tool.copy()
 
     @property
@@ -332,14 +334,14 @@ class SimulatedCell:
     def watch(
         self, camera_from_world: Float[np.ndarray, "4 4"], camera: Camera
     ) -> UInt8[np.ndarray, "rows columns"]:
-        """Return what a bystander's camera sees, gripper included.
+        """Return the picture of a bystander's camera, with the gripper.
 
         Args:
-            camera_from_world: where the bystander stands.
-            camera: the bystander's own.
+            camera_from_world: pose of the bystander's camera.
+            camera: its intrinsics and lens.
         """
         identity = host_transforms(np.eye(4))
-        # A camera on a tool that stands where the bystander does.
+        # A camera on a tool at the bystander's pose.
         bystander = Calibration.eye_in_hand(camera, identity, identity)
         vertices, triangles = self.gripper.mesh(
             min(max(self._physics.opening, 0.0), self.gripper.max_opening)
@@ -355,21 +357,21 @@ class SimulatedCell:
         )
 
     def _solids(self) -> list[Polyhedron]:
-        """Return the objects where they are."""
+        """Return the objects at their current poses."""
         return [
-            one.solid.moved(self._physics.world_from_object(k))
-            for k, one in enumerate(self._objects)
+            obj.solid.moved(self._physics.world_from_object(k))
+            for k, obj in enumerate(self._objects)
         ]
 
     def _surfaces(self) -> tuple[Surface, ...]:
-        """Return all that can be seen of the table, the bin and the objects."""
+        """Return all visible surfaces: table, bin and objects."""
         table = self._table_with_board if self.board_shown else self._table
         surfaces = [Surface.of_plane(TABLE_HALF_WIDTH, table)]
         surfaces += [box.surface() for box in self.fixtures]
-        for k, one in enumerate(self._objects):
+        for k, obj in enumerate(self._objects):
             pose = self._physics.world_from_object(k)
             surfaces.append(
-                Surface.of_polyhedron(one.solid.moved(pose), _moved_texture(one.texture, pose))
+                Surface.of_polyhedron(obj.solid.moved(pose), _moved_texture(obj.texture, pose))
             )
         return tuple(surfaces)
 
@@ -377,9 +379,9 @@ class SimulatedCell:
 def _checked_poses(
     world_from_object: Sequence[Float[np.ndarray, "4 4"]], names: Sequence[str]
 ) -> Float[np.ndarray, "objects 4 4"]:
-    """Return a pose for each named object; raise a ValueError if there is another number of them.
+    """Return a pose for each named object; raise a ValueError if the numbers differ.
 
-    A pose that is not rigid is an error too, whose message names the object.
+    A pose that is not rigid is an error too; the message names the object.
     """
     if len(world_from_object) != len(names):
         raise ValueError(

@@ -25,14 +25,14 @@ def board_on_table(board: AbstractTarget, table: Texture) -> Texture:
     """Return the texture of a table with a board on it, printed on paper without thickness.
 
     Raises:
-        ValueError: the board's z points into the table, or its pattern is not known.
+        ValueError: the board's z points into the table, or its pattern is unknown.
     """
     if not board.y_up:
         raise ValueError("the board of a cell has z upwards: give it as a StackedTarget")
-    # The print is that of the flat board.
+    # Only the flat board is printed.
     flat = board.board if isinstance(board, StackedTarget) else board
     is_dark: Callable = printed_pattern(flat)
-    # The y axis of a stack points up, that of most boards down.
+    # The y axis of a stack points up, but down on most boards.
     sign = 1.0 if flat.y_up else -1.0
     lower = board.points.min(axis=0)[:2] - BOARD_MARGIN
     upper = board.points.max(axis=0)[:2] + BOARD_MARGIN

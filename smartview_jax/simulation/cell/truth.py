@@ -1,8 +1,8 @@
-"""Draw at random what is true of a cell and known to nobody: lens, hand-eye transform and arm.
+"""Draw the true state of a cell at random: lens, hand-eye transform and arm.
 
-The errors are those of DESIGN.md, section 3: joints 2 to 5 err by 0.05 degrees, their links by 0.3
-mm and 0.03 degrees, the arm repeats a pose to 0.02 mm and 0.003 degrees, and the lens has a
-distortion of the sixth degree that the usual four coefficients do not include.
+Joints 2 to 5 have errors of 0.05 degrees, their links of 0.3 mm and 0.03 degrees, the arm repeats a
+pose to 0.02 mm and 0.003 degrees, and the lens has a distortion of the sixth degree, beyond the
+usual four coefficients.
 """
 
 import dataclasses
@@ -23,10 +23,10 @@ BOARD = StackedTarget(
 """The board that calibrates the cell; it lies on the table, and its frame is the cell's world."""
 
 TRANSLATION_NOISE, ROTATION_NOISE = 2e-5, float(np.deg2rad(0.003))
-"""Standard deviations with which the arm repeats a pose, per axis, m and rad."""
+"""Repeatability of the arm: standard deviations per axis, m and rad."""
 
 MOUNT_SPREAD = np.repeat([4e-3, np.deg2rad(2.0)], 3)
-"""Standard deviations by which hand-eye transform and base differ from the drawing, m and rad."""
+"""Standard deviations of hand-eye transform and base from the drawing, m and rad."""
 
 IMAGE_SIZE, FOCAL_LENGTH = (1280, 800), 1400.0
 """Size of the pictures and focal length, px: 1 megapixel, 0.3 mm a pixel at 0.45 m."""
@@ -34,13 +34,13 @@ IMAGE_SIZE, FOCAL_LENGTH = (1280, 800), 1400.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CellTruth:
-    """The truth about a cell, for the simulation and for its judge only.
+    """The true state of a cell, for the simulation and its judge only.
 
     Attributes:
-        calibration: true camera, mount and world; its robot error is that of the arm.
-        arm: the nominal arm, which everyone knows.
+        calibration: true camera, mount and world, including the arm's error.
+        arm: the nominal arm, which is known to everyone.
         board: the board on the table.
-        translation_noise, rotation_noise: with which the arm repeats a pose, m and rad.
+        translation_noise, rotation_noise: repeatability of the arm, m and rad.
     """
 
     calibration: Calibration
@@ -52,11 +52,11 @@ class CellTruth:
     def base_from_tool(
         self, joints: Float[np.ndarray, "joints"], rng: np.random.Generator
     ) -> Float[np.ndarray, "4 4"]:
-        """Return where the tool really is at joint readings, with the arm's random error, m."""
+        """Return the true pose of the tool at joint readings, with the arm's random error, m."""
         error = self.calibration.robot_error
         command = self.arm.command(joints)
         actual = command.base_from_tool if error is None else error.actual_pose(command)
-        # The arm does not come back to exactly the same place.
+        # The arm does not return to exactly the same place.
         sigmas = np.repeat([self.translation_noise, self.rotation_noise], 3)
         return host_matrices(actual) @ host_exponentials(sigmas * rng.standard_normal(6))
 
@@ -67,14 +67,14 @@ class CellTruth:
 
 
 def random_truth(seed: int = 0, error_scale: float = 1.0) -> CellTruth:
-    """Return the truth of a cell; the same seed gives the same one.
+    """Return the true state of a cell; the same seed gives the same one.
 
     Args:
-        seed: of the errors of arm and mounts.
-        error_scale: errors of the arm, as multiples of those in the module's docstring.
+        seed: seed of the errors of arm and mounts.
+        error_scale: errors of the arm, as multiples of the values in the module's docstring.
     """
     rng, arm, drawn = np.random.default_rng((seed, 9)), six_axes(), drawn_calibration()
-    # The last coefficient is what four cannot describe.
+    # The last coefficient is beyond the usual four.
     lens = OpenCV5(-0.126, 0.0695, 1e-4, 3e-4, -0.03)
     camera = Camera(FOCAL_LENGTH, 0.9995 * FOCAL_LENGTH, 645.0, 392.0, lens, image_size=IMAGE_SIZE)
     mounts = host_exponentials(MOUNT_SPREAD * rng.standard_normal((2, 6)))
@@ -88,9 +88,9 @@ def random_truth(seed: int = 0, error_scale: float = 1.0) -> CellTruth:
 
 
 def drawn_calibration() -> Calibration:
-    """Return the cell as it was drawn, from which the first views of the board are planned.
+    """Return the cell according to its drawing, used to plan the first views of the board.
 
-    The camera looks along the fingers, 90 mm beside them, through a lens without distortion.
+    The camera looks along the fingers, 90 mm from them, through a lens without distortion.
     """
     width, height = IMAGE_SIZE
     camera = Camera(
