@@ -35,6 +35,7 @@ from .staged import (
     kalman_filter,
     merged_start,
     require_picture_size,
+    start_doubts,
     views_to_use,
 )
 from .variance import NoiseEstimate
@@ -106,9 +107,10 @@ class CalibrationFit(eqx.Module):
             for text in repetition_warnings(self.staged.rejected)
             if text not in self.joint.warnings
         ]
+        # In the order of the chain: what is said of camera and start explains what comes later.
         return (
-            *self.joint.warnings,
             *self.staged.warnings,
+            *self.joint.warnings,
             *repetitions,
             *_staged_comparison_warnings(self),
         )
@@ -260,6 +262,7 @@ def calibrate(
         )
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
+    staged = _with_start_doubts(staged, start, data)
     try:
         joint = fit_joint(
             data,
@@ -271,15 +274,25 @@ def calibrate(
             **joint_options,
         )
     except ValueError as error:
-        # Views that contradict the robot are likelier than what the fit stumbles over.
-        doubts = [
+        # A wrong lens or start, and views that contradict the robot, are likelier than what the fit
+        # stumbles over.
+        doubts = list(staged.warnings) + [
             f"view {data.view_ids[view]}: {text}"
             for view, text in staged.conventions.suspicious_views
         ]
         if not doubts:
             raise
-        raise ValueError(f"{'; '.join(doubts)} (with them, {error})") from error
+        raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
     return CalibrationFit(staged, joint)
+
+
+def _with_start_doubts(
+    staged: StagedFit, start: Calibration | Mapping[str, PoseLike] | None, data: Dataset
+) -> StagedFit:
+    """Return the staged fit with warnings about the start that the joint fit sets out from."""
+    poses = staged.step2.camera_from_world
+    doubts = start_doubts(start, staged.calibration, poses, staged.inliers, data)
+    return dataclasses.replace(staged, warnings=(*staged.warnings, *doubts)) if doubts else staged
 
 
 def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, PoseLike]:

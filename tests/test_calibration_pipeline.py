@@ -13,6 +13,7 @@ from jaxlie import SE3
 
 from smartview_jax import calibrate, fit_joint
 from smartview_jax.calibration_pipeline import refit_uncorrected
+from smartview_jax.engine import Prior
 from smartview_jax.joint import precompile
 
 
@@ -89,3 +90,27 @@ def test_rows_that_were_exchanged_are_named_where_no_fit_is_left():
     except ValueError as error:
         said = str(error)
     assert "view 2: its rotation differs" in said or "do not belong together" in said
+
+
+def test_a_start_the_other_way_round_is_what_is_named_first():
+    """Whether the fit finds its way from there or not."""
+    scene = scene_of(6)
+    inverse = scene.calibration.camera_from_tool.inverse()
+    try:
+        said = calibrate(scene.data, start={"camera_from_tool": inverse}).warnings[0]
+    except ValueError as error:
+        said = str(error)
+    assert said.startswith("the start's camera_from_tool does not belong to these data: ")
+    assert "px if camera_from_tool and tool_from_camera were exchanged" in said
+
+
+def test_a_place_that_a_prior_states_is_no_start_to_doubt():
+    """The staged fit sets out from there unturned, which is not what the user said."""
+    scene = scene_of(6)
+    place = np.asarray(scene.calibration.camera_from_tool.translation())
+    priors = {
+        f"camera_from_tool.translation.{axis}": Prior(std=0.01, mean=float(x))
+        for axis, x in zip("xyz", place, strict=True)
+    }
+    fit = calibrate(scene.data, priors=priors)
+    assert not [text for text in fit.warnings if "start" in text]

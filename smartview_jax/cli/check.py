@@ -215,7 +215,7 @@ def _agreement(data: "Dataset", told: Collection[str], camera: "Camera | None") 
         told: names of the views whose mask is reported already.
         camera: a known camera; None where it is to be found.
     """
-    from ..staged import fit_staged, require_picture_size
+    from ..staged import fit_staged, mistaken_unit, require_picture_size
 
     try:
         # As `calibrate` does, so that it is refused here for the same reasons.
@@ -225,17 +225,22 @@ def _agreement(data: "Dataset", told: Collection[str], camera: "Camera | None") 
         fit = fit_staged(data, lens, camera=camera, conventions="report")
     except ValueError as error:
         return Agreement((str(error),), ())
+    problems = fit.conventions.problems
     reasons = {data.view_ids[view]: text for view, text in fit.conventions.suspicious_views}
+    # Where robot and camera do not move alike, every view's disagreement is a consequence.
     reasons |= {
         view: f"calibrate leaves it out: {reason}"
         for view, point, reason in fit.rejected
-        if point is None
+        if point is None and not problems
     }
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in told]
     ratio = fit.conventions.length_ratio
-    if not fit.conventions.problems and not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+    if not problems and not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+        size = f"is the target {1.0 / ratio:.3g} times as large as stated? measure it"
+        if camera is not None:
+            size = f"is the known camera's focal length {ratio:.3g} times the true one, or {size}"
         doubts.append(
-            f"the camera moves {ratio:.3g} times as far as the robot says: is the target "
-            f"{1.0 / ratio:.3g} times as large as stated? measure it"
+            f"the camera moves {ratio:.3g} times as far as the robot says: "
+            f"{mistaken_unit(ratio) or size}"
         )
-    return Agreement(fit.conventions.problems, (*doubts, *fit.warnings))
+    return Agreement(problems, (*doubts, *fit.warnings))

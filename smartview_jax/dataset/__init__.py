@@ -8,9 +8,11 @@ from .observations import chain_residuals as chain_residuals
 from .observations import medians_by_view as medians_by_view
 from .observations import view_residuals as view_residuals
 from .picture_digests import picture_digests as picture_digests
+from .robot_motion import contradictory_views as contradictory_views
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import given_places as given_places
 from .robot_motion import never_turns as never_turns
+from .robot_motion import repeated_pose_reason as repeated_pose_reason
 from .robot_motion import repeated_views as repeated_views
 from .robot_motion import repetition_warnings as repetition_warnings
 from .robot_motion import require_motion as require_motion

@@ -3,7 +3,8 @@
 Three things are asked of the poses alone, and of whether the pictures moved with them:
 
 - Was every pose read again? A row of the pose file that repeats the one before although the picture
-  moved was not; such a view is set aside, and so is a view that is given twice.
+  moved was not; such a view is set aside, and so is a view that is given twice. Where the two rows
+  are apart, the other views say which of them is wrong.
 - Did the robot move at all? Equal poses in all views tell nothing.
 - Did it turn? Without a turn the camera's place on the robot cannot be told from the target's:
   both can be shifted together. If all turns have one axis, that is so along the axis.
@@ -13,8 +14,8 @@ A shift of the camera and one of the target that cancel in every view are a *twi
 for every pose `T_i = mount_from_holder`.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -86,10 +87,69 @@ def repeated_views(data: "Dataset") -> dict[int, str]:
 
     Views without visible points are not compared.
     """
+    reasons = {}
+    for pair in _equal_poses(data):
+        if pair.is_duplicate:
+            reasons[pair.later] = f"{_DUPLICATE} {data.view_ids[pair.earlier]}"
+        elif pair.follows and pair.picture_moved(data):
+            reasons[pair.later] = _repeated_pose_reason(data, pair.earlier, pair.shift)
+    return reasons
+
+
+def contradictory_views(data: "Dataset") -> list[tuple[int, ...]]:
+    """Return groups of views with one pose, apart from each other, whose pictures differ.
+
+    At most one view of each group has its own pose: a program that repeats what it read several
+    pictures ago, or a row that was copied. Poses alone do not tell which; the other views do.
+    """
+    groups: dict[int, list[int]] = {}
+    for pair in _equal_poses(data):
+        if not pair.follows and not pair.is_duplicate and pair.picture_moved(data):
+            groups.setdefault(pair.earlier, [pair.earlier]).append(pair.later)
+    return [tuple(group) for group in groups.values()]
+
+
+def repeated_pose_reason(data: "Dataset", view: int, other: int) -> str:
+    """Return why a view that has another view's pose is set aside."""
+    shift = np.linalg.norm(np.asarray(data.pixels)[view] - np.asarray(data.pixels)[other], axis=-1)
+    return _repeated_pose_reason(data, other, float(np.nanmedian(shift)))
+
+
+def _repeated_pose_reason(data: "Dataset", other: int, shift: float) -> str:
+    """Return the same, given the pictures' shift in px."""
+    return (
+        f"{_REPEATED} {data.view_ids[other]}'s though the picture moved by {shift:.0f} px: it was "
+        "not read again"
+    )
+
+
+class _EqualPoses(NamedTuple):
+    """Two views with one pose.
+
+    Attributes:
+        earlier, later: their indices.
+        follows: whether the view before the later one has this pose too.
+        is_duplicate: whether the pictures are equal as well.
+        shift: median distance between the points of the two pictures, px.
+    """
+
+    earlier: int
+    later: int
+    follows: bool
+    is_duplicate: bool
+    shift: float
+
+    def picture_moved(self, data: "Dataset") -> bool:
+        """Return whether the robot cannot have stood still between the pictures."""
+        return self.shift > MOVED_PICTURE_SHARE * max(data.image_size)
+
+
+def _equal_poses(data: "Dataset") -> Iterator[_EqualPoses]:
+    """Yield every view whose pose an earlier one has, where both show points in common."""
     poses, points = host_matrices(data.base_from_tool), np.asarray(data.points)
     pixels, visible = np.asarray(data.pixels), np.asarray(data.visible)
     seen = np.flatnonzero(visible.any(axis=1))
-    first, reasons = first_equal_pose(poses[seen]), {}
+    first = first_equal_pose(poses[seen])
     for place, k in enumerate(seen):
         earlier = int(seen[first[place]])
         if earlier == k:
@@ -98,18 +158,14 @@ def repeated_views(data: "Dataset") -> dict[int, str]:
         common = visible[k] & visible[earlier] & (points[k] == points[earlier]).all(axis=-1)
         if not common.any():
             continue
-        shift = np.linalg.norm(pixels[k, common] - pixels[earlier, common], axis=-1)
-        # Equal poses apart from each other may be a pose from another row: either can be wrong,
-        # and the other views say which.
-        follows = first[place - 1] == first[place]
-        if not shift.any() and np.array_equal(visible[k], visible[earlier]):
-            reasons[int(k)] = f"{_DUPLICATE} {data.view_ids[earlier]}"
-        elif follows and (moved := np.median(shift)) > MOVED_PICTURE_SHARE * max(data.image_size):
-            reasons[int(k)] = (
-                f"{_REPEATED} {data.view_ids[earlier]}'s though the picture moved by {moved:.0f} "
-                "px: it was not read again"
-            )
-    return reasons
+        shifts = np.linalg.norm(pixels[k, common] - pixels[earlier, common], axis=-1)
+        yield _EqualPoses(
+            earlier,
+            int(k),
+            first[place - 1] == first[place],
+            not shifts.any() and np.array_equal(visible[k], visible[earlier]),
+            float(np.median(shifts)),
+        )
 
 
 def stale_poses(data: "Dataset") -> dict[int, str]:
@@ -127,7 +183,7 @@ def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
     for beginning, text in (
         (
             _REPEATED,
-            "repeat the pose before though the picture moved, and are left out: the "
+            "repeat another view's pose though the picture moved, and are left out: the "
             "robot's pose was not read again for them",
         ),
         (_DUPLICATE, "repeat picture and pose of an earlier view, and count once"),

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens
-from ..dataset import Dataset, Observations, stale_poses
+from ..dataset import Dataset, Observations, repetition_warnings, stale_poses
 from ..engine import (
     MAXIMUM_STEPS,
     RANK_TOLERANCE,
@@ -44,6 +44,7 @@ from ..engine import (
     with_lens,
     with_pixel_sigma,
 )
+from ..fit_result import Rejection
 from ..robot_errors import FieldChoice, checked_field_choice
 from ..runtime.array_namespace import AnyArray, AnyScalar, to_device
 from ..runtime.compilation import compiled_optimised
@@ -79,6 +80,7 @@ class ManyFits(eqx.Module):
         steps: number of solver steps.
         converged: whether a further step would lower the cost by a negligible amount.
         parameter_names: names of the free parameters that all views have in common.
+        warnings: the views that were left out, with their data set, a sentence each.
     """
 
     calibrations: Calibration
@@ -88,6 +90,7 @@ class ManyFits(eqx.Module):
     steps: Int[Array, "fits"]
     converged: Bool[Array, "fits"]
     parameter_names: tuple[str, ...] = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __len__(self) -> int:
         """Return the number of fits."""
@@ -133,7 +136,7 @@ def fit_many(
         raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
     field = checked_field_choice(field)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
-    data, held = _with_checked_poses(data, starts, fixed, priors)
+    data, held, warnings = _with_checked_poses(data, starts, fixed, priors)
     # The free pose corrections depend only on which views are usable, so problems with the same
     # usable views are built once.
     # Called as a function: Equinox copies a module for each call of one of its methods.
@@ -177,7 +180,14 @@ def fit_many(
         raise ValueError(f"data[{k}]: {unprojectable_views_message([data[k].view_ids[view]])}")
     calibrations, corrections, covariance, cost, steps, converged = jax.tree.map(to_device, results)
     return ManyFits(
-        calibrations, corrections, covariance, cost, steps, converged, built.shared_names
+        calibrations,
+        corrections,
+        covariance,
+        cost,
+        steps,
+        converged,
+        built.shared_names,
+        warnings,
     )
 
 
@@ -212,10 +222,11 @@ def _with_checked_poses(
     starts: Sequence[Calibration],
     fixed: Sequence[str],
     priors: Mapping[str, Prior] | None,
-) -> tuple[list[Dataset], tuple[str, ...]]:
-    """Return the data without poses that were not read again, and the parameters to hold.
+) -> tuple[list[Dataset], tuple[str, ...], tuple[str, ...]]:
+    """Return the data without poses that were not read again, the parameters to hold, and warnings.
 
-    These are the parameters that no motion of the robots determines, as in `fit_joint`.
+    To be held are the parameters that no motion of the robots determines, as in `fit_joint`. The
+    warnings name the views that are left out.
 
     Raises:
         ValueError: a robot that did not move or turn, or robots of which some leave other
@@ -223,12 +234,16 @@ def _with_checked_poses(
     """
     checked: list[Dataset] = []
     held: tuple[str, ...] = ()
+    warnings: list[str] = []
     for k, (item, start) in enumerate(zip(data, starts, strict=True)):
         try:
             require_moving_robot(item, start, fixed, priors)
         except ValueError as error:
             raise ValueError(f"data[{k}]: {error}") from error
-        used = without_views(item, stale_poses(item))
+        stale = stale_poses(item)
+        used = without_views(item, stale)
+        rejections = [Rejection(item.view_ids[view], None, text) for view, text in stale.items()]
+        warnings += [f"data[{k}]: {text}" for text in repetition_warnings(rejections)]
         undetermined = undetermined_motion(used, start, fixed, priors).held
         if k > 0 and undetermined != held:
             described = [", ".join(names) or "nothing" for names in (held, undetermined)]
@@ -238,7 +253,7 @@ def _with_checked_poses(
             )
         held = undetermined
         checked.append(used)
-    return checked, held
+    return checked, held, tuple(warnings)
 
 
 def _room(count: int, devices: int) -> int:

@@ -13,6 +13,7 @@ from ..cameras import lens_name
 from ..dataset import MINIMUM_RELIABLE_VIEWS, distinct_poses, repetition_warnings
 from ..engine import Direction
 from ..geometry import host_matrices
+from ..staged import mistaken_unit
 from ..variance import TARGET_SCALE, TargetScaleEvidence
 from .joint_fit import JointFit, half_width
 from .last_joint import half_widths_with_last_joint_held
@@ -190,9 +191,18 @@ def _scale_warnings(fit: JointFit) -> list[str]:
         # The parameter is the logarithm: its standard deviation is relative.
         value = float(fit.calibration.target_scale)
         std = value * fit.std[TARGET_SCALE]
-        return [f"the target is {value:.4f} +- {std:.4f} {size}, and taken so: measure it"]
-    text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: measure it"
+        advice = _size_advice(value, std)
+        return [f"the target is {value:.4f} +- {std:.4f} {size}, and taken so: {advice}"]
+    advice = _size_advice(scale.scale, scale.std)
+    text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: {advice}"
     return [text + _mount_by_size(fit, scale)]
+
+
+def _size_advice(scale: float, std: float) -> str:
+    """Return what to do about a target of another size than stated: a unit may be mistaken."""
+    # The camera's motion is measured in the target's size.
+    unit = mistaken_unit(1.0 / scale, MAX_PRIOR_SIGMAS * std / scale)
+    return f"measure it; {unit}?" if unit else "measure it"
 
 
 def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:

@@ -6,8 +6,10 @@
                                                               closed_form.py, minimum_norm.py
 
 `fit.py` runs the three. `two_poses.py` lets the robot choose between the two poses of a small flat
-target; `conventions.py` and `view_consistency.py` check the data between Steps 2 and 3;
-`interpolation.py` is the comparison method of the paper's Table 1.
+target; `questions.py` says in which order the data are checked between the steps
+(`target_checks.py`, `camera_checks.py`, `conventions.py`, `view_consistency.py`), and
+`start_checks.py` checks a given start; `interpolation.py` is the comparison method of the paper's
+Table 1.
 """
 
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
@@ -20,6 +22,7 @@ from .closure import relative_motions as relative_motions
 from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
+from .conventions import mistaken_unit as mistaken_unit
 from .fit import MAX_UNCHECKED_POINTS as MAX_UNCHECKED_POINTS
 from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
@@ -37,6 +40,7 @@ from .kalman import kalman_filter as kalman_filter
 from .kalman import pixel_residuals as pixel_residuals
 from .kalman import robust_sigma as robust_sigma
 from .region import with_region as with_region
+from .start_checks import start_doubts as start_doubts
 from .view_consistency import ViewConsistency as ViewConsistency
 from .view_consistency import find_consistent_views as find_consistent_views
 from .view_consistency import median_reprojection_errors as median_reprojection_errors

@@ -4,6 +4,7 @@ Step 1 (`weng.py`, Eq. 8) calibrates each view by itself, Step 2 (`kalman.py`, E
 camera to all views, Step 3 (`hand_eye.py`, Eq. 17) solves for the hand-eye and world transforms.
 """
 
+import dataclasses
 import logging
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
@@ -19,6 +20,8 @@ from ..dataset import (
     Dataset,
     Observations,
     chain_residuals,
+    contradictory_views,
+    repeated_pose_reason,
     repeated_views,
     require_motion,
 )
@@ -27,15 +30,21 @@ from ..geometry import PoseLike, host_matrices
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
+from .camera_checks import camera_misfit, camera_problem
 from .conventions import ConventionReport, check_conventions
 from .given_start import known_transforms
 from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
+from .questions import Findings, detection_findings, pose_findings
 from .region import with_region
 from .target_checks import collinear_views, mismatched_views
 from .two_poses import choose_poses
-from .view_consistency import find_consistent_views, median_reprojection_errors
+from .view_consistency import (
+    find_consistent_views,
+    median_reprojection_errors,
+    stale_views,
+)
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
 _log = logging.getLogger(__name__)
@@ -270,24 +279,35 @@ def fit_staged(
         step1, start_camera, start_poses, start_inliers, _ = _run_step1(
             observations, data.image_size, used, lens, camera
         )
-    weights = to_device(used.astype(float))
     point_counts = np.asarray(observations.visible).sum(axis=1)
     unchecked = np.sum(point_counts[point_counts <= MAX_UNCHECKED_POINTS])
     if 2 * unchecked > point_counts.sum():
         gate_probability = max(gate_probability, UNCHECKED_GATE_PROBABILITY)
         start_inliers = observations.visible
     say("Step 2: one camera for all views")
-    common_fit = step2(
-        observations,
-        start_camera,
-        start_poses,
-        start_inliers,
-        pixel_sigma,
-        gate_probability,
-        hold_camera=camera is not None,
-        progress=progress,
-    )
+
+    def fit_camera(start_camera: Camera, start_poses: SE3) -> CommonCameraFit:
+        """Return the camera that fits all views, without the robot's poses."""
+        return step2(
+            observations,
+            start_camera,
+            start_poses,
+            start_inliers,
+            pixel_sigma,
+            gate_probability,
+            hold_camera=camera is not None,
+            progress=progress,
+        )
+
+    common_fit = fit_camera(start_camera, start_poses)
     robot = host_mount_from_holder(data.mount, data.base_from_tool)
+    groups = contradictory_views(data.mask_views(list(unusable)))
+    stale = {
+        view: repeated_pose_reason(data, view, other)
+        for view, other in stale_views(groups, robot, common_fit.camera_from_world, used).items()
+    }
+    used[list(stale)] = False
+    weights = to_device(used.astype(float))
     choice = choose_poses(
         observations,
         common_fit.camera,
@@ -299,16 +319,7 @@ def fit_staged(
     )
     if choice is not None and choice.exchanged:
         say(f"Step 2 again: {len(choice.exchanged)} views have their other pose")
-        common_fit = step2(
-            observations,
-            common_fit.camera,
-            choice.camera_from_world,
-            start_inliers,
-            pixel_sigma,
-            gate_probability,
-            hold_camera=camera is not None,
-            progress=progress,
-        )
+        common_fit = fit_camera(common_fit.camera, choice.camera_from_world)
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
     report = check_conventions(
@@ -319,6 +330,24 @@ def fit_staged(
         outlying = choice.outlying
         # The poses of a small target scatter by more than the check allows for.
         report = report._replace(problems=(), hypotheses=())
+    camera_doubts = _camera_doubts(
+        observations,
+        used,
+        common_fit,
+        lens,
+        camera is not None,
+        lambda name: fit_camera(
+            dataclasses.replace(start_camera, lens=initial_lens(name, start_camera.lens)),
+            start_poses,
+        ),
+    )
+    findings = Findings(
+        pose_findings(unusable | stale, data.view_ids),
+        detection_findings(mismatched, data.view_ids),
+        camera_doubts,
+        report.problems,
+    )
+    report = report._replace(problems=findings.problems)
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
@@ -336,7 +365,7 @@ def fit_staged(
         ),
         data.view_ids,
     )
-    consistent, reasons = consistency.consistent, outlying | consistency.reasons
+    consistent, reasons = consistency.consistent, stale | outlying | consistency.reasons
     for view in consistency.uncertain:
         view_id = data.view_ids[view]
         say(f"view {view_id}: its points determine its pose poorly; Step 3 does without it")
@@ -355,7 +384,7 @@ def fit_staged(
     # Views with an uncertain pose do not enter Step 3, but their points are good observations.
     trusted = consistent.copy()
     trusted[list(consistency.uncertain)] = True
-    inliers = to_device(np.asarray(common_fit.inliers) & trusted[:, None])
+    inliers = np.asarray(common_fit.inliers) & trusted[:, None]
     ids = data.view_ids
     return StagedFit(
         with_region(calibration, data, np.flatnonzero(consistent)),
@@ -363,14 +392,40 @@ def fit_staged(
         common_fit,
         step3,
         chain_residuals(calibration, data.observations),
-        inliers,
+        to_device(inliers),
         _rejections(data, unusable, np.asarray(common_fit.inliers))
         + tuple(Rejection(ids[view], None, text) for view, text in reasons.items()),
         tuple(int(view) for view in np.flatnonzero(consistent)),
         report,
         _fit_result(common_fit, step3, calibration),
-        (choice.warning,) if choice is not None and choice.warning else (),
+        (
+            *camera_doubts,
+            # With a wrong camera any poses explain the pictures as badly.
+            *((choice.warning,) if choice and choice.warning and not camera_doubts else ()),
+        ),
     )
+
+
+def _camera_doubts(
+    observations: Observations,
+    used: np.ndarray,
+    common_fit: CommonCameraFit,
+    lens: str | AbstractLens,
+    is_known: bool,
+    fit_with: Callable[[str], CommonCameraFit],
+) -> tuple[str, ...]:
+    """Return what is wrong with the common camera; see `camera_problem`."""
+    camera, poses = common_fit.camera, common_fit.camera_from_world
+    misfit = camera_misfit(observations, used, camera, poses)
+    if misfit is None:
+        return ()
+
+    def camera_and_poses(name: str) -> tuple[Camera, SE3]:
+        """Return the common camera with another lens, and the poses of the views."""
+        fit = fit_with(name)
+        return fit.camera, fit.camera_from_world
+
+    return (camera_problem(misfit, lens, is_known, camera_and_poses, observations, used),)
 
 
 def _pixel_noise(common_fit: CommonCameraFit) -> float:

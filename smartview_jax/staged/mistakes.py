@@ -211,9 +211,12 @@ def _angle_format_mistakes() -> Iterator[Mistake]:
     )
     for read_format, true_format in _misread_pairs():
         # Two triples of numbers describe the rotation that was read, and the true format may
-        # produce either of them, another one in each view; try both for the first view.
-        is_vector = read_format.second_angle_range is None
-        ambiguous = is_vector or true_format.second_angle_range == (0.0, np.pi)
+        # produce either of them, another one in each view; try both for the first view. With equal
+        # outer axes the two differ by the sign of the second angle, which other formats have.
+        ambiguous = read_format.second_angle_range is None or (0.0, np.pi) in (
+            read_format.second_angle_range,
+            true_format.second_angle_range,
+        )
         name = f"{true_format.name}_read_as_{read_format.name}"
         description = (
             f"the angles are {true_format.description} and were read as "

@@ -150,6 +150,37 @@ def find_consistent_views(
     return ViewConsistency(consistent, reasons, tuple(uncertain))
 
 
+def stale_views(
+    groups: Sequence[tuple[int, ...]],
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    used: Bool[np.ndarray, "views"],
+) -> dict[int, int]:
+    """Return the views whose reported pose is another view's, with the index of that view.
+
+    Args:
+        groups: views that were reported with one pose though their pictures differ
+            (`contradictory_views`); of each the view that fits the others best is right.
+        mount_from_holder: the robot's part of the chain, `(views)`.
+        camera_from_world: from the pictures alone, `(views)`.
+        used: mask of the views to use.
+    """
+    if not groups:
+        return {}
+    unrepeated = used & ~np.isin(np.arange(len(used)), [view for group in groups for view in group])
+    if np.count_nonzero(unrepeated) < 3:
+        # A pose that is repeated was read earlier, for the first of its views.
+        unrepeated[[group[0] for group in groups]] = True
+    _, _, misfit = _fit_transforms(mount_from_holder, camera_from_world, unrepeated)
+    distance = np.linalg.norm(np.asarray(camera_from_world.wxyz_xyz)[:, 4:], axis=1)
+    score = misfit[:, 0] / distance + misfit[:, 1]
+    found = {}
+    for group in groups:
+        right = group[int(np.argmin(score[list(group)]))]
+        found |= {view: right for view in group if view != right}
+    return found
+
+
 def median_reprojection_errors(
     calibration: Calibration,
     observations: Observations,

@@ -70,6 +70,18 @@ def test_a_target_of_twice_its_size_is_doubted(folder):
     assert re.search(r"is the target 0\.(49|50?)\d* times as large as stated\?", ended.output)
 
 
+def test_a_target_in_another_unit_is_named_for_it(folder):
+    """Inches written as centimetres."""
+    described = (folder / "dataset.yaml").read_text()
+    size = str(BOARD.square)
+    assert size in described
+    (folder / "dataset.yaml").write_text(described.replace(size, f"{BOARD.square / 2.54:.7f}"))
+    ended = run("check", folder)
+    assert ended.exit_code == 0, ended.output
+    assert "the target's points like inches where centimetres are" in ended.output
+    assert "measure it" not in ended.output
+
+
 def test_a_single_tag_can_begin_with_a_known_camera(tmp_path):
     scene = random_scene(1, VIEWS, BOARD.points)
     others = np.setdiff1d(np.arange(15), [0, 4, 10, 14])

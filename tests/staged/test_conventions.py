@@ -15,7 +15,7 @@ from smartview_jax.geometry import (
     pose_codec,
 )
 from smartview_jax.simulation import random_scene
-from smartview_jax.staged import check_conventions
+from smartview_jax.staged import check_conventions, mistaken_unit
 from smartview_jax.targets import Chessboard
 
 VIEWS = 12
@@ -104,6 +104,9 @@ def test_the_wrong_mount_is_named(poses):
         (1e3, 1.0, "the robot's positions look like millimetres"),
         (1e2, 1.0, "the robot's positions look like centimetres"),
         (1.0, 1e3, "the target's points look like millimetres"),
+        (1.0, 1.0 / 0.0254, "the target's points look like inches where metres are expected"),
+        (1.0 / 25.4, 1.0, "the robot's positions look like inches where millimetres are stated"),
+        (1.0, 10.0, "or the target's points like millimetres where centimetres are"),
     ],
 )
 def test_wrong_units_of_length_are_named(poses, robot_factor, target_factor, text):
@@ -112,6 +115,12 @@ def test_wrong_units_of_length_are_named(poses, robot_factor, target_factor, tex
         scaled(robot, robot_factor), scaled(seen, target_factor), "eye_in_hand"
     )
     assert text in report.problems[0]
+
+
+def test_a_ratio_of_lengths_is_named_for_units_only_where_it_is_theirs():
+    assert "feet where metres are expected" in mistaken_unit(0.31)
+    assert "inches where centimetres are stated" in mistaken_unit(2.55)
+    assert mistaken_unit(0.5) == mistaken_unit(-1.0) == ""
 
 
 def test_degrees_taken_for_radians_are_named(poses):
@@ -137,6 +146,9 @@ def test_degrees_taken_for_radians_are_named(poses):
         ("kuka_abc", "rotation_vector", "are kuka_abc (yaw_pitch_roll) and were read as ur"),
         ("val_oat", "kawasaki_oat", "the angles are val_oat and were read as kawasaki_oat"),
         ("kawasaki_oat", "val_oat", "the angles are kawasaki_oat and were read as val_oat"),
+        ("staubli_val3", "kawasaki_oat", "are staubli_val3 and were read as kawasaki_oat"),
+        ("fanuc_wpr", "kawasaki_oat", "the angles are fanuc_wpr and were read as kawasaki_oat"),
+        ("ur", "staubli_val3", "are ur (rotation_vector) and were read as staubli_val3"),
     ],
 )
 def test_poses_read_in_another_format_are_named_for_it(poses, true, read, text):

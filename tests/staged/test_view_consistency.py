@@ -88,7 +88,8 @@ def test_too_few_views_accuse_none(poses):
 
 def test_the_staged_fit_does_without_a_mispaired_view(scene, clean_fit):
     wrong = scene.data.base_from_tool.wxyz_xyz
-    wrong = SE3(wrong.at[4].set(wrong[6]))
+    # Near another view's pose, but not a copy of it.
+    wrong = SE3(wrong.at[4].set(wrong[6]).at[4, 4:].add(1e-3))
     data = type(scene.data).from_arrays(
         scene.data.points, scene.data.pixels, wrong, scene.data.image_size
     )

@@ -1,0 +1,168 @@
+"""Check whether one camera fits the views by itself, before the robot's poses are asked.
+
+A lens model that cannot bend as the lens does moves the pose of every view, and then robot and
+camera do not move alike although the robot is right. So the views are asked alone: each is fitted
+with a camera of its own, by any lens that is symmetric about its axis. Where that leaves far less
+than the common camera with a free pose in every view, the common camera is wrong, and other lens
+models of the package are tried.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool
+
+from ..cameras import AbstractLens, Camera, fit_symmetric_lens, lens_name
+from ..dataset import Observations, medians_by_view
+from .kalman import pixel_residuals
+from .target_checks import DETECTION_NOISE
+
+MAX_MISFIT_RATIO = 0.3
+"""Ratio of two misfits below which the first counts as an explanation of most of the second."""
+
+MAX_RIVAL_RATIO = 2.0
+"""Ratio of two misfits up to which the first is about as small as the second."""
+
+MAX_ASKED_VIEWS = 12
+"""Largest number of views that are fitted with cameras of their own; their median is enough."""
+
+TRIED_LENSES = ("opencv4", "fisheye", "opencv8")
+"""The lens models that are tried where another does not fit, by their number of coefficients; the
+first that leaves little is named."""
+
+
+MAX_NAMED_DISTANCE = 1000
+"""Largest distance, px, whose value says anything."""
+
+
+class CameraMisfit(NamedTuple):
+    """The distance of points from where a camera puts them, px: the median over points and views.
+
+    Attributes:
+        common: with one camera for all views, and a free pose in each.
+        single: with a camera of its own in each view.
+    """
+
+    common: float
+    single: float
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the common camera leaves what another one would not."""
+        return self.common > DETECTION_NOISE and self.single < MAX_MISFIT_RATIO * self.common
+
+
+def camera_misfit(
+    observations: Observations,
+    used: Bool[np.ndarray, "views"],
+    camera: Camera,
+    camera_from_world: SE3,
+) -> CameraMisfit | None:
+    """Return how well one camera fits the views; None if it fits well or nothing tells.
+
+    Args:
+        observations: points and pixels.
+        used: mask of the views to check.
+        camera: common to all views.
+        camera_from_world: the pose of each view that fits best with this camera.
+    """
+    common = _usual_distance(observations, used, camera, camera_from_world)
+    if not common > DETECTION_NOISE:
+        return None
+    views = np.flatnonzero(used)
+    views = views[np.unique(np.linspace(0, len(views) - 1, MAX_ASKED_VIEWS).round().astype(int))]
+    distances = list(_single_distances(observations, views, camera.image_size))
+    if not distances:
+        return None
+    misfit = CameraMisfit(common, float(np.median(distances)))
+    return misfit if misfit.is_wrong else None
+
+
+def camera_problem(
+    misfit: CameraMisfit,
+    lens: str | AbstractLens,
+    is_known: bool,
+    fit_with: Callable[[str], tuple[Camera, SE3]],
+    observations: Observations,
+    used: Bool[np.ndarray, "views"],
+) -> str:
+    """Return what is wrong with the camera, and which lens would fit, in a sentence.
+
+    Args:
+        misfit: of the camera.
+        lens: the lens that was fitted, or its name.
+        is_known: whether the camera was given and not fitted.
+        fit_with: function from a lens's name to the common camera with it, and the poses.
+        observations, used: as for `camera_misfit`.
+    """
+    left = f"with a free pose in every view it leaves {_in_pixels(misfit.common)} in the median"
+    alone = f"a camera of its own in each view leaves {_in_pixels(misfit.single)}"
+    if is_known:
+        return (
+            f"the known camera does not fit these pictures: {left}, where {alone}. Is it of this "
+            "camera, at this zoom and focus, and are the pictures as it took them, not undistorted "
+            "or scaled? Leave out camera= (--camera) to have it found"
+        )
+    name = lens if isinstance(lens, str) else lens_name(lens)
+    best, nearest = name, misfit.common
+    for other in TRIED_LENSES:
+        # A lens that leaves about as little as a camera in each view cannot be surpassed.
+        if other == name or nearest < MAX_RIVAL_RATIO * misfit.single:
+            continue
+        distance = _usual_distance(observations, used, *fit_with(other))
+        best, nearest = min((best, nearest), (other, distance), key=lambda entry: entry[1])
+    if nearest < MAX_MISFIT_RATIO * misfit.common:
+        return (
+            f"the lens {name} does not fit these pictures: {left}, where {best} leaves "
+            f"{_in_pixels(nearest)}: use lens='{best}' (--lens {best})"
+        )
+    return (
+        f"no single camera fits these pictures: with the lens {name} and a free pose in every view "
+        f"it leaves {_in_pixels(misfit.common)} in the median, with {best} "
+        f"{_in_pixels(nearest)}, where {alone}. Did zoom or focus change between the "
+        "pictures, were some cropped, scaled or undistorted, or is the target stretched along an "
+        "axis?"
+    )
+
+
+def _in_pixels(distance: float) -> str:
+    """Return a distance in words; it means nothing where points cannot be projected."""
+    if distance > MAX_NAMED_DISTANCE:
+        return f"over {MAX_NAMED_DISTANCE} px"
+    return f"{distance:.2g} px"
+
+
+def _usual_distance(
+    observations: Observations,
+    used: Bool[np.ndarray, "views"],
+    camera: Camera,
+    camera_from_world: SE3,
+) -> float:
+    """Return the distance of the points from where a camera puts them, px; see `CameraMisfit`."""
+    residuals = np.asarray(pixel_residuals(observations, camera, camera_from_world))
+    distances = np.linalg.norm(residuals, axis=2)
+    return float(np.median(medians_by_view(distances, np.asarray(observations.visible))[used]))
+
+
+def _single_distances(
+    observations: Observations, views: np.ndarray, image_size: tuple[int, int]
+) -> Iterator[float]:
+    """Yield the same for each view with a camera of its own, where its points are enough."""
+    points, pixels = np.asarray(observations.points), np.asarray(observations.pixels)
+    visible = np.asarray(observations.visible)
+    for view in views:
+        seen = visible[view]
+        fit = fit_symmetric_lens(
+            points[view, seen],
+            pixels[view, seen],
+            image_size,
+            np.ones(np.count_nonzero(seen), dtype=bool),
+            DETECTION_NOISE,
+        )
+        freedom = 2 * np.count_nonzero(seen)
+        if fit is not None and freedom > fit.parameter_count:
+            distance = np.median(np.linalg.norm(fit.residuals, axis=1))
+            # Many parameters leave less than the noise.
+            yield float(distance * np.sqrt(freedom / (freedom - fit.parameter_count)))
