@@ -36,6 +36,7 @@ from .staged import (
     merged_start,
     require_picture_size,
     start_doubts,
+    start_without,
     views_to_use,
 )
 from .variance import NoiseEstimate
@@ -218,7 +219,8 @@ def calibrate(
         start: where the joint fit starts, which is what parameters of `fixed` keep and what priors
             without a mean are about: a calibration, or one or both transforms by name, such as
             `camera_from_tool` from a drawing; by default the staged fit's. A transform alone moves
-            the other one so that the first usable view stays as it is.
+            the other one so that the first usable view stays as it is. A transform that the
+            pictures contradict is named in `warnings`, and used only where it is held.
         step2: `"kalman"`, the paper's filter, or `"batch"`, which is faster on many points.
         progress: called with a line of text for each stage.
         joint_options: options of `fit_joint`, by keyword.
@@ -262,7 +264,7 @@ def calibrate(
         )
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
-    staged = _with_start_doubts(staged, start, data)
+    staged, start = _with_start_doubts(staged, start, data, (*held, *priors))
     try:
         joint = fit_joint(
             data,
@@ -287,12 +289,32 @@ def calibrate(
 
 
 def _with_start_doubts(
-    staged: StagedFit, start: Calibration | Mapping[str, PoseLike] | None, data: Dataset
-) -> StagedFit:
-    """Return the staged fit with warnings about the start that the joint fit sets out from."""
+    staged: StagedFit,
+    start: Calibration | Mapping[str, PoseLike] | None,
+    data: Dataset,
+    used_paths: Sequence[str],
+) -> tuple[StagedFit, Calibration | Mapping[str, PoseLike] | None]:
+    """Return the staged fit with warnings about the start, and the start without what is doubted.
+
+    Args:
+        staged: the staged fit.
+        start: the start as it was given.
+        data: the data set.
+        used_paths: paths of parameters that keep the start, or whose priors may be about it.
+    """
     poses = staged.step2.camera_from_world
     doubts = start_doubts(start, staged.calibration, poses, staged.inliers, data)
-    return dataclasses.replace(staged, warnings=(*staged.warnings, *doubts)) if doubts else staged
+    if start is None or not doubts:
+        return staged, start
+    used = {name for name in doubts if any(path.split(".")[0] == name for path in used_paths)}
+    warnings = (
+        text if name in used else f"{text}; the fit does without it"
+        for name, text in doubts.items()
+    )
+    return (
+        dataclasses.replace(staged, warnings=(*staged.warnings, *warnings)),
+        start_without(start, doubts.keys() - used, staged.calibration),
+    )
 
 
 def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, PoseLike]:

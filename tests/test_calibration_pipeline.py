@@ -92,16 +92,32 @@ def test_rows_that_were_exchanged_are_named_where_no_fit_is_left():
     assert "view 2: its rotation differs" in said or "do not belong together" in said
 
 
-def test_a_start_the_other_way_round_is_what_is_named_first():
-    """Whether the fit finds its way from there or not."""
+def test_a_start_the_other_way_round_is_named_first_and_not_used():
     scene = scene_of(6)
-    inverse = scene.calibration.camera_from_tool.inverse()
+    start = {"camera_from_tool": scene.calibration.camera_from_tool.inverse()}
+    fit, without = (calibrate(scene.data, start=given) for given in (start, None))
+    said = fit.warnings[0]
+    assert said.startswith("the start's camera_from_tool does not belong to these data: ")
+    assert "px if camera_from_tool and tool_from_camera were exchanged" in said
+    assert said.endswith("; the fit does without it")
+    np.testing.assert_allclose(
+        fit.calibration.camera_from_tool.wxyz_xyz,
+        without.calibration.camera_from_tool.wxyz_xyz,
+        atol=1e-9,
+    )
+
+
+def test_a_start_that_is_held_is_used_though_it_is_doubted():
+    scene = scene_of(6)
+    wrong = scene.calibration.camera_from_tool.inverse()
     try:
-        said = calibrate(scene.data, start={"camera_from_tool": inverse}).warnings[0]
+        fit = calibrate(scene.data, start={"camera_from_tool": wrong}, fixed=("camera_from_tool",))
+        said = fit.warnings[0]
+        np.testing.assert_allclose(fit.calibration.camera_from_tool.wxyz_xyz, wrong.wxyz_xyz)
     except ValueError as error:
         said = str(error)
     assert said.startswith("the start's camera_from_tool does not belong to these data: ")
-    assert "px if camera_from_tool and tool_from_camera were exchanged" in said
+    assert "does without it" not in said
 
 
 def test_a_place_that_a_prior_states_is_no_start_to_doubt():

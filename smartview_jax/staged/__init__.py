@@ -32,6 +32,7 @@ from .frobenius import frobenius_cost as frobenius_cost
 from .given_start import check_start as check_start
 from .given_start import merged_start as merged_start
 from .given_start import require_picture_size as require_picture_size
+from .given_start import start_without as start_without
 from .hand_eye import HandEyeResult as HandEyeResult
 from .hand_eye import solve_hand_eye as solve_hand_eye
 from .interpolation import Interpolation as Interpolation

@@ -1,7 +1,7 @@
 """Take what a person knows of a calibration into the start of the joint fit."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from jaxlie import SE3
@@ -69,6 +69,26 @@ def merged_start(
         found,
         camera_from_mount=host_transforms(given[mount_name]),
         holder_from_world=host_transforms(given[holder_name]),
+    )
+
+
+def start_without(
+    start: Calibration | Mapping[str, PoseLike], names: Collection[str], found: Calibration
+) -> Calibration | Mapping[str, PoseLike]:
+    """Return a start without some of its transforms; a calibration has those that were found.
+
+    Args:
+        start: a calibration, or transforms by name.
+        names: names of the transforms to leave out.
+        found: the staged fit's calibration.
+    """
+    if not isinstance(start, Calibration):
+        return {name: pose for name, pose in start.items() if name not in names}
+    mount_name, holder_name = start.transform_names
+    return dataclasses.replace(
+        start,
+        camera_from_mount=(found if mount_name in names else start).camera_from_mount,
+        holder_from_world=(found if holder_name in names else start).holder_from_world,
     )
 
 

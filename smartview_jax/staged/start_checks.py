@@ -69,8 +69,8 @@ def start_doubts(
     camera_from_world: SE3,
     inliers: Bool[Array, "views points"] | np.ndarray,
     data: Dataset,
-) -> tuple[str, ...]:
-    """Return what is wrong with the transforms of a start, a sentence for each that is.
+) -> dict[str, str]:
+    """Return what is wrong with the transforms of a start: a sentence by the transform's name.
 
     Args:
         start: a calibration, or transforms by name, as far as they are known.
@@ -88,7 +88,8 @@ def start_doubts(
 
     used: np.ndarray = np.any(np.asarray(inliers), axis=1)
     longer_side = max(data.image_size)
-    known, doubts = known_transforms(start, data.mount), []
+    known = known_transforms(start, data.mount)
+    doubts: dict[str, str] = {}
     for name, pose in zip(transform_names(data.mount), known, strict=True):
         if pose is None:
             continue
@@ -105,13 +106,15 @@ def start_doubts(
         # Points that are not even in the picture are not off by more than it is large.
         explained = MAX_CORRECTED_RATIO * min(given, longer_side)
         if readings[best] < max(explained, 2.0 * answer):
-            doubts.append(f"{as_given}, but {readings[best]:.3g} px {best}")
+            doubts[name] = f"{as_given}, but {readings[best]:.3g} px {best}"
         elif mixed_up:
-            doubts.append(f"{as_given}: it is {mixed_up}")
+            doubts[name] = f"{as_given}: it is {mixed_up}"
         else:
             transform = found.camera_from_mount if pose is known[0] else found.holder_from_world
-            doubts += _too_far(as_given, host_matrices(transform), host_matrices(pose))
-    return tuple(doubts)
+            difference = _difference(host_matrices(transform), host_matrices(pose))
+            if difference:
+                doubts[name] = f"{as_given}. {difference}"
+    return doubts
 
 
 def _off_by(given: float, answer: float) -> str:
@@ -121,17 +124,16 @@ def _off_by(given: float, answer: float) -> str:
     return f"the points would be {given:.0f} px off in the median (without it {answer:.2g} px)"
 
 
-def _too_far(as_given: str, answer: Matrix, pose: Matrix) -> list[str]:
-    """Return a sentence if a start is further from the answer than a rough one."""
+def _difference(answer: Matrix, pose: Matrix) -> str | None:
+    """Return how far a start is from the answer, in words; None if it is a rough one."""
     rotation = float(np.linalg.norm(host_logarithms(np.linalg.inv(answer) @ pose)[3:]))
     translation = float(np.linalg.norm(pose[:3, 3] - answer[:3, 3]))
     if translation < MAX_ROUGH_TRANSLATION and rotation < MAX_ROUGH_ROTATION:
-        return []
-    return [
-        f"{as_given}. It is {1e3 * translation:.0f} mm and "
-        f"{np.rad2deg(rotation):.0f} degrees from where the robot's motion and the pictures put "
-        "it: give another one, or none"
-    ]
+        return None
+    return (
+        f"It is {1e3 * translation:.0f} mm and {np.rad2deg(rotation):.0f} degrees from where the "
+        "robot's motion and the pictures put it: give another one, or none"
+    )
 
 
 def _readings(name: str, pose: Matrix) -> Iterator[_Reading]:
