@@ -40,7 +40,7 @@ BENCHMARKS = {
     "hypotheses": "known objects searched without a start: ranks of the right pose, seconds",
     "localization": "known objects found and judged: recall, false accepts, errors, NEES, seconds",
     "asks": "what users ask most: each question with the command or call that answers it",
-    "fuzz": "malformed files: refused by name, or their values in range",
+    "fuzz": "files with mistakes of 200 kinds: refused by name, or their values as they were",
     "mutations": "bugs put into the package on purpose: does the suite notice each of them",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
     "editor": "the time from a click in the object-model editor to the drawn answer",

@@ -1,7 +1,7 @@
 """The files that the library reads: how a good one is made, and what values may come out of it."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,22 @@ from smartview_jax.schemas.validation import validate_content
 from smartview_jax.simulation import paper_calibration
 from smartview_jax.targets import CircleGrid
 
+from . import fuzz_meshes, fuzz_pictures
+from .fuzz_formats_of_objects import (
+    load_object_folder,
+    misses_in_range,
+    model_in_range,
+    read_journal,
+    read_touches,
+    write_journal,
+    write_misses,
+    write_object,
+    write_object_folder,
+)
+from .fuzz_numbers import NUMBERS
+from .fuzz_text import ENCODINGS, TABLES, Mutation
+from .fuzz_trees import TREES
+
 FARTHEST = 100.0
 """Of a coordinate, m, and of a joint's reading, rad or m."""
 
@@ -36,11 +52,13 @@ class Format(NamedTuple):
         write: a good one, with what belongs to it, to an empty folder; returns its path.
         read: as users do.
         refuse_out_of_range: raises AssertionError for values that no file may bring in.
+        mutations: the mistakes that are made in it, by name.
     """
 
     write: Callable[[Path], Path]
     read: Callable[[Path], Any]
     refuse_out_of_range: Callable[[Any], None]
+    mutations: Mapping[str, Mutation] = {**ENCODINGS, **NUMBERS, **TABLES, **TREES}
 
 
 def _data(with_joints: bool) -> sv.Dataset:
@@ -266,6 +284,34 @@ def _positioner_in_range(found: Any) -> None:
     _poses_in_range(found[1])
 
 
+def _log(name: str) -> Callable[[Path], Path]:
+    """A data set whose robot logged its poses, with the times of the pictures in another table."""
+
+    def write(folder: Path) -> Path:
+        sv.save_dataset(_data(False), folder)
+        poses = (folder / "poses.csv").read_text().splitlines()
+        rows = [row.partition(",")[2] for row in poses if not row.startswith("#")]
+        # A row every half second, and pictures at three of these times.
+        times = [499.5 + 0.5 * k for k in range(len(rows))]
+        logged = zip(times, [rows[1], *rows[1:]], strict=True)
+        log = [f"time,{rows[0]}", *(f"{time},{row}" for time, row in logged)]
+        names = [row.partition(",")[0] for row in poses[1:] if not row.startswith("#")]
+        taken = [f"{name},{time}" for name, time in zip(names, times[1:], strict=True)]
+        write_atomically(folder / "poses.csv", "\n".join([*log, ""]))
+        write_atomically(folder / "times.csv", "\n".join(["view,time", *taken, ""]))
+        content = read_yaml(folder / "dataset.yaml")
+        content["poses"] |= {"picture_times": "times.csv", "time_offset": 0.0}
+        content["poses"].pop("rows", None)
+        content["end"] = content.pop("end")
+        write_atomically(folder / "dataset.yaml", dump_yaml(content))
+        return folder / name
+
+    return write
+
+
+_KALIBR = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 5\ntagSize: 0.088\ntagSpacing: 0.3\n"
+
+
 def _opencv(folder: Path) -> Path:
     return write_atomically(folder / "camera.yaml", io.opencv_yaml(paper_calibration()))
 
@@ -330,4 +376,24 @@ FORMATS: dict[str, Format] = {
     "pairs, poses": Format(_pairs("poses.csv"), _import_pairs, _data_in_range),
     "pairs, corners": Format(_pairs("corners.csv"), _import_pairs, _data_in_range),
     "urdf": Format(_text("arm.urdf", _URDF), io.load_urdf, _arm_in_range),
+    "pose log": Format(_log("poses.csv"), _load_folder, _data_in_range),
+    "times of pictures": Format(_log("times.csv"), _load_folder, _data_in_range),
+    "dataset with a log": Format(_log("dataset.yaml"), _load_folder, _data_in_range),
+    "kalibr target": Format(_text("target.yaml", _KALIBR), io.read_april_grid, _target_in_range),
+    "any camera": Format(_opencv, io.read_camera, _camera_in_range),
+    "object": Format(write_object, io.load_object_model, model_in_range),
+    "object's views": Format(
+        write_object_folder, load_object_folder, lambda found: _poses_in_range(found.base_from_tool)
+    ),
+    "misses csv": Format(write_misses("misses.csv"), read_touches, misses_in_range),
+    "misses yaml": Format(write_misses("misses.yaml"), read_touches, misses_in_range),
+    "editor's journal": Format(write_journal, read_journal, lambda document: None),
+    **{
+        name: Format(write, fuzz_pictures.read, fuzz_pictures.in_range, mutations)
+        for name, (write, mutations) in fuzz_pictures.PICTURES.items()
+    },
+    **{
+        name: Format(write, io.read_mesh, fuzz_meshes.in_range, mutations)
+        for name, (write, mutations) in fuzz_meshes.MESHES.items()
+    },
 }

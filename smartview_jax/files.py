@@ -224,11 +224,16 @@ class StrictYamlLoader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Construct a mapping; raise an error where a key occurs twice."""
         seen: set[Any] = set()
-        for key, _ in node.value:
+        for key, value in node.value:
             # A merge key (`<<`) is no entry itself, and the keys that it adds may be overridden.
             if key.tag == "tag:yaml.org,2002:merge":
                 continue
             name = self.construct_object(key, deep=True)
+            # `{x: 0,5}` is x: 0 and an entry 5 without a value, which is ignored in some files.
+            if node.flow_style and isinstance(name, int | float) and _is_absent(value):
+                raise yaml.YAMLError(
+                    f"number {name!r} without a name {key.start_mark}: a decimal comma?"
+                )
             if isinstance(name, str | int | float) and name in seen:
                 raise yaml.YAMLError(f"key {name!r} comes twice, again {key.start_mark}")
             if isinstance(name, str | int | float):
@@ -241,6 +246,11 @@ def _child_nodes(node: yaml.Node) -> list[tuple[yaml.Node, ...]]:
     if isinstance(node, yaml.MappingNode):
         return node.value
     return [(part,) for part in node.value] if isinstance(node, yaml.SequenceNode) else []
+
+
+def _is_absent(node: yaml.Node) -> bool:
+    """Return whether nothing is written where a value is expected."""
+    return isinstance(node, yaml.ScalarNode) and node.value == "" and node.style is None
 
 
 def _construct_int(loader: StrictYamlLoader, node: yaml.ScalarNode) -> int:

@@ -59,6 +59,7 @@ def test_a_missing_file_is_named(tmp_path):
         ("a: !!int ''\n", "not readable as YAML"),
         ("a: " + 5000 * "1" + "\n", "not readable as YAML: Exceeds the limit"),
         ("a: \x00\n", "not readable as YAML"),
+        ("a: {x: 0,5, y: 1}\n", "not readable as YAML: number 5 without a name .*decimal comma"),
     ],
 )
 def test_a_wrong_file_is_named(tmp_path, text, message):

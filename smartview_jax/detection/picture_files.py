@@ -31,6 +31,15 @@ Sensors of 10 to 14 bits use a part of 16, thermal cameras a small part of their
 dead pixels are not to decide.
 """
 
+_INTERLACING = (
+    *((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2)),
+    (0, 1, 1, 2),
+)
+"""First column, first row and steps of the seven passes of an interlaced PNG."""
+
+_UNPACKED_AT_ONCE = 1 << 20
+"""Bytes of a PNG that are unpacked at a time, to be counted."""
+
 _stderr_lock = threading.Lock()
 """Lock that is held while the process's standard error is redirected."""
 
@@ -189,11 +198,54 @@ def _check_jpeg(data: bytes) -> None:
     # A thumbnail within the file is a JPEG too, but comes before the last start of scan (FF DA).
     if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xda" not in data:
         raise ValueError("its end mark is missing, so that it was cut")
+    # The second picture of a file, as cameras add for their display, is not read.
+    _check_scans(data)
+
+
+def _check_scans(data: bytes) -> None:
+    """Raise a ValueError if a progressive JPEG lacks some of its scans.
+
+    Such a file has its picture several times, first coarse and then finer, and every beginning of
+    it is a picture, which libjpeg shows without a word.
+    """
+    position, progressive, missing_bits = 2, False, dict[tuple[int, int], int]()
+    while position + 4 <= len(data) and data[position] == 0xFF:
+        marker, length = struct.unpack_from(">xBH", data, position)
+        segment = data[position + 4 : position + 2 + length]
+        if marker == 0xC2:
+            progressive = True
+            # No coefficient of any component was sent yet.
+            missing_bits = {
+                (segment[6 + 3 * k], c): 16 for k in range(segment[5]) for c in range(64)
+            }
+        elif marker == 0xDA and not progressive:
+            return
+        elif marker == 0xDA:
+            first, last, bits = segment[-3:]
+            for component in segment[1 : 1 + 2 * segment[0] : 2]:
+                missing_bits |= {(component, c): bits & 15 for c in range(first, last + 1)}
+        elif marker == 0xD9:
+            break
+        position += 2 + length
+        if marker == 0xDA:
+            position = _next_marker(data, position)
+    if progressive and any(missing_bits.values()):
+        raise ValueError("its last scans are missing, so that it was cut")
+
+
+def _next_marker(data: bytes, position: int) -> int:
+    """Return where the segment after a scan's data begins."""
+    while (position := data.find(b"\xff", position)) >= 0 and position + 1 < len(data):
+        # A stuffed zero, restart marks and fill bytes belong to the scan.
+        if data[position + 1] not in (0x00, 0xFF, *range(0xD0, 0xD8)):
+            return position
+        position += 1 if data[position + 1] == 0xFF else 2
+    return len(data)
 
 
 def _check_png(data: bytes) -> None:
-    """Raise a ValueError if a chunk of the file is damaged or the last one is missing."""
-    position = 8
+    """Raise a ValueError if a chunk is damaged or missing, or has another number of pixels."""
+    position, packed = 8, []
     while position < len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
         end = position + 8 + length
@@ -203,10 +255,44 @@ def _check_png(data: bytes) -> None:
         # Only critical chunks, with a capital first letter, matter to the picture.
         if kind[:1].isupper() and zlib.crc32(memoryview(data)[position + 4 : end]) != checksum:
             raise ValueError(f"the checksum of its chunk {kind.decode('latin-1')} is wrong")
+        if kind == b"IDAT":
+            packed.append(memoryview(data)[position + 8 : end])
         if kind == b"IEND":
+            _check_png_size(data, packed)
             return
         position = end + 4
     raise ValueError("its last chunk is missing, so that it was cut")
+
+
+def _check_png_size(data: bytes, packed: list[memoryview]) -> None:
+    """Raise a ValueError if the pixels are more or fewer than the header says.
+
+    OpenCV would show the rows that there are, or take gigabytes for those that there are not.
+    """
+    width, height, depth, colours, *_, interlaced = struct.unpack_from(">IIBBBBB", data, 16)
+    bits = depth * {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}.get(colours, 1)
+    steps = _INTERLACING if interlaced else ((0, 0, 1, 1),)
+    expected = 0
+    for left, top, across, down in steps:
+        columns, rows = -(-(width - left) // across), -(-(height - top) // down)
+        # Each row begins with the kind of its filter.
+        expected += rows * (1 + -(-columns * bits // 8)) if columns > 0 and rows > 0 else 0
+    # Some programs write a few bytes too many; a row too many is another picture's.
+    most = expected + -(-width * bits // 8)
+    unpacker, found = zlib.decompressobj(), 0
+    try:
+        for part in packed:
+            rest: bytes | memoryview = part
+            while rest and found <= most and not unpacker.eof:
+                found += len(unpacker.decompress(rest, _UNPACKED_AT_ONCE))
+                rest = unpacker.unconsumed_tail
+        while found <= most and (more := unpacker.decompress(b"", _UNPACKED_AT_ONCE)):
+            found += len(more)
+    except zlib.error as error:
+        raise ValueError(f"its pixels cannot be unpacked: {error}") from error
+    if not expected <= found <= most:
+        relation = "more" if found > most else "fewer"
+        raise ValueError(f"it has {relation} pixels than the {width} x {height} of its header")
 
 
 def _check_tiff(data: bytes) -> None:

@@ -35,8 +35,11 @@ def checked_pixel(
     check_view(view, names)
     # From a page anything may come: text, null, three numbers.
     try:
+        # Texts of digits and true would pass as numbers.
+        if any(isinstance(number, str | bool) for number in pixel):
+            raise TypeError
         u, v = (float(number) for number in pixel)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"view {view}: a pixel is two numbers; found {pixel!r}") from None
     width, height = size
     # NaN fails the comparison, too.

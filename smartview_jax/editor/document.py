@@ -7,7 +7,9 @@ the only way to make one. Points are known by ids that never come twice.
 
 import dataclasses
 import math
+import operator
 from collections.abc import Callable, Mapping
+from numbers import Real
 from typing import Any
 
 from ..argument_checks import require_readable_or_empty
@@ -17,6 +19,9 @@ from .drawn_parts import PlacedGrasp as PlacedGrasp
 
 Clicks = Mapping[str, tuple[float, float]]
 """The pixel of a point by the name of the view."""
+
+MAX_LENGTH = 100.0
+"""Largest length of an object or a gripper, m, as in the schemas of files."""
 
 KINDS = ("points", "edges", "faces", "grasps", "constraints")
 """The parts of a document that have ids, by which they are deleted."""
@@ -49,7 +54,7 @@ class Document:
     def existing(self, kind: str, number: int) -> Any:
         """Return a part by its id, or raise a ValueError that names it."""
         parts = getattr(self, kind)
-        if number not in parts:
+        if part_id(number) not in parts:
             raise ValueError(f"there is no {kind.removesuffix('s')} {number}")
         return parts[number]
 
@@ -61,6 +66,26 @@ class Document:
     def _changed(self, kind: str, number: int, part: Any) -> "Document":
         self.existing(kind, number)
         return dataclasses.replace(self, **{kind: {**getattr(self, kind), number: part}})
+
+
+def part_id(given: Any) -> int:
+    """Return the id of a part; a text, true and 0.7 are none, though Python takes them for one."""
+    # The journal holds plain numbers, scripts may give NumPy's.
+    if isinstance(given, bool):
+        raise ValueError(f"a part is named by a whole number; found {given!r}")
+    try:
+        return operator.index(given)
+    except TypeError:
+        raise ValueError(f"a part is named by a whole number; found {given!r}") from None
+
+
+def _check_quantities(name: str, *values: Any) -> None:
+    """Raise a ValueError for a value that is neither left open nor a number of a possible size."""
+    for value in values:
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        # NaN fails the comparison, too.
+        if value is not None and not (is_number and abs(float(value)) <= MAX_LENGTH):
+            raise ValueError(f"{name} is a number up to {MAX_LENGTH:g}; found {value!r}")
 
 
 def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
@@ -91,6 +116,9 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
 
 def _pixel(pixel: Any) -> tuple[float, float]:
     """Return a pixel as two floats."""
+    # Texts of digits would pass as numbers.
+    if any(isinstance(number, str | bool) for number in pixel):
+        raise ValueError(f"a pixel is two finite numbers; found {pixel!r}")
     u, v = map(float, pixel)
     # JSON has no NaN, but scripts do.
     if not (math.isfinite(u) and math.isfinite(v)):
@@ -144,8 +172,7 @@ def _delete(document: Document, kind: str, id: int) -> Document:
 
 def _add_edge(document: Document, ends: Any) -> Document:
     """Add an edge between two points."""
-    # Numbers from JSON may be floats, which name no point.
-    a, b = (int(end) for end in ends)
+    a, b = (part_id(end) for end in ends)
     for point in (a, b):
         document.existing("points", point)
     if a == b:
@@ -160,7 +187,7 @@ def _add_face(
     document: Document, loop: Any, name: str = "", graspable: bool | None = None
 ) -> Document:
     """Add a face around three or more points, and the edges around it that are missing."""
-    points = tuple(int(point) for point in loop)
+    points = tuple(part_id(point) for point in loop)
     # The face comes first, so that its id is the one that was next before the change.
     document = document._added("faces", _checked_face(document, DrawnFace(points, name, graspable)))
     drawn = {frozenset(edge) for edge in document.edges.values()}
@@ -174,7 +201,7 @@ def _change_face(document: Document, id: int, **values: Any) -> Document:
     """Change the name of a face, whether it is graspable, or its loop."""
     # JSON has lists only; a face's loop is compared and hashed as a tuple.
     if "loop" in values:
-        values["loop"] = tuple(int(point) for point in values["loop"])
+        values["loop"] = tuple(part_id(point) for point in values["loop"])
     face = dataclasses.replace(document.existing("faces", id), **values)
     return document._changed("faces", id, _checked_face(document, face))
 
@@ -186,7 +213,8 @@ def _checked_face(document: Document, face: DrawnFace) -> DrawnFace:
     if len(set(face.loop)) != len(face.loop) or len(face.loop) < 3:
         raise ValueError(f"a face goes around 3 or more different points; found {list(face.loop)}")
     require_readable_or_empty("face", face.name)
-    if face.graspable not in (True, False, None):
+    # Not by equality, by which 1 is true.
+    if not isinstance(face.graspable, bool | None):
         raise ValueError(f"a face is graspable, not, or left open; found {face.graspable!r}")
     return face
 
@@ -208,9 +236,9 @@ def _checked_grasp(grasp: PlacedGrasp, values: dict[str, Any]) -> PlacedGrasp:
     """Return a grasp with changed values, which are finite."""
     if "offset" in values:
         values["offset"] = _pixel(values["offset"])
-    numbers = [values.get(name) for name in ("angle", "opening", "depth")]
-    if any(number is not None and not math.isfinite(number) for number in numbers):
-        raise ValueError("a grasp's angle, opening and depth are finite numbers")
+    numbers = (values.get(name) for name in ("angle", "opening", "depth"))
+    _check_quantities("a grasp's angle, opening or depth", *numbers)
+    _check_quantities("a grasp's place on its face", *values.get("offset", ()))
     changed = dataclasses.replace(grasp, **values)
     if changed.angle is None or changed.depth is None:
         raise ValueError("a grasp's angle and depth are finite numbers")
@@ -227,13 +255,15 @@ def _add_constraint(
 ) -> Document:
     """Add a fact that binds groups of points."""
     # Several groups for edges, one for points; what fits is checked where it is used.
-    groups = tuple(tuple(int(point) for point in group) for group in items)
+    groups = tuple(tuple(part_id(point) for point in group) for group in items)
     for group in groups:
         for point in group:
             document.existing("points", point)
-    if value is not None and not (math.isfinite(value) and value > 0.0):
+    _check_quantities("a known length", value)
+    if value is not None and not value > 0.0:
         raise ValueError(f"a known length is above 0 m; found {value}")
-    if sigma is not None and not (math.isfinite(sigma) and sigma > 0.0):
+    _check_quantities("the standard deviation of a fact", sigma)
+    if sigma is not None and not sigma > 0.0:
         raise ValueError(f"the standard deviation of a fact is above 0; found {sigma}")
     if not isinstance(kind, str):
         raise ValueError(f"the kind of a fact is a name; found {kind!r}")
@@ -249,9 +279,10 @@ def _rename(document: Document, name: str) -> Document:
 def _confirm_symmetry(document: Document, confirmed: Any, order: Any = None) -> Document:
     """Say whether the symmetry that was found, of so many turns, is meant."""
     # From the page and the journal anything may come.
-    if confirmed not in (True, False, None):
+    if not isinstance(confirmed, bool | None):
         raise ValueError(f"a symmetry is confirmed, refused or left open; found {confirmed!r}")
-    if order is not None and (not isinstance(order, int) or order < 1):
+    is_count = isinstance(order, int) and not isinstance(order, bool) and order >= 1
+    if order is not None and not is_count:
         raise ValueError(f"a symmetry has 1 turn or more; found {order!r}")
     return dataclasses.replace(document, symmetry_confirmed=confirmed, symmetry_order=order)
 

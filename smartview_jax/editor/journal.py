@@ -1,9 +1,9 @@
 """Keep every change on disk before it is answered, so that no killed process loses one.
 
 The journal is a text file with one JSON mapping per line: a header that names the views, and then
-the changes in their order, undo and redo among them. A line counts once its end is on the disk. A
+the changes in their order, undo and redo among them. A line counts once it is on the disk. A
 process that is killed while it writes leaves a torn last line, which is cut off when the journal is
-opened again.
+opened again. A file that no process of this kind can have left is refused and stays as it is.
 """
 
 import json
@@ -39,9 +39,9 @@ class Journal:
         self.entries: list[dict[str, Any]] = []
         self.cut_off: int = 0
         path.parent.mkdir(parents=True, exist_ok=True)
-        lines = self._whole_lines()
-        # Compared after a round through JSON, in which tuples become lists.
         first = {"smartview_journal": FORMAT_VERSION, **header}
+        lines = self._whole_lines(_line(first))
+        # Compared after a round through JSON, in which tuples become lists.
         # A journal of other views would put clicks on pictures that they are not of.
         if lines:
             self._check_header(lines[0], json.loads(json.dumps(first)))
@@ -58,7 +58,7 @@ class Journal:
         Raises:
             OSError: the disk is full or failed; the file has its earlier entries only.
         """
-        data = memoryview(json.dumps(entry, allow_nan=False).encode() + b"\n")
+        data = memoryview(_line(entry))
         descriptor = self._file.fileno()
         size = os.fstat(descriptor).st_size
         try:
@@ -76,17 +76,24 @@ class Journal:
         """Close the file; nothing is left to be written."""
         self._file.close()
 
-    def _whole_lines(self) -> list[dict[str, Any]]:
-        """Return the entries of all whole lines, after cutting off a torn last one."""
+    def _whole_lines(self, first: bytes) -> list[dict[str, Any]]:
+        """Return the entries of all whole lines, after cutting off a torn last one.
+
+        Args:
+            first: the line with which a journal begins.
+
+        Raises:
+            ValueError: a line is no change and was not torn; the file stays as it is.
+        """
         if not self.path.is_file():
             return []
         data = self.path.read_bytes()
-        # A line counts once its line feed is there; what follows the last one is torn.
+        # What follows the last line feed is torn, or lacks nothing but its own.
         *whole, rest = data.split(b"\n")
         entries = []
         for number, line in enumerate(whole, start=1):
             entry = _parsed(line)
-            if entry is None and number == len(whole) and not rest:
+            if entry is None and number == len(whole) and not rest and _may_be_torn(line, number):
                 # A disk may write a file's end before its middle: this line has its end only.
                 rest = line + b"\n"
                 break
@@ -94,11 +101,29 @@ class Journal:
                 raise ValueError(f"{self.path}: line {number} is not a change: {line[:60]!r}")
             entries.append(entry)
         if rest:
-            self.cut_off = len(rest)
-            with open(self.path, "r+b") as file:
-                file.truncate(len(data) - len(rest))
-                os.fsync(file.fileno())
+            # Only what was written here is cut off: no other program's file, and no line with the
+            # line ends of another system.
+            if b"\r" in rest or (not entries and not _may_be_torn(rest, 1, first)):
+                raise ValueError(
+                    f"{self.path}: line {len(entries) + 1} is not a change: {rest[:60]!r}"
+                )
+            self._mend_end(len(data) - len(rest), rest, entries)
         return entries
+
+    def _mend_end(self, size: int, rest: bytes, entries: list[dict[str, Any]]) -> None:
+        """Give a last line its lost end, or cut it off if it is torn."""
+        # A part of a mapping is none, so that a mapping is all of the line.
+        entry = _parsed(rest) if entries else None
+        with open(self.path, "r+b") as file:
+            if entry is not None:
+                entries.append(entry)
+                file.seek(size + len(rest))
+                file.write(b"\n")
+                file.flush()
+            else:
+                self.cut_off = len(rest)
+                file.truncate(size)
+            os.fsync(file.fileno())
 
     def _check_header(self, found: dict[str, Any], expected: dict[str, Any]) -> None:
         """Raise an error if a journal belongs to other views."""
@@ -110,6 +135,21 @@ class Journal:
                     f"{self.path}: the journal's {key} are {found.get(key)!r}, those of this "
                     f"session {value!r}: choose another file, or the data set of that journal"
                 )
+
+
+def _line(entry: Mapping[str, Any]) -> bytes:
+    """Return the line of an entry."""
+    return json.dumps(entry, allow_nan=False).encode() + b"\n"
+
+
+def _may_be_torn(line: bytes, number: int, first: bytes = b"") -> bool:
+    """Return whether a line that is no mapping may have been written here and torn.
+
+    Of any line but the first that is taken for granted. Without a first line there is no sign of a
+    journal: then it must be the beginning of the `first` line, or have zeros where the disk did not
+    write.
+    """
+    return number > 1 or b"\0" in line or (line != b"" and first.startswith(line))
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:

@@ -15,7 +15,7 @@ from ..modeling import (
     grasp_on_face,
     oriented_outward,
 )
-from .document import Document, PlacedGrasp
+from .document import Document, PlacedGrasp, part_id
 from .view_geometry import PointEstimate, ViewGeometry
 
 Estimates = Mapping[int, PointEstimate]
@@ -177,7 +177,7 @@ def checked_loop(
         ValueError: a point that does not exist or has no position, or a face that is not planar or
             crosses itself.
     """
-    points = tuple(int(point) for point in loop)
+    points = tuple(part_id(point) for point in loop)
     for point in points:
         document.existing("points", point)
     if len(points) < 3:

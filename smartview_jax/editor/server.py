@@ -7,12 +7,12 @@ this machine's, are refused.
 
 import asyncio
 import contextlib
+import logging
 import secrets
 import threading
 from collections.abc import Callable
-from http.cookies import SimpleCookie
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -29,6 +29,18 @@ JPEG_QUALITY = 93
 
 PAGE = Path(__file__).parent / "page"
 """The folder of the page's files."""
+
+SLOW_AT_ONCE = 2
+"""Slow commands that are computed at the same time: with the clicks' one, fewer than the threads
+that `asyncio` has on any machine, so that no number of them makes a click wait."""
+
+MAX_SLOW = 1000
+"""Slow commands of a page that may wait; a page asks for the features of each view once."""
+
+INTERNAL_ERROR = 1011
+"""The code of a socket that is closed after an error of the server; the page connects again."""
+
+_LOGGER = logging.getLogger(__name__)
 
 
 def editor_app(session: ModelSession, token: str, port: int) -> Any:
@@ -56,13 +68,26 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     return Starlette(
         routes=[
             Route("/", editor.page),
-            Route("/picture/{view}", editor.picture),
+            # A view may be named after a file in a folder.
+            Route("/picture/{view:path}", editor.picture),
             WebSocketRoute("/socket", editor.socket),
             Mount("/", StaticFiles(directory=PAGE)),
         ],
         # Another name that is made to lead here would be another page's way in (DNS rebinding).
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
     )
+
+
+class _Page(NamedTuple):
+    """A page that is shown.
+
+    Attributes:
+        conversation: with it.
+        behind: set when another page has changed what this one shows.
+    """
+
+    conversation: Conversation
+    behind: asyncio.Event
 
 
 class _Editor:
@@ -72,10 +97,11 @@ class _Editor:
         self._session, self._token, self._origins = session, token, origins
         # It has the token for the requests that the page makes by itself.
         self._cookie = cookie
-        self._pages: dict[Any, Conversation] = {}
+        self._pages: dict[Any, _Page] = {}
         # Answers are computed in a thread, so that pictures load meanwhile; one after another,
         # because they change the session.
         self._turn = asyncio.Lock()
+        self._slow_turn = asyncio.Semaphore(SLOW_AT_ONCE)
         self._pictures: dict[str, bytes] = {}
 
     async def page(self, request: Any) -> Any:
@@ -112,19 +138,25 @@ class _Editor:
         """Answer the messages of one page, and tell it what other pages have changed."""
         from starlette.websockets import WebSocketDisconnect
 
-        cookie = SimpleCookie(socket.headers.get("cookie", ""))
-        token = cookie[self._cookie].value if self._cookie in cookie else ""
+        # Other programs on this machine leave cookies, too, which may be malformed.
+        token = socket.cookies.get(self._cookie, "")
         # A browser lets any page open a socket here; it always says which page it was.
         if socket.headers.get("origin") not in self._origins or not self._has_token(token):
             await socket.close(1008)
             return
         await socket.accept()
-        conversation = self._pages[socket] = Conversation(self._session)
+        page = self._pages[socket] = _Page(Conversation(self._session), asyncio.Event())
+        conversation = page.conversation
+        # The page is told of others' changes by a task of its own: an update that fails, or a page
+        # that does not read, is no other page's concern.
+        telling = asyncio.create_task(self._tell(socket, page))
         slow: set[asyncio.Task[None]] = set()
         try:
             while True:
                 message = await socket.receive_json()
                 if isinstance(message, dict) and message.get("do") in SLOW_COMMANDS:
+                    if len(slow) >= MAX_SLOW:
+                        break
                     # Features of large pictures take seconds, in which clicks are answered.
                     task = asyncio.create_task(self._answer_later(socket, conversation, message))
                     slow.add(task)
@@ -134,32 +166,50 @@ class _Editor:
                 async with self._turn:
                     answer = await asyncio.to_thread(conversation.answer, message)
                 # Others are told of a change even if the page that made it has left.
-                await _send(socket, answer)
                 if self._session.document is not document:
-                    await self._tell_others(socket)
-        except (WebSocketDisconnect, RuntimeError, ValueError, TypeError):
+                    self._note_change(socket)
+                await _send(socket, answer)
+        except (WebSocketDisconnect, RuntimeError, LookupError, ValueError, TypeError):
             # The page has left (starlette raises a RuntimeError where a send noticed it first), or
             # a message is no mapping in JSON and so not from the page: this socket ends here.
             pass
         finally:
-            for task in slow:
+            for task in (telling, *slow):
                 task.cancel()
             del self._pages[socket]
 
     async def _answer_later(self, socket: Any, conversation: Conversation, message: Any) -> None:
         """Answer a message that changes nothing and may take long."""
-        answer = await asyncio.to_thread(conversation.answer, message)
+        async with self._slow_turn:
+            answer = await asyncio.to_thread(conversation.answer, message)
         if socket in self._pages:
             await _send(socket, answer)
 
-    async def _tell_others(self, changer: Any) -> None:
-        """Send what has changed to all pages but the one that changed it."""
-        for socket, conversation in list(self._pages.items()):
-            # Others may have left while this one's update was computed.
-            if socket is not changer and socket in self._pages:
+    def _note_change(self, changer: Any) -> None:
+        """Let all pages but the one that made a change be told of it."""
+        for socket, page in self._pages.items():
+            if socket is not changer:
+                page.behind.set()
+
+    async def _tell(self, socket: Any, page: _Page) -> None:
+        """Send a page what others have changed, whenever they do.
+
+        Several changes while the page reads slowly are one update.
+        """
+        while True:
+            await page.behind.wait()
+            page.behind.clear()
+            try:
                 async with self._turn:
-                    update = await asyncio.to_thread(conversation.update)
+                    update = await asyncio.to_thread(page.conversation.update)
                 await _send(socket, update)
+            # An update computes what the page shows, and anything may fail in it. The page connects
+            # again after its socket was closed, and is then told the error or everything.
+            except Exception:
+                _LOGGER.exception("a page could not be told of a change: its socket is closed")
+                with contextlib.suppress(Exception):
+                    await socket.close(INTERNAL_ERROR)
+                return
 
     def _has_token(self, given: str) -> bool:
         """Return whether a token is the right one, in a time that does not tell how nearly."""

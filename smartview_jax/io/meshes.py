@@ -18,6 +18,7 @@ from ..extras import import_extra
 from ..files import write_atomically
 from ..geometry import LENGTH_UNITS
 from ..modeling import Face, ObjectModel, face_plane
+from .mesh_text import refuse_broken_text
 
 if TYPE_CHECKING:
     import trimesh
@@ -64,6 +65,7 @@ def read_mesh(
         raise ValueError(f"unit: expected one of {', '.join(LENGTH_UNITS)}, found {unit!r}")
     kind = _format_of(path)
     trimesh = import_extra("trimesh", "objects", "a mesh")
+    refuse_broken_text(path, kind)
     try:
         mesh = trimesh.load_mesh(path, file_type=kind, process=False)
         if isinstance(mesh, trimesh.Scene):

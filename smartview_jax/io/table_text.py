@@ -50,7 +50,7 @@ _NUMBER = re.compile(
 )
 _SEPARATOR_LINE = re.compile(r"sep=[,;\t]?", re.IGNORECASE)
 _INTEGER = re.compile(r"[-+]?[0-9]+")
-_UNIT_IN_HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_OPENING, _CLOSING = ("[", "("), ("]", ")")
 _UNIT_NAMES = {"°": "deg", "degree": "deg", "degrees": "deg", "º": "deg"}
 
 
@@ -145,8 +145,7 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
         header = header[:-1]
     if repeated := duplicates(header):
         raise ValueError(f"{path}: column {', '.join(repeated)} comes twice")
-    # A row that ends in a separator has one more field, which is empty.
-    trimmed = [_without_empty_end(row, len(header)) for row in rows]
+    trimmed = _without_empty_ends(rows, len(header))
     if trimmed != rows or len(header) < len(table[0]):
         seen.append("separators at the ends of rows ignored")
     for number, fields in enumerate(trimmed, start=1):
@@ -230,11 +229,16 @@ def _plain_numbers(path: Path, rows: list[list[str]]) -> tuple[list[list[str]], 
 
 def named_unit(column: str) -> tuple[str, str] | None:
     """Return name and unit of a column such as `X [mm]` or `A (°)`; None without brackets."""
-    found = _UNIT_IN_HEADER.fullmatch(column)
-    if found is None:
+    # By hand: a regular expression needs hours for a field of a million brackets.
+    if not column.endswith(_CLOSING):
         return None
-    unit = found[2].lower()
-    return found[1], _UNIT_NAMES.get(unit, unit)
+    text = column[:-1]
+    begin = max(text.rfind(bracket) for bracket in _CLOSING) + 1
+    places = [place for bracket in _OPENING if (place := text.find(bracket, begin)) >= 0]
+    if not places:
+        return None
+    unit = text[min(places) + 1 :].strip().lower()
+    return text[: min(places)].rstrip(), _UNIT_NAMES.get(unit, unit)
 
 
 def _split(
@@ -260,9 +264,16 @@ def _split(
     return fields(delimiter, lines), delimiter
 
 
-def _without_empty_end(row: list[str], count: int) -> list[str]:
-    """Return a row without the empty fields beyond the number of columns."""
-    return row[:count] if not any(row[count:]) else row
+def _without_empty_ends(rows: list[list[str]], count: int) -> list[list[str]]:
+    """Return rows without the empty fields beyond the number of columns.
+
+    A row that ends in a separator has one more field, which is empty. Where only some rows have it
+    and the last column has gaps, such a row may as well have a decimal comma in it and a gap.
+    """
+    has_gaps = any(len(row) >= count > 0 and not row[count - 1] for row in rows)
+    if has_gaps and len({len(row) for row in rows}) > 1:
+        return rows
+    return [row[:count] if not any(row[count:]) else row for row in rows]
 
 
 def _wrong_count(fields: Sequence[str], header: Sequence[str], delimiter: str) -> str:

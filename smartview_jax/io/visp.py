@@ -72,14 +72,17 @@ def read_visp_pose(path: str | Path) -> SE3:
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it does not hold six numbers.
+        ValueError: it does not hold six numbers, or angles that cannot be in rad.
     """
     from ..schemas.external_formats import VISP_POSE_SCHEMA
     from ..schemas.validation import validate_content
 
     data = validate_content(read_yaml(path), VISP_POSE_SCHEMA, path).data
     numbers = np.array([row[0] if isinstance(row, list) else row for row in data])
-    return pose_codec("rotation_vector").decode(numbers, labels=[str(path)])
+    try:
+        return pose_codec("rotation_vector").decode(numbers, labels=["0"])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def write_visp_pose(path: str | Path, pose: SE3) -> None:

@@ -1,6 +1,7 @@
 """Files that are no whole picture are named before anything is looked for in them."""
 
 import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -62,12 +63,77 @@ def test_damage_within_a_jpeg_is_named(tmp_path, picture, progressive, capfd):
     assert not capfd.readouterr().err
 
 
+@pytest.mark.parametrize("colours", [1, 3])
+def test_a_progressive_jpeg_has_all_its_scans(tmp_path, picture, colours):
+    """Each beginning of such a file is a picture, coarser than the whole one."""
+    shown = picture if colours == 1 else np.repeat(picture[..., None], 3, axis=2)
+    whole = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    path = tmp_path / "progressive.jpg"
+    path.write_bytes(whole)
+    assert read_picture(path).shape == picture.shape
+    scans = [k for k in range(len(whole)) if whole.startswith(b"\xff\xda", k)]
+    assert len(scans) > 3
+    for k in scans[1:]:
+        # Up to the tables of the next scan.
+        path.write_bytes(whole[: whole.rfind(b"\xff\xc4", 0, k)] + b"\xff\xd9")
+        with pytest.raises(ValueError, match=r"progressive\.jpg: a damaged picture: its last"):
+            read_picture(path)
+
+
 def test_damage_within_a_png_is_named(tmp_path, picture):
     data = bytearray(cv2.imencode(".png", picture)[1].tobytes())
     data[len(data) // 2] ^= 16
     (tmp_path / "damaged.png").write_bytes(data)
     with pytest.raises(ValueError, match="the checksum of its chunk IDAT is wrong"):
         read_picture(tmp_path / "damaged.png")
+
+
+def png(data, header, pixels):
+    """A PNG with another header and other pixels, and with checksums that are right."""
+    packed = zlib.compress(pixels)
+    chunks = (b"IHDR" + header, b"IDAT" + packed[:50], b"IDAT" + packed[50:], b"IEND")
+    lengths = (struct.pack(">I", len(body) - 4) for body in chunks)
+    checksums = (struct.pack(">I", zlib.crc32(body)) for body in chunks)
+    return data[:8] + b"".join(map(b"".join, zip(lengths, chunks, checksums, strict=True)))
+
+
+def test_a_png_has_the_pixels_of_its_header(tmp_path, picture):
+    data = cv2.imencode(".png", picture)[1].tobytes()
+    height, width = picture.shape
+    rows = b"".join(b"\0" + row.tobytes() for row in picture)
+    path = tmp_path / "other.png"
+
+    def read(height, width, pixels=rows):
+        path.write_bytes(png(data, struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0), pixels))
+        return read_picture(path)
+
+    np.testing.assert_array_equal(read(height, width), picture)
+    # A few bytes too many are no harm.
+    np.testing.assert_array_equal(read(height, width, rows + bytes(9)), picture)
+    with pytest.raises(ValueError, match=r"other\.png: .*more pixels than the \d+ x 24 of"):
+        read(24, width)
+    # Read, it would take a gigabyte before libpng sees the end.
+    with pytest.raises(ValueError, match=r"fewer pixels than the 30000 x 30000"):
+        read(30_000, 30_000)
+    with pytest.raises(ValueError, match=r"fewer pixels"):
+        read(height, width, rows[: len(rows) // 2])
+    with pytest.raises(ValueError, match=r"more pixels"):
+        read(height, width, bytes(300_000_000))
+
+
+def test_an_interlaced_png_has_its_pixels_in_seven_passes(tmp_path, picture):
+    data = cv2.imencode(".png", picture)[1].tobytes()
+    height, width = 21, 13
+    small = picture[:height, :width]
+    passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2))
+    pixels = b"".join(
+        b"\0" + row.tobytes()
+        for left, top, across, down in (*passes, (0, 1, 1, 2))
+        for row in small[top::down, left::across]
+    )
+    path = tmp_path / "interlaced.png"
+    path.write_bytes(png(data, struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 1), pixels))
+    np.testing.assert_array_equal(read_picture(path), small)
 
 
 def test_a_jpeg_with_a_thumbnail_or_a_tail_is_whole(tmp_path, picture):

@@ -4,6 +4,8 @@ import json
 import subprocess
 import sys
 
+import pytest
+
 from smartview_jax.editor.journal import Journal
 
 FULL_DISK = """
@@ -39,3 +41,45 @@ def test_refused_change_does_not_come_out_with_the_next(tmp_path):
     journal = Journal(path, {"views": ["v1"]})
     journal.close()
     assert [entry["do"] for entry in journal.entries] == ["first", "next"]
+
+
+HEADER = {"views": ["v1"]}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"a letter, not a journal",
+        b"a letter, not a journal\n",
+        b'{"smartview_journal": 1, "views": ["v2"]}',
+        b'{"smartview_journal": 1, "views": ["v1"]}\r{"do": "first"}\r',
+        b'{"smartview_journal": 1, "views": ["v1"]}\n{"do": "first"}\r{"do": "next"}\r',
+    ],
+)
+def test_what_was_not_torn_is_named_and_left_as_it_is(tmp_path, content):
+    """Another program's file and line ends of another system are no torn lines to be cut off."""
+    path = tmp_path / "model.journal"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"model\.journal: line \d .*not a"):
+        Journal(path, HEADER)
+    assert path.read_bytes() == content
+
+
+def test_a_last_line_that_lost_only_its_end_is_kept(tmp_path):
+    """Some editors write no last line end."""
+    path = tmp_path / "model.journal"
+    path.write_bytes(b'{"smartview_journal": 1, "views": ["v1"]}\n{"do": "first"}')
+    for _ in range(2):
+        journal = Journal(path, HEADER)
+        journal.append({"do": "next"})
+        journal.close()
+        assert journal.cut_off == 0
+    assert [entry["do"] for entry in journal.entries] == ["first", "next"]
+
+
+def test_a_torn_first_line_is_begun_again(tmp_path):
+    path = tmp_path / "model.journal"
+    path.write_bytes(b'{"smartview_journal": 1, "vi')
+    journal = Journal(path, HEADER)
+    journal.close()
+    assert path.read_bytes() == b'{"smartview_journal": 1, "views": ["v1"]}\n'

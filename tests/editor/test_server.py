@@ -130,27 +130,58 @@ def test_everything_that_the_page_loads_is_in_the_package():
     assert "MIT" in (PAGE / "vendor" / "three.LICENSE").read_text()
 
 
-def test_a_page_that_leaves_takes_no_other_with_it(session):
-    """A send to a page that has left fails; the page whose change was sent goes on."""
-    gone = websockets.WebSocketDisconnect(1006)
+class FakePage:
+    """A socket that keeps what is sent to it, fails, or never takes anything."""
 
-    class Leaver:
-        async def send_json(self, message):
-            raise gone
+    def __init__(self, error=None, reads=True):
+        self.error, self.reads, self.told, self.closed = error, reads, [], None
 
+    async def send_json(self, message):
+        if self.error is not None:
+            raise self.error
+        if not self.reads:
+            await asyncio.Event().wait()
+        self.told.append(message["type"])
+
+    async def close(self, code):
+        self.closed = code
+
+
+async def told(session, pages, update):
+    """Tell pages of a change, with a function for each that makes its update."""
     from smartview_jax.editor import server
 
     editor = server._Editor(session, TOKEN, {ORIGIN}, f"smartview_editor_{PORT}")
-    told = []
+    tasks = []
+    for page in pages:
+        shown = server._Page(server.Conversation(session), asyncio.Event())
+        shown.conversation.update = lambda page=page: update(page)
+        editor._pages[page] = shown
+        tasks.append(asyncio.create_task(editor._tell(page, shown)))
+    editor._note_change(None)
+    for _ in range(500):
+        if pages[-1].told:
+            break
+        await asyncio.sleep(0.01)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
 
-    class Stayer:
-        async def send_json(self, message):
-            told.append(message["type"])
 
-    for page in (Leaver(), Stayer()):
-        editor._pages[page] = server.Conversation(session)
-    asyncio.run(editor._tell_others(None))
-    assert told == ["update"]
+def test_no_page_keeps_another_from_its_update(session):
+    """One has left, one never reads, and the update of one fails; the last is told all the same."""
+    gone = FakePage(error=websockets.WebSocketDisconnect(1006))
+    deaf, broken, page = FakePage(reads=False), FakePage(), FakePage()
+
+    def update(of):
+        if of is broken:
+            raise ZeroDivisionError("by zero")
+        return {"type": "update"}
+
+    asyncio.run(told(session, [gone, deaf, broken, page], update))
+    assert page.told == ["update"]
+    # It connects again, and is greeted.
+    assert broken.closed == 1011
 
 
 def test_two_editors_of_one_browser_have_a_cookie_each(session):

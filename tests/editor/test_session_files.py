@@ -63,13 +63,14 @@ def test_a_torn_last_line_is_cut_off(scene, tmp_path):
     journal = tmp_path / "house.json.journal"
     whole = journal.read_bytes()
     last = whole.splitlines(keepends=True)[-1]
-    for kept in range(1, len(last)):
+    # With its line end alone missing it would be whole; see `test_journal.py`.
+    for kept in range(2, len(last)):
         journal.write_bytes(whole[: len(whole) - kept])
         with open_session(scene, path) as again:
             assert again.document == expected
             assert kept == len(last) or "torn" in again.notes[0]
             again.click("v3", (50.0, 60.0), point)
-        if kept in (1, len(last) - 1):
+        if kept in (2, len(last) - 1):
             with open_session(scene, path) as after:
                 assert set(after.document.points[point]) == {"v1", "v3"}
     # Not so in the middle: nothing may be guessed there.

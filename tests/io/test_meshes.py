@@ -135,3 +135,34 @@ def test_a_triangle_of_a_vertex_that_does_not_exist_is_named(index):
     triangles[3, 1] = index
     with pytest.raises(ValueError, match=rf"a triangle has the vertices .*{index}.* has 8"):
         model_from_triangles(np.array(solid.vertices), triangles)
+
+
+def test_a_vertex_that_is_broken_by_a_blank_is_named(tmp_path):
+    """A fourth number of a vertex is legal, and its point would be another one."""
+    path = write_mesh(box(), tmp_path / "box.obj")
+    text = path.read_text()
+    assert text.count("v 0.06") > 1
+    path.write_text(text.replace("v 0.06", "v 0.0 6", 1))
+    with pytest.raises(ValueError, match=r"box\.obj: vertices of 3, 4 numbers"):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("element vertex 8", "element vertex 7", "20 rows, but its header says 19"),
+        ("element face 12", "element face 9", "20 rows, but its header says 17"),
+        ("0.06", "0.0 6", "the row '.*0.0 6.*' has not the numbers"),
+        ("\n3 ", "\n4 ", "the row '4 .*' has not the numbers"),
+    ],
+)
+def test_rows_of_a_ply_are_those_of_its_header(tmp_path, old, new, message):
+    """Fewer triangles, or another vertex, would be read without a word."""
+    path = tmp_path / "box.ply"
+    path.write_bytes(to_trimesh(box()).export(file_type="ply", encoding="ascii"))
+    assert len(read_mesh(path).faces) == 6
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=rf"box\.ply: {message}"):
+        read_mesh(path)

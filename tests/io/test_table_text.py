@@ -13,6 +13,7 @@ from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.io import import_correspondences, read_viewpoints, write_viewpoints
 from smartview_jax.io.csv_tables import parse_numbers, read_table, write_table
 from smartview_jax.io.poses import read_poses
+from smartview_jax.io.table_text import named_unit
 from smartview_jax.robots import kuka_lwr4
 from smartview_jax.simulation import random_scene
 from smartview_jax.targets import Chessboard, CircleGrid
@@ -236,3 +237,36 @@ def test_shared_tables_have_the_same_poses():
     assert len(names) == 8
     for name in names:
         np.testing.assert_allclose(poses(folder / name)[1], expected, atol=1e-12, err_msg=name)
+
+
+def test_a_comma_at_the_end_of_one_row_may_be_a_decimal_one(tmp_path):
+    """With an empty last column such a row could be read with a gap, and a number cut in two."""
+    path = tmp_path / "table.csv"
+    path.write_text("view,u,v,note\n0,1.5,2.5,\n1,3.5,4,25,\n")
+    with pytest.raises(ValueError, match=r"table\.csv: row 2 has 5 fields, the header 4"):
+        read_table(path, ("view", "u", "v"))
+    path.write_text("view,u,v,note\n0,1.5,2.5,,\n1,3.5,4.25,,\n")
+    assert [row["v"] for row in read_table(path, ("view", "u", "v")).rows] == ["2.5", "4.25"]
+
+
+def test_a_column_of_brackets_is_read_at_once():
+    """A regular expression with several ways to match took minutes."""
+    assert named_unit("[" * 1_000_000) is None
+    assert named_unit("[" * 1_000_000 + "]") == ("", "[" * 999_999)
+
+
+@pytest.mark.parametrize(
+    ("column", "expected"),
+    [
+        ("X [mm]", ("X", "mm")),
+        ("A(°)", ("A", "deg")),
+        ("X (tool) [ mm ]", ("X (tool)", "mm")),
+        ("X []", ("X", "")),
+        ("X", None),
+        ("[mm] X", None),
+        ("X mm]", None),
+        ("", None),
+    ],
+)
+def test_units_of_columns(column, expected):
+    assert named_unit(column) == expected

@@ -78,3 +78,10 @@ def test_wrong_files_are_named(tmp_path):
     (tmp_path / "bomb.xml").write_text('<!DOCTYPE r [<!ENTITY a "b">]><root/>')
     with pytest.raises(ValueError, match="entity declarations"):
         read_visp_camera(tmp_path / "bomb.xml")
+
+
+def test_angles_in_degrees_are_named_with_their_file(tmp_path):
+    path = tmp_path / "pose.yaml"
+    path.write_text("rows: 6\ncols: 1\ndata: [[0.5], [0.1], [0.2], [17.0], [0.0], [0.0]]\n")
+    with pytest.raises(ValueError, match=r"pose\.yaml: rotation_vector: angles up to 17 .*degrees"):
+        read_visp_pose(path)
