@@ -23,6 +23,8 @@ _PIXEL_DIGITS, _METRE_DIGITS, _MILLIMETRE_DIGITS = 2, 7, 3
 def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
     """Return a point: its clicks, its position, and where it is predicted in every view."""
     entry: dict[str, Any] = {"clicks": {view: list(pixel) for view, pixel in clicks.items()}}
+    if estimate.wrong_clicks:
+        entry["wrong"] = dict(estimate.wrong_clicks)
     if estimate.failure:
         seen = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else estimate.failure
         return {**entry, "problem": seen}

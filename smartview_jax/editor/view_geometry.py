@@ -25,6 +25,7 @@ from ..modeling import (
     pixel_jacobians,
     refine,
     triangulate_points,
+    wrong_correspondences,
 )
 from ..robots import Command
 from .document import Clicks
@@ -49,6 +50,7 @@ class PointEstimate(NamedTuple):
         ellipses: covariance of the predicted pixel in every view, px^2.
         visible: whether it is predicted within each picture.
         residuals: clicked minus predicted pixel by the view's name.
+        wrong_clicks: why a click contradicts those in the other views, by the view's name.
         failure: why it has no position; empty if it has one.
     """
 
@@ -59,6 +61,7 @@ class PointEstimate(NamedTuple):
     ellipses: Float[np.ndarray, "views 2 2"]
     visible: Bool[np.ndarray, "views"]
     residuals: Mapping[str, tuple[float, float]]
+    wrong_clicks: Mapping[str, str]
     failure: str
 
     @property
@@ -120,14 +123,34 @@ class ViewGeometry:
 
     def _computed(self, points: Sequence[Clicks]) -> list[PointEstimate]:
         """Return the estimates of points, all in one program."""
+        pixels = self._clicked_pixels(points)
         found = triangulate_points(
             self._calibration,
             self.command,
-            self._clicked_pixels(points),
+            pixels,
             covariance=self._covariance,
             pixel_sigma=self._click_sigma,
         )
-        return self._estimates_from(found, points)
+        return self._estimates_from(found, points, self._wrong_clicks(pixels))
+
+    def _wrong_clicks(self, pixels: Float[np.ndarray, "views points 2"]) -> list[dict[str, str]]:
+        """Return why clicks contradict the others of their point, by point and view."""
+        wrong: list[dict[str, str]] = [{} for _ in range(pixels.shape[1])]
+        for click in wrong_correspondences(
+            self._calibration,
+            self.command,
+            pixels,
+            covariance=self._covariance,
+            pixel_sigma=self._click_sigma,
+        ):
+            name = self.names[click.view]
+            others = ", ".join(self.names[view] for view in click.instead)
+            away = "the other views see the point elsewhere"
+            if np.isfinite(click.distance):
+                away = f"{click.distance:.1f} px from where the other views see the point"
+            doubt = f", or the click in {others} is wrong" if others else ""
+            wrong[click.feature][name] = f"{away}{doubt}"
+        return wrong
 
     def refined(
         self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
@@ -144,7 +167,8 @@ class ViewGeometry:
             pixel_sigma=self._click_sigma,
         )
         found = refine(None, observations, constraints, covariance=self._covariance)
-        return self._estimates_from(found, points), found
+        wrong_clicks = [estimate.wrong_clicks for estimate in self.estimates(points)]
+        return self._estimates_from(found, points, wrong_clicks), found
 
     def _clicked_pixels(self, points: Sequence[Clicks]) -> Float[np.ndarray, "views points 2"]:
         """Return the clicks of points as an array, NaN where a point was not clicked."""
@@ -155,7 +179,10 @@ class ViewGeometry:
         return pixels
 
     def _estimates_from(
-        self, found: TriangulatedPoints | RefinedFeatures, points: Sequence[Clicks]
+        self,
+        found: TriangulatedPoints | RefinedFeatures,
+        points: Sequence[Clicks],
+        wrong_clicks: Sequence[Mapping[str, str]],
     ) -> list[PointEstimate]:
         """Return the estimates of points that were triangulated or refined."""
         # The program takes finite points only; what is predicted for the others is not read.
@@ -181,6 +208,7 @@ class ViewGeometry:
                     J @ total[k] @ J.swapaxes(1, 2),
                     jacobians.valid[:, k] & within & found.ok[k],
                     residuals if found.ok[k] else {},
+                    wrong_clicks[k],
                     failures.get(k, ""),
                 )
             )

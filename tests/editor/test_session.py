@@ -5,6 +5,7 @@ from sessions import click_all
 
 from smartview_jax.editor import ModelSession
 from smartview_jax.editor.document import Document, apply_change
+from smartview_jax.editor.entries import point_entry
 from smartview_jax.io import load_object_model
 
 
@@ -45,6 +46,23 @@ def test_two_clicks_make_a_point_with_ellipse_and_residual(session, scene):
     # Where it was not clicked it is less certain, most of all along the curve.
     areas = np.sqrt(np.linalg.det(estimate.ellipses))
     assert areas[2:].min() > areas[:2].max()
+
+
+def test_a_click_on_another_corner_is_named_with_its_view(session, scene):
+    point = session.click("v1", scene.click(0, 3))
+    for view, name in enumerate(session.names[1:4], start=1):
+        session.click(name, scene.click(view, 3), point)
+    assert (
+        point_entry(session.document.points[point], session.estimates()[point]).get("wrong") is None
+    )
+    u, v = scene.click(2, 3)
+    session.click("v3", (u + 6.0, v - 4.0), point)
+    entry = point_entry(session.document.points[point], session.estimates()[point])
+    assert list(entry["wrong"]) == ["v3"]
+    distance = float(entry["wrong"]["v3"].split(" px from where the other views see")[0])
+    # To where the other views see it; its own residual is smaller, since it draws the point.
+    assert distance == pytest.approx(np.hypot(6.0, 4.0), abs=0.1)
+    assert np.hypot(*entry["residuals"]["v3"]) < 0.9 * distance
 
 
 def test_a_curve_passes_the_feature_at_its_depth(session, scene):

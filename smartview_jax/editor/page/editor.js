@@ -300,9 +300,10 @@ class Editor {
 
   pointsDetail(id, point) {
     const rows = Object.keys(point.clicks).map((view) => {
-      const residual = point.residuals?.[view];
-      const size = residual ? Math.hypot(...residual) : 0;
-      return `<tr><td>${this.escape(view)}</td><td class="${size > 2 ? "bad" : "dim"}">${residual ? `${size.toFixed(2)} px` : ""} ${this.button("×", { do: "remove_click", point: id, view })}</td></tr>`;
+      const residual = point.residuals?.[view], wrong = point.wrong?.[view];
+      const size = residual ? `${Math.hypot(...residual).toFixed(2)} px` : "";
+      const reason = wrong ? `<tr><td colspan="2" class="bad">${this.escape(wrong)}</td></tr>` : "";
+      return `<tr><td>${this.escape(view)}</td><td class="${wrong ? "bad" : "dim"}">${size} ${this.button("×", { do: "remove_click", point: id, view })}</td></tr>${reason}`;
     }).join("");
     const place = point.at
       ? `<table>${["x", "y", "z"].map((axis, k) => `<tr><td class="dim">${axis}</td><td>${(1e3 * point.at[k]).toFixed(2)} ± ${point.sigma_mm[k].toFixed(2)} mm</td></tr>`).join("")}</table>`
@@ -358,7 +359,7 @@ class Editor {
     for (const [id, one] of faces) row("faces", id, one.problem ? "bad" : "face", this.escape(one.name || `face ${id}`), one.graspable === true ? "graspable" : one.graspable === false ? "not" : "");
     for (const [id, one] of constraints) row("constraints", id, one.problem ? "bad" : "fact", this.escape(one.words), one.value_mm === null ? one.items.map((group) => group.join("–")).join(" ") : `${one.value_mm} mm`);
     for (const [id, one] of [...edges].slice(-most)) row("edges", id, one.problem ? "bad" : "edge", `${one.ends[0]} – ${one.ends[1]}`, one.mm === undefined ? "" : `${one.mm.toFixed(2)} ± ${one.sigma_mm.toFixed(2)}`);
-    for (const [id, one] of [...points].slice(-most)) row("points", id, one.problem ? "bad" : "", `point ${id}`, one.at ? `${Object.keys(one.clicks).length} views · ${Math.max(...one.sigma_mm).toFixed(2)}` : `${Object.keys(one.clicks).length} view`);
+    for (const [id, one] of [...points].slice(-most)) row("points", id, one.problem || one.wrong ? "bad" : "", `point ${id}`, one.at ? `${Object.keys(one.clicks).length} views · ${Math.max(...one.sigma_mm).toFixed(2)}` : `${Object.keys(one.clicks).length} view`);
     const list = this.find(".list");
     list.innerHTML = rows.join("") || `<div class="dim" style="padding:6px">Click a corner in two views.</div>`;
     for (const element of list.querySelectorAll("[data-row]")) {

@@ -99,8 +99,9 @@ export class PictureView {
     // What is usual is one path for all of it: a stroke for each of a thousand points takes long.
     const usual = [];
     for (const [id, point] of model.points) {
-      const special = id === active || point.problem || selection.has(`points:${id}`);
-      if (special) this.drawPoints(context, [[id, point]], point.problem && id !== active ? COLOURS.bad : COLOURS.active, 2);
+      const bad = point.problem || point.wrong;
+      const special = id === active || bad || selection.has(`points:${id}`);
+      if (special) this.drawPoints(context, [[id, point]], bad && id !== active ? COLOURS.bad : COLOURS.active, 2);
       else usual.push([id, point]);
     }
     this.drawPoints(context, usual, COLOURS.point, 1.3);
