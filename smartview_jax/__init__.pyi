@@ -2,6 +2,7 @@ from . import arm_identification as arm_identification
 from . import calibration as calibration
 from . import calibration_pipeline as calibration_pipeline
 from . import cameras as cameras
+from . import data_checks as data_checks
 from . import dataset as dataset
 from . import detection as detection
 from . import editor as editor
@@ -11,6 +12,7 @@ from . import features as features
 from . import fit_result as fit_result
 from . import geometry as geometry
 from . import grasping as grasping
+from . import hand_eye as hand_eye
 from . import io as io
 from . import joint as joint
 from . import localization as localization

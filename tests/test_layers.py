@@ -24,15 +24,16 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # file.
 FLOORS = """
     argument_checks version files runtime extras fit_result
-    schemas geometry cameras targets robots robot_errors calibration dataset detection staged engine
-    variance joint arm_identification
+    schemas geometry cameras targets robots robot_errors calibration dataset detection
+    hand_eye data_checks staged engine variance joint arm_identification
     calibration_pipeline time_offset evaluation viewpoints features modeling io simulation
     localization grasping plots report editor picking cli
 """.split()
 
 NO_OPENCV = """
-    runtime geometry cameras targets robots robot_errors calibration dataset staged engine
-    variance joint arm_identification viewpoints modeling localization
+    runtime geometry cameras targets robots robot_errors calibration dataset
+    hand_eye data_checks staged engine variance joint arm_identification viewpoints modeling
+    localization
 """.split()
 
 NO_FACE = {"schemas", "runtime"}

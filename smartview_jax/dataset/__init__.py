@@ -8,6 +8,10 @@ from .observations import chain_residuals as chain_residuals
 from .observations import medians_by_view as medians_by_view
 from .observations import view_residuals as view_residuals
 from .picture_digests import picture_digests as picture_digests
+from .point_extents import coplanar as coplanar
+from .point_extents import extents as extents
+from .point_extents import mean_point as mean_point
+from .point_extents import scatter as scatter
 from .robot_motion import contradictory_views as contradictory_views
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import given_places as given_places

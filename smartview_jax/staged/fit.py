@@ -16,6 +16,20 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration, host_mount_from_holder, transform_names
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
+from ..data_checks import (
+    ConventionReport,
+    Findings,
+    camera_misfit,
+    camera_problem,
+    check_conventions,
+    collinear_views,
+    detection_findings,
+    find_consistent_views,
+    median_reprojection_errors,
+    mismatched_views,
+    pose_findings,
+    stale_views,
+)
 from ..dataset import (
     Dataset,
     Observations,
@@ -27,24 +41,15 @@ from ..dataset import (
 )
 from ..fit_result import FitCode, FitResult, Rejection
 from ..geometry import PoseLike, host_matrices
+from ..hand_eye import HandEyeResult, solve_hand_eye
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
-from .camera_checks import camera_misfit, camera_problem
-from .conventions import ConventionReport, check_conventions
 from .given_start import known_transforms
-from .hand_eye import HandEyeResult, solve_hand_eye
 from .interpolation import Interpolation
 from .kalman import kalman_filter
-from .questions import Findings, detection_findings, pose_findings
 from .region import with_region
-from .target_checks import collinear_views, mismatched_views
 from .two_poses import choose_poses
-from .view_consistency import (
-    find_consistent_views,
-    median_reprojection_errors,
-    stale_views,
-)
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
 _log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from ..geometry import (
     host_exponentials,
     host_nearest_rotation,
 )
-from .minimum_norm import minimum_norm_transforms
+from ..hand_eye import minimum_norm_transforms
 from .planar_poses import MIN_DEPTH, Sight
 
 Matrices = Float[np.ndarray, "views 4 4"]

@@ -18,10 +18,10 @@ from jaxtyping import Array, Bool, Float
 from scipy.spatial.transform import Rotation
 
 from ..calibration import Calibration, transform_names
+from ..data_checks import median_reprojection_errors
 from ..dataset import Dataset
 from ..geometry import PoseLike, as_se3, host_logarithms, host_matrices
 from .given_start import known_transforms, merged_start
-from .view_consistency import median_reprojection_errors
 
 Matrix = Float[np.ndarray, "4 4"]
 """A homogeneous matrix, m."""

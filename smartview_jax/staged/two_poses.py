@@ -20,7 +20,8 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..cameras import Camera
-from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations
+from ..data_checks import MAX_MISFIT_RATIO, MAX_REJECTED_FRACTION
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, coplanar, extents
 from ..geometry import (
     host_matrices,
     host_transforms,
@@ -37,9 +38,7 @@ from .pose_search import (
     spaced_views,
     squared_distances,
 )
-from .view_consistency import MAX_MISFIT_RATIO, MAX_REJECTED_FRACTION
 from .weng import unprojected
-from .weng_start import coplanar, extents
 
 MAX_ASKED_POINTS = 16
 """The number of points of a view by which it is asked first whether it is ambiguous."""

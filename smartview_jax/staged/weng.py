@@ -19,11 +19,11 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..dataset import Observations
+from ..dataset import Observations, coplanar, extents
 from ..runtime.compilation import compiled, compiled_optimised
 from ..runtime.padding import without_padding
 from .weng_alternation import ViewFit, fit_view
-from .weng_start import Intrinsics, Start, coplanar, extents, view_starts
+from .weng_start import Intrinsics, Start, view_starts
 
 # Names of the starts, reported in `ViewCalibrations.starts`.
 LINEAR_START = "linear"

@@ -15,14 +15,12 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..cameras import Camera, Radial
+from ..dataset import mean_point, scatter
 from ..geometry import host_cross_matrices, host_nearest_rotation, host_transforms
 from ..runtime.array_namespace import AnyArray
 
 HostArray = np.ndarray
 """An array of NumPy whose first axis is that of the views."""
-
-_COPLANARITY_TOLERANCE = 1e-3
-"""Ratio of smallest to largest extent of the points below which they count as one plane."""
 
 
 class Intrinsics(NamedTuple):
@@ -48,18 +46,6 @@ class Start(NamedTuple):
 
     intrinsics: Intrinsics
     poses: SE3
-
-
-def extents(
-    points: Float[np.ndarray, "views points 3"], visible: Bool[np.ndarray, "views points"]
-) -> Float[np.ndarray, "views 3"]:
-    """Return the extent of the visible points along their principal axes, ascending, m."""
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(_scatter(points, visible)), 0.0))
-
-
-def coplanar(extent: Float[np.ndarray, "views 3"]) -> Bool[np.ndarray, "views"]:
-    """Return whether the points of each view lie in one plane, of any orientation."""
-    return extent[:, 0] < _COPLANARITY_TOLERANCE * extent[:, 2]
 
 
 def view_starts(
@@ -108,8 +94,8 @@ def planar_start(
         longer_side: of the picture, px; alpha is accepted between 1/5 and 30 times it.
     """
     # Coordinates within the plane: its two principal axes; the normal completes the frame.
-    origin = _mean(points, visible)
-    axes = np.linalg.eigh(_scatter(points, visible)).eigenvectors
+    origin = mean_point(points, visible)
+    axes = np.linalg.eigh(scatter(points, visible)).eigenvectors
     first, second = axes[..., 2], axes[..., 1]
     plane = np.stack([first, second, np.cross(first, second)], axis=1)
     plane_coordinates = (points - origin[:, None]) @ plane[:, :2].swapaxes(1, 2)
@@ -281,21 +267,9 @@ def _homography(plane_coordinates: HostArray, pixels: HostArray, visible: HostAr
     return to_pixels @ H @ from_plane
 
 
-def _scatter(points: HostArray, visible: HostArray) -> HostArray:
-    """Return the scatter matrix of the visible points about their mean."""
-    centred = np.where(visible[..., None], points - _mean(points, visible)[:, None], 0.0)
-    return centred.swapaxes(1, 2) @ centred
-
-
-def _mean(points: HostArray, visible: HostArray) -> HostArray:
-    """Return the mean of the visible points."""
-    total = np.sum(np.where(visible[..., None], points, 0.0), axis=1)
-    return total / np.maximum(np.sum(visible, axis=1), 1)[:, None]
-
-
 def _normalising_similarity(values: HostArray, visible: HostArray) -> tuple[HostArray, HostArray]:
     """Return centre and scale that normalise points to unit size, for a well-conditioned solve."""
-    centre = _mean(values, visible)
+    centre = mean_point(values, visible)
     squares = np.where(visible[..., None], (values - centre[:, None]) ** 2, 0.0)
     count = np.maximum(np.sum(visible, axis=1), 1)
     return centre, np.sqrt(np.sum(squares, axis=(1, 2)) / count) + 1e-12

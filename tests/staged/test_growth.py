@@ -7,11 +7,12 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax.calibration import mount_from_holder
+from smartview_jax.data_checks import conventions
+from smartview_jax.data_checks.conventions import check_conventions
 from smartview_jax.geometry import host_matrices, host_transforms
+from smartview_jax.hand_eye import CLOSED_FORMS, closed_form, frobenius_cost
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.simulation.scenes import random_viewpoints
-from smartview_jax.staged import CLOSED_FORMS, closed_form, conventions, frobenius_cost
-from smartview_jax.staged.conventions import check_conventions
 from smartview_jax.staged.kalman import kalman_filter
 
 MANY = 400

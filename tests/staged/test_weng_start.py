@@ -5,9 +5,10 @@ from jaxlie import SE3
 from numpy_camera import project_radial
 
 from smartview_jax.cameras import Camera, Radial
+from smartview_jax.dataset import coplanar, extents
 from smartview_jax.geometry import host_exponentials, host_matrices
 from smartview_jax.simulation import look_at_from_above
-from smartview_jax.staged.weng_start import coplanar, extents, linear_start, planar_start
+from smartview_jax.staged.weng_start import linear_start, planar_start
 
 SIZE = (640, 480)
 POSE = host_matrices(look_at_from_above(np.zeros(3), 0.2, 0.4, 1.0, 0.3))

@@ -10,13 +10,14 @@ models of the package are tried.
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool
 
 from ..cameras import AbstractLens, Camera, fit_symmetric_lens, lens_name
-from ..dataset import Observations, medians_by_view
-from .kalman import pixel_residuals
+from ..dataset import Observations, medians_by_view, view_residuals
+from ..geometry import host_matrices
 from .target_checks import DETECTION_NOISE
 
 MAX_MISFIT_RATIO = 0.3
@@ -141,7 +142,8 @@ def _usual_distance(
     camera_from_world: SE3,
 ) -> float:
     """Return the distance of the points from where a camera puts them, px; see `CameraMisfit`."""
-    residuals = np.asarray(pixel_residuals(observations, camera, camera_from_world))
+    poses = host_matrices(camera_from_world)
+    residuals = np.asarray(view_residuals(camera, jnp.ones(()), poses, observations))
     distances = np.linalg.norm(residuals, axis=2)
     return float(np.median(medians_by_view(distances, np.asarray(observations.visible))[used]))
 

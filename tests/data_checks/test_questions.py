@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from smartview_jax import Dataset
+from smartview_jax.data_checks.questions import Findings
 from smartview_jax.geometry import host_matrices
 from smartview_jax.staged import fit_staged
-from smartview_jax.staged.questions import Findings
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from smartview_jax import Dataset
+from smartview_jax.data_checks.target_checks import collinear_views, mismatched_views
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import fit_staged
-from smartview_jax.staged.target_checks import collinear_views, mismatched_views
 from smartview_jax.targets import Chessboard
 
 VIEWS, BOARD = 8, (7, 12)

@@ -25,8 +25,7 @@ from ..dataset import (
     undetermined_twists,
 )
 from ..geometry import host_logarithms, host_matrices, host_transforms
-from .closed_form import mean_camera_from_mount, park_martin
-from .minimum_norm import minimum_norm_transforms
+from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.

@@ -9,8 +9,8 @@ from shared_data import shared_case
 
 from smartview_jax import Dataset
 from smartview_jax.cameras import Fisheye
+from smartview_jax.data_checks.camera_checks import camera_misfit, camera_problem
 from smartview_jax.staged import fit_staged
-from smartview_jax.staged.camera_checks import camera_misfit, camera_problem
 
 USED = np.ones(8, dtype=bool)
 

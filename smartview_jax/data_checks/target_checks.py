@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..cameras import fit_symmetric_lens
-from ..dataset import Observations
-from .weng_start import extents
+from ..dataset import Observations, extents
 
 COLLINEARITY_TOLERANCE = 1e-3
 """Ratio of second to largest extent of the points below which they count as one line."""

@@ -1,0 +1,27 @@
+"""Check data before and between the steps of a calibration, and name what is wrong with them.
+
+`questions.py` says in which order: the poses, the detections (`target_checks.py`), the camera by
+itself (`camera_checks.py`), then whether robot and camera move alike (`conventions.py`, with the
+usual mistakes in `mistakes.py`, judged by the closure of motions, `closure.py`), and which single
+views contradict the others (`view_consistency.py`).
+"""
+
+from .camera_checks import camera_misfit as camera_misfit
+from .camera_checks import camera_problem as camera_problem
+from .closure import closure_error as closure_error
+from .closure import relative_motions as relative_motions
+from .conventions import ConventionHypothesis as ConventionHypothesis
+from .conventions import ConventionReport as ConventionReport
+from .conventions import check_conventions as check_conventions
+from .conventions import mistaken_unit as mistaken_unit
+from .questions import Findings as Findings
+from .questions import detection_findings as detection_findings
+from .questions import pose_findings as pose_findings
+from .target_checks import collinear_views as collinear_views
+from .target_checks import mismatched_views as mismatched_views
+from .view_consistency import MAX_MISFIT_RATIO as MAX_MISFIT_RATIO
+from .view_consistency import MAX_REJECTED_FRACTION as MAX_REJECTED_FRACTION
+from .view_consistency import ViewConsistency as ViewConsistency
+from .view_consistency import find_consistent_views as find_consistent_views
+from .view_consistency import median_reprojection_errors as median_reprojection_errors
+from .view_consistency import stale_views as stale_views
