@@ -40,7 +40,7 @@ def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
         in_hand: whether the camera is stated to be on the hand.
         view_count: number of views.
     """
-    other = "beside the arm (eye_to_hand)" if in_hand else "on the hand (eye_in_hand)"
+    other = "next to the arm (eye_to_hand)" if in_hand else "on the hand (eye_in_hand)"
     yield Mistake(
         "inverted",
         "every pose is inverted: they were given as tool_from_base where base_from_tool is "
@@ -95,7 +95,7 @@ def _mirror_camera_poses(camera: Poses) -> Poses:
 def _left_handed_positions() -> Iterator[Mistake]:
     """Yield the mistakes of positions with one axis backwards, whose rotations are right.
 
-    Where the rotations are those of the left-handed frame too, no data tell that from mirrored
+    Where the rotations are in the left-handed frame as well, no data tell this from mirrored
     pictures: with S = diag(1, -1, 1, 1) the robot poses S T S need the camera poses F C S of
     `_mirror_camera_poses`, up to rotations that hand-eye and world transform absorb.
     """

@@ -61,7 +61,7 @@ def mismatched_views(
         misfit = float(rms[view]) if misfit is None else misfit
         if not misfit <= limit:
             found[int(view)] = (
-                f"its points are not those of the target: {misfit:.0f} px from the best view of "
+                f"its points are not the target's: {misfit:.0f} px from the best view of "
                 "it by any lens, in the median: wrongly detected or numbered?"
             )
     return found

@@ -1,4 +1,4 @@
-"""Find the views whose robot and camera poses agree with those of the others, for use in Step 3.
+"""Find the views whose robot and camera poses agree with the other views, for use in Step 3.
 
 A picture that is paired with the wrong pose, or was taken while the robot was moving, biases the
 hand-eye transform in proportion to its error. Therefore the transforms are computed again without

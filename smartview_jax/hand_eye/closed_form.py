@@ -32,7 +32,7 @@ _Matrices = Float[np.ndarray, "views 4 4"]
 _Weights = Float[np.ndarray, "views"]
 
 MAX_PAIRS = 1000
-"""Largest number of pairs of views, those of 45 views, up to which all pairs are used.
+"""Largest number of pairs of views of which all are used: 45 views have as many.
 
 More motions hardly improve a closed form, and their number would grow with the square of the
 views."""
@@ -68,7 +68,7 @@ def _of_transforms(
             camera_from_mount, holder_from_world = solve(M, C, w[used])
         return host_transforms(camera_from_mount), host_transforms(holder_from_world)
 
-    # Documentation shows the signature of the function itself, not that of the method for matrices.
+    # Documentation shows the function's own signature, not the one for matrices.
     del vars(of_transforms)["__wrapped__"]
     return of_transforms
 
@@ -156,8 +156,8 @@ def park_martin(
 ) -> tuple[_Matrix, _Matrix]:
     """Compute the rotation from rotation vectors, then the translation (Park and Martin, 1994).
 
-    `R_A R = R R_B` means that R takes the rotation vectors of B to those of A, so R is the rotation
-    nearest to `sum w a b^T`.
+    `R_A R = R R_B` means that R maps the rotation vectors of B to the rotation vectors of A, so R is
+    the rotation nearest to `sum w a b^T`.
     """
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     # sum w a b^T, with the rotation vectors a and b of each pair in the rows of two matrices.
@@ -242,8 +242,7 @@ def shah(
 ) -> tuple[_Matrix, _Matrix]:
     """Compute both transforms of `A X = Z B` by a Kronecker product (Shah, 2013).
 
-    The rotations follow from `sum w kron(M_i, C_i)`, of which vec(R_world) and vec(R_camera) are
-    the first singular pair. The translations are then linear:
+    The first singular pair of `sum w kron(M_i, C_i)` is vec(R_world) and vec(R_camera). The translations are then linear:
     `R_camera M_i t_world + t_camera = t_C_i - R_camera t_M_i`.
     """
     M, C = mount_from_holder[:, :3, :3], camera_from_world[:, :3, :3]

@@ -119,7 +119,7 @@ def solve_hand_eye(
         require_motion(T[w != 0.0], "camera_from_mount", place_is_given)
     if finite and len(undetermined_twists(T[w != 0.0])):
         return _minimum_norm_result(T[w != 0.0], C[w != 0.0], w[w != 0.0], length_scale, known)
-    # The closed forms are further starts beside the paper's.
+    # The closed forms are starts in addition to the paper's.
     closed_forms = {
         name: tuple(host_matrices(x) for x in form(mount_from_holder, camera_from_world, w))
         for name, form in CLOSED_FORMS.items()

@@ -1,7 +1,7 @@
 """Run the linear algebra of many small matrices on one thread.
 
 OpenBLAS distributes even products of small matrices over all cores, and its threads wait for each
-other without pause: on two cores of which another process uses one, the search for the standard
+other without pause: on two cores, one used by another process, the search for the standard
 deviations of errors then takes twice as long.
 """
 
@@ -27,7 +27,7 @@ def on_one_blas_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
 @functools.cache
 def _controller():
     """Return the controller of the thread pools of the libraries that are loaded."""
-    # Imported here: it looks through all loaded libraries, those of SciPy too.
+    # Imported here: it looks through all loaded libraries, including SciPy's.
     import scipy.linalg  # noqa: F401
     from threadpoolctl import ThreadpoolController
 

@@ -47,7 +47,7 @@ def refuse_traced(function: str, *trees: Any) -> None:
     if is_traced(*trees):
         raise TypeError(
             f"{function} cannot be traced by jit, grad or vmap, because it decides by the values "
-            "of its data. Derivatives and batches of a fit are those of sv.optimum: build the "
+            "of its data. For derivatives and batches of a fit use sv.optimum: build the "
             "problem once by sv.build_problem, outside, and change its arrays by eqx.tree_at"
         )
 

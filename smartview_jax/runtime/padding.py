@@ -1,4 +1,4 @@
-"""Pad small data sets to a few sizes, so that those of about the same size share programs.
+"""Pad small data sets to a few sizes, so that data sets of about the same size share programs.
 
 XLA compiles a program for the shapes of its arguments. For a small data set that takes seconds,
 and running the program milliseconds: a second data set, with one view more, should not be compiled

@@ -13,11 +13,11 @@ from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
 
 
 def require_picture_size(what: str, camera: Camera, image_size: tuple[int, int]) -> None:
-    """Raise a ValueError if a camera takes pictures of another size than those of the data."""
+    """Raise a ValueError if a camera's pictures differ in size from the data's pictures."""
     if tuple(camera.image_size) != tuple(image_size):
         sizes = [" x ".join(map(str, size)) for size in (camera.image_size, image_size)]
         raise ValueError(
-            f"{what} takes pictures of {sizes[0]} px, those of the data are {sizes[1]}"
+            f"{what} takes pictures of {sizes[0]} px, but the data have pictures of {sizes[1]} px"
         )
 
 

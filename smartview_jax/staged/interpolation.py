@@ -37,7 +37,7 @@ HULL_TOLERANCE = 0.01
 fraction of the farthest viewpoint's distance from the centroid. It allows for robot error."""
 
 _SUM_TO_ONE_WEIGHT = 10.0
-"""Row weight of the sum-to-one condition, beside position rows of size about 1."""
+"""Row weight of the sum-to-one condition; position rows have a size of about 1."""
 
 
 class Interpolation(eqx.Module):

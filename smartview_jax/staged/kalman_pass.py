@@ -184,7 +184,7 @@ def scaled_measurements(
 ) -> tuple[Float[Array, "views points 2 columns"], Float[Array, "camera"]]:
     """Return the measurements `[H_e H_s -z]`, px, for a change in initial standard deviations.
 
-    The arguments are those of `_linearised_pass`. The camera's initial standard deviations are
+    The arguments are as for `_linearised_pass`. The camera's initial standard deviations are
     returned too.
     """
     width, height = camera.image_size
@@ -213,7 +213,7 @@ def _projection_jacobians(
 ) -> tuple[Float[Array, "points 2 camera"], Float[Array, "points 2 3"]]:
     """Return the derivatives of the pixels by the camera and by the points.
 
-    The projection is that of the collinearity equations Eq. 5 and Eq. 6 through the lens. (Eq. 7
+    The projection is given by the collinearity equations Eq. 5 and Eq. 6 with the lens. (Eq. 7
     prints t_x in the rows where t_y and t_z belong, a misprint.)
     """
     numbers, rebuild = ravel_pytree(camera)

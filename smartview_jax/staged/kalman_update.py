@@ -179,7 +179,7 @@ def _subtract_explained(
 
 
 def whole_mean_and_variances(state: FilterState) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean and the variance of the camera's numbers, followed by those of every pose."""
+    """Return mean and variance of the camera's parameters, then of every pose's parameters."""
     C, m = np.split(np.asarray(state.camera), [-1], axis=1)
     D, G, a = np.split(np.asarray(state.poses), [POSE_SIZE, -1], axis=2)
     pose_mean = a + G @ m
@@ -195,7 +195,7 @@ def whole_covariance(
     camera_scale: Float[np.ndarray, "camera"],
     pose_maps: Float[np.ndarray, "views 6 6"],
 ) -> Float[np.ndarray, "state state"]:
-    """Return the covariance of the camera's numbers, followed by those of every pose.
+    """Return the covariance of the camera's parameters, then of every pose's parameters.
 
     Args:
         state: distribution in scaled numbers.

@@ -100,17 +100,17 @@ def ranked_transforms(
     if _is_plain(candidates):
         first = first[:MAX_PLAIN_REFINED]
     refined = [_refined(cameras[k], worlds[k], robot, sight, sigma) for k in first]
-    refined.sort(key=lambda one: one.deviance)
+    refined.sort(key=lambda pair: pair.deviance)
     if any(pose is not None for pose in start):
         given = [
             _refined(*pair, robot, sight, sigma)
             for pair in _pairs_of_start(start, candidates, robot)
         ]
-        refined.insert(0, min(given, key=lambda one: one.deviance))
+        refined.insert(0, min(given, key=lambda pair: pair.deviance))
     different: list[Transforms] = []
-    for one in refined:
-        if not any(_is_same_answer(one, other) for other in different):
-            different.append(one)
+    for pair in refined:
+        if not any(_is_same_answer(pair, other) for other in different):
+            different.append(pair)
     return different
 
 

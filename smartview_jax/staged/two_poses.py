@@ -213,11 +213,11 @@ def _angular_size(sight: Sight) -> float:
 def _rival_warning(found: list[Transforms], alpha: float) -> str:
     """Return a sentence if another answer explains the pictures about as well as the first."""
     best = found[0]
-    rivals = [one for one in found[1:] if one.deviance - best.deviance < RIVAL_DEVIANCE]
+    rivals = [pair for pair in found[1:] if pair.deviance - best.deviance < RIVAL_DEVIANCE]
     if not rivals:
         return ""
-    rival = min(rivals, key=lambda one: one.deviance)
-    place, other = (1e3 * one.camera[:3, 3] for one in (best, rival))
+    rival = min(rivals, key=lambda pair: pair.deviance)
+    place, other = (1e3 * pair.camera[:3, 3] for pair in (best, rival))
     numbers = [", ".join(f"{x:.0f}" for x in values) for values in (place, other)]
     return (
         "a small flat target has two poses in every view, and two answers explain the pictures "

@@ -204,7 +204,7 @@ def _select_by_view(views: np.ndarray, selected: ViewFit, unselected: ViewFit) -
     """Return the first result in the given views and the second result in all others."""
 
     def select(a: Array, b: Array) -> np.ndarray:
-        """Return the rows of one array in the given views, those of the other elsewhere."""
+        """Return the rows of one array in the given views, and of the other array elsewhere."""
         return np.where(views.reshape((-1,) + (1,) * (a.ndim - 1)), np.asarray(a), np.asarray(b))
 
     return jax.device_put(jax.tree.map(select, selected, unselected))

@@ -20,7 +20,7 @@ from ..geometry import host_cross_matrices, host_nearest_rotation, host_transfor
 from ..runtime.array_namespace import AnyArray
 
 HostArray = np.ndarray
-"""An array of NumPy whose first axis is that of the views."""
+"""A NumPy array with one entry for each view along its first axis."""
 
 
 class Intrinsics(NamedTuple):
@@ -253,7 +253,7 @@ def _homography(plane_coordinates: HostArray, pixels: HostArray, visible: HostAr
     x, y = np.moveaxis((plane_coordinates - a[:, None]) / s[:, None, None], -1, 0)
     u, v = np.moveaxis((pixels - b[:, None]) / r[:, None, None], -1, 0)
     ones, zero = np.ones_like(x), np.zeros_like(x)
-    # u (h31 x + h32 y + h33) = h11 x + h12 y + h13, and likewise for v: two equations per point,
+    # u (h31 x + h32 y + h33) = h11 x + h12 y + h13, and the same for v: two equations per point,
     # linear in H.
     rows_u = np.stack([x, y, ones, zero, zero, zero, -u * x, -u * y, -u], axis=2)
     rows_v = np.stack([zero, zero, zero, x, y, ones, -v * x, -v * y, -v], axis=2)

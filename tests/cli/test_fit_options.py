@@ -164,7 +164,10 @@ def test_the_command_refuses_with_the_code_of_the_other_verbs(folder, tmp_path):
     for option in ("--camera", "--start"):
         ended = calibrated(folder, tmp_path / "out", option, tmp_path / "other.yaml")
         assert ended.exit_code == 2
-        assert "takes pictures of 320 x 240 px, those of the data are 640 x 480" in ended.stderr
+        assert (
+            "takes pictures of 320 x 240 px, but the data have pictures of 640 x 480"
+            in ended.stderr
+        )
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_a_row_that_was_copied_from_a_later_one_is_the_wrong_one(wrong):
 def test_detections_come_before_the_unit_of_angles(wrong):
     data = wrong(pixels=renumbered, poses=in_degrees)
     problems = fit_staged(data, conventions="report").conventions.problems
-    assert problems[0].startswith("view 4: its points are not those of the target")
+    assert problems[0].startswith("view 4: its points are not the target's")
     assert "(degrees?)" in problems[1]
 
 

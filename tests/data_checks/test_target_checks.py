@@ -36,7 +36,7 @@ def test_random_points_and_points_on_a_line_are_named_for_what_they_are(board):
     messages = []
     fit = fit_staged(changed(board.data, pixels), progress=messages.append)
     assert set(whole(fit)) == {"5", "2"}
-    assert "its points are not those of the target" in whole(fit)["5"]
+    assert "its points are not the target's" in whole(fit)["5"]
     assert whole(fit)["2"] == f"the {seen} points seen lie on one line"
     assert {5, 2}.isdisjoint(fit.views)
     assert "each of 7 views" in messages[0]

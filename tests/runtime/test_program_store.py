@@ -1,5 +1,6 @@
 """Programs are read without being traced, and only where they are the same programs."""
 
+import ast
 import json
 import os
 import pickle
@@ -17,7 +18,12 @@ from once_a_run import made_once
 from smartview_jax.cameras import Camera, Pinhole, radial
 from smartview_jax.runtime.program_store import ProgramStore
 from smartview_jax.runtime.program_store import store as store_module
-from smartview_jax.runtime.program_store.identity import constants, known_name, pickled_if_known
+from smartview_jax.runtime.program_store.identity import (
+    constants,
+    known_name,
+    pickled_if_known,
+    sources,
+)
 from smartview_jax.runtime.program_store.safe_pickle import unpickled_program, unpickled_trace
 
 PROCESS = """
@@ -96,6 +102,11 @@ def processes(tmp_path_factory):
     return json.loads(
         (made_once(tmp_path_factory, "two_processes", _two_processes) / "found.json").read_text()
     )
+
+
+def test_every_source_of_the_package_decides_a_program():
+    folders = {Path(path).name for path, *_ in ast.literal_eval(sources().decode())}
+    assert {"radial.py", "fit.py", "store.py", "files.py"} <= folders
 
 
 def test_programs_that_are_read_compute_what_the_compiled_ones_did(processes):

@@ -88,15 +88,16 @@ def _processor() -> str:
     """Return what Linux says of the processor's instructions; elsewhere the machine's name."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        told = ("model name", "flags", "Features", "CPU part")
-        return "\n".join(sorted({line for line in lines if line.startswith(told)}))
+        described = ("model name", "flags", "Features", "CPU part")
+        return "\n".join(sorted({line for line in lines if line.startswith(described)}))
     return repr(os.uname()) if hasattr(os, "uname") else sys.platform
 
 
 @functools.cache
 def sources() -> bytes:
     """Return path, time and size of every source of the package, as Python itself tells changes."""
-    return repr(sorted(_stamps(Path(__file__).parents[1]))).encode()
+    package = sys.modules[_PACKAGE].__path__[0]
+    return repr(sorted(_stamps(Path(package)))).encode()
 
 
 def _stamps(folder: Path) -> Iterator[tuple[str, int, int]]:
@@ -127,7 +128,7 @@ _checksums: dict[str, tuple[list[Any], int]] = {}
 
 
 def _checksum_of_module(name: str, variables: dict[str, Any]) -> int:
-    """Return the checksum of a module, computed anew if one of its variables is another object."""
+    """Return the checksum of a module, computed again if one of its variables was replaced."""
     values = list(variables.values())
     before, checksum = _checksums.get(name, ([], 0))
     if len(before) != len(values) or not all(map(operator.is_, before, values)):

@@ -47,7 +47,7 @@ class ArrayKind(NamedTuple):
     Attributes:
         shape: the shape.
         dtype: the name of the type.
-        weak: whether the type gives way to others, as that of a Python number does.
+        weak: whether the type gives way to others, as a Python number's does.
         sharding: the devices that hold it; None for the first one, and for an array of NumPy.
     """
 
@@ -61,7 +61,7 @@ class Program(NamedTuple):
     """A compiled program, and how its result is put together.
 
     Attributes:
-        run: from the arrays of the arguments to those of the result.
+        run: from the arguments' arrays to the result's arrays.
         structure: the structure of the result.
         leaves: its leaves, with an `ArrayKind` in the place of each array.
     """
