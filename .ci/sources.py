@@ -74,7 +74,7 @@ def files_of(module: str) -> Iterator[Path]:
 
 @cache
 def kept_files() -> frozenset[Path]:
-    """Files of the repository; what a run leaves beside them, and Git ignores, is no source."""
+    """Files of the repository; what a run leaves next to them, and Git ignores, is no source."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     return frozenset(file for name in listed.split("\0") if (file := ROOT / name).is_file())

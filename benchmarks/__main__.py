@@ -15,22 +15,22 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 BENCHMARKS = {
-    "table1": "the paper's Table 1 on its simulated set-up, with the joint fit beside it",
+    "table1": "the paper's Table 1 on its simulated set-up, with the joint fit",
     "paper": "the paper's Table 1 and stylus test (Fig. 2) from rendered and detected pictures",
     "real_sets": "the joint fit on the real data sets, against their reference figures",
     "arm": "a real arm's joint zeros found together with its camera, against SciPy and in folds",
     "kinematics": "axes and gear ratios of a real positioner from measured poses",
-    "held_out": "error on unseen views of the real data sets, beside OpenCV and vision-calibration",
+    "held_out": "error on unseen views of the real sets, against OpenCV and vision-calibration",
     "consistency": "whether stated uncertainty is true: NEES and coverage over simulated runs",
     "budget": "where the error comes from on the real data sets, and whether the culprit is named",
     "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
-    "few_views": "the default on few views beside the best of simple fits, simulated and real",
+    "few_views": "the default on few views against the best of simple fits, simulated and real",
     "weak_robots": "robots from exact to 20 mm of noise: the default against the best simple fit",
-    "target_shape": "bowed boards, a lens of higher order: mounts and intervals, beside OpenCV",
+    "target_shape": "bowed boards, a lens of higher order: mounts and intervals, against OpenCV",
     "target_size": "intervals where data hardly tell the size of the target: do they agree",
     "single_tags": "a single small tag, two poses in each view: right in how many sets?",
     "defaults": "lenses and noises on the real data sets by held-out error",
-    "engine": "the joint fit beside Ceres, gtsam, casadi, SciPy: time, memory, cost",
+    "engine": "the joint fit against Ceres, gtsam, casadi, SciPy: time, memory, cost",
     "growth": "time and memory of fits and of the whole calibration by points, views, devices",
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",
@@ -44,7 +44,7 @@ BENCHMARKS = {
     "mutations": "bugs put into the package on purpose: does the suite notice each of them",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
     "editor": "the time from a click in the object-model editor to the drawn answer",
-    "stages": "every stage timed beside OpenCV, in one run",
+    "stages": "every stage timed against OpenCV, in one run",
 }
 
 LONGEST_SMOKE = ("localization", "grasping", "modeling", "hypotheses", "engine")

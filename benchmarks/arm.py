@@ -95,4 +95,4 @@ def _print_zeros(fit: sv.JointFit) -> None:
         std = fit.std[f"robot_error.joint_offset.{1 + k}"]
         print(f"zero of joint {1 + k}: {np.rad2deg(zero):7.3f} +- {np.rad2deg(std):.3f} degrees")
     scale = float(fit.calibration.target_scale)
-    print(f"size of the board: {scale:.4f} +- {fit.std['target_scale']:.4f} of what is stated")
+    print(f"size of the board: {scale:.4f} +- {fit.std['target_scale']:.4f} of the stated size")

@@ -26,7 +26,7 @@ CULPRITS = {
     ("koide_charuco", "20230920_"): (TOO_FEW_VIEWS,),
     ("lwr4_joint", ""): (SCALE_ERROR, SYSTEMATIC_ROBOT_ERROR, ROBOT_NOISE),
 }
-"""Causes of which the budget has to begin with one."""
+"""Causes, one of which has to come first in the budget."""
 
 PRINTED = (0.977, 0.002)
 """Scale of rct_circle10x10's target, and how near to it the budget comes."""
@@ -51,10 +51,10 @@ def _named(folder: str, prefix: str, regions: bool) -> bool:
     for part in budget.causes:
         print(f"  {part.name:32}{part.rms:10.3g} px")
     for rival in budget.scale_hypotheses:
-        gain, beside = rival.log_likelihood_ratio, rival.log_likelihood_ratio_given_field
+        gain, given_field = rival.log_likelihood_ratio, rival.log_likelihood_ratio_given_field
         text = f"  {rival.name:32}{rival.scale:10.4f} +- {rival.std:.4f}, gains {gain:.1f} "
         text += f"where a field gains {rival.field_log_likelihood_ratio:.1f}; "
-        text += f"beside it {beside:.1f}"
+        text += f"given that field {given_field:.1f}"
         if rival.region_rms is not None:
             text += f"; {rival.region_rms:.3g} px on hidden regions"
         print(text)

@@ -8,8 +8,8 @@ come from (best of 200 fives 0.87 px, medians of tens and twenties 0.76 and 0.51
 are held. With the tool at a flange 9 cm behind the camera everything is printed, and nothing held.
 
 On the real set, views are chosen or drawn among those that were taken, the joint fit (robot
-trusted, lens opencv4) sees only those, and the error is that of all others. What is known before
-the choice is a fit to five random views.
+trusted, lens opencv4) sees only those, and the error is measured on all others. What is known
+before the choice is a fit to five random views.
 """
 
 import dataclasses

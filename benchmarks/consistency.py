@@ -144,7 +144,7 @@ def _averaged(views: int, seeds: range) -> list[dict]:
         data, _, truth = _scene(views, seed)
         fit = sv.fit_joint(data, paper_calibration(), noise="estimated")
         assert fit.noise is not None
-        # The field's sizes are of whichever field the models that count have together.
+        # The field's sizes depend on which models have weight, so they are left out here.
         sizes = (fit.noise.pixel, fit.noise.translation, fit.noise.rotation)
         entry = _entry(
             fit.calibration, fit.covariance, fit.parameter_names, sizes, fit.degrees_of_freedom

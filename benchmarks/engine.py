@@ -1,4 +1,4 @@
-"""The joint fit beside other libraries: each in a process of its own, interleaved, one table.
+"""The joint fit against other libraries: each in a process of its own, interleaved, one table.
 
 Peers that are not installed are reported as missing. Ceres in C++ is compiled here where `g++` and
 its headers are found (Debian: libceres-dev). vision-calibration runs all its stages, with a lens of

@@ -1,9 +1,9 @@
 """Is the default ever much worse than the best of the simple fits? Few views above all.
 
 A flexible error of the robot can absorb what few views scatter by. The default averages over models
-of it; here it stands beside the staged fit, the joint fit that trusts the robot, and the joint fit
-that knows of white noise alone, on 5 to 15 simulated views of a robot with white noise and of a 6R
-arm with errors of its own, and on random fives, sixes and eights of real sets, judged on all
+of it; here it is compared with the staged fit, the joint fit that trusts the robot, and the joint
+fit that knows of white noise alone, on 5 to 15 simulated views of a robot with white noise and of a
+6R arm with errors of its own, and on random fives, sixes and eights of real sets, judged on all
 views that were not drawn. Printed are RMS over seeds, the default's ratio to the best of the three,
 and its worst run over the worst run of the one of the three that strays least. Draws from which
 none of the three predicts within `HOPELESS` pixels are left out, and counted.
@@ -47,7 +47,7 @@ REAL = (
     ("koide_charuco", "20231006_", (5, 6)),
     ("koide_charuco", "20230920_", (5,)),
 )
-"""Sets and numbers of views that are drawn of each, of which at least one is left to judge on."""
+"""Sets, and numbers of views to draw from each; at least one view is left to judge on."""
 
 PIXELS, MILLIMETRES, SINGLE = 1.05, 1.15, 2.0
 """Times the best of the simple fits, at most: RMS of px, RMS of mm, and the worst run of either."""

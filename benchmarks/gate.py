@@ -11,7 +11,7 @@ BASELINE = Path(__file__).parent / "baseline.json"
 
 
 def check(figures: dict[str, float]) -> bool:
-    """Print every figure beside its baseline; True where none is worse than it may be."""
+    """Print every figure and its baseline; True where none is worse than it may be."""
     known = json.loads(BASELINE.read_text(encoding="utf-8"))
     good = True
     for name, value in figures.items():

@@ -5,8 +5,8 @@ board (projected, with 0.05 px of noise, not rendered), by the staged pipeline a
 Then
 
 - reliability: an object falls into the bin and is measured from two views with known errors on top
-  of those of the calibration, small ones to large ones, so that the predicted probability takes all
-  values; every grasp that nothing else forbids is executed, whatever its probability;
+  of the calibration's, from small to large, so that the predicted probability takes all values;
+  every grasp that nothing else forbids is executed, whatever its probability;
 - picking: objects fall into the bin, pictures are rendered, `sv.localize` finds and verifies them,
   and the safest grasp of an accepted one is executed; the same scenes with either calibration.
 
@@ -201,7 +201,7 @@ def interval(successes: int, count: int) -> tuple[float, float]:
 
 
 def reliability(rigs: list[dict[str, Rig]], drops: int) -> bool:
-    """Print predicted probabilities beside what happened; True if they agree."""
+    """Print predicted probabilities and what happened; True if they agree."""
     agreed = True
     for kind in ("joint", "staged"):
         results: list[tuple[float, bool]] = []

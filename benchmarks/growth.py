@@ -21,7 +21,7 @@ SMOKE_VIEWS = (15,)
 """Numbers of views of the default calibration, of 63 points each."""
 
 LARGEST_TIME_RATIO, LARGEST_PEAK = 5.0, 1500.0
-"""Time of 2,000 views in multiples of that of 500 views, and peak memory in MB, at most."""
+"""Largest ratio of the time for 2,000 views to the time for 500, and largest peak memory in MB."""
 
 
 def run(smoke: bool = False) -> bool:

@@ -1,7 +1,7 @@
-"""Who predicts views it never saw: this library's fits beside OpenCV and vision-calibration.
+"""Who predicts views it never saw: this library's fits against OpenCV and vision-calibration.
 
 Five folds by view (each view by itself below eight), the same for all, everything refitted in each
-fold, on the real data sets that lie beside the checkout. And how far the hand-eye transforms found
+fold, on the real data sets that lie next to the checkout. And how far the hand-eye transforms found
 from even and from odd views agree: nothing else that real data offer says more about the mount.
 """
 

@@ -131,7 +131,7 @@ def _real(smoke: bool) -> bool:
     """Print the table of real pictures; return whether the goal is met."""
     cases = real_cases()
     if not cases:
-        print("real pictures skipped: not beside this checkout (shared/data)")
+        print("real pictures skipped: not next to this checkout (shared/data)")
         return True
     found: dict[str, list[Search]] = {}
     case_views: dict[str, int] = {}

@@ -20,7 +20,7 @@ def run(smoke: bool = False) -> bool:
     """Print the table; True where every figure is within its bound. `smoke` changes nothing."""
     del smoke
     if not MEASURED.is_file():
-        print("skipped: the measured poses are not beside this checkout (shared/data)")
+        print("skipped: the measured poses are not next to this checkout (shared/data)")
         return True
     joints, poses = sv.io.read_robot_cal_kinematics(MEASURED)
     print(f"{'ratios':8}{'mm':>8}{'bound':>8}{'degrees':>9}{'bound':>8}{'seconds':>9}")

@@ -68,9 +68,9 @@ class CellScene(NamedTuple):
         kind: one of `KINDS`.
         seed: of everything in it.
         surfaces: all that is seen.
-        objects: models of what is there, each time.
+        objects: models of the objects in the scene.
         world_from_object: their true poses.
-        others: names of models that are looked for and are not there.
+        others: names of absent models that are also looked for.
         views: two of them.
         hidden: share of the objects' edges that something else hides in each view.
     """
@@ -140,7 +140,7 @@ def cell_scene(cell: SimulatedCell, kind: str, seed: int) -> CellScene:
 
 
 def _drop(cell: SimulatedCell, objects: list[CellObject], seed: int) -> None:
-    """Drop objects into the bin, anew where some of them do not come to rest."""
+    """Drop objects into the bin; try again where some of them do not come to rest."""
     for k in range(TRIES):
         try:
             return cell.drop(objects, seed + k * 1_000_000)

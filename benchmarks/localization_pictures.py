@@ -55,7 +55,7 @@ def print_real_pictures(smoke: bool = False) -> bool:
     """
     cases = real_cases()[:: SMOKE_EVERY if smoke else 1]
     if not cases:
-        print("\nreal pictures skipped: not beside this checkout (shared/data)")
+        print("\nreal pictures skipped: not next to this checkout (shared/data)")
         return True
     print(
         f"\n{'real pictures':20}{'cases':>6}{'accepted':>10}{'right first':>13}{'wrong':>7}"
@@ -131,7 +131,7 @@ def _extent(vertices: np.ndarray) -> float:
 
 
 def _print_row(name: str, findings: Sequence[Finding], accepted: int, searched: int) -> None:
-    """Print what was found of one object, medians of what was accepted."""
+    """Print the results for one object, with medians over accepted poses."""
     accepted_ones = [one for one in findings if one.accepted]
     rms, angle, shift = (
         np.median([getattr(one, key) for one in accepted_ones]) if accepted_ones else np.nan

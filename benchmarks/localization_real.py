@@ -49,7 +49,7 @@ class RealCase(NamedTuple):
 
 
 def real_cases() -> list[RealCase]:
-    """Return all cases whose set lies beside this checkout."""
+    """Return all cases whose set lies next to this checkout."""
     makers = {"visp_castle_simu": castle_cases, "visp_cube": cube_cases, "vgg_house": house_cases}
     return [case for name, make in makers.items() if (SHARED / name).is_dir() for case in make()]
 
@@ -57,7 +57,7 @@ def real_cases() -> list[RealCase]:
 def castle_cases() -> list[RealCase]:
     """Return the cube and the tower of the rendered castle, each in several pairs of views."""
     content = json.loads((SHARED / "visp_castle_simu" / "object.json").read_text(encoding="utf-8"))
-    # Back and bottom of the cube are missing in the file; with them its symmetry is that of a cube.
+    # The file lacks back and bottom of the cube; with them it has a cube's symmetry.
     content["faces"] += [[18, 20, 21, 19], [14, 20, 18, 15]]
     content["edges"] += [[18, 20]]
     cube = _part(content, list(range(14, 22)), {22: 19, 23: 21}, "cube")

@@ -16,7 +16,7 @@ MAX_FALSE_ACCEPTS = 0.005
 """Largest share of searches in which a wrong pose is accepted."""
 
 MAX_OVER_BOUND = 1.3
-"""Largest ratio of the RMS error of poses to that of the Cramer-Rao bound."""
+"""Largest ratio of the poses' RMS error to the Cramer-Rao bound."""
 
 MAX_SECONDS = 1.5
 """Largest median of the seconds a scene, warm."""
@@ -35,8 +35,8 @@ class SceneSeconds(NamedTuple):
 
     Attributes:
         localize: time of the whole search, s.
-        detector: that of OpenCV's line segment detector on the same pictures, which tells how fast
-            the machine is.
+        detector: time of OpenCV's line segment detector on the same pictures, s, which tells how
+            fast the machine is.
     """
 
     localize: float
@@ -68,8 +68,8 @@ def print_seconds(seconds: list[SceneSeconds]) -> bool:
     own = [one.localize for one in seconds]
     ratios = [one.localize / one.detector for one in seconds]
     print(f"seconds a scene, warm, one model, two pictures: median {np.median(own):.2f}, "
-          f"largest {max(own):.2f}; {np.median(ratios):.0f} times that of OpenCV's line "
-          "segment detector on these pictures")  # fmt: skip
+          f"largest {max(own):.2f}; {np.median(ratios):.0f} times as long as OpenCV's "
+          "line segment detector on these pictures")  # fmt: skip
     return float(np.median(own)) <= MAX_SECONDS
 
 
@@ -187,14 +187,14 @@ def _print_over_bound(bounds: list[dict[str, float]], prefix: str, name: str) ->
             typical = float(np.median(own / least))
             worst = max(worst, ratio)
             print(
-                f"RMS over that of the bound {name}, {unit}: {np.sqrt(np.mean(own**2)):.4f} / "
+                f"RMS error over the bound {name}, {unit}: {np.sqrt(np.mean(own**2)):.4f} / "
                 f"{np.sqrt(np.mean(least**2)):.4f} = {ratio:.2f}; median of ratios {typical:.2f}"
             )
     return worst
 
 
 def _print_peers(records: list[dict[str, Any]]) -> None:
-    """Print OpenCV's poses from the same matched corners beside ours."""
+    """Print OpenCV's poses from the same matched corners next to ours."""
     peers = [(o, b) for r in records for o, b in zip(r["pnp"], r["bound"], strict=True)]
     solved = [(o, b) for o, b in peers if o.get("solved")]
     if not solved:

@@ -1,8 +1,8 @@
 """One scene of the localisation benchmark: what is found in it, by which calibration, how exactly.
 
 Each scene is searched with the true calibration, and with the joint and the staged one of a cell
-that was calibrated from 20 views of a board. Beside that: OpenCV's `solvePnPRansac` on the same
-matched corners, and a third picture from the paper's verification view and from the chosen one.
+that was calibrated from 20 views of a board. Also run are OpenCV's `solvePnPRansac` on the
+same matched corners, and a third picture from the paper's verification view or the chosen one.
 """
 
 import time
@@ -52,12 +52,12 @@ BOUND_RADIUS = 1.5
 GRAIN_CURVATURE = 0.11
 """What the surfaces' grain displaces a whole edge by, px, times its gradient, grey levels/px.
 
-Beside a blurred step of peak gradient g and width s, other brightness b moves the peak to where
--g x / s^2 + b''(0) = 0, by x = s^2 b'' / g. Grain is coarser than edge points are apart, so that
-those of an edge share much of that, however many they are. At the true poses of 54 scenes of other
-seeds the edges' distances and tilts have the spread of their points' noise and of 0.106 and 0.108
-over g, 0.09 to 0.15 in each band of g below 20. In pictures without noise the tilts of edges with g
-below 7 are 0.024 px in the median, and 0.004 px once the grain is left out.
+Next to a blurred step of peak gradient g and width s, other brightness b moves the peak to where
+-g x / s^2 + b''(0) = 0, by x = s^2 b'' / g. Grain is coarser than the spacing of edge points, so
+that the points of an edge share most of it, however many they are. At the true poses of 54 scenes
+of other seeds the edges' distances and tilts have the spread of their points' noise and of 0.106
+and 0.108 over g, 0.09 to 0.15 in each band of g below 20. In pictures without noise the tilts of
+edges with g below 7 are 0.024 px in the median, and 0.004 px once the grain is left out.
 """
 
 CORNER_REACH = 3.0
@@ -104,7 +104,7 @@ def trial(rigs: dict[str, Rig], kind: str, seed: int) -> dict[str, Any]:
 
 
 def _models(scene: CellScene) -> list[ObjectModel]:
-    """Return the models that are looked for: of what is there, and of what is not."""
+    """Return the models to look for: of present and of absent objects."""
     there = {} if scene.kind == "wrong" else {one.name: one for one in scene.objects}
     return [*there.values(), *(model_of(solids()[name], name) for name in scene.others)]
 

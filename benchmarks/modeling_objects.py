@@ -1,6 +1,6 @@
-"""Random convex polyhedra, clicked in five views, and what is said of their vertices.
+"""Random convex polyhedra, clicked in five views, and the stated uncertainty of their vertices.
 
-The rig is drawn anew for every object: with the calibration known, or estimated by a joint fit on
+A new rig is drawn for every object: with the calibration known, or estimated by a joint fit on
 other views of the same simulated rig. Judged is the normalised error of all vertices of an object
 together, which knows that the calibration's errors are common to them.
 """
@@ -62,7 +62,7 @@ def polyhedron(rng: np.random.Generator, centre: np.ndarray, radius: float) -> C
 
 
 def seen_vertices(hull: ConvexHull, camera_centres: np.ndarray) -> np.ndarray:
-    """Which vertices each camera sees: those of a face that is turned towards it."""
+    """Whether each camera sees a vertex: some face of it is turned towards the camera."""
     faces = hull.equations[:, :3] @ camera_centres.T + hull.equations[:, 3:] > 0.0
     seen = np.zeros((len(camera_centres), len(hull.points)), dtype=bool)
     for corners, towards in zip(hull.simplices, faces, strict=True):
@@ -101,7 +101,7 @@ def click(
 
 
 def edge_errors(found: TriangulatedPoints | RefinedFeatures, clicks: Clicks) -> np.ndarray:
-    """Errors of the lengths of all edges, m; those of vertices that failed are left out."""
+    """Errors of the lengths of all edges, m; edges at vertices that failed are left out."""
     lengths = [
         np.linalg.norm(np.diff(points[clicks.edges], axis=1)[:, 0], axis=1)
         for points in (found.points, clicks.points)

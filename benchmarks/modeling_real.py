@@ -1,8 +1,8 @@
 """Real and rendered pictures of objects: reprojection and distance from reference points.
 
-Beside each stands a plain bundle adjustment of the points by SciPy on the same correspondences with
-the same cameras. The anchors are from the sets' NOTES.md. In visp_cube only the object moved, and
-its poses come from the same edges: its figures show that the program agrees with itself.
+Each is compared with a plain bundle adjustment of the points by SciPy on the same correspondences
+with the same cameras. The anchors are from the sets' NOTES.md. In visp_cube only the object moved,
+and its poses come from the same edges: its figures show that the program agrees with itself.
 """
 
 import csv
@@ -50,10 +50,10 @@ class Row(NamedTuple):
 
     Attributes:
         name: what is printed.
-        load: the set; None where it is not beside the checkout.
+        load: the set; None where it is not next to the checkout.
         distance: figure of the distances from the reference, and its name.
         rms_anchor: reprojection RMS in NOTES.md, px; infinite where there is none.
-        distance_anchor: likewise, in the reference's unit.
+        distance_anchor: distance in NOTES.md, in the reference's unit; infinite if none.
     """
 
     name: str
@@ -128,7 +128,7 @@ def run_real() -> bool:
     good = True
     for row in ROWS:
         if not (SHARED / row.name).is_dir():
-            print(f"{row.name:18}skipped: it is not beside this checkout (shared/data)")
+            print(f"{row.name:18}skipped: it is not next to this checkout (shared/data)")
             continue
         data = row.load()
         answers = [ours(data), scipys(data)]

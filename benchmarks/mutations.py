@@ -247,7 +247,7 @@ def outcomes(
     Args:
         chosen: the mutations.
         tests: folder of tests of another revision; by default the checkout's own.
-        results: file with the outcomes of an earlier run, to which those of this one are added.
+        results: file with the outcomes of earlier runs; this run's are added.
         jobs: number of mutations that are tried at the same time.
         control: as for `outcome_of`.
     """

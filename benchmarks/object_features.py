@@ -144,7 +144,7 @@ def _real_sets(smoke: bool) -> bool:
     good, gaps = True, []
     for name, feature, pose, views, same_points, depths in sets:
         if not (SHARED / name).is_dir():
-            print(f"{name:18}skipped: not beside this checkout (shared/data)")
+            print(f"{name:18}skipped: not next to this checkout (shared/data)")
             continue
         data = reference_pictures(name, feature, pose, views, same_points)
         found = [features.find(picture, data.calibration.camera) for picture in data.pictures]

@@ -1,6 +1,6 @@
 """The paper's experiment from pictures: Table 1 and the stylus test (Fig. 2).
 
-The set-up is that of `table1`, with 9 x 7 circles of 2 mm radius, which stay in every picture as a
+The set-up of `table1`, with 9 x 7 circles of 2 mm radius, which stay in every picture as a
 whole: the pictures are rendered and the circles detected in them. Table 1 judges 60 unseen
 viewpoints against the true pixels of the circles' centres. For the stylus test the tip of a tool is
 sent to the world's origin, as each calibration has it, by a robot without noise and by the same

@@ -1,9 +1,9 @@
-"""The joint fit on the real data sets that lie beside the checkout, against reference figures.
+"""The joint fit on the real data sets that lie next to the checkout, against reference figures.
 
 Each set's measured.json holds what OpenCV and scipy reached on the same corners: `joint_px` with
 the intrinsics free, `he_only_refined_px` with the intrinsics of `cv2.calibrateCamera` held, or with
 given ones. The fits here start from the staged pipeline, never from the reference. Intrinsics are
-calibrated anew: the four digits in measured.json move the rendered sets' figures by a tenth.
+calibrated again: the four digits in measured.json move the rendered sets' figures by a tenth.
 """
 
 import json
@@ -24,7 +24,7 @@ from smartview_jax.evaluation import Predictor
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 LENS = "opencv4"
-"""That of the reference figures, and of what is compared on these sets."""
+"""The lens of the reference figures, and of all fits that are compared on these sets."""
 
 SETS = (
     ("rct_circle10x10", ""),
@@ -51,10 +51,10 @@ def run(smoke: bool = False) -> bool:
 
 
 def present(wanted: Iterable[tuple[str, str]] = SETS) -> list[tuple[str, str]]:
-    """Those that lie beside the checkout; says so where there are none."""
+    """Return the sets that lie next to the checkout; say so where there are none."""
     found = [entry for entry in wanted if (SHARED / entry[0]).is_dir()]
     if not found:
-        print("skipped: the data sets are not beside this checkout (shared/data)")
+        print("skipped: the data sets are not next to this checkout (shared/data)")
     return found
 
 

@@ -119,7 +119,7 @@ def simulated(regime: Regime, seed: int) -> Trial:
 
 
 def _padded(data: sv.Dataset, views: int, points: int) -> sv.Dataset:
-    """With more views and points, of which nothing is seen; poses are repeated in turn."""
+    """Add views and points that nobody sees; poses are repeated in turn."""
     more = ((0, views - data.view_count), (0, points - data.points.shape[1]), (0, 0))
     order = np.arange(views) % data.view_count
     return dataclasses.replace(

@@ -46,7 +46,7 @@ SEEDS = {5: 40, 25: 24}
 """Runs by views, where fits are so close or scatter so much that eight would leave it to chance."""
 
 LITTLE, MUCH = (0.01, 0.001), (0.3, 0.05)
-"""Noise of a robot, mm and degrees, beside the usual 0.1 and 0.01."""
+"""Noise of a robot, mm and degrees, where the usual noise is 0.1 and 0.01."""
 
 WHITE_REGIMES = (
     Regime("white noise", "15 views, 90 points, 0.15 px, 0.1 mm, 0.01 deg, 35 deg"),

@@ -1,9 +1,9 @@
-"""Every stage timed beside OpenCV on the same data, in one run: medians of warm runs, and ratios.
+"""Every stage timed against OpenCV on the same data, in one run: medians of warm runs, and ratios.
 
 Step 2 is `cv2.calibrateCamera`'s job: by the paper's filter, and as a batch. Step 3 is
 `cv2.calibrateHandEye`'s, whose closed forms do less than a search from every start. mrcal, where
 some Python here has it (Debian: python3-mrcal), runs in a process of its own. The joint fit that
-finds the sizes of all errors, and gross ones, is timed beside the one that trusts the robot.
+finds the sizes of all errors, and gross ones, is timed against the one that trusts the robot.
 """
 
 import resource

@@ -49,14 +49,14 @@ COLUMNS = {
     "run": "rest s",
     "peak_mb": "MB",
 }
-"""Heading of every figure; `yardsticks` is processor time over that of the yardstick, `hits` the
-programs that were read instead of compiled, `run` what is left of the wall time."""
+"""Heading of every figure; `yardsticks` is processor time over the yardstick's, `hits` the programs
+that were read instead of compiled, `run` the rest of the wall time."""
 
 PROGRAMS = 60
 """Largest number of programs that a default `sv.calibrate` may need."""
 
 HELP_SHARE = 0.4
-"""Largest processor time of `--help`, as a share of that of the yardstick."""
+"""Largest processor time of `--help`, as a share of the yardstick's."""
 
 Figures = dict[str, float]
 
@@ -81,7 +81,7 @@ def run(smoke: bool = False, beside: str | None = None) -> bool:
 
 @contextmanager
 def _trees(beside: str | None) -> Iterator[dict[str, Path]]:
-    """This tree, and that of another revision in a temporary folder, by the names in the table."""
+    """Yield this tree and another revision's in a temporary folder, by their names in the table."""
     if beside is None:
         yield {"here": ROOT}
         return
@@ -119,7 +119,7 @@ def _measured(
 
 
 def _process(job: str, tree: Path, cache: Path | None) -> Figures:
-    """Figures of a job in a process of its own; seconds and memory are those of the process."""
+    """Figures of a job in a process of its own; seconds and memory are the whole process's."""
     # No setting of this process's own, and nothing is kept where a user keeps it.
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_"))}
     environment |= {"PYTHONPATH": str(tree), "XDG_CACHE_HOME": str(cache)}
@@ -130,7 +130,7 @@ def _process(job: str, tree: Path, cache: Path | None) -> Figures:
         with log.open("w") as output:
             began = time.perf_counter()
             process = subprocess.Popen(
-                # Without -P, Python would take the files beside the script for its own modules.
+                # Without -P, Python would take the files next to the script for its own modules.
                 [sys.executable, "-P", str(JOB), job, str(result), folder],
                 env=environment,
                 cwd=folder,

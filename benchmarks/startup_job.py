@@ -1,6 +1,6 @@
 """Do one job in this process, and write what JAX did in it: programs, and seconds for each phase.
 
-Run by `startup.py`, by its path: the package that it imports may be that of another revision.
+Run by `startup.py`, by its path: the package that it imports may be another revision's.
 """
 
 import atexit

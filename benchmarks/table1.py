@@ -3,8 +3,8 @@
 Every method is calibrated on the five viewpoints of `simulation.paper_scene` and judged on 60
 viewpoints between them that it never saw, `simulation.paper_held_out`, where the robot errs too.
 The paper's own figures: 1.38 +- 0.79 with distortion, 1.71 +- 0.91 without, 4.21 +- 2.1 by
-interpolation. Beside its set-up stand others that differ in one thing, and tell what its figures
-hang on.
+interpolation. Other set-ups differ from it in one thing, and show what its figures
+depend on.
 """
 
 from collections.abc import Callable, Mapping

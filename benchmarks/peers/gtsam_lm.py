@@ -13,7 +13,7 @@ from . import problem as peer  # noqa: E402
 from .result import report, timed  # noqa: E402
 
 SHARED = [0, 1, 2]
-"""Keys of the camera and of both steps; those of the views' corrections follow."""
+"""Keys of the camera and of both steps; the keys of the views' corrections follow."""
 
 
 def main(path: Path, repeats: int) -> None:

@@ -12,7 +12,7 @@ from smartview_jax.targets import Chessboard  # noqa: E402
 from .result import report, timed  # noqa: E402
 
 TRANSLATION, ROTATION = 5e-5, 1e-4
-"""Standard deviations of the robot's noise, m and rad: those of a good arm."""
+"""Standard deviations of the robot's noise, m and rad, for a good arm."""
 
 
 def main(views: int, repeats: int) -> None:

@@ -1,4 +1,4 @@
-"""This library on many small problems at once: seconds and cost are those of one of them."""
+"""This library on many small problems at once: seconds and cost of one of them."""
 
 import sys
 import time

@@ -156,8 +156,8 @@ def park_martin(
 ) -> tuple[_Matrix, _Matrix]:
     """Compute the rotation from rotation vectors, then the translation (Park and Martin, 1994).
 
-    `R_A R = R R_B` means that R maps the rotation vectors of B to the rotation vectors of A, so R is
-    the rotation nearest to `sum w a b^T`.
+    `R_A R = R R_B` means that R maps the rotation vectors b of B to the rotation vectors a of A: R
+    is the rotation nearest to `sum w a b^T`.
     """
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     # sum w a b^T, with the rotation vectors a and b of each pair in the rows of two matrices.
@@ -242,7 +242,8 @@ def shah(
 ) -> tuple[_Matrix, _Matrix]:
     """Compute both transforms of `A X = Z B` by a Kronecker product (Shah, 2013).
 
-    The first singular pair of `sum w kron(M_i, C_i)` is vec(R_world) and vec(R_camera). The translations are then linear:
+    The first singular pair of `sum w kron(M_i, C_i)` is vec(R_world) and vec(R_camera). The
+    translations then follow from the linear equations
     `R_camera M_i t_world + t_camera = t_C_i - R_camera t_M_i`.
     """
     M, C = mount_from_holder[:, :3, :3], camera_from_world[:, :3, :3]

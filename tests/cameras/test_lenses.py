@@ -182,7 +182,7 @@ def test_derivatives_forward_reverse_and_by_differences(name):
     steps = 1e-5 * np.maximum(1.0, np.abs(numbers))
     forward, reverse, numeric = map(np.asarray, derivatives(camera(lens), points, pixels, steps))
     assert np.isfinite(reverse).all()
-    # Those of the two directions are of other sizes.
+    # Projection and back-projection have derivatives of different sizes.
     first = 2 * len(points)
     for rows in (slice(0, 2 * INSIDE), slice(first, None)):
         size = np.abs(forward[rows]).max()

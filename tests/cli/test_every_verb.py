@@ -125,7 +125,7 @@ def short_work(monkeypatch):
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.verb}-{case.code}")
 def test_words_and_exit_code(folder, short_work, tmp_path, monkeypatch, case):
     for part in ("data", "inverted", "object"):
-        # A copy for each case: some of them write beside what they read.
+        # A copy for each case: some verbs write next to their input.
         shutil.copytree(folder / part, tmp_path / part)
     monkeypatch.chdir(tmp_path)
     ended = run(case.verb, *case.words.split())

@@ -1,4 +1,4 @@
-"""The closure error of several explanations at once is that of each alone."""
+"""The closure errors of several explanations at once equal each one's alone."""
 
 import numpy as np
 import pytest

@@ -133,7 +133,7 @@ def test_the_deviation_of_a_length_is_that_of_both_points_together(session, scen
     estimates = session.estimates()
     assert np.sqrt(np.trace(estimates[ids[0]].covariance)) > 1e-4
     assert session.distance(ids[0], ids[5])[1] < 1e-7
-    # All distances at once are those of the refinement's joint covariance.
+    # The distances of many pairs follow the refinement's joint covariance.
     points = list(session.document.points.values())
     constraints = [
         KnownLength((0, 5), 0.05),
@@ -145,7 +145,7 @@ def test_the_deviation_of_a_length_is_that_of_both_points_together(session, scen
         pairs, session.distances([(ids[a], ids[b]) for a, b in pairs]), strict=True
     ):
         np.testing.assert_allclose(found, dimension(features, a, b), rtol=1e-6)
-    # So are those of the file, which keeps the correlations.
+    # The saved file gives the same distances, because it keeps the correlations.
     session.save()
     model = load_object_model(tmp_path / "house.json")
     assert model.covariance.shape == (30, 30)

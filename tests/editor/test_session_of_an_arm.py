@@ -81,7 +81,7 @@ def test_the_calibrations_error_is_part_of_a_clicked_point(fit, command, picture
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-6)
     part = found.covariance - found.picture_covariance
     assert np.linalg.eigvalsh(part)[-1] > 1e-10
-    # The readings are part of what the journal belongs to.
+    # A journal belongs to its pictures, and to the joint readings as well.
     other = Command(command.base_from_tool, command.joints + 1e-3)
     with pytest.raises(ValueError, match="the journal's joints are"):
         ModelSession(fit.calibration, other, pictures, path=path)

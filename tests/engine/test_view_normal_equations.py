@@ -158,7 +158,7 @@ def test_corrections_scale_and_priors(scene, mount, lens, coefficient):
 
 
 def test_lost_points_cost_what_they_should(scene):
-    """A target half of which is behind the camera; they count, but pull at nothing."""
+    """Half of the target is behind the camera: its points cost, but pull at nothing."""
     problem = build_problem(scene.data, nudged(scene.calibration)).problem
     behind = problem.observations.points.at[:, ::2, 2].add(1.0)
     problem = eqx.tree_at(lambda p: p.observations.points, problem, behind)

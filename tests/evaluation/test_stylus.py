@@ -43,7 +43,7 @@ def test_a_misplaced_world_is_missed_by_as_much_whatever_the_camera():
 
 
 def test_the_robot_noise_moves_the_tip():
-    """Its rotation has the stylus for a lever; its sign is that of `tool_from_base`."""
+    """The rotation acts over the length of the stylus, with the sign of `tool_from_base`."""
     truth = paper_calibration()
     noise = np.zeros((3, 6))
     noise[0, :3], noise[1, 3] = [1e-3, 0.0, 0.0], 1e-4

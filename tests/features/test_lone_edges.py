@@ -21,7 +21,7 @@ BLUR = 0.7
 
 
 def beside_another(points):
-    """Which points have one of another edge beside them, from the distances of all pairs."""
+    """Which points have a point of another edge nearby, from the distances of all pairs."""
     found = np.zeros(len(points.pixels), dtype=bool)
     along = np.column_stack([-points.normals[:, 1], points.normals[:, 0]])
     for a, b in KDTree(points.pixels).query_pairs(CLEARANCE + MAX_ALONG, output_type="ndarray"):

@@ -69,7 +69,7 @@ def test_round_trip(name, units):
 
 
 def test_matrices_become_transforms_as_by_jaxlie():
-    """Also those of few digits, and mirrored ones, which SciPy refuses or makes rigid."""
+    """Also matrices of few digits, and mirrored ones, which SciPy refuses or makes rigid."""
     poses = np.tile(np.eye(4), (3 * len(MATRICES), 1, 1))
     rotations = np.concatenate([MATRICES, np.round(MATRICES, 4), -MATRICES])
     poses[:, :3, :3] = rotations

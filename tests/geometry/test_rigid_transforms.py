@@ -68,7 +68,7 @@ def test_nearest_rotation_is_a_rotation_and_the_nearest():
 
 
 def test_nearest_rotation_differentiates_at_a_rotation():
-    """Where the singular values coincide, and those of the vectors would be NaN."""
+    """There the singular values coincide, so that derivatives of the vectors would be NaN."""
     start = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
     direction = RNG.normal(size=(3, 3))
     _, slope, reverse = nearest_and_slopes(start, direction)

@@ -19,7 +19,7 @@ def test_suggestions_take_every_pair_of_faces_that_fits_the_gripper():
     assert {round(1e3 * w) for w in widths} == {30, 40}
     approaches = {tuple(one.approach.round(6)) for one in found}
     assert len(approaches) == 6
-    # Fingertips stay above what the object lies on, and beside it within the gripper's reach.
+    # Fingertips stay above the support, and reach down along the object within finger length.
     assert all(0.0 < one.depth <= GRIPPER.finger_length for one in found)
 
 

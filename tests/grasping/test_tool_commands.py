@@ -1,4 +1,4 @@
-"""The tool arrives where Eq. 20 says, and its error is that of a world known so well."""
+"""The tool arrives where Eq. 20 says, and its error is the world's own uncertainty."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ WORLD_FROM_TOOL[1, 2, 3] += 0.05
 
 
 def estimate(noise=None, **std):
-    """The paper's calibration of which some numbers are known with a standard deviation each."""
+    """The paper's calibration, with standard deviations for some of its numbers."""
     names = tuple(name.replace("_at_", ".") for name in std)
     covariance = np.diag(np.square(list(std.values())))
     count = len(names)

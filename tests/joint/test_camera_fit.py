@@ -107,7 +107,7 @@ def test_a_known_camera_is_held_and_a_blind_view_keeps_its_pose(scene, start):
     error = np.asarray((fit.camera_from_world @ truth.inverse()).log())
     parts = [f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
     std = [[fit.std[f"pose_corrections.{v}.{p}"] for p in parts] for v in range(VIEWS) if v != 2]
-    # At the camera, where the corrections act: 42 numbers of which one in 10 000 is this far off.
+    # At the camera, where the corrections act: 42 numbers, and one in 10 000 is this far off.
     assert np.abs(np.delete(error, 2, axis=0) / std).max() < 4.5
     assert np.abs(np.delete(error, 2, axis=0) / std).max() > 0.5
 

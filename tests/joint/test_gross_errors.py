@@ -93,7 +93,7 @@ def test_a_trusting_fit_leaves_them_out_where_it_is_asked(spoilt):
         kept.calibration.camera_from_tool.inverse() @ robust.calibration.camera_from_tool
     ).log()
     assert np.linalg.norm(apart[:3]) < 1e-3
-    # Of what was left out one still sees how far off it is.
+    # A view that was left out still shows how far off it is.
     assert float(jnp.abs(robust.residuals[7]).max()) > 50.0
 
 

@@ -119,7 +119,7 @@ def test_priors_and_losses_weigh_as_in_one_fit_and_a_lens_may_be_asked_for(scene
 
 
 def test_what_priors_cost_is_no_scatter_of_pixels(scenes):
-    # Priors that contradict the pixels add to the cost; the pixels' variance is that of residuals.
+    # Priors that contradict the pixels add to the cost; the pixels' variance leaves them out.
     start = nudged(paper_calibration())
     camera = start.camera
     told = {

@@ -42,7 +42,7 @@ def test_five_views_are_not_given_an_error_that_moves_the_mount(seed):
 def test_the_papers_five_views_are_no_worse_than_staged():
     """Without roll and next to no pixel noise, where trusting the robot costs 7 mm.
 
-    A fifteenth of the paper's circles, on as large a board, each of which tells fifteen times as
+    A fifteenth of the paper's circles, on as large a board; each circle counts fifteen times as
     much.
     """
     errors = []

@@ -1,4 +1,4 @@
-"""A fit within a transformation is refused at once: its derivatives are those of `optimum`."""
+"""A fit within a transformation is refused at once: `optimum` has the derivatives."""
 
 import equinox as eqx
 import jax

@@ -44,7 +44,7 @@ def pinhole(alpha_u=1500.0, alpha_v=1505.0):
 
 
 def calibration():
-    """Tool and camera are one frame, and so are base and world: poses are those of the camera."""
+    """Tool and camera are one frame, and so are base and world: poses are the camera's."""
     return sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4))
 
 
@@ -98,7 +98,7 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
 
 
 def not_behind(pictures, views, model, world_from_object):
-    """The edge points that a convex object does not cover; its outline is that of its vertices."""
+    """The edge points that a convex object, the hull of its vertices, does not cover."""
     vertices = model.vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
     kept = []
     for points, camera_from_world in zip(pictures, views.camera_from_world, strict=True):

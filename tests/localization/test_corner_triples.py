@@ -84,7 +84,7 @@ def roughly(pose, rng, degrees=4.0):
 
 
 def found_near(features, rough):
-    """camera_from_object of what is found near a pose."""
+    """Return camera_from_object of the hypotheses near a pose."""
     junctions = Junctions.of(features, PLANE, CAMERA_FROM_WORLD)
     world = np.linalg.inv(CAMERA_FROM_WORLD) @ rough[None]
     return CAMERA_FROM_WORLD @ poses_from_triples(junctions, WIREFRAME, world)

@@ -32,7 +32,7 @@ def test_common_errors_are_those_of_a_least_squares_fit_that_has_them_as_unknown
     best = np.linalg.lstsq(A, np.append(weights[:, 0] * r, np.zeros(numbers)), rcond=None)[0]
     np.testing.assert_allclose(step.tangent, best[:6], atol=1e-10)
     np.testing.assert_allclose(step.calibration_error, root @ best[6:], atol=1e-10)
-    # Of the trace of the hat matrix, what is more than that of the pose alone.
+    # The trace of the hat matrix beyond the trace for the pose alone.
     hat = A[:rows] @ np.linalg.inv(A.T @ A) @ A[:rows].T
     assert step.absorbed == pytest.approx(np.trace(hat) - 6.0)
 

@@ -129,7 +129,7 @@ def test_edges_in_two_pictures_propose_the_true_pose(scene):
         IdealPlane(CAMERA),
         scene.views.camera_from_world,
     )
-    # Some of the edges in space are those of the object.
+    # Some of the edges in space are the object's.
     true = model.transformed(truth)
     starts, ends = true.vertices[true.edges].transpose(1, 0, 2)
     along = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)

@@ -9,7 +9,7 @@ from smartview_jax.localization.candidates import Candidate
 
 
 class Recorded(judging._Judging):
-    """Verdicts that reject everything, and a list of what was asked for."""
+    """Verdicts that reject everything, and a list of the poses that were judged."""
 
     def __init__(self):
         self.asked = []

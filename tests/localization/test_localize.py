@@ -164,7 +164,7 @@ def test_another_object_is_not_accepted(pictures):
 
 
 def test_a_box_of_another_height_is_not_accepted(pictures):
-    """Its top fits exactly, which is most of what is seen."""
+    """Its top fits exactly, and the top is most of the visible part."""
     lower = dataclasses.replace(box(z=0.02), name="lower")
     down = np.eye(4)
     down[2, 3] = 0.01

@@ -1,4 +1,4 @@
-"""How far away the views stand that are made up beside given candidates."""
+"""How far away the views stand that are proposed in addition to given candidates."""
 
 import numpy as np
 import pytest

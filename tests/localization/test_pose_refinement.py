@@ -247,7 +247,7 @@ def test_a_wrong_edge_hardly_counts(views, wireframe):
     rng = np.random.default_rng(9)
     pictures = drawn(MODEL, views, POSE, 0.1, rng)
     moved = pictures[0].pixels.copy()
-    # The points of one edge are those of something beside it.
+    # The points of one edge belong to something next to it.
     view = measured_lines(
         wireframe,
         views,

@@ -205,7 +205,7 @@ def test_a_box_leaves_out_what_is_outside_and_keeps_what_is_inside(views, found,
     everywhere = ((proposal.points >= box[0]) & (proposal.points <= box[1])).all(axis=1)
     assert len(within.points) >= everywhere.sum()
     assert len(within.points) < 0.9 * len(proposal.points)
-    # Numbers of edges are those of the points that are left.
+    # Edges number the points that are left.
     ends = within.points[within.edges]
     lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
     assert len(lengths) > 5

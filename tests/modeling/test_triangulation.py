@@ -149,7 +149,7 @@ def test_a_robust_loss_resists_a_gross_error(calibration, poses):
 
 @pytest.fixture(scope="module")
 def erring(calibration, poses):
-    """A robot with an error field, and the bound of what its views tell of the calibration."""
+    """A robot with an error field, and the bound on the calibration that its views allow."""
     field = LinearInPose.from_poses(SE3.from_matrix(jnp.asarray(poses)))
     size = 1e-4 * np.random.default_rng(1).normal(size=field.size)
     robot = dataclasses.replace(calibration, robot_error=RobotError(field, jnp.asarray(size)))

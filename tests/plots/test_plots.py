@@ -49,7 +49,7 @@ def test_of_a_board_at_several_heights_only_the_one_in_the_picture_is_drawn():
         data, 0, np.zeros((480, 640), np.uint8), paper_calibration()
     ).axes
     assert len(drawn(axes, "predicted")) == 9
-    # The first height was not detected: the picture is that of the second one.
+    # The first height was not detected: the picture shows the second one.
     upper = eqx.tree_at(lambda d: d.visible, data, data.visible.at[0, :9].set(False))
     (axes,) = plots.prediction_overlay(
         upper, 0, np.zeros((480, 640), np.uint8), paper_calibration()

@@ -53,7 +53,7 @@ def test_a_row_of_the_comparison_holds_the_figures():
     row = comparison_row(MethodResult("joint", FITTED, UNSEEN, rejected))
     assert len(row) == len(COMPARISON_HEADINGS)
     # Mean and spread of 3, 4, 0; root mean square of the same, and of 6 and 8; mm at the target.
-    # Drawing two views anew gives the one, the other, or both.
+    # Drawing two views with replacement gives the one, the other, or both.
     assert row == ["joint", "2.33 +- 1.7", "2.89", "7.07", "6 to 8", "2", "2, 1"]
 
 

@@ -92,7 +92,7 @@ def stretched(scene):
 
 
 def test_a_field_that_is_stretched_goes_on_from_where_the_field_is(stretched, scene):
-    """The tool comes closer to the centre by the share of what is reported."""
+    """The tool comes closer to the centre by a share of the reported distance."""
     poses, inner = scene.data.base_from_tool, stretched.field.field
     before = actual_pose(RobotError(inner, stretched.coefficients[:-1]), poses)
     moved = actual_pose(stretched, poses).translation() - before.translation()

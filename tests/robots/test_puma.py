@@ -162,7 +162,7 @@ def test_leading_axes_and_one_pose_agree():
 
 @jax.jit
 def derivatives(arm, joints):
-    """Those of the nearest joints by a twist of the tool, forward and reverse, and the Jacobian."""
+    """Return how a twist of the tool moves the nearest joints, both modes, and the Jacobian."""
     pose = arm.base_from_tool(joints)
 
     def nearest(twist):
@@ -192,7 +192,7 @@ def test_a_straight_wrist_has_a_definite_answer_and_says_so():
     assert found.status_text().startswith("singular wrist")
     assert found.joints[3] == 0.0
     same_pose(arm.base_from_tool(found.joints), pose, 1e-9)
-    # A slope of another branch that is not finite would spoil that of the nearest.
+    # A slope of another branch that is not finite would spoil the nearest branch's.
     forward, reverse, _ = derivatives(arm, joints)
     assert np.isfinite(forward).all()
     assert np.isfinite(reverse).all()
@@ -319,7 +319,7 @@ def test_other_arms_are_refused():
 
 
 def test_the_program_that_solves_for_a_known_arm_can_be_kept():
-    """One that calls Python, to raise at run time, would be compiled anew in every process."""
+    """A program that calls Python to raise would be compiled again in every process."""
     arm, joints = puma_560(), jnp.zeros(6)
 
     def calls_python(solve):

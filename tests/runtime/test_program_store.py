@@ -207,7 +207,7 @@ def test_a_module_that_is_on_no_list_is_not_even_imported(tmp_path, monkeypatch)
 
 @pytest.fixture
 def store(tmp_path):
-    """Makes the store of a function, where JAX is as it comes and compiles anew."""
+    """Makes the store of a function, with JAX's default settings, so that it compiles again."""
     settings = {
         "jax_compilation_cache_dir": str(tmp_path),
         "jax_persistent_cache_min_compile_time_secs": 0.0,
@@ -308,7 +308,7 @@ def test_a_process_with_other_constants_has_other_programs(store, tmp_path, monk
     assert found() == 1.5 * as_it_is
     monkeypatch.setattr(radial, "_FOLD_STRENGTH", as_it_is)
     assert found() == as_it_is
-    assert len(list(tmp_path.glob("*-program"))) == 2, "the text is that of the first again"
+    assert len(list(tmp_path.glob("*-program"))) == 2, "the text is the first program's again"
 
 
 @pytest.mark.parametrize("suffix", ["-trace", "-program"])

@@ -81,7 +81,7 @@ class Textbook:
 
 
 def test_many_updates_with_a_gate_are_the_textbook_ones():
-    """Three views of 40 points, of which one in five is an outlier once the poses are known."""
+    """Three views of 40 points; one in five is an outlier once the poses are known."""
     rng = np.random.default_rng(0)
     points, views, camera_size = 40, 3, 5
     truth = rng.normal(size=camera_size + 6 * views)
@@ -155,7 +155,7 @@ def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
     "lens", [Radial(0.25), Fisheye(*np.full(4, 0.02))], ids=["radial", "fisheye"]
 )
 def test_a_pass_has_the_derivatives_of_the_projection(lens):
-    """Those of automatic differentiation, for a step that acts about the centroids."""
+    """They equal automatic differentiation's, for a step that acts about the centroids."""
     camera = Camera(2150.0, 2120.0, 315.0, 243.0, lens, (640, 480))
     numbers, rebuild = ravel_pytree(camera)
     rng = np.random.default_rng(0)

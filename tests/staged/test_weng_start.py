@@ -15,7 +15,7 @@ POSE = host_matrices(look_at_from_above(np.zeros(3), 0.2, 0.4, 1.0, 0.3))
 
 
 def seen(camera, points, count):
-    """Pixels of the first points; those of the rest are far off and not to be read."""
+    """Pixels of the first points; all other pixels are far off, and must not be read."""
     numbers = np.array([camera.alpha_u, camera.alpha_v, camera.u0, camera.v0, camera.lens.k1])
     pixels = project_radial(numbers, points @ POSE[:3, :3].T + POSE[:3, 3])
     visible = np.arange(len(points)) < count

@@ -92,7 +92,7 @@ def test_derivatives_are_those_of_automatic_differentiation(world):
 
     by_step, by_covariance = jax.jit(jax.jacfwd(by_log_sigma))(np.log(found.sigmas.vector))
     doubted = small_sample_correction(views, found)
-    # Lower bounds are negligible here: the logarithm of the excess is that of the deviation.
+    # Lower bounds are negligible here: the logarithms of excess and deviation are equal.
     expected = jnp.moveaxis(by_covariance, -1, 0)
     np.testing.assert_allclose(doubted.covariance_derivatives, expected, rtol=1e-7, atol=1e-11)
     expected = 2.0 * by_step @ doubted.log_excess_covariance @ by_step.T

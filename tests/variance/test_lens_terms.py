@@ -85,7 +85,7 @@ def test_a_term_that_the_model_lacks_is_named_and_covered(bent):
 
 
 def test_the_linearised_terms_are_those_of_a_lens_with_them(bent, monkeypatch):
-    """The change of the cost by a term, to second order, is that of pixels moved back by it."""
+    """To second order a term changes the cost as moving the pixels back by the term does."""
     scene, _ = bent
     found = []
     extended = lens_terms._with_terms

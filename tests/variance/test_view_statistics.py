@@ -39,7 +39,7 @@ SIGMAS = StandardDeviations(0.3, 2e-4, 4e-4, np.array([1e-4, 3e-4]))
 
 @pytest.mark.parametrize("poses_are_free", [True, False])
 def test_a_fit_has_been_linearised_already(statistics, poses_are_free):
-    """Its priors taken off, its normal equations are those of another pass over the pixels."""
+    """Without priors, its normal equations equal another pass over the pixels."""
     problem, group_index = statistics.problem, statistics.group_index
     problem = (
         with_free_poses(problem)

@@ -22,7 +22,7 @@ class Fit:
 
 
 def two_halves(scene, std):
-    """Fits of which the one that sees view 0 finds the truth, and the other is off."""
+    """Two fits: the half that sees view 0 finds the truth, and the other is off."""
     truth = scene.calibration
     step = SE3.exp(jnp.asarray(MOVED))
     there = truth.camera_from_tool
