@@ -1,29 +1,26 @@
 """Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
 
 import dataclasses
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Unpack
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array
 
 from .argument_checks import require_instance
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
 from .dataset import Dataset, chain_residuals, given_places, repetition_warnings
-from .engine import ROBOT_ERROR, JointProblem, Noise, Observability, Prior, parameter_names
-from .fit_result import FitResult, Rejection
+from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
+from .fit_result import Rejection
 from .geometry import PoseLike
 from .joint import (
     JointFit,
     JointOptions,
     batch_least_squares,
-    fit_html,
     fit_joint,
-    fit_text,
     precompile,
 )
 from .robot_errors import RobotError
@@ -39,7 +36,6 @@ from .staged import (
     start_without,
     views_to_use,
 )
-from .variance import NoiseEstimate
 
 DEFAULT_LENS = "opencv4"
 """The default lens model: it predicts unseen views of real data sets best.
@@ -61,143 +57,50 @@ STEP2_METHODS = {"kalman": kalman_filter, "batch": batch_least_squares}
 """The methods, by name, that fit one camera to all views."""
 
 
-class CalibrationFit(eqx.Module):
-    """A staged fit and the joint fit that started from it.
+class CalibrationFit(JointFit):
+    """A joint fit that knows the staged fit from which it started.
 
-    The properties are those of the joint fit; `rejected` and `warnings` are those of both fits.
+    It is the joint fit, with what either fit left out in `rejected`, and the doubts of both in
+    `warnings`.
 
     Attributes:
         staged: the fit by the paper's pipeline.
-        joint: the joint fit.
+        joint: the joint fit by itself.
     """
 
-    staged: StagedFit
-    joint: JointFit
+    staged: StagedFit = eqx.field(kw_only=True)
+    joint: JointFit = eqx.field(kw_only=True)
 
-    def __repr__(self) -> str:
-        return repr(self.joint)
+    @classmethod
+    def of(cls, staged: StagedFit, joint: JointFit) -> "CalibrationFit":
+        """Return the joint fit with the staged fit that it started from."""
+        values = {field.name: getattr(joint, field.name) for field in dataclasses.fields(JointFit)}
+        values |= {"rejected": _all_rejected(staged, joint), "warnings": _warnings(staged, joint)}
+        return cls(**values, staged=staged, joint=joint)
 
-    def __str__(self) -> str:
-        return fit_text(self.joint, self.warnings)
 
-    def _repr_html_(self) -> str:
-        return fit_html(self.joint, self.warnings)
+def _all_rejected(staged: StagedFit, joint: JointFit) -> tuple[Rejection, ...]:
+    """Return the observations that either fit left out, each once and with the first reason.
 
-    def save(
-        self, path: str | os.PathLike[str], run: str | None = None, source: str | None = None
-    ) -> None:
-        """Write the calibration with its covariance and all warnings; see `JointFit.save`."""
-        self.joint.save(path, run, source, self.warnings)
+    The joint fit did not use what the staged fit had left out.
+    """
+    # Reversed twice: of equal keys a dict keeps the last one, and the first reason is wanted.
+    both = (*staged.rejected, *joint.rejected)
+    return tuple({entry[:2]: entry for entry in reversed(both)}.values())[::-1]
 
-    @property
-    def rejected(self) -> tuple[Rejection, ...]:
-        """The observations that either fit left out, each once and with the first reason.
 
-        The joint fit did not use what the staged fit had left out.
-        """
-        # Reversed twice: of equal keys a dict keeps the last one, and the first reason is wanted.
-        both = (*self.staged.rejected, *self.joint.rejected)
-        return tuple({entry[:2]: entry for entry in reversed(both)}.values())[::-1]
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The doubts about the answer: the joint fit's own, and differences from the staged fit."""
-        # The joint fit does not see what the staged fit had set aside.
-        repetitions = [
-            text
-            for text in repetition_warnings(self.staged.rejected)
-            if text not in self.joint.warnings
-        ]
-        # In the order of the chain: what is said of camera and start explains what comes later.
-        return (
-            *self.staged.warnings,
-            *self.joint.warnings,
-            *repetitions,
-            *_staged_comparison_warnings(self),
-        )
-
-    @property
-    def calibration(self) -> Calibration:
-        """The calibration of the joint fit."""
-        return self.joint.calibration
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "free free"]:
-        """The covariance of the parameters that all views share."""
-        return self.joint.covariance
-
-    @property
-    def std(self) -> dict[str, float]:
-        """The standard deviation of every free parameter, by name."""
-        return self.joint.std
-
-    @property
-    def degrees_of_freedom(self) -> dict[str, float]:
-        """The degrees of freedom of the standard deviations, by name."""
-        return self.joint.degrees_of_freedom
-
-    @property
-    def noise(self) -> Noise | None:
-        """The standard deviations of pixels and reported poses; None if the robot is trusted."""
-        return self.joint.noise
-
-    @property
-    def noise_estimate(self) -> NoiseEstimate | None:
-        """The estimate of the noise and its candidates; None if it was given."""
-        return self.joint.noise_estimate
-
-    @property
-    def pixel_sigma(self) -> float:
-        """The standard deviation of u and of v, px."""
-        return self.joint.pixel_sigma
-
-    @property
-    def residuals(self) -> Float[Array, "views points 2"]:
-        """The residuals of all observations, px; see `JointFit`."""
-        return self.joint.residuals
-
-    @property
-    def inliers(self) -> Bool[Array, "views points"]:
-        """The observations within the joint fit's chi-square gate."""
-        return self.joint.inliers
-
-    @property
-    def pose_corrections(self) -> Float[Array, "views 6"]:
-        """The twist by which each reported pose was corrected."""
-        return self.joint.pose_corrections
-
-    @property
-    def observability(self) -> Observability:
-        """The directions that the data do not determine."""
-        return self.joint.observability
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The names of the free parameters that all views share."""
-        return self.joint.parameter_names
-
-    @property
-    def problem(self) -> JointProblem:
-        """The least-squares problem that the joint fit solved."""
-        return self.joint.problem
-
-    @property
-    def view_ids(self) -> tuple[str, ...]:
-        """The names of the views."""
-        return self.joint.view_ids
-
-    @property
-    def result(self) -> FitResult:
-        """The outcome of the joint fit."""
-        return self.joint.result
-
-    def confidence_half_width(self, name: str, level: float = 0.95) -> float:
-        """Return the half width of a parameter's confidence interval; see `JointFit`."""
-        return self.joint.confidence_half_width(name, level)
-
-    def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
-        """Return the p-value of the hypothesis that parameters are those of `truth`."""
-        return self.joint.p_value(truth, paths)
+def _warnings(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
+    """Return the doubts of both fits, and differences between them."""
+    # The joint fit does not see what the staged fit had set aside.
+    repetitions = [
+        text for text in repetition_warnings(staged.rejected) if text not in joint.warnings
+    ]
+    return (
+        *staged.warnings,
+        *joint.warnings,
+        *repetitions,
+        *_staged_comparison_warnings(staged, joint),
+    )
 
 
 def calibrate(
@@ -285,7 +188,7 @@ def calibrate(
         if not doubts:
             raise
         raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
-    return CalibrationFit(staged, joint)
+    return CalibrationFit.of(staged, joint)
 
 
 def _with_start_doubts(
@@ -367,15 +270,14 @@ def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
     return refitted.calibration.uncorrected
 
 
-def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
+def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
     """Return the warnings from comparing the joint fit's residuals with the staged fit's."""
-    joint = fit.joint
     inliers = np.asarray(joint.inliers)
 
     def rms(residuals: Array) -> float:
         return float(np.sqrt(np.mean(np.sum(np.asarray(residuals)[inliers] ** 2, axis=-1))))
 
-    staged_rms, joint_rms = rms(fit.staged.residuals), rms(joint.residuals)
+    staged_rms, joint_rms = rms(staged.residuals), rms(joint.residuals)
     messages = []
     if joint_rms > MAX_RMS_RATIO_TO_STAGED * staged_rms:
         messages.append(
@@ -392,6 +294,7 @@ def _staged_comparison_warnings(fit: CalibrationFit) -> tuple[str, ...]:
         if uncorrected_rms > MAX_UNCORRECTED_RMS_RATIO_TO_STAGED * staged_rms:
             messages.append(
                 f"without its correction of the robot the chain leaves {uncorrected_rms:.1f} px "
-                f"RMS, the staged one {staged_rms:.1f}: the correction holds what belongs elsewhere"
+                f"RMS, the staged one {staged_rms:.1f}: the correction absorbs an error of the "
+                "camera, the hand-eye transform or the target"
             )
     return tuple(messages)

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..calibration_pipeline import CalibrationFit
 from ..dataset import Dataset
 from ..fit_result import Rejection
 from ..joint import JointFit
@@ -24,7 +23,7 @@ def rejected_by(fit: Any) -> tuple[Rejection, ...] | None:
     return None if rejected is None else tuple(Rejection(*entry) for entry in rejected)
 
 
-def without_rejected_views(data: Dataset, fit: JointFit | CalibrationFit) -> Dataset:
+def without_rejected_views(data: Dataset, fit: JointFit) -> Dataset:
     """Return the data without the views that a joint fit did not use at all, to evaluate the fit.
 
     A view whose pose contradicts the others' has an error as large as its pose error, for any

@@ -165,7 +165,7 @@ def moved_view():
         gross_errors="leave_out",
         inliers=staged.inliers,
     )
-    return data, CalibrationFit(staged, joint)
+    return data, CalibrationFit.of(staged, joint)
 
 
 def test_a_view_that_was_rejected_does_not_count(moved_view):
@@ -233,7 +233,7 @@ def test_an_arms_own_errors_are_parameters_in_its_units(moved_view):
     arm = dataclasses.replace(six_axes(), prismatic=(False,) * 5 + (True,))
     error = RobotError(DHErrors(arm), jnp.full(24, 1e-3))
     bent = dataclasses.replace(fit.joint.calibration, robot_error=error)
-    known = CalibrationFit(fit.staged, dataclasses.replace(fit.joint, calibration=bent))
+    known = CalibrationFit.of(fit.staged, dataclasses.replace(fit.joint, calibration=bent))
     rows = {name: value for name, value, _ in parameter_rows(known)}
     assert rows["robot_error.joint_offset.1"] == "0.0572958 deg"
     assert rows["robot_error.joint_offset.6"] == "1 mm"
