@@ -32,7 +32,7 @@ def test_every_transform_is_said_in_mm_and_degrees_with_its_interval(fit):
 
 
 def test_every_warning_is_said_in_text_and_in_a_notebook(fit):
-    doubtful = type(fit)(
+    doubtful = type(fit).of(
         fit.staged, dataclasses.replace(fit.joint, warnings=("the lens is < too simple",))
     )
     assert "warning: the lens is < too simple" in str(doubtful)
