@@ -1,6 +1,7 @@
 """Check data before and between the steps of a calibration, and name what is wrong with them.
 
-`questions.py` says in which order: the poses, the detections (`target_checks.py`), the camera by
+`questions.py` says in which order: the poses (`usable_views.py`), the detections
+(`target_checks.py`), the camera by
 itself (`camera_checks.py`), then whether robot and camera move alike (`conventions.py`, with the
 usual mistakes in `mistakes.py`, judged by the closure of motions, `closure.py`), and which single
 views contradict the others (`view_consistency.py`).
@@ -19,6 +20,12 @@ from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings
 from .target_checks import collinear_views as collinear_views
 from .target_checks import mismatched_views as mismatched_views
+from .usable_views import MINIMUM_POINTS as MINIMUM_POINTS
+from .usable_views import mask_unusable_views as mask_unusable_views
+from .usable_views import minimum_points as minimum_points
+from .usable_views import require_minimum_views as require_minimum_views
+from .usable_views import unusable_views as unusable_views
+from .usable_views import views_to_use as views_to_use
 from .view_consistency import MAX_MISFIT_RATIO as MAX_MISFIT_RATIO
 from .view_consistency import MAX_REJECTED_FRACTION as MAX_REJECTED_FRACTION
 from .view_consistency import ViewConsistency as ViewConsistency

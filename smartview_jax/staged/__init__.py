@@ -18,6 +18,7 @@ from ..data_checks import find_consistent_views as find_consistent_views
 from ..data_checks import median_reprojection_errors as median_reprojection_errors
 from ..data_checks import mistaken_unit as mistaken_unit
 from ..data_checks import relative_motions as relative_motions
+from ..data_checks import views_to_use as views_to_use
 from ..hand_eye import CLOSED_FORMS as CLOSED_FORMS
 from ..hand_eye import HandEyeResult as HandEyeResult
 from ..hand_eye import daniilidis as daniilidis
@@ -27,10 +28,8 @@ from ..hand_eye import shah as shah
 from ..hand_eye import solve_hand_eye as solve_hand_eye
 from ..hand_eye import tsai_lenz as tsai_lenz
 from .fit import MAX_UNCHECKED_POINTS as MAX_UNCHECKED_POINTS
-from .fit import StagedFit as StagedFit
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged
-from .fit import views_to_use as views_to_use
 from .given_start import check_start as check_start
 from .given_start import merged_start as merged_start
 from .given_start import require_picture_size as require_picture_size
@@ -41,6 +40,7 @@ from .kalman import kalman_filter as kalman_filter
 from .kalman import pixel_residuals as pixel_residuals
 from .kalman import robust_sigma as robust_sigma
 from .region import with_region as with_region
+from .staged_fit import StagedFit as StagedFit
 from .start_checks import start_doubts as start_doubts
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views

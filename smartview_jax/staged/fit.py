@@ -1,34 +1,37 @@
 """Calibrate by the paper's three steps in one call.
 
 Step 1 (`weng.py`, Eq. 8) calibrates each view by itself, Step 2 (`kalman.py`, Eq. 9) fits one
-camera to all views, Step 3 (`hand_eye.py`, Eq. 17) solves for the hand-eye and world transforms.
+camera to all views, Step 3 (`hand_eye`, Eq. 17) solves for the hand-eye and world transforms.
 """
 
 import dataclasses
 import logging
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
-from ..calibration import Calibration, host_mount_from_holder, transform_names
+from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..data_checks import (
-    ConventionReport,
+    MINIMUM_POINTS,
     Findings,
     camera_misfit,
     camera_problem,
     check_conventions,
-    collinear_views,
     detection_findings,
     find_consistent_views,
+    mask_unusable_views,
     median_reprojection_errors,
+    minimum_points,
     mismatched_views,
     pose_findings,
+    require_minimum_views,
     stale_views,
+    unusable_views,
+    views_to_use,
 )
 from ..dataset import (
     Dataset,
@@ -36,19 +39,17 @@ from ..dataset import (
     chain_residuals,
     contradictory_views,
     repeated_pose_reason,
-    repeated_views,
-    require_motion,
 )
 from ..fit_result import FitCode, FitResult, Rejection
-from ..geometry import PoseLike, host_matrices
+from ..geometry import PoseLike
 from ..hand_eye import HandEyeResult, solve_hand_eye
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from .given_start import known_transforms
-from .interpolation import Interpolation
 from .kalman import kalman_filter
 from .region import with_region
+from .staged_fit import CommonCameraFit, StagedFit
 from .two_poses import choose_poses
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
@@ -64,164 +65,6 @@ like good points, where these are half of all.
 UNCHECKED_GATE_PROBABILITY = 1.0 - 1e-14
 """The least probability of the outlier gate where most views have so few points: eight standard
 deviations, which are understated there, since the poses of the views follow the noise."""
-
-MINIMUM_POINTS = 6
-"""Smallest number of points with which a view can be calibrated by itself."""
-
-KNOWN_CAMERA_POINTS = 4
-"""Smallest number of points that determine a view's pose before a known camera."""
-
-
-@runtime_checkable
-class CommonCameraFit(Protocol):
-    """The interface of a result of Step 2: a `KalmanResult`, or the result of the batch fit.
-
-    Attributes:
-        camera: the common camera.
-        camera_from_world: one pose per view.
-        inliers: the observations used.
-        pixel_sigma: standard deviation of u and of v, px.
-        rms: root mean square reprojection error of the inliers, px.
-        converged: whether the fit converged.
-        message: the outcome in words.
-    """
-
-    @property
-    def camera(self) -> Camera: ...
-    @property
-    def camera_from_world(self) -> SE3: ...
-    @property
-    def inliers(self) -> Bool[Array, "views points"]: ...
-    @property
-    def pixel_sigma(self) -> Float[Array, ""] | float: ...
-    @property
-    def rms(self) -> Float[Array, ""] | float: ...
-    @property
-    def converged(self) -> bool: ...
-    @property
-    def message(self) -> str: ...
-
-
-class StagedFit(eqx.Module):
-    """The result of the staged pipeline.
-
-    Attributes:
-        calibration: camera, hand-eye and world transforms.
-        step1: per-view calibrations; None if the camera was given.
-        step2: common camera and per-view poses, with their covariance.
-        step3: the hand-eye solution with every start tried.
-        residuals: measured minus predicted through the whole chain, px; 0 where not seen.
-        inliers: the observations that Step 2 kept, in the views that were used.
-        rejected: view id, point index (None for a whole view) and reason.
-        views: indices of the views that Step 3 used.
-        conventions: how well robot and camera motion agree.
-        result: whether all steps converged.
-        warnings: the reasons to doubt the answer, a sentence each.
-    """
-
-    calibration: Calibration
-    step1: ViewCalibrations | None
-    step2: CommonCameraFit
-    step3: HandEyeResult
-    residuals: Float[Array, "views points 2"]
-    inliers: Bool[Array, "views points"]
-    rejected: tuple[Rejection, ...] = eqx.field(static=True)
-    views: tuple[int, ...] = eqx.field(static=True)
-    conventions: ConventionReport = eqx.field(static=True)
-    result: FitResult = eqx.field(static=True)
-    warnings: tuple[str, ...] = eqx.field(static=True, default=())
-
-    def interpolation(self, data: Dataset) -> Interpolation:
-        """Return the paper's comparison method: interpolation between the viewpoints of `data`."""
-        views = np.array(self.views)
-        robot = SE3(data.base_from_tool.wxyz_xyz[views])
-        camera_from_world = SE3(self.step2.camera_from_world.wxyz_xyz[views])
-        return Interpolation(self.step2.camera, robot, camera_from_world)
-
-
-def views_to_use(
-    data: Dataset, camera: Camera | None = None, place_is_given: bool = False
-) -> np.ndarray:
-    """Return the indices of the views that show enough points, not all on one line, once each.
-
-    Args:
-        data: the data set.
-        camera: a known camera; fewer points suffice then.
-        place_is_given: whether the camera's or the target's place is known, which a robot that
-            never turns does not tell.
-
-    Raises:
-        ValueError: fewer than three are left, and the message says what is wrong with the others;
-            or the robot did not move or turn.
-    """
-    poses = host_matrices(data.base_from_tool)
-    mount_name = transform_names(data.mount)[0]
-    unusable = _views_without_pose(data, _minimum_points(camera))
-    _require_minimum_views(data, unusable, _minimum_points(camera))
-    seen = np.setdiff1d(np.arange(data.view_count), list(unusable))
-    # Before views that repeat others are set aside: nothing would be left to speak of.
-    require_motion(poses[seen], mount_name, place_is_given)
-    unusable = _unusable_views(data, _minimum_points(camera))
-    _require_minimum_views(data, unusable, _minimum_points(camera))
-    return np.setdiff1d(np.arange(data.view_count), list(unusable))
-
-
-def _require_minimum_views(data: Dataset, unusable: dict[int, str], minimum: int) -> None:
-    """Raise a ValueError that names the unusable views if fewer than three are left."""
-    remaining = data.view_count - len(unusable)
-    if remaining >= 3:
-        return
-    reasons = [f"view {data.view_ids[view]}: {text}" for view, text in unusable.items()]
-    tail = f" ({'; '.join(reasons[:10])})" if reasons else ""
-    # A single tag has four corners: enough for a pose, not for a camera.
-    advice = (
-        f"; with a known camera (camera=, or --camera FILE) {KNOWN_CAMERA_POINTS} points suffice"
-        if minimum > KNOWN_CAMERA_POINTS
-        else ""
-    )
-    raise ValueError(
-        f"a calibration needs at least 3 views with {minimum} points each; "
-        f"{remaining} of {data.view_count} views have them{tail}{advice}"
-    )
-
-
-def _mask_unusable_views(
-    data: Dataset, unusable: dict[int, str]
-) -> tuple[Observations, Bool[np.ndarray, "views"]]:
-    """Return the observations with unusable views masked, and the mask of usable views.
-
-    Views are masked, not removed: the arrays keep the shape for which programs are compiled.
-    """
-    used = np.ones(data.view_count, dtype=bool)
-    used[list(unusable)] = False
-    visible = to_device(np.asarray(data.visible) & used[:, None])
-    return eqx.tree_at(lambda o: o.visible, data.observations, visible), used
-
-
-def _unusable_views(data: Dataset, minimum: int) -> dict[int, str]:
-    """Return the views whose pose cannot be determined or repeats another's, with the reason."""
-    unusable = _views_without_pose(data, minimum)
-    return unusable | repeated_views(data.mask_views(list(unusable)))
-
-
-def _views_without_pose(data: Dataset, minimum: int) -> dict[int, str]:
-    """Return the views whose pose cannot be determined, with the reason."""
-    reasons, visible = dict(data.masked_views), np.asarray(data.visible)
-    point_counts, collinear = visible.sum(axis=1), collinear_views(np.asarray(data.points), visible)
-    return {
-        view: reasons.get(
-            data.view_ids[view],
-            f"{point_counts[view]} points seen, {minimum} needed"
-            if point_counts[view] < minimum
-            else f"the {point_counts[view]} points seen lie on one line",
-        )
-        for view in np.flatnonzero((point_counts < minimum) | collinear).tolist()
-    }
-
-
-def _minimum_points(camera: Camera | None) -> int:
-    """Return the number of points that a view must show; fewer if the camera is known."""
-    return MINIMUM_POINTS if camera is None else KNOWN_CAMERA_POINTS
 
 
 @on_one_blas_thread
@@ -268,22 +111,19 @@ def fit_staged(
         raise ValueError(f"conventions is 'raise' or 'report'; found {conventions!r}")
     place_is_given = rough_translation is not None or any(pose is not None for pose in known)
     views_to_use(data, camera, place_is_given)
-    unusable = _unusable_views(data, _minimum_points(camera))
+    unusable = unusable_views(data, minimum_points(camera))
     say(f"Step 1: each of {data.view_count - len(unusable)} views by itself")
-    observations, used = _mask_unusable_views(data, unusable)
-    step1, start_camera, start_poses, start_inliers, rms = _run_step1(
-        observations, data.image_size, used, lens, camera
-    )
+    observations, used = mask_unusable_views(data, unusable)
+    step1 = _run_step1(observations, data.image_size, used, lens, camera)
     # Views that Step 1 could not fit to the target (wrong corner numbering, another object).
-    mismatched = mismatched_views(rms, used, observations, data.image_size)
+    mismatched = mismatched_views(step1.rms, used, observations, data.image_size)
     if mismatched:
         # Repeat without them: they entered the median intrinsics from which Step 2 starts.
         unusable = {**unusable, **mismatched}
-        _require_minimum_views(data, unusable, _minimum_points(camera))
-        observations, used = _mask_unusable_views(data, unusable)
-        step1, start_camera, start_poses, start_inliers, _ = _run_step1(
-            observations, data.image_size, used, lens, camera
-        )
+        require_minimum_views(data, unusable, minimum_points(camera))
+        observations, used = mask_unusable_views(data, unusable)
+        step1 = _run_step1(observations, data.image_size, used, lens, camera)
+    start_inliers = step1.inliers
     point_counts = np.asarray(observations.visible).sum(axis=1)
     unchecked = np.sum(point_counts[point_counts <= MAX_UNCHECKED_POINTS])
     if 2 * unchecked > point_counts.sum():
@@ -291,12 +131,12 @@ def fit_staged(
         start_inliers = observations.visible
     say("Step 2: one camera for all views")
 
-    def fit_camera(start_camera: Camera, start_poses: SE3) -> CommonCameraFit:
+    def fit_camera(start: Camera, camera_from_world: SE3) -> CommonCameraFit:
         """Return the camera that fits all views, without the robot's poses."""
         return step2(
             observations,
-            start_camera,
-            start_poses,
+            start,
+            camera_from_world,
             start_inliers,
             pixel_sigma,
             gate_probability,
@@ -304,7 +144,7 @@ def fit_staged(
             progress=progress,
         )
 
-    common_fit = fit_camera(start_camera, start_poses)
+    common_fit = fit_camera(step1.camera, step1.camera_from_world)
     robot = host_mount_from_holder(data.mount, data.base_from_tool)
     groups = contradictory_views(data.mask_views(list(unusable)))
     stale = {
@@ -342,8 +182,8 @@ def fit_staged(
         lens,
         camera is not None,
         lambda name: fit_camera(
-            dataclasses.replace(start_camera, lens=initial_lens(name, start_camera.lens)),
-            start_poses,
+            dataclasses.replace(step1.camera, lens=initial_lens(name, step1.camera.lens)),
+            step1.camera_from_world,
         ),
     )
     findings = Findings(
@@ -393,7 +233,7 @@ def fit_staged(
     ids = data.view_ids
     return StagedFit(
         with_region(calibration, data, np.flatnonzero(consistent)),
-        step1,
+        step1.calibrations,
         common_fit,
         step3,
         chain_residuals(calibration, data.observations),
@@ -442,22 +282,35 @@ def _pixel_noise(common_fit: CommonCameraFit) -> float:
     return max(float(common_fit.pixel_sigma), pooled)
 
 
+class _Step1(NamedTuple):
+    """The views by themselves, and what Step 2 starts from.
+
+    Attributes:
+        calibrations: the calibration of each view; None for a known camera.
+        camera, camera_from_world: the start of Step 2.
+        inliers: mask of the points that are not gross errors.
+        rms: RMS reprojection error of each view, px.
+    """
+
+    calibrations: ViewCalibrations | None
+    camera: Camera
+    camera_from_world: SE3
+    inliers: Bool[Array, "views points"]
+    rms: np.ndarray
+
+
 def _run_step1(
     observations: Observations,
     image_size: tuple[int, int],
     used: np.ndarray,
     lens: str | AbstractLens,
     camera: Camera | None,
-) -> tuple[ViewCalibrations | None, Camera, SE3, Bool[Array, "views points"], np.ndarray]:
-    """Run Step 1 and return what Step 2 starts from.
-
-    Returns:
-        The per-view calibrations (None for a known camera), start camera and poses, the points
-        that are not gross errors, and the RMS reprojection error of each view, px.
-    """
+) -> _Step1:
+    """Calibrate each view by itself; with a known camera, estimate its pose."""
     if camera is not None:
         poses, rms, inliers = estimate_view_poses(observations, camera)
-        return None, camera, _fill_unused_poses(poses, used), inliers, np.asarray(rms)
+        start = _fill_unused_poses(poses, used)
+        return _Step1(None, camera, start, inliers, np.asarray(rms))
     distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
     step1 = calibrate_views(observations, image_size, distortion)
     # The median over views: single views with a poor focal length do not spoil the start.
@@ -470,7 +323,7 @@ def _run_step1(
     poses = np.array(step1.camera_from_world.wxyz_xyz)
     poses[:, 6] *= medians[0] / np.asarray(step1.intrinsics.alpha_u)
     start = _fill_unused_poses(SE3(to_device(poses)), used)
-    return step1, start_camera, start, step1.inliers, np.asarray(step1.rms)
+    return _Step1(step1, start_camera, start, step1.inliers, np.asarray(step1.rms))
 
 
 def _fill_unused_poses(poses: SE3, used: np.ndarray) -> SE3:

@@ -1,0 +1,84 @@
+"""The result of the staged pipeline, and the interface of its Step 2."""
+
+from typing import Protocol, runtime_checkable
+
+import equinox as eqx
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float
+
+from ..calibration import Calibration
+from ..cameras import Camera
+from ..data_checks import ConventionReport
+from ..dataset import Dataset
+from ..fit_result import FitResult, Rejection
+from ..hand_eye import HandEyeResult
+from .interpolation import Interpolation
+from .weng import ViewCalibrations
+
+
+@runtime_checkable
+class CommonCameraFit(Protocol):
+    """The interface of a result of Step 2: a `KalmanResult`, or the result of the batch fit.
+
+    Attributes:
+        camera: the common camera.
+        camera_from_world: one pose per view.
+        inliers: the observations used.
+        pixel_sigma: standard deviation of u and of v, px.
+        rms: root mean square reprojection error of the inliers, px.
+        converged: whether the fit converged.
+        message: the outcome in words.
+    """
+
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def camera_from_world(self) -> SE3: ...
+    @property
+    def inliers(self) -> Bool[Array, "views points"]: ...
+    @property
+    def pixel_sigma(self) -> Float[Array, ""] | float: ...
+    @property
+    def rms(self) -> Float[Array, ""] | float: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def message(self) -> str: ...
+
+
+class StagedFit(eqx.Module):
+    """The result of the staged pipeline.
+
+    Attributes:
+        calibration: camera, hand-eye and world transforms.
+        step1: per-view calibrations; None if the camera was given.
+        step2: common camera and per-view poses, with their covariance.
+        step3: the hand-eye solution with every start tried.
+        residuals: measured minus predicted through the whole chain, px; 0 where not seen.
+        inliers: the observations that Step 2 kept, in the views that were used.
+        rejected: view id, point index (None for a whole view) and reason.
+        views: indices of the views that Step 3 used.
+        conventions: how well robot and camera motion agree.
+        result: whether all steps converged.
+        warnings: the reasons to doubt the answer, a sentence each.
+    """
+
+    calibration: Calibration
+    step1: ViewCalibrations | None
+    step2: CommonCameraFit
+    step3: HandEyeResult
+    residuals: Float[Array, "views points 2"]
+    inliers: Bool[Array, "views points"]
+    rejected: tuple[Rejection, ...] = eqx.field(static=True)
+    views: tuple[int, ...] = eqx.field(static=True)
+    conventions: ConventionReport = eqx.field(static=True)
+    result: FitResult = eqx.field(static=True)
+    warnings: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def interpolation(self, data: Dataset) -> Interpolation:
+        """Return the paper's comparison method: interpolation between the viewpoints of `data`."""
+        views = np.array(self.views)
+        robot = SE3(data.base_from_tool.wxyz_xyz[views])
+        camera_from_world = SE3(self.step2.camera_from_world.wxyz_xyz[views])
+        return Interpolation(self.step2.camera, robot, camera_from_world)
