@@ -11,8 +11,8 @@ import pytest
 from fit_scenes import MANY_VIEWS, scene_of
 from jaxlie import SE3
 
-from smartview_jax import calibrate, fit_joint
-from smartview_jax.calibration_pipeline import refit_uncorrected
+from smartview_jax import calibrate, fit_joint, fit_staged
+from smartview_jax.calibration_pipeline import _with_start_doubts, refit_uncorrected
 from smartview_jax.engine import Prior
 from smartview_jax.joint import precompile
 
@@ -107,17 +107,14 @@ def test_a_start_the_other_way_round_is_named_first_and_not_used():
     )
 
 
-def test_a_start_that_is_held_is_used_though_it_is_doubted():
+@pytest.mark.parametrize("used_paths", [("camera_from_tool",), ("camera_from_tool.rotation.x",)])
+def test_a_start_that_is_held_or_in_a_prior_is_kept_though_it_is_doubted(used_paths):
     scene = scene_of(6)
-    wrong = scene.calibration.camera_from_tool.inverse()
-    try:
-        fit = calibrate(scene.data, start={"camera_from_tool": wrong}, fixed=("camera_from_tool",))
-        said = fit.warnings[0]
-        np.testing.assert_allclose(fit.calibration.camera_from_tool.wxyz_xyz, wrong.wxyz_xyz)
-    except ValueError as error:
-        said = str(error)
-    assert said.startswith("the start's camera_from_tool does not belong to these data: ")
-    assert "does without it" not in said
+    start = {"camera_from_tool": scene.calibration.camera_from_tool.inverse()}
+    staged, kept = _with_start_doubts(fit_staged(scene.data), start, scene.data, used_paths)
+    assert kept == start
+    assert staged.warnings[-1].startswith("the start's camera_from_tool does not belong to these")
+    assert "does without it" not in staged.warnings[-1]
 
 
 def test_a_place_that_a_prior_states_is_no_start_to_doubt():
