@@ -130,7 +130,7 @@ def _absurd_results(material: Material) -> str:
     scene = material.scene
     fit = sv.fit_joint(_one_axis(material), scene.calibration, fixed=("camera",), noise="trusted")
     assert np.isfinite(np.asarray(fit.calibration.camera_from_tool.as_matrix())).all()
-    return _expect(str(fit), "do not tell: camera offset along the tool's z axis")
+    return _expect(str(fit), "do not determine: camera offset along the tool's z axis")
 
 
 def _how_accurate(material: Material) -> str:

@@ -1,6 +1,6 @@
 """Calibrate a camera, its hand-eye transform and the robot's error in one differentiable fit.
 
-The method is that of the paper "SmartView: Hand-Eye Robotic Calibration for Active Viewpoint
+The method comes from the paper "SmartView: Hand-Eye Robotic Calibration for Active Viewpoint
 Generation and Object Grasping", which the other files call "the paper". Its staged pipeline is in
 `staged`; the joint fit, which starts from the staged result, is in `joint`.
 
@@ -12,12 +12,12 @@ Conventions, kept by every function and file:
 - tangents of rigid transforms are translation first, then rotation;
 - the robot's error is a twist at the tool: `tool_from_base = exp(twist) @ reported`;
 - float64: importing this package turns on JAX's x64 mode, because calibration is
-  ill-conditioned in single precision (`double_precision` says how); where it is turned off again,
-  every fit says so.
+  ill-conditioned in single precision (see `double_precision`); after it is turned off again,
+  every fit raises an error.
 
 The first fit takes longest, because its programs are compiled. They are kept on disk, by default in
-~/.cache/smartview_jax, and later processes read them; `compilation_cache` says how to choose
-another folder or to turn that off.
+~/.cache/smartview_jax, and later processes read them; `compilation_cache` explains how to choose
+another folder or to turn this off.
 
 Glossary:
 
@@ -27,13 +27,13 @@ Glossary:
 - twist: six numbers, translation (m) first and rotation (rad) last, whose exponential is a rigid
   transform; it describes small differences between two poses.
 - hand-eye transform: the fixed pose of the camera on its mount, `camera_from_tool` for a camera
-  on the hand and `camera_from_base` for one beside the arm.
+  on the hand and `camera_from_base` for a fixed camera.
 - residual: measured minus predicted pixel, in u and in v.
 - registration error: the mean distance between measured and predicted pixels, the paper's figure
   of merit; elsewhere called reprojection error.
 - held-out error: the same distance on views that were not used by the fit.
-- gross error: a measurement that is too far off to be noise, such as a wrongly detected corner;
-  also called an outlier. Fits leave it out or limit its influence.
+- gross error: a measurement too far off to be noise, such as a wrongly detected corner; also
+  called an outlier. Fits leave it out or limit its influence.
 - robot error field: the twist between the reported and the actual pose of the tool as a smooth
   function of the reported pose or of the joint angles.
 - effective pixel sigma: the standard deviation with which the pixels are weighted when a whole
@@ -47,6 +47,6 @@ from .runtime.double_precision import enable_double_precision as _enable_double_
 
 _enable_double_precision()
 
-# The public names, and where they are defined, stand in `__init__.pyi`, where type checkers and
-# editors read them. Each is imported when it is first used.
+# `__init__.pyi` lists the public names and their modules, for type checkers and editors too. Each
+# name is imported when it is first used.
 __getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Refuse arguments of the wrong kind, with a message that says what was expected."""
+"""Refuse wrong arguments, with a message that states what was expected."""
 
 import re
 from collections import Counter
@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 
 
 def require_instance(name: str, value: object, kind: type, hint: str = "") -> None:
-    """Raise a TypeError unless an argument is of the kind that is expected.
+    """Raise a TypeError unless an argument is of the expected class.
 
     Args:
-        name: of the argument.
-        value: what was given.
-        kind: the class that is expected.
-        hint: what may have been meant.
+        name: name of the argument.
+        value: the argument.
+        kind: the expected class.
+        hint: what the caller may have meant.
     """
     if not isinstance(value, kind):
         message = f"{name}: expected {kind.__name__}, found {_described(value)}"
@@ -21,17 +21,17 @@ def require_instance(name: str, value: object, kind: type, hint: str = "") -> No
 
 def require_names(name: str, value: Sequence[str]) -> None:
     """Raise a ValueError for a single text where a sequence of names is expected."""
-    # A text is a sequence too: of its letters.
+    # A text is itself a sequence, of its letters.
     if isinstance(value, str):
         raise ValueError(f"{name}: expected a list of names such as [{value!r}], found {value!r}")
 
 
 def require_distinct(name: str, values: Sequence[str]) -> None:
-    """Raise a ValueError that names every value which is given more than once.
+    """Raise a ValueError that names every value given more than once.
 
     Args:
-        name: of the argument.
-        values: names or ids, by which something is found again.
+        name: name of the argument.
+        values: names or ids, which must be unique.
     """
     repeated = sorted(value for value, count in Counter(values).items() if count > 1)
     if repeated:
@@ -54,9 +54,9 @@ _DRIVE = re.compile(r"[A-Za-z]:")
 def name_problem(text: object) -> str | None:
     """Return why a text is not a name; None for a name.
 
-    This is the one rule for everything that a user names: views, objects, faces, grasps, touches. A
-    name can be a row's first field in a table, a value in YAML and JSON, and the name of a file
-    within a folder, and is read back equal from each.
+    This is the rule for every name that a user gives: of views, objects, faces, grasps, touches. It
+    is read back unchanged from the first field of a table's row, from YAML and JSON, and from the
+    name of a file within a folder.
     """
     if not isinstance(text, str):
         return f"a name is a text, not {_described(text)}"
@@ -73,18 +73,18 @@ def name_problem(text: object) -> str | None:
         return "as a file name it would lead out of its folder"
     if len(text.encode()) > MAX_NAME_BYTES:
         return f"as a file name it would be too long: at most {MAX_NAME_BYTES} bytes in UTF-8"
-    # Or two names could be one file: a/b, a//b and a/./b.
+    # Otherwise several names could mean one file: a/b, a//b and a/./b.
     if "" in parts or "." in parts:
         return "as a file name it has a part that is empty or a single point"
     return None
 
 
 def require_readable(name: str, values: Iterable[object]) -> None:
-    """Raise a ValueError that says why a text is not a name, by `name_problem`.
+    """Raise a ValueError for a text that is not a name, with the reason from `name_problem`.
 
     Args:
-        name: of the argument.
-        values: names that tables, YAML files and file names are made with.
+        name: name of the argument.
+        values: names for use in tables, YAML files and file names.
     """
     for value in values:
         if (reason := name_problem(value)) is not None:
@@ -92,22 +92,22 @@ def require_readable(name: str, values: Iterable[object]) -> None:
 
 
 def require_readable_or_empty(name: str, value: object) -> None:
-    """Raise a ValueError as `require_readable`, except that there may be no name: an empty text."""
+    """Raise a ValueError as `require_readable` does, but accept an empty text: no name."""
     if value != "":
         require_readable(name, [value])
 
 
 def no_name(value: object, reason: str) -> str:
-    """Return the sentence that a text is not a name, for messages."""
+    """Return the sentence for messages that a text is not a name."""
     shown = value[:60] if isinstance(value, str) else value
     return f"{shown!r} is no name: {reason}"
 
 
 def nearest_name(text: str) -> str:
-    """Return a text as a name that differs as little as possible; empty where nothing is left.
+    """Return the name that differs least from a text; empty if nothing is left.
 
-    For a text that was not given as a name, such as a file's, and for names in files of earlier
-    versions, which had other rules.
+    It is for texts that were not meant as names, such as file names, and for names in files of
+    earlier versions, which had other rules.
     """
     if name_problem(text) is None:
         return text
@@ -121,7 +121,7 @@ def nearest_name(text: str) -> str:
 
 
 def _described(value: object) -> str:
-    """Return the kind of a value, and the value itself where that is short."""
+    """Return the type of a value, and the value itself if it is short."""
     text = repr(value)
     kind = type(value).__name__
     return f"{text} ({kind})" if len(text) <= 40 and "\n" not in text else f"one of type {kind}"

@@ -40,8 +40,8 @@ from .staged import (
 DEFAULT_LENS = "opencv4"
 """The default lens model: it predicts unseen views of real data sets best.
 
-The command `python -m benchmarks defaults` shows it. On some of these data sets a lens without
-decentring distortion conceals errors of the arm.
+`python -m benchmarks defaults` compares the lens models. On some of these data sets a lens without
+decentring distortion hides errors of the arm.
 """
 
 MAX_RMS_RATIO_TO_STAGED, MAX_UNCORRECTED_RMS_RATIO_TO_STAGED = 1.5, 5.0
@@ -51,7 +51,7 @@ The first applies to the whole joint fit, the second to its chain without the ro
 """
 
 EXACT_POSE_SIGMA = 1e-9
-"""The standard deviation, m and rad, of poses that are exact: it moves pixels by less than 1e-5."""
+"""The standard deviation, m and rad, of exact poses; it moves pixels by less than 1e-5."""
 
 STEP2_METHODS = {"kalman": kalman_filter, "batch": batch_least_squares}
 """The methods, by name, that fit one camera to all views."""
@@ -129,9 +129,9 @@ def calibrate(
         joint_options: options of `fit_joint`, by keyword.
 
     Raises:
-        TypeError: an argument of another kind than stated.
-        ValueError: a camera or a start that is not of this data set's pictures or mount, and as
-            `fit_staged` and `fit_joint` do.
+        TypeError: an argument of the wrong type.
+        ValueError: a camera or a start that does not match this data set's pictures or mount; and
+            the errors of `fit_staged` and `fit_joint`.
     """
     refuse_traced("calibrate", data, camera)
     require_instance("data", data, Dataset)
@@ -142,14 +142,14 @@ def calibrate(
         raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
-    # A start of other data would be found out only by a fit that goes astray.
+    # A start from other data would otherwise show only as a fit that goes astray.
     check_start(start, data)
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
     priors = joint_options.get("priors") or {}
-    # What is held without a start would be held at what the staged fit cannot know either.
+    # Without a start, held parameters keep the staged result, which cannot know a position either.
     held = joint_options.get("fixed", ()) if start else ()
-    place_is_given = given_places(transform_names(data.mount), held, priors)
-    views_to_use(data, camera, place_is_given)
+    translation_is_given = given_places(transform_names(data.mount), held, priors)
+    views_to_use(data, camera, translation_is_given)
     noise = joint_options.get("noise", "estimated")
     field = joint_options.get("field", "auto")
     # XLA compiles the joint fit while the staged fit runs.
@@ -221,38 +221,38 @@ def _with_start_doubts(
 
 
 def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, PoseLike]:
-    """Return the transforms, unturned, whose place priors state in all axes."""
-    places: dict[str, PoseLike] = {}
+    """Return the transforms, with zero rotation, whose position has a prior in all axes."""
+    poses: dict[str, PoseLike] = {}
     for name in transform_names(mount):
         paths = [f"{name}.translation.{axis}" for axis in "xyz"]
         means = [priors[path].mean for path in paths if path in priors]
         if len(means) == len(paths):
             pose = np.eye(4)
             pose[:3, 3] = [0.0 if mean is None else mean for mean in means]
-            places[name] = pose
-    return places
+            poses[name] = pose
+    return poses
 
 
 def refit_uncorrected(data: Dataset, fit: CalibrationFit) -> Calibration:
-    """Fit the chain that predicts best where the robot's error is not corrected.
+    """Fit the chain that predicts best for programs that do not correct the robot's error.
 
-    It is for programs that use transforms only. The fit takes the robot's poses as exact, so its
-    camera and hand-eye transform absorb the robot's error: this hand-eye transform is not the best
-    estimate of the camera's mount. Rejected observations stay out and held parameters stay held;
-    priors are not known here.
+    Such programs use transforms only. The fit takes the robot's poses as exact, so its camera and
+    hand-eye transform absorb the robot's error: this hand-eye transform is not the best estimate
+    of the camera's mount. Rejected observations stay out and held parameters stay held; priors are
+    not applied.
 
-    Where the noise was estimated, the poses are not exact but good to `EXACT_POSE_SIGMA`, and the
-    robot error fields of that fit are held at zero: the fit has no other optimum, and is solved by
-    the program that is compiled already.
+    If the noise was estimated, the poses get the standard deviation `EXACT_POSE_SIGMA` instead,
+    and the robot error fields of that fit are held at zero. The optimum is the same, and the
+    program for it is compiled already.
 
     Args:
         data: the data set that `fit` was fitted to.
         fit: the calibration to refit without a correction.
     """
-    # What the first fit held is held again: its free parameters have names, the others have not.
+    # The parameters that the first fit held are held again: they are the ones it did not estimate.
     start, estimated = fit.joint.calibration.uncorrected, set(fit.joint.parameter_names)
     fixed = tuple(name for name in parameter_names(start) if name not in estimated)
-    # A size that was not asked for is held as well: a fit that trusts the robot would bend it.
+    # A target size that the user did not free is held too: a fit that trusts the robot distorts it.
     not_asked_for = () if fit.noise_estimate is None else fit.noise_estimate.free
     free = tuple(name for name in estimated & {"target_scale"} if name not in not_asked_for)
     used = fit.joint.problem.observations.visible
@@ -281,11 +281,11 @@ def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str
     messages = []
     if joint_rms > MAX_RMS_RATIO_TO_STAGED * staged_rms:
         messages.append(
-            f"the joint fit leaves {joint_rms:.2f} px RMS, the staged one {staged_rms:.2f}"
+            f"the joint fit leaves {joint_rms:.2f} px RMS, the staged fit {staged_rms:.2f} px"
         )
     if joint.calibration.robot_error is not None:
         uncorrected_rms = rms(
-            # The problem's points are displaced by the target's shape already.
+            # The problem's points already include the target's shape.
             chain_residuals(
                 dataclasses.replace(joint.calibration.uncorrected, target_shape=None),
                 joint.problem.observations,

@@ -1,4 +1,4 @@
-"""Import the optional packages, with an error that says how to install the one that is missing."""
+"""Import optional packages, with an error that states how to install a missing one."""
 
 import importlib
 from typing import Any
@@ -13,7 +13,7 @@ def import_extra(module: str, extra: str, purpose: str) -> Any:
         purpose: what needs it, for the message.
 
     Raises:
-        ImportError: it is not installed; the message says what to install.
+        ImportError: it is not installed; the message states what to install.
     """
     try:
         return importlib.import_module(module)

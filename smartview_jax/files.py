@@ -65,7 +65,7 @@ def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
     existing_parent = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing_parent.is_dir():
         raise ValueError(f"{option}: {existing_parent} is a file; expected a folder to write to")
-    # Writing is tried, since permission bits do not tell about read-only or network file systems.
+    # A file is written as a test, because permission bits do not show read-only file systems.
     try:
         with tempfile.TemporaryFile(dir=existing_parent):
             pass
@@ -130,7 +130,7 @@ def clean_up_before_exit(timeout: float) -> None:
     Args:
         timeout: longest time to wait, s.
     """
-    # Never released: the process ends next, and no other thread shall begin to write before.
+    # Never released: the process ends next, and no other thread may start to write before that.
     _write_lock.acquire(timeout=timeout)
     for folder in list(_temporary_folders):
         shutil.rmtree(folder, ignore_errors=True)
@@ -169,19 +169,19 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
 def parse_yaml(
     text: str, path: str | os.PathLike[str], loader: "type[StrictYamlLoader] | None" = None
 ) -> Any:
-    """Parse a YAML text; errors name the file that it is from.
+    """Parse a YAML text; errors name the file.
 
     Args:
         text: one YAML document.
-        path: of the file that the text is from, for error messages.
+        path: path of the file with the text, for error messages.
         loader: a loader with further tags; by default `StrictYamlLoader`.
 
     Raises:
-        ValueError: it is not YAML that the loader accepts.
+        ValueError: the loader does not accept the text.
     """
     try:
         return yaml.load(text, Loader=loader or StrictYamlLoader)
-    # Any exception may come from a scalar that does not fit its tag, such as `!!bool x`.
+    # A scalar that does not fit its tag, such as `!!bool x`, may raise any exception.
     except Exception as error:
         message = " ".join(str(error).split())[:_MAX_MESSAGE_LENGTH]
         raise ValueError(f"{path}: not readable as YAML: {message}") from error
@@ -263,7 +263,7 @@ def _construct_float(loader: StrictYamlLoader, node: yaml.ScalarNode) -> float:
 
 
 def _install_yaml_1_2_resolvers() -> None:
-    """Replace the loader's syntax of numbers by that of YAML 1.2, and its dates by text."""
+    """Make the loader read numbers as in YAML 1.2, and dates as text."""
     tags = {name: f"tag:yaml.org,2002:{name}" for name in ("int", "float", "timestamp")}
     StrictYamlLoader.yaml_implicit_resolvers = {
         first: [pair for pair in pairs if pair[0] not in tags.values()]
@@ -287,7 +287,7 @@ _install_yaml_1_2_resolvers()
 class _YamlDumper(yaml.Dumper):
     """A dumper that quotes every text that YAML 1.1 or 1.2 would read as something else.
 
-    PyYAML's own leaves 1e3 without quotes, which YAML 1.1 reads as text, and 1.2 as a thousand.
+    PyYAML's own dumper leaves 1e3 unquoted, which is text in YAML 1.1 and a thousand in YAML 1.2.
     """
 
     def analyze_scalar(self, scalar: str) -> Any:
@@ -299,8 +299,8 @@ class _YamlDumper(yaml.Dumper):
         return analysis
 
 
-# A copy, so that other users of PyYAML keep theirs. The rules of 1.1 come first: by them numbers
-# are written.
+# A copy, so that other users of PyYAML keep their rules. Numbers are written by the rules of YAML
+# 1.1, which therefore come first.
 _YamlDumper.yaml_implicit_resolvers = {
     first: yaml.Dumper.yaml_implicit_resolvers.get(first, [])
     + StrictYamlLoader.yaml_implicit_resolvers.get(first, [])
@@ -321,11 +321,11 @@ def dump_yaml(content: Mapping[str, Any]) -> str:
 
 
 _NO_YAML_CHARACTERS = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
-"""Characters that JSON may have in a text, and that YAML refuses there or takes as a line's end."""
+"""Characters that JSON allows in a text but YAML refuses or takes as the end of a line."""
 
 
 def dump_json(content: Mapping[str, Any]) -> str:
-    """Return readable JSON text, keys in the given order, which is read as YAML to the same."""
-    # Not all in ASCII: YAML would read the two escapes of one emoji as two characters.
+    """Return readable JSON text, keys in the given order, that a YAML reader reads equally."""
+    # Not `ensure_ascii`: YAML would read the two escapes of one emoji as two characters.
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     return _NO_YAML_CHARACTERS.sub(lambda match: f"\\u{ord(match[0]):04x}", text) + "\n"

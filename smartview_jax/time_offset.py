@@ -1,10 +1,10 @@
-"""Estimate how much later a robot's clock is than the camera's, where pictures are taken in motion.
+"""Estimate the offset of the robot's clock from the camera's, for pictures taken in motion.
 
-A picture that the camera stamps with the time t shows the target from where the robot was at
-`t + offset` by its own clock. The offset is found in two steps: by how well the motions of robot
-and camera agree (the closure error of A X = X B, whose camera poses need no robot), for many
-offsets; then by the joint fit, whose cost with given standard deviations is minus the logarithm of
-the profile likelihood of the offset.
+A picture with the camera's time stamp t was taken at the time `t + offset` of the robot's clock.
+The offset is found in two steps: a search over many offsets for the best agreement of the robot's
+and the camera's motion (the closure error of A X = X B, whose camera poses need no robot); then the
+joint fit, whose cost with given standard deviations is minus the logarithm of the profile
+likelihood of the offset.
 """
 
 import dataclasses
@@ -29,17 +29,17 @@ COARSE_STEPS = 80
 """Number of intervals into which the range of offsets is divided for the search."""
 
 NOISE_ROUNDS = 2
-"""Number of times that standard deviations and offset are estimated in turn."""
+"""Number of rounds in which offset and standard deviations are estimated in turn."""
 
 OFFSET_TOLERANCE = 1e-6
-"""Accuracy of the minimum, s: of a robot at 1 m/s a thousandth of a millimetre."""
+"""Accuracy of the minimum, s: at 1 m/s the robot moves 0.001 mm in this time."""
 
 
 class TimeOffset(NamedTuple):
-    """The difference between two clocks: what is added to a picture's time to have the robot's.
+    """The difference between two clocks, which converts a picture's time to the robot's clock.
 
     Attributes:
-        seconds: the offset, s.
+        seconds: the offset that is added to a picture's time, s.
         std: its standard deviation, s.
         data: the data set with the poses at the corrected times.
         noise: standard deviations of pixels and poses that the estimate rests on.
@@ -64,16 +64,16 @@ def at_time_offset(
     picture_times: Float[np.ndarray, "views"],
     seconds: float,
 ) -> Dataset:
-    """Return a data set with the poses in which the robot was at its pictures' corrected times.
+    """Return a data set with the robot's poses at the pictures' corrected times.
 
     Args:
         data: pictures, whose poses are replaced.
         trajectory: poses that the robot logged.
         picture_times: times of the pictures by the camera's clock, s.
-        seconds: what is added to them, s.
+        seconds: offset to add to these times, s.
 
     Raises:
-        ValueError: another number of times than of views, or a time that was not logged.
+        ValueError: the numbers of times and views differ, or a time was not logged.
     """
     times = np.asarray(picture_times, dtype=float)
     if times.shape != (data.view_count,):
@@ -95,7 +95,7 @@ def estimate_time_offset(
 ) -> TimeOffset:
     """Estimate the difference between the robot's clock and the camera's, with its uncertainty.
 
-    The robot's errors are taken as independent from view to view, as they are to the offset.
+    The robot's errors are assumed to be independent between views and of the offset.
 
     Args:
         data: pictures of a moving camera; their poses are not used.
@@ -106,20 +106,20 @@ def estimate_time_offset(
         progress: called with a line of text for each stage.
 
     Raises:
-        ValueError: pictures outside the logged times, poses that belong to none of the offsets, an
-            offset at the end of the range, or a robot that hardly moved; and as `fit_staged` does.
+        ValueError: pictures outside the logged times, poses that fit no offset, an offset at the
+            end of the range, or a robot that hardly moved; and the errors of `fit_staged`.
     """
-    say = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     times = np.asarray(picture_times, dtype=float)
     data_at = functools.partial(at_time_offset, data, trajectory, times)
     at_zero = data_at(0.0)
     low = max(-max_offset, float(trajectory.times[0] - times.min()))
     high = min(max_offset, float(trajectory.times[-1] - times.max()))
-    say(f"time offset: {COARSE_STEPS + 1} from {1e3 * low:.0f} to {1e3 * high:.0f} ms")
-    # The convention checks would refuse poses from the wrong time; what is wrong is to be found.
-    seen = fit_staged(at_zero, lens, conventions="report")
+    report(f"time offset: {COARSE_STEPS + 1} from {1e3 * low:.0f} to {1e3 * high:.0f} ms")
+    # Convention errors are only reported, because poses from the wrong time would raise them.
+    staged_at_zero = fit_staged(at_zero, lens, conventions="report")
     used = views_to_use(data)
-    camera_from_world = host_matrices(seen.step2.camera_from_world)[used]
+    camera_from_world = host_matrices(staged_at_zero.step2.camera_from_world)[used]
     grid = np.linspace(low, high, COARSE_STEPS + 1)
     scores = [
         _disagreement(data.mount, trajectory.at(times[used] + shift), camera_from_world)
@@ -129,7 +129,7 @@ def estimate_time_offset(
     if best in (0, COARSE_STEPS):
         raise ValueError(
             f"time offset: robot and camera agree best at {1e3 * grid[best]:.0f} ms, the end of "
-            f"the range: is the offset larger, or do the poses belong to other pictures?"
+            f"the range: the offset may be larger, or the poses belong to other pictures"
         )
     seconds, step = float(grid[best]), float(grid[1] - grid[0])
     staged = fit_staged(data_at(seconds), lens)
@@ -137,11 +137,11 @@ def estimate_time_offset(
     profile = _profile(data_at, staged.inliers, staged.calibration, seconds)
     # Twice, because standard deviations that were estimated at another offset are too large.
     for _ in range(NOISE_ROUNDS):
-        found = minimize_scalar(
+        minimum = minimize_scalar(
             profile.cost, bounds=bounds, method="bounded", options={"xatol": OFFSET_TOLERANCE}
         )
-        seconds = float(found.x)  # pyright: ignore[reportAttributeAccessIssue]
-        say(f"time offset: {1e3 * seconds:.2f} ms")
+        seconds = float(minimum.x)  # pyright: ignore[reportAttributeAccessIssue]
+        report(f"time offset: {1e3 * seconds:.2f} ms")
         profile = _profile(data_at, staged.inliers, profile.calibration, seconds)
     std = _standard_deviation(profile.cost, seconds, min(seconds - low, high - seconds))
     return TimeOffset(seconds, std, data_at(seconds), profile.noise)
@@ -152,7 +152,7 @@ def _disagreement(
     base_from_tool: Float[np.ndarray, "views 4 4"],
     camera_from_world: Float[np.ndarray, "views 4 4"],
 ) -> float:
-    """Return how far the motions of robot and camera disagree, in rotation and in translation."""
+    """Return how much the motions of robot and camera disagree in rotation and translation."""
     robot = host_matrices(host_mount_from_holder(mount, as_se3(base_from_tool)))
     return closure_error(relative_motions(robot, camera_from_world)).score
 
@@ -204,14 +204,14 @@ def _profile(
     return _Profile(cost, calibration, noise)
 
 
-def _standard_deviation(cost: Callable[[float], float], seconds: float, room: float) -> float:
+def _standard_deviation(cost: Callable[[float], float], seconds: float, max_width: float) -> float:
     """Return the standard deviation from the curvature of the log-likelihood at its maximum."""
-    # Where the cost rises by one half: first from a small step, then from one of that size.
-    width, least = 1e-4, cost(seconds)
+    # The width at which the cost rises by one half, first from a small step, then from that width.
+    width, least_cost = 1e-4, cost(seconds)
     for _ in range(2):
-        width = min(width, room)
-        curvature = (cost(seconds + width) - 2.0 * least + cost(seconds - width)) / width**2
+        width = min(width, max_width)
+        curvature = (cost(seconds + width) - 2.0 * least_cost + cost(seconds - width)) / width**2
         if not curvature > 0.0:
-            raise ValueError("time offset: it is not determined: the robot hardly moved")
+            raise ValueError("time offset: not determined, because the robot hardly moved")
         width = 1.0 / np.sqrt(curvature)
     return float(width)

@@ -29,10 +29,14 @@ def calibrate(
     lens: options.LensOption = "opencv4",
     noise: options.NoiseOption = options.NoiseModel.ESTIMATED,
     held_out: Annotated[
-        bool, typer.Option(help="Also refit without some views and predict those.")
+        bool,
+        typer.Option(
+            help="Cross-validate: refit without some views and measure the error on them."
+        ),
     ] = True,
     diagnose: Annotated[
-        bool, typer.Option(help="Also by region, halves of the views, and what causes the error.")
+        bool,
+        typer.Option(help="Also: error by workspace region, split-half agreement, error budget."),
     ] = False,
     *,
     known: FitKnowledge,
@@ -44,8 +48,8 @@ def calibrate(
 ) -> None:
     """Calibrate: staged and joint fit, a table, calibration.yaml and report.html.
 
-    Writes the staged pipeline's answer as calibration_staged.yaml besides; and, where the robot's
-    error is corrected, calibration_uncorrected.yaml, for programs that cannot do that.
+    The staged fit is written to calibration_staged.yaml as well. If the robot's error is corrected,
+    calibration_uncorrected.yaml is for programs that cannot apply the correction.
     """
     with errors_reported(debug):
         from ..calibration_pipeline import calibrate as fit_both
@@ -61,10 +65,10 @@ def calibrate(
             data, name = load_named(dataset, bad_views, progress, base_from_world)
             if time_offset:
                 data = with_estimated_clock(data, dataset, lens, progress)
-            # The transforms' names depend on the mount, which only the data set says.
+            # The names of the transforms depend on the mount, which the data set states.
             fit_options = parse_fit_options(lens, data.mount, known)
 
-            # Folds and halves are fitted with the same knowledge as the whole.
+            # Folds and halves are fitted with the same options as all views.
             def fit_views(
                 part: "Dataset", progress: Callable[[str], None] | None
             ) -> "CalibrationFit":
@@ -81,17 +85,17 @@ def calibrate(
         else:
             for file in files:
                 typer.echo(f"{file}: {_RESULT_FILES[file.name]}")
-        # The results are written nevertheless, but a script must notice a fit without convergence.
+        # The results are written, but a script must notice that the fit did not converge.
         if not result.fit.result.converged:
             raise typer.Exit(1)
 
 
 _RESULT_FILES = {
     "calibration.yaml": "the calibration",
-    "calibration_staged.yaml": "that of the staged pipeline",
-    "calibration_uncorrected.yaml": "for programs that cannot correct the robot's error; predicts "
-    "best without, but does not say where the camera sits",
-    "report.html": "what was found, and how good it is",
+    "calibration_staged.yaml": "the calibration of the staged pipeline",
+    "calibration_uncorrected.yaml": "for programs that cannot correct the robot's error: predicts "
+    "best without the correction, but its hand-eye transform is not the true one",
+    "report.html": "the report: results and accuracy",
 }
 """Descriptions of the files that `calibrate` writes, by file name."""
 
@@ -111,7 +115,7 @@ def _write_files(
     given: str,
     progress: Callable[[str], None],
 ) -> list[Path]:
-    """Write all files of a run, or none, and return those that are there."""
+    """Write all files of a run, or none, and return the paths written."""
     from ..report import Origin, write_page
 
     # All files appear together, so that the report always belongs to the calibration.
@@ -136,10 +140,10 @@ def _save_calibrations(result: "CalibrateResult", folder: Path, run: str, given:
     from ..calibration_pipeline import refit_uncorrected
     from ..dataset import picture_digests
 
-    # Of views without any point there is nothing to recognise.
+    # A view without points has no digest.
     pictures = [digest for digest in picture_digests(result.data) if digest]
     fit = result.fit
-    # What was not found but given is part of where the numbers are from.
+    # Values that were given, not estimated, belong to the provenance of the numbers.
     source = f"{result.name}; given: {given}" if given else result.name
     fit.joint.save(folder / "calibration.yaml", run, source, result.warnings, pictures)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run, pictures=pictures)

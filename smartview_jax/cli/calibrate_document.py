@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 def calibrate_document(
     result: "CalibrateResult", run: str, given: str, files: list[Path]
 ) -> dict[str, Any]:
-    """Return all that `calibrate` found, as values for programs.
+    """Return everything that `calibrate` computed, as values for programs.
 
     Args:
         result: the fit and what was computed about it.
         run: name of the run, which its files contain too.
-        given: what was known already, in words.
+        given: the options that state prior knowledge, as text.
         files: files that were written.
     """
     fit, data = result.fit, result.data
@@ -40,12 +40,12 @@ def calibrate_document(
         "parameters": _parameters(fit.joint),
         "robot_errors": _robot_errors(fit.joint),
         "errors": [
-            summary_document(one)
-            for one in error_summaries(fit, data, dict(result.held_out_reports))
+            summary_document(summary)
+            for summary in error_summaries(fit, data, dict(result.held_out_reports))
         ],
         "rejected": [{"view": view, "reason": reason} for view, reason in rejections(fit, data)],
         "left_out_views": views_left_out(data.masked_views),
-        "undetermined": [one.description for one in fit.observability.null_directions],
+        "undetermined": [direction.description for direction in fit.observability.null_directions],
         "halves": _halves(result.split_half),
         "budget": _budget(result.budget),
         "notes": list(result.notes),
@@ -74,15 +74,15 @@ def _parameters(joint: "JointFit") -> list[dict[str, Any]]:
 
     return [
         {
-            "name": one.name,
-            "unit": one.unit,
-            "value": one.value,
+            "name": parameter.name,
+            "unit": parameter.unit,
+            "value": parameter.value,
             # Held parameters have none, and so have undetermined ones: `held` tells which.
-            "held": one.std is None,
-            "std": one.std,
-            "half_width_95": one.half_width,
+            "held": parameter.std is None,
+            "std": parameter.std,
+            "half_width_95": parameter.half_width,
         }
-        for one in parameter_estimates(joint)
+        for parameter in parameter_estimates(joint)
     ]
 
 
@@ -93,9 +93,11 @@ def _robot_errors(joint: "JointFit") -> dict[str, Any] | None:
         return None
     return {
         "model": str(estimate.name),
-        "probabilities": {str(one.name): one.probability for one in estimate.candidates},
+        "probabilities": {
+            str(candidate.name): candidate.probability for candidate in estimate.candidates
+        },
         "pixel_std_px": noise.pixel,
-        # Where it is not modelled apart, the scatter of points is that of whole views.
+        # Without a separate model of whole-view errors, all pixel noise is within views.
         "within_view_std_px": noise.pixel if noise.white_pixel is None else noise.white_pixel,
         "position_std_mm": 1e3 * noise.translation,
         "angle_std_deg": float(np.rad2deg(noise.rotation)),
@@ -116,25 +118,26 @@ def _halves(split_half: "SplitHalfDifference | None") -> dict[str, Any] | None:
 
 
 def _budget(budget: "ErrorBudget | None") -> dict[str, Any] | None:
-    """Return what the error comes from, the largest cause first; None if not computed."""
+    """Return the causes of the error, largest first; None if not computed."""
     if budget is None:
         return None
     return {
         "total_rms_px": budget.total_rms,
         "causes": [
-            {"name": one.name, "rms_px": one.rms, "advice": one.advice} for one in budget.causes
+            {"name": cause.name, "rms_px": cause.rms, "advice": cause.advice}
+            for cause in budget.causes
         ],
-        # Each of these explains the same smooth error by one number; only measuring can tell.
+        # All of these explain the same smooth error by one number; only a measurement can decide.
         "scale_hypotheses": [
             {
-                "name": one.name,
-                "scale": one.scale,
-                "std": one.std,
-                "deviance_decrease": one.log_likelihood_ratio,
-                "deviance_decrease_by_field": one.field_log_likelihood_ratio,
-                "held_out_by_region_rms_px": one.region_rms,
+                "name": hypothesis.name,
+                "scale": hypothesis.scale,
+                "std": hypothesis.std,
+                "deviance_decrease": hypothesis.log_likelihood_ratio,
+                "deviance_decrease_by_field": hypothesis.field_log_likelihood_ratio,
+                "held_out_by_region_rms_px": hypothesis.region_rms,
             }
-            for one in budget.scale_hypotheses
+            for hypothesis in budget.scale_hypotheses
         ],
         "summary": budget.summary,
     }

@@ -1,4 +1,4 @@
-"""Fit a data set for `smartview calibrate`, and compute what is to be said about the fit."""
+"""Fit a data set for `smartview calibrate`, and compute held-out errors and a diagnosis."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,7 +20,7 @@ class CalibrateResult(NamedTuple):
         fit: the staged and the joint fit to all views.
         held_out_reports: held-out errors by method; empty where they were not computed.
         split_half: difference between halves of the views; None where it was not computed.
-        budget: causes of the error, likewise.
+        budget: causes of the error; None where they were not computed.
         notes: remarks on the data, and on what could not be computed.
         warnings: reasons to doubt the result.
     """
@@ -48,7 +48,7 @@ def fit_and_judge(
     diagnose: bool,
     progress: Callable[[str], None],
 ) -> CalibrateResult:
-    """Fit all views, and compute held-out errors and a diagnosis as far as they are asked for.
+    """Fit all views; compute held-out errors and a diagnosis if requested.
 
     Args:
         data: the data set.
@@ -62,7 +62,7 @@ def fit_and_judge(
 
     fit, notes = fitter(data, progress), list(data.notes)
     warnings = fit.warnings
-    # Views that the joint fit rejected are outliers, and say nothing about the calibration.
+    # Views that the joint fit rejected are outliers, not a measure of the calibration.
     inlier_data = without_rejected_views(data, fit)
     reports = _held_out_reports(inlier_data, fitter, diagnose, progress, notes) if held_out else {}
     split_half = budget = None
@@ -87,7 +87,7 @@ def _held_out_reports(
     if len(data.usable_views()) < 4:
         notes.append("held-out error needs at least 4 usable views: left out")
         return {}
-    # The folds report by themselves; the stages of each fit would only hide that.
+    # Progress is reported by fold; the stages of each fit would hide it.
     return held_out_reports(
         data, lambda part: fitter(part, None), thorough=thorough, progress=progress
     )
@@ -107,14 +107,14 @@ def _diagnosis(
         progress("half of the views")
         return fitter(half_data, None).joint
 
-    # Each of the two may be impossible, such as with too few views, without harm to the other.
+    # Either may be impossible, for example with too few views, while the other can be computed.
     split_half = budget = None
     try:
         split_half = split_half_difference(data, fit_half)
     except ValueError as error:
-        notes.append(f"halves of the views are not compared: {error}")
+        notes.append(f"no split-half comparison: {error}")
     try:
         budget = error_budget(data, fit.joint, progress, held_out_by_region=True)
     except ValueError as error:
-        notes.append(f"there is no error budget: {error}")
+        notes.append(f"no error budget: {error}")
     return split_half, budget

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def print_calibrate_result(result: "CalibrateResult") -> None:
-    """Print what was found, how good it is, and what causes the error."""
+    """Print the calibration, its errors and the error budget."""
     rows = error_summaries(result.fit, result.data, result.held_out_reports)
     _print_errors(rows, result.fit, result.data, result.remarks)
     for _, text in repeatability_rows(result.split_half):
@@ -41,7 +41,7 @@ def print_calibrate_result(result: "CalibrateResult") -> None:
 def _print_errors(
     rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Dataset", notes: "Sequence[str]"
 ) -> None:
-    """Print what was found with its uncertainty, notes and warnings, errors and rejections."""
+    """Print the calibration with its uncertainty, notes and warnings, errors and rejections."""
     from ..joint import fit_text
 
     console = Console()
@@ -76,7 +76,7 @@ def _print_budget(budget: "ErrorBudget") -> None:
     console = Console()
     console.print(table)
     if budget.scale_hypotheses:
-        names = ("or one number", "its size", "gains", "beside the field", "unseen regions")
+        names = ("one-number cause", "its size", "gain", "gain with field", "unseen regions")
         table = Table(*names, box=box.SIMPLE_HEAD)
         for row in scale_hypothesis_rows(budget):
             table.add_row(*row)

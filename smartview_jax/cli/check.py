@@ -18,32 +18,32 @@ if TYPE_CHECKING:
     from ..dataset import Dataset
 
 MIN_VIEWS = 10
-"""Number of usable views below which more are asked for."""
+"""Fewest usable views for which no more are requested."""
 
 MIN_TURN = 30.0
-"""Largest rotation between two views, degrees, below which more different ones are asked for."""
+"""Smallest rotation, degrees, that some pair of views should have."""
 
 MIN_FILLED = 0.25
 """Smallest share of the picture that all points together should cover."""
 
 
 MAX_SIZE_RATIO = 1.05
-"""Largest ratio of the camera's motion to the robot's that is not doubted.
+"""Largest plausible ratio of the camera's motion to the robot's.
 
-An arm's lengths are right within half a percent; the rest is for cameras that few views calibrate.
+An arm's lengths are right to half a percent; the rest allows for a camera calibrated on few views.
 """
 
 
 class DatasetFigures(NamedTuple):
-    """The figures of a data set that are measured before anything is fitted.
+    """The figures of a data set that need no fit.
 
     Attributes:
         points: least, greatest and median number of points seen in a view.
-        picture_used: share of the picture's cells that any point falls into; None without points.
+        picture_used: fraction of the picture's cells that contain a point; None without points.
         usable_views: number of views with enough points.
         extent: how far the tool moved along x, y, z of the base, m; None below two usable views.
-        largest_rotation: largest angle between two poses of the tool, rad, likewise.
-        one_axis: whether all turns of the tool share an axis.
+        largest_rotation: largest angle between two tool poses, rad; None below two usable views.
+        one_axis: whether all rotations of the tool share an axis.
     """
 
     points: tuple[int, int, float]
@@ -77,9 +77,9 @@ def check(
             typer.echo(f"{name}: {data.view_count} views, {data.mount}")
             for text in (*data.notes, *_seen(figures, data), *_motion(figures)):
                 typer.echo(text)
-        # As they are given: where all poses are equal, nothing is left of them here.
-        told = {view for view, _ in data.masked_views}
-        problems, doubts = _agreement(given, told, known_camera)
+        # The data with repetitions: if all poses are equal, no view is left without them.
+        reported = {view for view, _ in data.masked_views}
+        problems, doubts = _agreement(given, reported, known_camera)
         if json:
             print_document("check", _document(name, data, figures, problems, doubts))
         else:
@@ -89,8 +89,8 @@ def check(
         if problems:
             raise typer.Exit(1)
         if not json:
-            except_for = ", but for these doubts" if doubts else ""
-            typer.echo(f"camera and robot agree{except_for}: smartview calibrate can begin")
+            except_for = ", apart from these doubts" if doubts else ""
+            typer.echo(f"camera and robot agree{except_for}: ready for smartview calibrate")
 
 
 def _without_repetitions(data: "Dataset") -> "Dataset":
@@ -107,7 +107,7 @@ def _without_repetitions(data: "Dataset") -> "Dataset":
 
 
 def _figures(data: "Dataset") -> DatasetFigures:
-    """Measure what is seen and how the robot moved."""
+    """Count the points, the covered part of the picture and the extent of the robot's motion."""
     import numpy as np
 
     from ..dataset import turns_about_one_axis
@@ -117,10 +117,10 @@ def _figures(data: "Dataset") -> DatasetFigures:
     counts = visible.sum(axis=1)
     pixels, picture_used = np.asarray(data.pixels)[visible], None
     if len(pixels):
-        # Cells of a grid of 8 x 8 that any point falls into.
+        # Cells of an 8 x 8 grid.
         cells = np.floor(8 * pixels / np.array(data.image_size)).clip(0, 7).astype(int)
         picture_used = len(np.unique(cells, axis=0)) / 64
-    # Plain numbers: the document is written by json, which knows no NumPy.
+    # Plain numbers, because json cannot write NumPy's.
     points = (int(counts.min()), int(counts.max()), float(np.median(counts)))
     used = data.usable_views()
     if len(used) < 2:
@@ -135,26 +135,26 @@ def _figures(data: "Dataset") -> DatasetFigures:
 
 
 def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
-    """Return what was detected in words: points by view, views without any, part of the picture."""
+    """Return the detections in words: points by view, views left out, share of the picture used."""
     least, greatest, median = figures.points
     lines = [f"points seen in a view: {least} to {greatest}, median {median:.0f}"]
     lines += [f"  view {view} is left out: {reason}" for view, reason in data.masked_views]
     if figures.picture_used is not None:
         advice = ": move the target to the borders too" if figures.picture_used < MIN_FILLED else ""
-        lines.append(f"part of the picture that was used: {figures.picture_used:.0%}{advice}")
+        lines.append(f"part of the picture covered by points: {figures.picture_used:.0%}{advice}")
     return lines
 
 
 def _motion(figures: DatasetFigures) -> list[str]:
-    """Return in words how far and how differently the robot moved between the views."""
+    """Return in words how far the robot moved and turned between the views."""
     if figures.extent is None or figures.largest_rotation is None:
         return [f"usable views: {figures.usable_views}; take more"]
     largest = math.degrees(figures.largest_rotation)
     advice = ""
     if figures.one_axis:
         advice = (
-            "; all turns share one axis, and the camera's place along it stays unknown: turn the "
-            "tool about another axis too"
+            "; all rotations share one axis, so the camera's position along it cannot be found: "
+            "turn the tool about another axis too"
         )
     elif largest < MIN_TURN:
         advice = "; turn the tool more"
@@ -173,7 +173,7 @@ def _document(
     problems: tuple[str, ...],
     doubts: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Return the same for programs."""
+    """Return figures, problems and doubts as values for programs."""
     least, greatest, median = figures.points
     extent, rotation = figures.extent, figures.largest_rotation
     return {
@@ -190,7 +190,7 @@ def _document(
         "notes": list(data.notes),
         "problems": list(problems),
         "doubts": list(doubts),
-        # What the exit code says too.
+        # The exit code says the same.
         "can_be_calibrated": not problems,
     }
 
@@ -199,26 +199,26 @@ class Agreement(NamedTuple):
     """The agreement of pictures and poses.
 
     Attributes:
-        problems: why they cannot belong together.
-        doubts: what does not fit although most of it does.
+        problems: reasons why the data cannot be calibrated.
+        doubts: views and figures that do not fit, although most do.
     """
 
     problems: tuple[str, ...]
     doubts: tuple[str, ...]
 
 
-def _agreement(data: "Dataset", told: Collection[str], camera: "Camera | None") -> Agreement:
+def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | None") -> Agreement:
     """Compare pictures and poses by the staged fit.
 
     Args:
         data: the data set.
-        told: names of the views whose mask is reported already.
-        camera: a known camera; None where it is to be found.
+        reported: names of the views whose mask is reported already.
+        camera: a known camera; None to estimate it.
     """
     from ..staged import fit_staged, mistaken_unit, require_picture_size
 
     try:
-        # As `calibrate` does, so that it is refused here for the same reasons.
+        # As in `calibrate`, so that data are refused for the same reasons.
         if camera is not None:
             require_picture_size("--camera", camera, data.image_size)
         lens = "opencv4" if camera is None else camera.lens
@@ -233,7 +233,7 @@ def _agreement(data: "Dataset", told: Collection[str], camera: "Camera | None") 
         for view, point, reason in fit.rejected
         if point is None and not problems
     }
-    doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in told]
+    doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     ratio = fit.conventions.length_ratio
     if not problems and not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
         size = f"is the target {1.0 / ratio:.3g} times as large as stated? measure it"

@@ -34,7 +34,6 @@ def compare(
             fit_options = parse_fit_options(lens, data.mount, known)
             methods = standard_methods(lens, **fit_options.arguments())
             rows = compare_methods(data, methods, progress=progress)
-        # The same numbers as in the tables, unrounded.
         if json:
             content = {
                 "data_set": name,
@@ -42,7 +41,7 @@ def compare(
                 "given": fit_options.given,
                 "methods": [method_document(row) for row in rows],
                 "left_out_views": views_left_out(data.masked_views),
-                # In the document too: nothing but it is on stdout.
+                # With --json nothing but the document is on stdout.
                 "notes": list(data.notes),
             }
             print_document("compare", content)

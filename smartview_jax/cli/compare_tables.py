@@ -16,7 +16,7 @@ _TABLES = {
     "on the views that were fitted": ("mean +- std, px", "RMS, px", "left out points, views"),
     "on views that no fit saw": ("held out, px", "95 % interval, px", "held out, mm"),
 }
-"""The headings of each table, by what its numbers are about: together all numbers of a row."""
+"""The headings of each table, by its title; together they cover all numbers of a row."""
 
 
 def print_comparison(rows: "Sequence[MethodResult]") -> None:
@@ -25,7 +25,7 @@ def print_comparison(rows: "Sequence[MethodResult]") -> None:
     One table of all columns is wider than most terminals.
     """
     console = Console()
-    # The report's own texts, so that page and terminal say the same.
+    # The report's own texts, so that page and terminal agree.
     texts = [
         dict[str, str](zip(COMPARISON_HEADINGS, comparison_row(row), strict=True)) for row in rows
     ]
@@ -34,10 +34,9 @@ def print_comparison(rows: "Sequence[MethodResult]") -> None:
             "method", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False
         )
         for heading in headings:
-            # As wide as its numbers and no wider: headings wrap, and so do the methods' names where
-            # there is no room, but a number is never cut.
-            parts = [*heading.split(), *(one[heading] for one in texts)]
+            # Headings and method names may wrap, but a number is never cut.
+            parts = [*heading.split(), *(text[heading] for text in texts)]
             table.add_column(heading, justify="right", width=max(map(len, parts)))
-        for one in texts:
-            table.add_row(one["method"], *(one[heading] for heading in headings))
+        for text in texts:
+            table.add_row(text["method"], *(text[heading] for heading in headings))
         console.print(table)

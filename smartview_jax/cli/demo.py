@@ -13,14 +13,16 @@ from .terminal import errors_reported, progress_line
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the page and the model.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(help="Of the cell and of how the objects fall.")] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Random seed of the cell and of how the objects fall.")
+    ] = 0,
     views: Annotated[int, typer.Option(help="Number of pictures of the board.")] = 16,
     debug: DebugOption = False,
 ) -> None:
-    """Calibrate, model, localise, verify and grasp in a simulated cell, with one page at the end.
+    """Calibrate, model, localise, verify and grasp in a simulated cell, and write a page about it.
 
-    The arm errs, the lens distorts and objects fall as gravity makes them; only the judge knows the
-    truth. It takes a few minutes.
+    The arm has errors, the lens distorts and objects fall by simulated gravity; the truth is used
+    only to judge the result. It takes a few minutes.
     """
     with errors_reported(debug):
         refuse_unwritable(out, "--out")
@@ -32,14 +34,14 @@ def demo(
             with progress_line() as progress:
                 result = run_demo(out, seed, views, progress)
         except ImportError as error:
-            # An extra that is not installed is for the user to install, not a fault to trace.
+            # The user can install a missing extra: one line, no traceback.
             raise ValueError(str(error)) from error
         typer.echo(result.pick.outcome)
         held = f"in the hand after the lift: {'yes' if result.held else 'no'}"
-        # Where nothing was found there is no error to tell of.
+        # Without a detection there is no position error.
         if math.isfinite(result.position_error):
             held += f"; position error {1e3 * result.position_error:.2f} mm"
         typer.echo(held)
-        typer.echo(f"{result.page}: the whole story")
+        typer.echo(f"{result.page}: the page")
         if not result.held:
             raise typer.Exit(1)

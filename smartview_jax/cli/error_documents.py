@@ -17,13 +17,13 @@ def errors_document(errors: "ReprojectionErrors") -> dict[str, Any]:
         "rms_px": errors.rms,
         "rms_mm": errors.rms_mm,
         "points": len(errors.values),
-        # These are in none of the figures above, which a reader has to know.
+        # None of the figures above includes these.
         "unpredicted_points": errors.unpredicted_count,
     }
 
 
 def held_out_document(held_out: "HeldOutErrors | None") -> dict[str, Any] | None:
-    """Return the errors on views that no fit saw, with what went wrong; None for none."""
+    """Return the held-out errors, with folds that failed or did not converge; None for none."""
     if held_out is None:
         return None
     return {
@@ -51,7 +51,7 @@ def method_document(row: "MethodResult") -> dict[str, Any]:
     """Return one method of a comparison; a method that failed has its reason and no errors."""
     from ..evaluation import count_rejected
 
-    # Not every method says what it left out: nothing said is not the same as nothing left out.
+    # None: the method does not report what it left out, which differs from leaving out nothing.
     left_out = None if row.rejected is None else count_rejected(row.rejected)._asdict()
     return {
         "name": row.name,
@@ -68,7 +68,7 @@ def views_left_out(masked_views: "Sequence[tuple[str, str]]") -> list[dict[str, 
 
 
 def _report_entries(report: "HeldOutReport | None") -> dict[str, Any]:
-    """Return the held-out errors of a fit by what was held out; None where it was not computed."""
+    """Return the held-out errors of a fit: views, regions, free poses; None if not computed."""
     if report is None:
         return {"held_out": None, "held_out_by_region": None, "free_pose": None}
     entries: dict[str, Any] = {
@@ -77,6 +77,6 @@ def _report_entries(report: "HeldOutReport | None") -> dict[str, Any]:
         "free_pose": held_out_document(report.free_pose),
     }
     if report.predicted_error is not None:
-        # 1 is honest: the fit errs as much as its covariance says.
+        # Actual over predicted error; ideally 1.
         entries["over_expected"] = report.predicted_error.rms_ratio
     return entries

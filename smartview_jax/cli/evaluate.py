@@ -25,10 +25,14 @@ def evaluate(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     dataset: Annotated[Path, typer.Argument(help="Data-set folder with new pictures and poses.")],
     beside: Annotated[
-        list[Path] | None, typer.Option(help="Another calibration, to be compared with it.")
+        list[Path] | None,
+        typer.Option(help="Another calibration to compare with the first; may be repeated."),
     ] = None,
     moved: Annotated[
-        bool, typer.Option("--moved", help="The target was moved: find anew where it stands.")
+        bool,
+        typer.Option(
+            "--moved", help="The target was moved: estimate its pose from the new pictures."
+        ),
     ] = False,
     out: Annotated[
         Path | None, typer.Option(help="A page with the figures, such as evaluation.html.")
@@ -37,10 +41,10 @@ def evaluate(
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
-    """Predict new pictures of the target from the robot's poses alone, and measure the error.
+    """Predict new pictures of the target from the robot's poses alone, and print the error.
 
-    As in the paper's experiment: the pictures must not be those of the calibration. With --moved
-    only the camera and the hand-eye transform are judged.
+    As in the paper's experiment, the calibration must not have been fitted to these pictures. With
+    --moved only the camera and the hand-eye transform are judged.
     """
     with errors_reported(debug):
         from ..evaluation import reprojection_errors
@@ -55,10 +59,10 @@ def evaluate(
             loaded = [load_with_uncertainty(path) for path in paths]
             data, name = load_named(dataset, bad_views, progress)
             if moved:
-                loaded = [(_with_target_found(one, data), None) for one, _ in loaded]
+                loaded = [(_with_target_found(moved_from, data), None) for moved_from, _ in loaded]
             summaries = [
-                ErrorSummary(path.stem, reprojection_errors(one, data), None)
-                for path, (one, _) in zip(paths, loaded, strict=True)
+                ErrorSummary(path.stem, reprojection_errors(fitted_calibration, data), None)
+                for path, (fitted_calibration, _) in zip(paths, loaded, strict=True)
             ]
         fitted = _fitted_views(calibration, data)
         expected = [_expected(estimate, data) for _, estimate in loaded]
@@ -88,7 +92,7 @@ def evaluate(
 
 
 def _print(rows: "Sequence[Sequence[str]]", data: "Dataset", verdict: str) -> None:
-    """Print the table of figures, the views that are left out, and the result in a sentence."""
+    """Print the table of figures, the views left out, and the result in a sentence."""
     for row in rows:
         typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
     for view, reason in data.masked_views:
@@ -107,10 +111,10 @@ def _entries(
         "name": summary.name,
         **errors_document(errors),
         "rms_interval_95_px": list(rms_interval(errors)),
-        # The calibration's own expectation; 1 is honest.
+        # As the calibration's covariance predicts; `over_expected` is ideally 1.
         "expected_rms_px": None if expected is None else expected.rms,
         "over_expected": None if expected is None else errors.rms / expected.rms,
-        # A view without points has no figure: null, as JSON has no NaN.
+        # A view without points has NaN, which JSON writes as null.
         "rms_by_view_px": dict(zip(data.view_ids, errors.rms_per_view.tolist(), strict=True)),
     }
 
@@ -131,14 +135,14 @@ def _fitted_text(fitted: "Sequence[str]", data: "Dataset") -> str:
         return ""
     names = "" if len(fitted) == data.view_count else f" ({', '.join(fitted)})"
     return (
-        f"\n{len(fitted)} of {data.view_count} pictures{names} are the calibration's own: the fit "
-        "adapted to them, so that new pictures are predicted worse. Take new ones, or see the "
-        "held-out errors of smartview calibrate."
+        f"\n{len(fitted)} of {data.view_count} pictures{names} were used to fit this calibration: "
+        "the error on new pictures is larger. Take new ones, or see the held-out errors of "
+        "smartview calibrate."
     )
 
 
 def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibration":
-    """Return the calibration with the target where the pictures show it, all else held."""
+    """Return the calibration with the target's pose refitted to the pictures, all else held."""
     from ..joint import fit_joint
 
     held = ("camera", calibration.transform_names[0])
@@ -146,7 +150,7 @@ def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibrat
 
 
 def _expected(estimate: "SavedEstimate | None", data: "Dataset") -> "ReprojectionErrors | None":
-    """Return the errors that the calibration itself expects; None where it does not know."""
+    """Return the errors that the calibration's covariance predicts; None without a covariance."""
     from ..evaluation import expected_reprojection_errors
 
     return None if estimate is None else expected_reprojection_errors(estimate, data)
@@ -165,9 +169,9 @@ def _rows(
             "",
             "mean +- std",
             "RMS",
-            "  its 95 % interval over views",
+            "  95 % interval over views",
             "  at the target",
-            "  over what was expected (1 is honest)",
+            "  actual / predicted error (ideal: 1)",
             "points, views",
             "points that cannot be predicted",
         ]

@@ -21,10 +21,12 @@ class ExportFormat(StrEnum):
 
 def export(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
-    to: Annotated[ExportFormat, typer.Option(help="For which program.")],
+    to: Annotated[ExportFormat, typer.Option(help="Format to write.")],
     parent: Annotated[
         str | None,
-        typer.Option(help="ROS frame of the mount; tool0, or base_link for a camera that stands."),
+        typer.Option(
+            help="ROS frame of the mount; by default tool0, or base_link for a fixed camera."
+        ),
     ] = None,
     child: Annotated[str, typer.Option(help="ROS frame of the camera.")] = "camera_optical_frame",
     debug: DebugOption = False,
@@ -38,8 +40,8 @@ def export(
         loaded_calibration = Calibration.load(calibration)
         if loaded_calibration.robot_error is not None and to is not ExportFormat.CAMERA_INFO:
             typer.echo(
-                "note: this calibration corrects the robot's error, and the other program will "
-                "not; calibration_uncorrected.yaml predicts best without the correction",
+                "note: this calibration corrects the robot's error, but the exported one cannot; "
+                "export calibration_uncorrected.yaml, which was fitted without the correction",
                 err=True,
             )
         if to is ExportFormat.ROS:

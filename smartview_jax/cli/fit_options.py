@@ -1,4 +1,4 @@
-"""Define the options by which a person says what is known already, and read their texts."""
+"""Define the options that state prior knowledge, and read their texts."""
 
 import math
 import re
@@ -19,41 +19,42 @@ if TYPE_CHECKING:
 CameraOption = Annotated[
     Path | None,
     typer.Option(
-        help="A known camera, which is held: a calibration.yaml, a YAML of OpenCV or of ROS "
-        "(camera_info), an XML of ViSP. A single tag, with four corners, then suffices."
+        help="A known camera, which is held: a calibration.yaml, a YAML file of OpenCV or ROS "
+        "(camera_info), an XML file of ViSP. A single tag (four corners) then suffices."
     ),
 ]
 FixedOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="A parameter that keeps its start: camera.lens, camera_from_tool.rotation, ...; "
+        help="A parameter to hold at its start: camera.lens, camera_from_tool.rotation, ...; "
         "may be repeated."
     ),
 ]
 FreeOption = Annotated[
-    list[str] | None, typer.Option(help="A parameter that is held by default: target_scale.")
+    list[str] | None,
+    typer.Option(help="A parameter to estimate that is held by default: target_scale."),
 ]
 PriorOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="What is known of a parameter: NAME=VALUE+-SIGMA with its unit, such as "
-        "camera.u0=640+-5px or camera_from_tool.translation.x=12+-2mm; NAME=+-SIGMA is about the "
-        "start; or a YAML file of such lines. May be repeated."
+        help="Prior of a parameter: NAME=VALUE+-SIGMA with its unit, such as camera.u0=640+-5px or "
+        "camera_from_tool.translation.x=12+-2mm; NAME=+-SIGMA is centred on the start; or a YAML "
+        "file of such lines. May be repeated."
     ),
 ]
 StartOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Where the joint fit starts: a calibration.yaml, or a rough transform as "
-        "camera_from_tool=x,y,z,yaw,pitch,roll (m, degrees; tool_from_camera is the other way "
-        "round). May be repeated."
+        help="Start of the joint fit: a calibration.yaml, or a rough transform as "
+        "camera_from_tool=x,y,z,yaw,pitch,roll (m, degrees; or its inverse, tool_from_camera). May "
+        "be repeated."
     ),
 ]
 
 _LENGTHS = {"mm": 1e-3, "m": 1.0}
 _ANGLES = {"deg": math.radians(1.0), "rad": 1.0}
 _UNITS = {"mm": _LENGTHS, "deg": _ANGLES, "px": {"px": 1.0}, "": {"": 1.0}}
-"""Factors to the library's units, by the unit that the library shows a parameter in."""
+"""Factors to the library's units, by the unit in which a parameter is printed."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PRIOR = re.compile(rf"\s*({_NUMBER})?\s*(?:\+-|±)\s*({_NUMBER})\s*([a-z]*)\s*")
@@ -62,7 +63,7 @@ _PRIOR = re.compile(rf"\s*({_NUMBER})?\s*(?:\+-|±)\s*({_NUMBER})\s*([a-z]*)\s*"
 
 @dataclass(frozen=True)
 class FitKnowledge:
-    """The options of a subcommand that fits by which a person says what is known already."""
+    """The options of a fitting subcommand that state prior knowledge."""
 
     camera: CameraOption = None
     fixed: FixedOption = None
@@ -72,10 +73,10 @@ class FitKnowledge:
 
 
 class FitOptions(NamedTuple):
-    """The knowledge that a person has already, for `calibrate`.
+    """Prior knowledge for `calibrate`.
 
     Attributes:
-        camera: a known camera; None where it is to be found.
+        camera: a known camera; None to estimate it.
         start: where the joint fit starts; None for the staged fit's calibration.
         fixed: paths of parameters that keep their start.
         free: paths of parameters that are held by default.
@@ -91,7 +92,7 @@ class FitOptions(NamedTuple):
     given: str = ""
 
     def arguments(self) -> dict[str, Any]:
-        """Return the keyword arguments of `calibrate`; those that were not given are left out."""
+        """Return the keyword arguments of `calibrate`, without options that were not given."""
         named = {key: getattr(self, key) for key in ("camera", "start", "fixed", "free", "priors")}
         return {key: value for key, value in named.items() if value}
 
@@ -109,7 +110,7 @@ def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
     """
     from ..io import read_camera
 
-    # Read before anything is detected or fitted: a misspelt name should cost no minutes.
+    # Before anything is detected or fitted, so that a misspelt name is reported at once.
     camera = None if known.camera is None else read_camera(known.camera)
     fixed, free = tuple(known.fixed or ()), tuple(known.free or ())
     units = _units_by_name(lens, mount, camera)
@@ -123,7 +124,7 @@ def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
         camera,
         _parse_start(known.start or (), mount),
         fixed,
-        # A prior on what is held says nothing: who states one means the parameter to be free.
+        # A prior has no effect on a held parameter, so stating one frees the parameter.
         tuple(dict.fromkeys(freed)),
         priors or None,
         _in_words(known),
@@ -166,7 +167,7 @@ def _names_of(option: str, path: str, units: dict[str, str]) -> list[str]:
 
 
 def _prior_texts(texts: Sequence[str]) -> list[str]:
-    """Return the texts of priors as NAME=VALUE+-SIGMA, those of files in their places."""
+    """Return the priors as NAME=VALUE+-SIGMA, with each file replaced by its lines."""
     from ..files import read_yaml
 
     lines = []
@@ -179,7 +180,6 @@ def _prior_texts(texts: Sequence[str]) -> list[str]:
                 f"found {text!r}"
             )
         else:
-            # A line of a file is an option that somebody wants to keep.
             lines += [f"{name}={value}" for name, value in read_yaml(text).items()]
     return lines
 
@@ -190,15 +190,15 @@ def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, Prior]":
 
     path, _, value = text.partition("=")
     shown = {units[name] for name in _names_of("--prior", path.strip(), units)}
-    # A path such as camera_from_tool has lengths and angles, which cannot share a number.
+    # A path such as camera_from_tool covers lengths and angles, which have no common unit.
     match = _PRIOR.fullmatch(value)
     if match is None or len(shown) != 1:
-        reason = "several units are in it" if len(shown) != 1 else f"found {value!r}"
-        raise ValueError(f"--prior {path}: expected VALUE+-SIGMA of one kind of number; {reason}")
-    # Without a mean the prior is about the start, as it always is for rotations.
+        reason = "it has several units" if len(shown) != 1 else f"found {value!r}"
+        raise ValueError(f"--prior {path}: expected VALUE+-SIGMA in a single unit; {reason}")
+    # Without a mean the prior is centred on the start, as it always is for rotations.
     mean, std, unit = match.groups()
     factors = _UNITS[shown.pop()]
-    # Units are stated, never guessed: a millimetre is not to be taken for a metre.
+    # Units are never guessed, so that millimetres are not taken for metres.
     if unit not in factors:
         raise ValueError(
             f"--prior {path}: expected a unit, {' or '.join(factors) or 'none'}, as in "
@@ -219,7 +219,7 @@ def _refuse_contradictions(
     priors: "dict[str, Prior]",
     units: dict[str, str],
 ) -> None:
-    """Raise a ValueError for options of which one makes another meaningless."""
+    """Raise a ValueError for options that contradict each other."""
     held = {name for path in fixed for name in _names_of("--fixed", path, units)}
     # A known camera is held as a whole.
     if camera_is_known:
@@ -228,7 +228,7 @@ def _refuse_contradictions(
         for path in paths:
             if set(_names_of(option, path, units)) & held:
                 raise ValueError(f"{option} {path}: it is held by --fixed or --camera")
-    # Silence would let a person believe that something has changed.
+    # An option without effect is an error, so that nobody believes that it changed the fit.
     for path in free:
         if path != "target_scale":
             raise ValueError(f"--free {path}: it is free already; by default target_scale is held")
@@ -236,12 +236,13 @@ def _refuse_contradictions(
         if prior.mean is not None and any(".rotation." in x for x in _names_of("", path, units)):
             # Rotation vectors have no mean that a person could state.
             raise ValueError(
-                f"--prior {path}: a rotation is known about its start: {path}=+-1deg and --start"
+                f"--prior {path}: a prior on a rotation is centred on its start: give "
+                f"{path}=+-1deg and --start"
             )
 
 
 def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, SE3] | None":
-    """Return where the joint fit starts: a file's calibration with the transforms given, or those.
+    """Return the start of the joint fit: a file's calibration with the given transforms, or these.
 
     Raises:
         ValueError: two files, or a transform that the mount does not have.
@@ -256,7 +257,7 @@ def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, S
     transforms = parse_transforms([text for text in texts if "=" in text], mount)
     if not files:
         return transforms or None
-    # The transforms of the options take the place of the file's, whichever came first.
+    # Transforms of the options replace the file's, in whatever order they were given.
     parts = dict(
         zip(transform_names(mount), ("camera_from_mount", "holder_from_world"), strict=True)
     )
@@ -276,10 +277,12 @@ def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":
     names, transforms = transform_names(mount), {}
     for text in texts:
         name, _, pose = text.partition("=")
-        # A drawing may have either direction: camera_from_tool is the inverse of tool_from_camera.
+        # Drawings state either direction: camera_from_tool or its inverse, tool_from_camera.
         reverse = "_from_".join(reversed(name.split("_from_")))
         if name not in names and reverse not in names:
             raise ValueError(f"--start: expected {' or '.join(names)} before =, found {name!r}")
-        found = parse_rough_pose(f"--start {name}", pose)
-        transforms[name if name in names else reverse] = found if name in names else found.inverse()
+        rough_pose = parse_rough_pose(f"--start {name}", pose)
+        transforms[name if name in names else reverse] = (
+            rough_pose if name in names else rough_pose.inverse()
+        )
     return transforms

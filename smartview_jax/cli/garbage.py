@@ -1,8 +1,7 @@
-"""Look for garbage rarely while a command runs.
+"""Run Python's garbage collector rarely while a command runs.
 
-Tracing and compiling make some hundred thousand objects that live as long as the process. Python's
-collector would look through all of them again and again: a tenth of a calibration's time, in which
-next to nothing is found.
+Tracing and compiling create about a hundred thousand objects that live as long as the process.
+Scanning them again and again takes a tenth of a calibration's time and frees almost nothing.
 """
 
 import gc
@@ -10,14 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
-"""Number of new objects after which the youngest are looked through; Python's own is 700."""
+"""Number of new objects after which the youngest generation is collected; Python's own is 700."""
 
 
 @contextmanager
 def rare_collections() -> Iterator[None]:
-    """Collect garbage rarely, and leave the collector of a program that calls it as it was."""
+    """Collect garbage rarely, then restore the settings of the calling program."""
     young, *older = gc.get_threshold()
-    # A program that turned collection off, by zero, or made it rarer still, keeps that.
+    # A program that turned collection off (zero), or made it rarer still, keeps its setting.
     gc.set_threshold(max(young, OBJECTS_BETWEEN_COLLECTIONS) if young else 0, *older)
     try:
         yield

@@ -25,14 +25,17 @@ _POSE = "x,y,z in m and yaw,pitch,roll in degrees"
 def grasp(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     object_pose: Annotated[
-        str, typer.Option(help=f"world_from_object: where the object is, {_POSE}.")
+        str, typer.Option(help=f"world_from_object: pose of the object, {_POSE}.")
     ] = "0,0,0,0,0,0",
     grasp_pose: Annotated[
         str | None,
-        typer.Option(help=f"object_from_gripper: the grasp at the object, {_POSE}."),
+        typer.Option(help=f"object_from_gripper: pose of the grasp on the object, {_POSE}."),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="An object model with grasps (smartview model), instead.")
+        Path | None,
+        typer.Option(
+            help="Instead of --grasp-pose: an object model with grasps (smartview model)."
+        ),
     ] = None,
     name: Annotated[
         str | None, typer.Option(help="Which of the model's grasps; by default its first.")
@@ -40,12 +43,12 @@ def grasp(
     gripper: Annotated[
         str,
         typer.Option(
-            help=f"tool_from_gripper: where the gripper's frame is on the tool, {_POSE}; by "
-            "default the robot's tool frame is between the fingertips."
+            help=f"tool_from_gripper: pose of the gripper's frame on the tool, {_POSE}; by "
+            "default the robot's tool frame, between the fingertips."
         ),
     ] = "0,0,0,0,0,0",
     approach: Annotated[
-        float, typer.Option(min=0.0, help="How far before the grasp the way in begins, mm.")
+        float, typer.Option(min=0.0, help="Length of the straight approach, mm.")
     ] = 100.0,
     *,
     robot: RobotOptions,
@@ -54,8 +57,8 @@ def grasp(
 ) -> None:
     """Print the commands that bring the gripper to a grasp of an object (the paper's Eq. 20).
 
-    The gripper's z axis points from the palm to the object. Refused, with nothing written, are
-    commands out of reach or behind the target's plane.
+    The gripper's z axis points from the palm to the object. Commands out of reach or behind the
+    target's plane are refused, and no file is written.
     """
     with errors_reported(debug):
         from ..grasping import TOOL_CHECKS, tool_commands
@@ -109,19 +112,17 @@ def _grasp(pose: str | None, model: Path | None, name: str | None) -> "np.ndarra
     from ..io import load_object_model
 
     if (pose is None) == (model is None):
-        raise ValueError("the grasp at the object: give one of --grasp-pose and --model")
+        raise ValueError("grasp: give either --grasp-pose or --model")
     if model is None:
         if name is not None:
-            raise ValueError("--name: of a model's grasps; there is no --model")
-        # Given, as was checked above.
+            raise ValueError("--name selects a grasp of a model: give --model too")
         return _pose("--grasp-pose", str(pose))
     grasps = load_object_model(model).grasps
     if not grasps:
         raise ValueError(f"{model}: no grasps in it; place one with smartview model")
-    # Without a name the first one, which a person placed first.
-    chosen = [one for one in grasps if name in (None, one.name)]
+    chosen = [candidate for candidate in grasps if name in (None, candidate.name)]
     if not chosen:
-        names = ", ".join(repr(one.name) for one in grasps)
+        names = ", ".join(repr(candidate.name) for candidate in grasps)
         raise ValueError(f"--name: {model} has the grasps {names}; found {name!r}")
     return chosen[0].object_from_tool
 
@@ -133,7 +134,6 @@ def _with_approach(
     import numpy as np
 
     back = np.eye(4)
-    # Back along the gripper's own z axis.
     back[2, 3] = -distance
     gripper_from_tool = np.linalg.inv(tool_from_gripper)
     return np.stack([world_from_gripper @ back, world_from_gripper]) @ gripper_from_tool
@@ -151,17 +151,17 @@ def _error_document(tool: "ToolCommands") -> dict[str, Any] | None:
 
 
 def _error_text(tool: "ToolCommands", path: Path) -> str:
-    """Return how well the tool arrives, in words: 95 % intervals in mm and degrees."""
+    """Return the tool's error in words: 95 % intervals in mm and degrees."""
     import numpy as np
 
-    found = _error_document(tool)
-    if found is None:
-        return f"{path} says nothing of its uncertainty: how well the tool arrives is not known"
+    errors = _error_document(tool)
+    if errors is None:
+        return f"{path} has no covariance: the tool's error is not known"
     # 1.96 standard deviations are 95 % of a Gaussian.
-    millimetres = ", ".join(f"{x:.2f}" for x in 1.96e3 * found["std_m"])
-    degrees = ", ".join(f"{x:.3f}" for x in 1.96 * np.rad2deg(found["std_rad"]))
+    millimetres = ", ".join(f"{x:.2f}" for x in 1.96e3 * errors["std_m"])
+    degrees = ", ".join(f"{x:.3f}" for x in 1.96 * np.rad2deg(errors["std_rad"]))
     return (
-        f"the tool arrives within +- {millimetres} mm and +- {degrees} degrees (95 %) along and "
-        "about its own x, y, z,\nby the calibration's uncertainty and the robot's noise; that of "
-        "the object's pose comes on top"
+        f"error of the tool: within +- {millimetres} mm and +- {degrees} degrees (95 %) along and "
+        "about its own x, y, z,\nfrom the calibration's uncertainty and the robot's noise; the "
+        "object's pose error is not included"
     )

@@ -10,7 +10,7 @@ import typer
 def print_document(subcommand: str, content: Mapping[str, Any]) -> None:
     """Print a document with the subcommand's name and the package's version.
 
-    JSON has no number for what is unknown or infinite: these are null.
+    JSON has no NaN and no infinity: these are null.
     """
     import json
 
@@ -31,7 +31,7 @@ def transform_document(transform: Any) -> dict[str, list[float]]:
 def _plain(value: Any) -> Any:
     """Return a value of lists, texts and finite numbers only."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, str | bool) or value is None:
         return value
     # Arrays of NumPy and JAX, and their scalars.
@@ -39,7 +39,7 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     # After the texts, which are sequences too.
     if isinstance(value, Sequence):
-        return [_plain(one) for one in value]
+        return [_plain(entry) for entry in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value if isinstance(value, int) else str(value)

@@ -35,7 +35,7 @@ def load_named(
 def with_estimated_clock(
     data: "Dataset", dataset: Path | None, lens: str, progress: Callable[[str], None]
 ) -> "Dataset":
-    """Return a data set with the poses at the times that the robot's clock most probably had.
+    """Return the data set with poses interpolated at the pictures' times, for the estimated clock.
 
     Raises:
         ValueError: the data set has a pose for each view instead of a robot's log.
@@ -51,27 +51,29 @@ def with_estimated_clock(
             "--time-offset: expected a data set whose robot logged its poses over time "
             "(poses.picture_times); this one has a pose for each view"
         )
-    found = estimate_time_offset(data, log.trajectory, log.picture_times, lens, progress=progress)
-    note = f"{found} (in dataset.yaml: poses.time_offset: {found.seconds:.6f})"
-    return dataclasses.replace(found.data, notes=(*data.notes, note))
+    estimate = estimate_time_offset(
+        data, log.trajectory, log.picture_times, lens, progress=progress
+    )
+    note = f"{estimate} (in dataset.yaml: poses.time_offset: {estimate.seconds:.6f})"
+    return dataclasses.replace(estimate.data, notes=(*data.notes, note))
 
 
 def load_views(folder: Path) -> "tuple[list[str], list[Path], Command]":
-    """Return names, pictures and what the robot reported of the views in a folder."""
+    """Return names, pictures and reported poses of the views in a folder."""
     from ..io import OBJECT_VIEWS_FILE, load_object_views, load_view_pictures
 
-    # A data set of a board may have the pictures of the object in a folder of their own.
-    for one in (folder, folder / "object"):
-        if (one / OBJECT_VIEWS_FILE).is_file():
-            found = load_object_views(one)
-            _say(found.notes)
-            return list(found.view_ids), list(found.paths), found.command
+    # A data set of a board may keep the pictures of the object in a separate folder.
+    for candidate in (folder, folder / "object"):
+        if (candidate / OBJECT_VIEWS_FILE).is_file():
+            object_views = load_object_views(candidate)
+            _print_notes(object_views.notes)
+            return list(object_views.view_ids), list(object_views.paths), object_views.command
     views = load_view_pictures(folder)
-    _say(views.notes)
+    _print_notes(views.notes)
     return views.view_ids, views.pictures, views.command
 
 
-def _say(notes: Sequence[str]) -> None:
-    """Print notes where they are no part of a command's result."""
+def _print_notes(notes: Sequence[str]) -> None:
+    """Print notes to stderr, because they are not part of a command's result."""
     for note in notes:
         typer.echo(note, err=True)

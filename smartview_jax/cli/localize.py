@@ -25,20 +25,22 @@ def localize(
     views: Annotated[Path, typer.Argument(help="Folder with pictures and the robot's poses.")],
     models: Annotated[
         list[Path],
-        typer.Argument(help="Object models (smartview model): any number of each may be there."),
+        typer.Argument(
+            help="Object models (smartview model); each object may occur several times."
+        ),
     ],
     workspace: Annotated[
         str | None,
         typer.Option(
-            help="Two opposite corners of the box in which objects are, x,y,z,x,y,z in m in the "
-            "target's frame; by default they may be anywhere."
+            help="Box that contains the objects: two opposite corners, x,y,z,x,y,z in m in the "
+            "target's frame; by default unlimited."
         ),
     ] = None,
     occluder: Annotated[
         list[Path] | None,
         typer.Option(
-            help="A mesh (.stl, .obj, .ply) in m in the target's frame of what stands there, such "
-            "as a bin: what it hides is not held against an object."
+            help="Mesh (.stl, .obj, .ply) of an obstacle such as a bin, m in the target's frame: "
+            "edges that it occludes do not count as missing."
         ),
     ] = None,
     out: Annotated[
@@ -50,8 +52,8 @@ def localize(
 ) -> None:
     """Find known objects in calibrated pictures, and say how certain each is.
 
-    An object is accepted, rejected or open, with the reasons. The exit code is 1 if none is
-    accepted. Two views or more are best: one leaves an object's distance uncertain.
+    Each object is accepted, rejected or open, with the reasons. The exit code is 1 if none is
+    accepted. Use two views or more: from one view the distance to an object is uncertain.
     """
     with errors_reported(debug):
         from .. import localization
@@ -61,7 +63,7 @@ def localize(
         from ..joint import load_with_uncertainty
         from ..report import localization_verdict, write_localization_page
 
-        # All that can be refused is refused before the pictures are searched.
+        # Options are checked before the pictures are searched, which takes long.
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         corners, triangles = _corners(workspace), _triangles(occluder)
@@ -72,7 +74,7 @@ def localize(
             pictures = [read_picture(path, loaded.camera.image_size) for path in paths]
             evidence = _evidence(pictures, paths, loaded.camera, progress)
             progress("searching")
-            found = localization.localize(
+            localizations = localization.localize(
                 evidence,
                 command,
                 loaded,
@@ -81,32 +83,32 @@ def localize(
                 workspace=corners,
                 occluders=triangles,
             )
-        # People see the table before the page is drawn, which takes seconds.
+        # The table comes before the page, which takes seconds to draw.
         if not json:
-            _print(found)
-            typer.echo(localization_verdict(found))
+            _print(localizations)
+            typer.echo(localization_verdict(localizations))
             if estimate is None:
-                typer.echo(f"{calibration} says nothing of its uncertainty: taken as exact")
+                typer.echo(f"{calibration} has no covariance: taken as exact")
         if out is not None:
             title = f"{', '.join(path.stem for path in models)} in {views.resolve().name}"
-            write_localization_page(out, title, loaded, found, pictures, names)
+            write_localization_page(out, title, loaded, localizations, pictures, names)
         if json:
             content = {
                 "views": names,
-                "objects": [_document(one, models) for one in found],
-                "messages": found.messages,
+                "objects": [_document(localization, models) for localization in localizations],
+                "messages": localizations.messages,
                 "page": out,
             }
             print_document("localize", content)
         elif out is not None:
             typer.echo(f"{out}: the pictures")
         # A script learns from the exit code that there is nothing to grasp.
-        if not found.accepted:
+        if not localizations.accepted:
             raise typer.Exit(1)
 
 
 def _corners(workspace: str | None) -> "np.ndarray | None":
-    """Return two opposite corners of the box of an option.
+    """Return two opposite corners of the workspace box.
 
     Raises:
         ValueError: not six finite numbers.
@@ -136,11 +138,11 @@ def _triangles(meshes: list[Path] | None) -> "np.ndarray | None":
     if not meshes:
         return None
     try:
-        found = [np.asarray(to_trimesh(read_mesh(path)).triangles) for path in meshes]
+        triangles = [np.asarray(to_trimesh(read_mesh(path)).triangles) for path in meshes]
     except ImportError as error:
-        # An extra that is not installed is for the user to install, not a fault to trace.
+        # The user can install a missing extra: one line, no traceback.
         raise ValueError(str(error)) from error
-    return np.concatenate(found)
+    return np.concatenate(triangles)
 
 
 def _evidence(
@@ -149,60 +151,60 @@ def _evidence(
     camera: "Camera",
     progress: "Callable[[str], None]",
 ) -> "list[PictureEvidence]":
-    """Return what is found in each picture; an error begins with the picture's name."""
+    """Return the edges found in each picture; an error begins with the picture's name."""
     from ..features import picture_evidence
 
-    found = []
+    evidence = []
     for k, (picture, path) in enumerate(zip(pictures, paths, strict=True)):
         progress(f"edges: picture {k + 1} of {len(paths)}")
         try:
-            found.append(picture_evidence(picture, camera))
+            evidence.append(picture_evidence(picture, camera))
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
-    return found
+    return evidence
 
 
-def _print(found: "Localizations") -> None:
-    """Print the table, and why the others were not accepted."""
+def _print(localizations: "Localizations") -> None:
+    """Print the table, and the messages about rejected objects."""
     from ..report import LOCALIZATION_HEADINGS, localization_rows
 
-    rows = [list(LOCALIZATION_HEADINGS), *localization_rows(found)]
-    # Where nothing was found the messages say so, and headings alone say nothing.
+    rows = [list(LOCALIZATION_HEADINGS), *localization_rows(localizations)]
+    # Without any object the messages say so; a table of headings alone would not help.
     if len(rows) > 1:
         widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
         for row in rows:
             cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=True)]
             typer.echo("  ".join(cells).rstrip())
-    for text in found.messages:
+    for text in localizations.messages:
         typer.echo(text)
 
 
-def _document(one: "Localization", models: "Sequence[Path]") -> dict[str, Any]:
-    """Return what was found of an object, for programs."""
+def _document(localization: "Localization", models: "Sequence[Path]") -> dict[str, Any]:
+    """Return a localised object as values for programs."""
     from ..geometry import host_transforms
 
-    evidence = one.verdict.evidence
+    evidence = localization.verdict.evidence
     return {
-        "model": models[one.model_index],
-        "name": one.model.name,
-        "verdict": one.verdict.decision,
-        "reasons": one.verdict.reasons,
-        "world_from_object": transform_document(host_transforms(one.world_from_object)),
-        # Of the tangent at the object, translation first.
-        "covariance": one.covariance,
-        "equivalent_poses": len(one.equivalent_poses),
+        "model": models[localization.model_index],
+        "name": localization.model.name,
+        "verdict": localization.verdict.decision,
+        "reasons": localization.verdict.reasons,
+        "world_from_object": transform_document(host_transforms(localization.world_from_object)),
+        # In the tangent space at the object, translation first.
+        "covariance": localization.covariance,
+        "equivalent_poses": len(localization.equivalent_poses),
         "explained_share": evidence.explained,
         "explained_share_by_view": evidence.explained_in_view,
         "measured_edges": evidence.edges,
         "edge_rms_px": evidence.edge_rms,
-        "log10_false_alarms": one.verdict.log_false_alarms,
-        "log_likelihood_margin": one.verdict.margin,
+        "log10_false_alarms": localization.verdict.log_false_alarms,
+        "log_likelihood_margin": localization.verdict.margin,
         "rivals": [
             {
                 "model": models[rival.model],
                 "world_from_object": transform_document(host_transforms(rival.world_from_object)),
                 "log_odds": rival.log_odds,
             }
-            for rival in one.rivals
+            for rival in localization.rivals
         ],
     }

@@ -1,7 +1,7 @@
-"""Show on the terminal what the library logs, and keep off it what other libraries say.
+"""Show the library's log on the terminal, and quieten other libraries.
 
-The library's loggers are named by its modules, `smartview_jax.joint.fit` and so on. Importing it
-configures nothing; a program that uses it decides by itself, as the command does here.
+The library's loggers are named by its modules, `smartview_jax.joint.fit` and so on. Importing the
+library configures no logging: that is left to the program, such as the command here.
 """
 
 import logging
@@ -9,58 +9,58 @@ import os
 from collections.abc import Callable
 
 LOGGER = "smartview_jax"
-"""The name of the logger above all of the library's."""
+"""The name of the library's top logger."""
 
 NOISY_LOGGERS = ("absl", "jax", "jax._src.xla_bridge", "matplotlib", "trimesh")
-"""Loggers of other libraries whose remarks a person at a robot can do nothing about."""
+"""Loggers of other libraries whose remarks do not help a person at a robot."""
 
 NOISY_VARIABLES = {"OPENCV_LOG_LEVEL": "SILENT", "TF_CPP_MIN_LOG_LEVEL": "2"}
-"""The variables that libraries written in C++ read when loaded, with values that quieten them."""
+"""Environment variables that quieten libraries in C++, which read them when loaded."""
 
 _FORMAT = "%(relativeCreated)6.0f ms  %(name)s: %(message)s"
 
 
 def configure_logs(verbosity: int) -> Callable[[], None]:
-    """Let the library's loggers write to stderr, and quieten those of other libraries.
+    """Let the library's loggers write to stderr, and quieten other libraries.
 
     Args:
-        verbosity: 0 for warnings alone, 1 for what is done, 2 for everything, also of others.
+        verbosity: 0 for warnings alone, 1 for progress, 2 for everything, with other libraries.
 
     Returns:
-        A function that gives all loggers their former levels again, for a program that goes on
-        after the command.
+        A function that restores the levels of all loggers, for a program that goes on after the
+        command.
     """
     logger = logging.getLogger(LOGGER)
     quietened = [logging.getLogger(name) for name in (NOISY_LOGGERS if verbosity < 2 else ())]
-    former_levels = [(one, one.level) for one in (logger, *quietened)]
+    former_levels = [(changed, changed.level) for changed in (logger, *quietened)]
     _remove_handlers(logger)
     if verbosity:
         handler = _ToStderr()
         handler.setFormatter(logging.Formatter(_FORMAT))
         logger.addHandler(handler)
-    # A level of its own: the root logger belongs to the program, not to a library.
+    # The root logger is left alone: it belongs to the program.
     logger.setLevel({0: logging.WARNING, 1: logging.INFO}.get(verbosity, logging.DEBUG))
-    for one in quietened:
-        one.setLevel(logging.ERROR)
+    for noisy_logger in quietened:
+        noisy_logger.setLevel(logging.ERROR)
     if verbosity < 2:
         for name, value in NOISY_VARIABLES.items():
-            # What a person has set stays: they want to see it.
+            # A value that the user has set stays.
             os.environ.setdefault(name, value)
 
     def restore() -> None:
-        """Give all loggers their former levels, and remove the command's own handler."""
+        """Restore the levels of all loggers, and remove the command's own handler."""
         _remove_handlers(logger)
-        for one, level in former_levels:
-            one.setLevel(level)
+        for changed, level in former_levels:
+            changed.setLevel(level)
 
     return restore
 
 
 def _remove_handlers(logger: logging.Logger) -> None:
-    """Remove the handlers of this command, one of which there is at most after each call."""
-    for handler in [one for one in logger.handlers if isinstance(one, _ToStderr)]:
+    """Remove this command's handlers from a logger."""
+    for handler in [item for item in logger.handlers if isinstance(item, _ToStderr)]:
         logger.removeHandler(handler)
 
 
 class _ToStderr(logging.StreamHandler):
-    """A handler of this command, told from those that a program has put there."""
+    """The handler of this command; its class tells it from a program's own handlers."""

@@ -25,11 +25,11 @@ from .viewpoint import viewpoint
 
 
 class _LoggingGroup(TyperGroup):
-    """The subcommands, each of which logs as `--verbose` says, and collects garbage rarely."""
+    """A group of subcommands that sets the log level and collects garbage rarely."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a subcommand, and leave the loggers of a program that calls it as they were."""
-        # Before anything else is imported: some libraries look at their level once.
+        """Run a subcommand, then restore the loggers of the calling program."""
+        # Before anything else is imported: some libraries read their log level only once.
         restore = configure_logs(ctx.params["verbose"])
         with rare_collections():
             try:
@@ -67,14 +67,14 @@ def main(
             "--verbose",
             "-v",
             count=True,
-            help="Also say what is done; -vv everything, also of others.",
+            help="Log progress; -vv also logs what JAX, OpenCV and other libraries report.",
         ),
     ] = 0,
 ) -> None:
     """Calibrate cameras on robot arms.
 
-    What is compiled is kept in ~/.cache/smartview_jax for the next run; JAX_COMPILATION_CACHE_DIR
-    names another place, JAX_ENABLE_COMPILATION_CACHE=0 turns that off.
+    Compiled programs are kept in ~/.cache/smartview_jax for the next run;
+    JAX_COMPILATION_CACHE_DIR names another folder, JAX_ENABLE_COMPILATION_CACHE=0 turns this off.
     """
 
 

@@ -32,8 +32,8 @@ def model(
 ) -> None:
     """Model an object by clicking its features in several calibrated pictures.
 
-    The page is on this machine only. Every click is kept at once beside the model's file, so that
-    the same command goes on where an earlier one ended.
+    The page is served to this machine only. Every click is saved at once next to the model's file;
+    the same command resumes where an earlier one ended.
     """
     with errors_reported(debug):
         from ..editor import ModelSession, serve
@@ -49,7 +49,7 @@ def model(
                     typer.echo(note)
                 serve(session, port, lambda address: _announce(address, target, browser))
         except ImportError as error:
-            # An extra that is not installed is for the user to install, not a fault to trace.
+            # The user can install a missing extra: one line, no traceback.
             raise ValueError(str(error)) from error
 
 
@@ -60,22 +60,22 @@ def load_calibration(
     from ..joint import load_with_uncertainty
 
     candidates = [dataset / "calibration.yaml", dataset / "calibration" / "calibration.yaml"]
-    found = calibration or next((path for path in candidates if path.is_file()), None)
-    if found is None:
+    path_found = calibration or next((path for path in candidates if path.is_file()), None)
+    if path_found is None:
         raise FileNotFoundError(
-            f"{candidates[0]}: no such file; name the camera's calibration by --calibration "
+            f"{candidates[0]}: no such file; give a calibration by --calibration "
             "(smartview calibrate makes one)"
         )
-    loaded, estimate = load_with_uncertainty(found)
+    loaded, estimate = load_with_uncertainty(path_found)
     if estimate is None:
-        typer.echo(f"{found} says nothing of its uncertainty: taken as exact", err=True)
+        typer.echo(f"{path_found} has no covariance: taken as exact", err=True)
     return loaded, estimate
 
 
 def _announce(address: str, target: Path, browser: bool) -> None:
-    """Print the page's address, and open it if that is wanted."""
+    """Print the page's address, and open it if requested."""
     import webbrowser
 
-    typer.echo(f"the editor of {target} is at\n{address}\nCtrl-C ends it; nothing is lost")
+    typer.echo(f"the editor of {target} is at\n{address}\nCtrl-C stops it; all clicks are saved")
     if browser:
         webbrowser.open(address)

@@ -30,7 +30,7 @@ def with_option_groups(subcommand: Callable[..., None]) -> Callable[..., None]:
             values[name] = group(**{field.name: values.pop(field.name) for field in fields})
         subcommand(**values)
 
-    # Typer reads its options from both of these.
+    # Typer reads its options from the signature and the annotations.
     named = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
     call_with_groups.__signature__ = inspect.Signature(named)  # pyright: ignore[reportAttributeAccessIssue]
     call_with_groups.__annotations__ = {option.name: option.annotation for option in named}

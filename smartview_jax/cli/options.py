@@ -29,41 +29,52 @@ LensOption = Annotated[
 ]
 NoiseOption = Annotated[
     NoiseModel,
-    typer.Option(help="Find the sizes of all errors, or take the robot's poses as exact."),
+    typer.Option(
+        help="Estimate the noise of pixels and robot poses (estimated), or take the robot's poses "
+        "as exact (trusted)."
+    ),
 ]
 BadViewsOption = Annotated[
-    BadViews, typer.Option(help="A view with wrong values: an error, or masked with its reason.")
+    BadViews,
+    typer.Option(
+        help="What to do with a view that has invalid values: stop (raise) or leave it out (mask)."
+    ),
 ]
 BaseFromWorldOption = Annotated[
     str | None,
     typer.Option(
-        help="Where the target stands, roughly, for a pattern that looks the same when turned: "
-        "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world if the camera stands)."
+        help="Rough pose of the target, needed if its pattern looks the same when turned: "
+        "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world for a fixed camera)."
     ),
 ]
 TimeOffsetOption = Annotated[
     bool,
     typer.Option(
         "--time-offset",
-        help="Estimate how much later the robot's clock is, where it logged poses in motion.",
+        help="Estimate the offset of the robot's clock from the camera's (poses logged in motion).",
     ),
 ]
 PoseFormatOption = Annotated[
     str,
     typer.Option(
         "--format",
-        help="How the robot's maker writes poses: val_oat, kawasaki_oat, kuka_abc, ur, "
+        help="Pose format of the robot's manufacturer: val_oat, kawasaki_oat, kuka_abc, ur, "
         "fanuc_wpr, abb, staubli_val3, yaskawa, ..., or euler_XYZ_fixed to euler_ZYZ_moving; "
-        ".val files have VAL's.",
+        ".val files use VAL's own.",
     ),
 ]
 ArmOption = Annotated[
     str | None,
-    typer.Option(help="Joint readings too: an arm's name (puma_560, ...) or a .urdf file."),
+    typer.Option(
+        help="Also compute joint readings, for an arm by name (puma_560, ...) or a .urdf file."
+    ),
 ]
 NearOption = Annotated[
     str | None,
-    typer.Option(help="Readings to set out from, degrees (m where a joint slides): 0,-10,40."),
+    typer.Option(
+        help="The arm's joint readings now, degrees (m for a sliding joint), such as 0,-10,40; the "
+        "nearest inverse-kinematics solution is taken."
+    ),
 ]
 CommandsOutOption = Annotated[
     Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
@@ -71,7 +82,7 @@ CommandsOutOption = Annotated[
 
 
 class Allowed(StrEnum):
-    """The safety checks that a person may override, by the words of `viewpoints.ALLOWING_WORDS`."""
+    """The safety checks that a person may override, named as in `viewpoints.ALLOWING_WORDS`."""
 
     OUTSIDE_REGION = "outside-region"
     UNREACHABLE = "unreachable"
@@ -82,22 +93,21 @@ AllowOption = Annotated[
     list[Allowed] | None,
     typer.Option(
         "--allow",
-        help="Write the commands although this check fails; give it once for each check. "
+        help="Write the commands even if this safety check fails; may be repeated. "
         "outside-region: the pose is far from the calibrated views, and the robot may miss it by "
-        "much more than stated. unreachable: the arm may stop at a joint limit, or move by a way "
-        "that nobody expects. behind-target: camera or tool may hit the target, or the table that "
-        "it lies on.",
+        "much more than stated. unreachable: the arm may stop at a joint limit or take an "
+        "unexpected path. behind-target: camera or tool may hit the target or the table under it.",
     ),
 ]
 BelowOption = Annotated[
     bool | None,
     typer.Option(
         "--below/--above",
-        help="Seen from where the world's z is negative, or positive; by default from the side "
-        "from which the calibration saw the target.",
+        help="Look from the side where the world's z is negative, or positive; by default from the "
+        "side on which the calibration views were.",
     ),
 ]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON document for programs, instead of tables.")
 ]
-DebugOption = Annotated[bool, typer.Option("--debug", help="Show where an error came from.")]
+DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

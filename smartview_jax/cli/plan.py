@@ -1,4 +1,4 @@
-"""Define `smartview plan`, which says which views to take first, or next, and what they bring."""
+"""Define `smartview plan`, which plans the first or next views and their expected gain."""
 
 from functools import partial
 from pathlib import Path
@@ -26,8 +26,8 @@ def plan(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            help="calibration.yaml and its data-set folder, for the next views; with --start the "
-            "folder alone (smartview new), for the first."
+            help="For the next views: calibration.yaml and its data-set folder. For the first "
+            "views, with --start: the folder alone (smartview new)."
         ),
     ],
     start: StartOption = None,
@@ -35,23 +35,26 @@ def plan(
         Path | None, typer.Option(help="With --start: a known camera, as for calibrate.")
     ] = None,
     views: Annotated[
-        int | None, typer.Option(min=1, max=50, help="Most views; by default 10, with --start 15.")
+        int | None,
+        typer.Option(min=1, max=50, help="Most views; by default 10, or 15 with --start."),
     ] = None,
     goal: Annotated[
-        float | None, typer.Option(min=0.0, help="Stop where the error is this small, mm.")
+        float | None, typer.Option(min=0.0, help="Stop when the error is this small, mm.")
     ] = None,
     gain: Annotated[
-        float, typer.Option(min=0.0, max=100.0, help="Stop where one more view gains less, %.")
+        float, typer.Option(min=0.0, max=100.0, help="Stop when one more view gains less, %.")
     ] = 5.0,
     distance: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="Least and greatest distance from the target, m."),
+        typer.Option(help="Smallest and largest distance from the target, m."),
     ] = None,
     tilt: Annotated[
-        float, typer.Option(min=1.0, max=80.0, help="Greatest, from straight above, degrees.")
+        float,
+        typer.Option(min=1.0, max=80.0, help="Largest tilt of the camera from vertical, degrees."),
     ] = 40.0,
     roll: Annotated[
-        float, typer.Option(min=1.0, max=180.0, help="Greatest, about the optical axis, degrees.")
+        float,
+        typer.Option(min=1.0, max=180.0, help="Largest roll about the optical axis, degrees."),
     ] = 90.0,
     below: options.BelowOption = None,
     *,
@@ -59,11 +62,11 @@ def plan(
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
-    """Print commands of the views to take next, and what they bring; best first.
+    """Print commands of the views to take next, best first, and the error they lead to.
 
-    The error that is made small is that of a point before the camera, as the hand-eye transform
-    places it; what is promised holds to some 20 % where only few views were taken. With --start
-    the first views, from where camera and target roughly are.
+    Views minimise the position error of a point in front of the camera. With few views so far the
+    stated error is good to about 20 %. With --start the first views are planned, from rough poses
+    of camera and target.
     """
     with errors_reported(debug):
         import math
@@ -79,26 +82,26 @@ def plan(
             else:
                 situation = next_views(paths, camera, span, robot)
             arm, readings = robot.arm_and_readings(situation.calibration)
-            found = plan_views(
+            view_plan = plan_views(
                 _with_readings(situation.model, readings),
                 situation.views,
                 views or (15 if start else 10),
                 goal=None if goal is None else 1e-3 * goal,
-                # First views are all needed; the rule is about views that come on top.
+                # All first views are needed; the least gain is a rule for additional ones.
                 least_gain=0.0 if start else 0.01 * gain,
                 border_margin=situation.border_margin,
                 arm=arm,
                 progress=progress,
             )
-        words = (*situation.assumptions, *plan_words(found, 0.01 * gain, goal, bool(start)))
-        if len(found.camera_from_world) == 0:
-            _give_nothing(found, words, json)
+        words = (*situation.assumptions, *plan_words(view_plan, 0.01 * gain, goal, bool(start)))
+        if len(view_plan.camera_from_world) == 0:
+            _give_nothing(view_plan, words, json)
             return
-        wanted = host_transforms(found.camera_from_world)
+        wanted = host_transforms(view_plan.camera_from_world)
         commands = viewpoint_commands(
             situation.calibration, wanted, situation.points, arm, readings
         )
-        names = _new_names(situation.names, len(found.camera_from_world))
+        names = _new_names(situation.names, len(view_plan.camera_from_world))
         sheet = CommandSheet(
             names,
             commands,
@@ -107,15 +110,17 @@ def plan(
             SAFETY_CHECKS,
             unchecked(situation.calibration, arm is not None),
         )
-        # The words come after the table: they are what a person is to remember.
+        # After the table, where the result is seen last.
         say = partial(typer.echo, "\n".join(words))
-        sheet.give("plan", robot.out, robot.allow, json, say, **plan_entries(found), words=words)
+        sheet.give(
+            "plan", robot.out, robot.allow, json, say, **plan_entries(view_plan), words=words
+        )
 
 
-def _give_nothing(found: "ViewPlan", words: tuple[str, ...], json: bool) -> None:
-    """Print that there is no view to take, and why; no file is written that a robot could get."""
+def _give_nothing(view_plan: "ViewPlan", words: tuple[str, ...], json: bool) -> None:
+    """Print that there is no view to take, and why; no file for the robot is written."""
     if json:
-        content = {"commands": [], **plan_entries(found), "words": words, "file": None}
+        content = {"commands": [], **plan_entries(view_plan), "words": words, "file": None}
         print_document("plan", content)
     else:
         typer.echo("\n".join(words))
@@ -127,7 +132,7 @@ def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> 
 
     from ..runtime.array_namespace import to_device
 
-    # A calibration of an arm's joints has its readings already.
+    # The calibration of an arm by its joints has readings already.
     if readings is None or model.near is not None:
         return model
     near = to_device(readings)
@@ -135,7 +140,7 @@ def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> 
 
 
 def _new_names(taken: tuple[str, ...], count: int) -> tuple[str, ...]:
-    """Return names of views that the data set does not have: v16, v17, ..."""
+    """Return names that no view of the data set has: v16, v17, ..."""
     numbers = range(1 + len(taken), 1 + 2 * len(taken) + count)
-    # A name that exists already would make two rows of one view.
+    # A name twice in poses.csv would be ambiguous.
     return tuple(f"v{k}" for k in numbers if f"v{k}" not in taken)[:count]

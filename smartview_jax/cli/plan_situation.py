@@ -1,4 +1,4 @@
-"""Find out what is known before views are planned: from a calibration, or from rough transforms."""
+"""Collect what is known before views are planned: a calibration, or rough transforms."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
     from ..viewpoints import InformationModel, ViewRange
 
 ASSUMED_FOCAL_LENGTH = 1.2
-"""Focal length over the picture's width that a camera nobody knows is taken to have."""
+"""Focal length of an unknown camera, relative to the picture's longer side."""
 
 FIRST_BORDER = 0.1
-"""Part of the shorter side that first views leave free: rough transforms may be off by as much."""
+"""Margin of first views, relative to the shorter side, for errors of the rough transforms."""
 
 
 class ViewLimits(NamedTuple):
-    """The limits of views that a person set.
+    """The limits of views that the user set.
 
     Attributes:
-        distance: least and greatest distance from the target, m; None for those that suit it.
-        tilt: greatest tilt, rad.
-        roll: greatest roll, rad.
-        below: the side from which the target is seen; None where it follows from what is known.
+        distance: smallest and largest distance from the target, m; None to choose them.
+        tilt: largest tilt, rad.
+        roll: largest roll, rad.
+        below: whether to look from where the world's z is negative; None to infer the side.
     """
 
     distance: tuple[float, float] | None
@@ -40,10 +40,10 @@ class Situation(NamedTuple):
 
     Attributes:
         calibration: the calibration, or a rough one.
-        model: what its parameters are known to, and what a view tells.
+        model: information about its parameters, and the information that a view adds.
         points: the target's points, m.
         views: range of the views.
-        border_margin: part of the picture's border that has to stay free, px.
+        border_margin: width of the picture's border that has to stay free, px.
         names: names of the views that exist already.
         assumptions: what was assumed, in sentences.
     """
@@ -60,7 +60,7 @@ class Situation(NamedTuple):
 def next_views(
     paths: list[Path], camera: Path | None, limits: ViewLimits, robot: RobotOptions
 ) -> Situation:
-    """Return what a calibration and its data set say."""
+    """Return the situation given a calibration and its data set."""
     import numpy as np
 
     from ..io import load_dataset
@@ -68,7 +68,7 @@ def next_views(
     from ..viewpoints import model_from_estimate
 
     if camera is not None:
-        raise ValueError("--camera: only with --start; a calibration has its camera")
+        raise ValueError("--camera: only with --start; the calibration contains its camera")
     if len(paths) != 2 or not paths[1].is_dir():
         raise ValueError(
             "expected calibration.yaml and its data-set folder; or, with --start, the folder alone"
@@ -79,10 +79,10 @@ def next_views(
     _, readings = robot.arm_and_readings(estimate.calibration)
     # Without an arm there are no readings, and the robot is commanded by poses.
     model = model_from_estimate(estimate, points, readings)
-    # New views are near those that the calibration is known from.
+    # New views stay near the calibrated ones.
     region = estimate.calibration.region
     if region is None:
-        raise ValueError(f"{paths[0]}: region: missing; calibrate again to have it")
+        raise ValueError(f"{paths[0]}: region: missing; calibrate again to add it")
     distances = tuple(float(x) for x in np.asarray(region.distance_range))
     below = limits.below
     above = bool(float(region.side) >= 0.0) if below is None else not below
@@ -95,7 +95,7 @@ def next_views(
 def first_views(
     paths: list[Path], start: list[str], camera_file: Path | None, limits: ViewLimits
 ) -> Situation:
-    """Return what rough transforms and the description of a folder say."""
+    """Return the situation given rough transforms and the description of a folder."""
     import numpy as np
 
     from ..calibration import Calibration
@@ -114,7 +114,7 @@ def first_views(
     described = read_folder_description(paths[0])
     transforms = parse_transforms(start, described.mount)
     points, assumptions = np.asarray(described.target.points), []
-    # Many cameras see about 45 degrees, and a tenth of the picture stays free for the difference.
+    # The field of view of many cameras is about 45 degrees; the border margin covers the others.
     if camera_file is None:
         width, height = described.image_size
         focal = ASSUMED_FOCAL_LENGTH * max(width, height)
@@ -125,14 +125,14 @@ def first_views(
     else:
         camera = read_camera(camera_file)
         require_picture_size("--camera", camera, described.image_size)
-    # Nothing is fitted here: what is off by centimetres shows in the first picture.
+    # Nothing is fitted here: errors of centimetres show in the first picture.
     mount, holder = _both_transforms(transforms, described)
     rough = Calibration(camera, mount, holder, described.mount)
     above = _side(rough, limits.below)
     distances = limits.distance or first_view_distances(rough, points)
     # The checks of commands need to know on which side of the target the robot may be.
     rough = with_assumed_region(rough, points, distances, above)
-    # No prior: what is rough is what the views are to find.
+    # No prior: the views are to determine the parameters that are rough.
     model = InformationModel.from_calibration(
         rough, points, TYPICAL_NOISE, fixed=() if camera_file is None else ("camera",)
     )
@@ -151,12 +151,12 @@ def _both_transforms(transforms: dict[str, Any], described: Any) -> tuple[Any, A
     from ..calibration import transform_names
 
     mount_name, holder_name = transform_names(described.mount)
-    # Where the target stands may be in dataset.yaml already; the option comes first.
+    # dataset.yaml may state the target's pose; the option takes precedence.
     holder = transforms.get(holder_name, described.holder_from_world)
     missing = [
         name
-        for name, found in ((mount_name, transforms.get(mount_name)), (holder_name, holder))
-        if found is None
+        for name, transform in ((mount_name, transforms.get(mount_name)), (holder_name, holder))
+        if transform is None
     ]
     if missing:
         raise ValueError(f"--start {missing[0]}=x,y,z,yaw,pitch,roll (m, degrees): missing")
@@ -170,11 +170,11 @@ def _side(rough: "Calibration", below: bool | None) -> bool:
     from ..geometry import host_matrices
 
     up = float(host_matrices(rough.holder_from_world)[2, 2])
-    # A target that lies in front of an arm is seen from above; one that hangs may face anywhere.
+    # A target that lies flat is seen from above; one that hangs may face anywhere.
     if rough.mount != "eye_in_hand" or abs(up) < 0.5:
         raise ValueError(
-            "from which side is the target seen? --above if its z axis points to the camera, "
-            "--below if away from it (as a chessboard's does)"
+            "from which side is the target seen? Give --above if its z axis points to the camera, "
+            "--below if it points away (as a chessboard's does)"
         )
     return up > 0.0
 
@@ -185,6 +185,6 @@ def _view_range(
     """Return the range of views about the middle of the target."""
     from ..viewpoints import ViewRange
 
-    # Distances of the option come before those of the calibration or of the target's size.
+    # The option takes precedence over distances of the calibration or from the target's size.
     span = limits.distance or distances
     return ViewRange(points.mean(axis=0), span, limits.tilt, limits.roll, above=above)

@@ -1,4 +1,4 @@
-"""Say in words, and as entries of a JSON document, what the views of a plan bring."""
+"""Describe the gain of a view plan in words and as entries of a JSON document."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -12,25 +12,26 @@ _NUMBERS = "no one two three four five six seven eight nine ten eleven twelve".s
 def plan_words(
     plan: "ViewPlan", least_gain: float, goal_mm: float | None, first: bool
 ) -> list[str]:
-    """Return what the views bring, and why to stop there, a sentence each.
+    """Return sentences about the gain of the planned views and why the plan stops.
 
     Args:
         plan: the plan.
-        least_gain: relative decrease by one more view below which the plan stops.
-        goal_mm: error at which it stops, mm; None for none.
+        least_gain: smallest relative decrease of the error for which a view is added.
+        goal_mm: error at which the plan stops, mm; None for none.
         first: whether there are no views yet.
     """
-    count, what = len(plan.camera_from_world), _what(plan)
+    count, quantity = len(plan.camera_from_world), _quantity(plan)
     before, after = _size(plan.before, plan), f"{_size(plan.after, plan)} (standard deviation)"
-    why = _why(plan, least_gain, goal_mm)
+    reason = _stopping_reason(plan, least_gain, goal_mm)
     if count == 0:
-        return [f"no more views are needed: {what} is known to {before}{why}"]
+        return [f"no more views are needed: {quantity} is known to {before}{reason}"]
     noun, verb = ("view", "brings") if count == 1 else ("views", "bring")
-    # From nothing there is no "from".
+    # First views have no error to improve on.
     if first or not math.isfinite(plan.before):
-        return [f"{_number(count)} {noun} will place {what} to {after}"]
+        return [f"{_number(count)} {noun} will determine {quantity} to {after}"]
     # The unit once is enough: "from 0.8 to 0.5 mm".
-    return [f"{_number(count)} more {noun} {verb} {what} from {before.split()[0]} to {after}{why}"]
+    error = f"from {before.split()[0]} to {after}"
+    return [f"{_number(count)} more {noun} {verb} the error of {quantity} {error}{reason}"]
 
 
 def plan_entries(plan: "ViewPlan") -> dict[str, Any]:
@@ -40,30 +41,30 @@ def plan_entries(plan: "ViewPlan") -> dict[str, Any]:
         "views": len(plan.camera_from_world),
         f"std_before_{unit}": factor * plan.before,
         f"std_after_{unit}": factor * plan.after,
-        # Of all views that were considered, also of those after the stop.
+        # For all views considered, also after the stop.
         f"std_after_each_{unit}": [factor * value for value in plan.values],
         "point_distance_mm": 1e3 * plan.distance,
     }
 
 
-def _what(plan: "ViewPlan") -> str:
-    """Return what the criterion is about."""
+def _quantity(plan: "ViewPlan") -> str:
+    """Return the name of the quantity whose error the plan minimises."""
     if plan.unit == "m":
-        return f"a point {plan.distance:.2g} m before the camera, seen from the tool,"
+        return f"a point {plan.distance:.2g} m in front of the camera (in the tool frame)"
     return "predicted pixels"
 
 
-def _why(plan: "ViewPlan", least_gain: float, goal_mm: float | None) -> str:
-    """Return why the plan stops where it does."""
+def _stopping_reason(plan: "ViewPlan", least_gain: float, goal_mm: float | None) -> str:
+    """Return why the plan stops, as the end of a sentence."""
     count = len(plan.camera_from_world)
-    # A goal in mm says nothing of pixels.
+    # A goal in mm does not apply to pixels.
     if goal_mm is not None and plan.unit == "m" and 1e3 * plan.after <= goal_mm:
         return f": the goal of {goal_mm:g} mm is reached"
     missed = "" if goal_mm is None else f"; the goal of {goal_mm:g} mm is not reached"
     # More views were considered than are worth taking.
     if count < len(plan.values):
-        return f"; one more would gain less than {least_gain:.0%}: stop there{missed}"
-    return f"; more would still gain: plan again after them{missed}"
+        return f"; one more view would gain less than {least_gain:.0%}{missed}"
+    return f"; more views would still help: plan again after these{missed}"
 
 
 def _size(value: float, plan: "ViewPlan") -> str:
@@ -73,5 +74,5 @@ def _size(value: float, plan: "ViewPlan") -> str:
 
 
 def _number(count: int) -> str:
-    """Return a number as a word, as far as words are shorter to read."""
+    """Return a small number as a word, a larger one in digits."""
     return _NUMBERS[count] if count < len(_NUMBERS) else str(count)

@@ -1,4 +1,4 @@
-"""Print, check and write the robot's commands, for all subcommands that compute some."""
+"""Print, check and write the robot's commands, for all subcommands that compute commands."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """The options of a subcommand that gives commands: for which robot, and where they go."""
+    """The options of a subcommand that prints commands: the robot, its format, the file."""
 
     arm: options.ArmOption = None
     near: options.NearOption = None
@@ -33,7 +33,7 @@ class RobotOptions:
     def codec(self) -> "PoseCodec":
         """Return the pose format.
 
-        It is asked for first, so that nothing is computed in vain.
+        Called first, so that a wrong option is reported before anything is computed.
 
         Raises:
             ValueError: the format has no such name.
@@ -48,20 +48,20 @@ class RobotOptions:
     def arm_and_readings(
         self, calibration: "Calibration"
     ) -> "tuple[SerialArm | None, np.ndarray | None]":
-        """Return the arm and the joint readings (rad, m) to set out from; None where none is."""
+        """Return the arm and its joint readings now (rad, m); None for both without an arm."""
         arm = _arm(self.arm, calibration)
         return arm, _joint_readings(self.near, arm)
 
 
 class CommandSheet(NamedTuple):
-    """The commands of a subcommand, and the way in which they are written.
+    """The commands of a subcommand, and how they are checked and written.
 
     Attributes:
         names: one name for each command.
         commands: poses, joint readings and checks.
         codec: pose format of the robot's manufacturer.
         arm: the arm of the joint readings; None where none is known.
-        refused_for: names of the checks without which no command is given.
+        refused_for: names of the checks that every command must pass.
         unchecked: which safety checks could not be made, in words.
     """
 
@@ -81,18 +81,18 @@ class CommandSheet(NamedTuple):
         say: Callable[[], None] | None = None,
         **content: Any,
     ) -> None:
-        """Print the commands and write them for the robot; refuse those that must not be given.
+        """Print the commands and write them for the robot; refuse unsafe ones.
 
         Args:
-            subcommand: which one gives them.
+            subcommand: name of the subcommand.
             out: the robot's file; None writes none.
             allow: words of `ALLOWING_WORDS`, whose checks are overridden.
             json: print a document instead of a table.
-            say: prints what a person is to know besides, after the table.
-            content: what a program is to know besides, in the document.
+            say: prints further text after the table.
+            content: further entries of the document.
 
         Raises:
-            ValueError: a command must not be given; its table was printed, no file was written.
+            ValueError: a command is unsafe; the table was printed, no file was written.
         """
         if not json:
             self.print()
@@ -110,15 +110,15 @@ class CommandSheet(NamedTuple):
             typer.echo(out)
 
     def print(self) -> None:
-        """Print poses and joint readings, and what the checks say."""
+        """Print poses, joint readings and the remarks of the checks."""
         from .viewpoint_tables import print_joints, print_viewpoints
 
-        # Printed before any refusal, which refers to the views by the names in the table.
+        # Before any refusal, which names views as the table does.
         print_viewpoints(self.names, self.commands, self.codec)
         joints = self._joints()
         if self.arm is not None and joints is not None:
             print_joints(self.names, joints, self.arm)
-        # Every remark is printed, also one for which nothing is refused.
+        # All remarks, also those that refuse nothing.
         for text in self._named(self.commands.checks.reasons()):
             typer.echo(text)
         for sentence in self.unchecked:
@@ -128,7 +128,7 @@ class CommandSheet(NamedTuple):
         """Return the commands as entries for programs: pose, joint readings (rad, m), reasons."""
         from ..io import pose_columns
 
-        # In the manufacturer's own units, which the names of the columns state.
+        # In the manufacturer's units, which the column names state.
         rows = self.codec.encode(self.commands.base_from_tool, *self.codec.units)
         columns, reasons = pose_columns(self.codec), self.commands.checks.reasons()
         refusals = self.commands.checks.reasons(self.refused_for)
@@ -146,7 +146,7 @@ class CommandSheet(NamedTuple):
         ]
 
     def refuse_unsafe(self, allow: Sequence[str] = ()) -> None:
-        """Raise a ValueError that names every command that must not be given.
+        """Raise a ValueError that names every unsafe command.
 
         Args:
             allow: words of `ALLOWING_WORDS`, whose checks are overridden.
@@ -154,15 +154,15 @@ class CommandSheet(NamedTuple):
         from ..viewpoints import ALLOWING_WORDS
 
         allowed = {name for word in allow for name in ALLOWING_WORDS[word]}
-        asked = tuple(name for name in self.refused_for if name not in allowed)
+        required = tuple(name for name in self.refused_for if name not in allowed)
         checks = self.commands.checks
-        failed = checks.failed(asked)
+        failed = checks.failed(required)
         if not failed:
             return
-        violations = self._named(checks.reasons(asked))
+        violations = self._named(checks.reasons(required))
         words = [word for word, names in ALLOWING_WORDS.items() if set(names) & set(failed)]
         raise ValueError(
-            f"refused, and nothing is written: {'; '.join(violations)}. To write it all the same: "
+            f"refused, nothing is written: {'; '.join(violations)}. To write the file anyway: "
             + " ".join(f"--allow {word}" for word in words)
         )
 
@@ -186,17 +186,16 @@ class CommandSheet(NamedTuple):
 
 
 def numbered_names(count: int) -> tuple[str, ...]:
-    """Return the names that commands have where nobody named them: v1, v2, ..."""
+    """Return default names of commands: v1, v2, ..."""
     return tuple(f"v{1 + k}" for k in range(count))
 
 
 def _arm(text: str | None, calibration: "Calibration") -> "SerialArm | None":
-    """Return the named arm, or else the arm whose errors the calibration corrects, or None."""
+    """Return the named arm; by default the arm whose errors the calibration corrects, or None."""
     from ..io import load_urdf
     from ..robot_errors import nominal_arm
     from ..robots import arm_by_name
 
-    # A calibration of an arm by its joints knows the arm already.
     if text is not None:
         return load_urdf(text) if text.endswith(".urdf") else arm_by_name(text)
     return nominal_arm(calibration.field)
@@ -208,11 +207,13 @@ def _joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | 
 
     if arm is None:
         if text is not None:
-            raise ValueError("--near: no arm to read; name one by --arm")
+            raise ValueError("--near: needs an arm; give --arm")
         return None
     if text is None:
-        # Inverse kinematics has several solutions; the one nearest to given readings is chosen.
-        raise ValueError("an arm reaches a pose in several ways: say --near which readings")
+        raise ValueError(
+            "--near: missing; an arm reaches a pose in several ways, and the solution nearest to "
+            "these joint readings is taken"
+        )
     try:
         readings = np.array([float(word) for word in text.split(",")])
     except ValueError:

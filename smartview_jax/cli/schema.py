@@ -14,11 +14,11 @@ class SchemaName(StrEnum):
     OBJECT = "object"
 
 
-def schema(of: Annotated[SchemaName, typer.Argument(help="Of which file.")]) -> None:
+def schema(of: Annotated[SchemaName, typer.Argument(help="Kind of file.")]) -> None:
     """Print the JSON schema of dataset.yaml, calibration.yaml or an object model, for editors.
 
     Editors with a YAML language server check a file that begins with the line
-    `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved beside it.
+    `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved next to it.
     """
     from ..schemas.json_schema import json_schema
 

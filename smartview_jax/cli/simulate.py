@@ -16,27 +16,29 @@ TRUTH_FILE = "truth.yaml"
 def simulate(
     folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
     views: Annotated[int, typer.Option(min=3, max=1000, help="Number of views.")] = 15,
-    pixel_noise: Annotated[float, typer.Option(min=0.0, help="Of u and of v, px.")] = 0.15,
+    pixel_noise: Annotated[
+        float, typer.Option(min=0.0, help="Standard deviation of u and of v, px.")
+    ] = 0.15,
     position_noise: Annotated[
-        float, typer.Option(min=0.0, help="Of reported positions, mm.")
+        float, typer.Option(min=0.0, help="Standard deviation of reported positions, mm.")
     ] = 0.1,
     angle_noise: Annotated[
-        float, typer.Option(min=0.0, help="Of reported angles, degrees.")
+        float, typer.Option(min=0.0, help="Standard deviation of reported angles, degrees.")
     ] = 0.01,
     outliers: Annotated[
-        float, typer.Option(min=0.0, max=0.5, help="Share of points that are far off.")
+        float, typer.Option(min=0.0, max=0.5, help="Fraction of points that are gross errors.")
     ] = 0.0,
     pictures: Annotated[
-        bool, typer.Option("--pictures", help="Render pictures; their noise is a sensor's.")
+        bool, typer.Option("--pictures", help="Render pictures, with sensor noise.")
     ] = False,
     pose_format: PoseFormatOption = "matrix",
     seed: Annotated[int, typer.Option(help="The same seed gives the same data.")] = 0,
     debug: DebugOption = False,
 ) -> None:
-    """Write a data set of a chessboard before the paper's camera, with the truth beside it.
+    """Write a simulated data set of a chessboard seen by the paper's camera, and the truth.
 
-    To see what a calibration makes of it: smartview calibrate FOLDER, and compare its
-    calibration.yaml with truth.yaml.
+    To test a calibration: smartview calibrate FOLDER, then compare its calibration.yaml with
+    truth.yaml.
     """
     with errors_reported(debug):
         from ..geometry import pose_codec

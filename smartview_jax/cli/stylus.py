@@ -17,41 +17,46 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
 
 SURPRISING_P_VALUE = 0.01
-"""Probability below which misses are called larger than the calibration expects."""
+"""P-value below which misses are reported as larger than the calibration predicts."""
 
 
 @with_option_groups
 def stylus(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     tip: Annotated[
-        tuple[float, float, float], typer.Option(help="Of the stylus, in the tool's frame, m.")
+        tuple[float, float, float], typer.Option(help="Tip of the stylus in the tool's frame, m.")
     ],
     at: Annotated[
         tuple[float, float, float], typer.Option(help="Point to touch, in the world's frame, m.")
     ] = (0.0, 0.0, 0.0),
     gap: Annotated[
-        float, typer.Option(min=0.0, help="Stop so far before the point, along the stylus, mm.")
+        float,
+        typer.Option(min=0.0, help="Distance to stop before the point, along the stylus, mm."),
     ] = 0.0,
-    tilt: Annotated[float, typer.Option(help="Of the stylus from upright, degrees.")] = 0.0,
-    azimuth: Annotated[float, typer.Option(help="To where it leans, about z, degrees.")] = 0.0,
-    turn: Annotated[float, typer.Option(help="About the stylus, degrees.")] = 0.0,
+    tilt: Annotated[float, typer.Option(help="Tilt of the stylus from upright, degrees.")] = 0.0,
+    azimuth: Annotated[
+        float, typer.Option(help="Direction of the tilt, about z from x, degrees.")
+    ] = 0.0,
+    turn: Annotated[float, typer.Option(help="Rotation about the stylus, degrees.")] = 0.0,
     five: Annotated[
-        bool, typer.Option("--five", help="Upright, and leaning to four sides by the tilt.")
+        bool, typer.Option("--five", help="Five touches: upright, and tilted to four sides.")
     ] = False,
     below: options.BelowOption = None,
     misses: Annotated[
         Path | None,
-        typer.Option(help="Measured misses: .csv (view,x_mm,y_mm,z_mm) or .yaml, world's axes."),
+        typer.Option(
+            help="Measured misses: .csv (view,x_mm,y_mm,z_mm) or .yaml, in the world's axes."
+        ),
     ] = None,
     *,
     robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
-    """Print the commands that put the tip of a stylus on a point of the target, and judge misses.
+    """Print the commands that put a stylus tip on a point of the target, and judge the misses.
 
-    Touch, measure how far the tip is from the point, write that down, and give it by --misses with
-    the same other options: the misses are then compared with those that the calibration expects.
+    Touch, measure the vector from the point to the tip, and give these misses by --misses with
+    otherwise the same options: they are compared with the errors that the calibration predicts.
     """
     with errors_reported(debug):
         import numpy as np
@@ -112,19 +117,18 @@ def _touching_poses(
     five: bool,
     below: bool | None,
 ) -> "np.ndarray":
-    """Return `world_from_tool` with the tip at the point, or the gap before it, `(n, 4, 4)`."""
+    """Return `world_from_tool` with the tip at the gap before the point, `(n, 4, 4)`."""
     import numpy as np
 
     from ..evaluation import touching_pose
     from ..geometry import host_matrices, host_transforms
     from ..grasping import stylus_orientations
 
-    # A stylus points as a camera looks, so that the same options say from where.
+    # The stylus points as a camera would look, so that the same options apply.
     views = requested_camera_poses(calibration, point, 1.0, angles_deg, five, below)
     world_from_stylus = host_matrices(views).reshape(-1, 4, 4)[:, :3, :3].swapaxes(1, 2)
     poses = np.tile(np.eye(4), (len(world_from_stylus), 1, 1))
     poses[:, :3, :3] = stylus_orientations(tip, world_from_stylus)
-    # The gap is along the stylus, before the point.
     points = point - gap * world_from_stylus[:, :, 2]
     return host_matrices(touching_pose(tip, host_transforms(poses).rotation(), points))
 
@@ -132,7 +136,7 @@ def _touching_poses(
 def _judgement(
     names: tuple[str, ...], factor: "np.ndarray | None", misses: "np.ndarray | None"
 ) -> dict[str, Any]:
-    """Return what was expected of every touch and what was measured, m, and their comparison."""
+    """Return the predicted and the measured miss of every touch, m, and their comparison."""
     import numpy as np
 
     from ..grasping import compare_misses, ellipse_axes
@@ -190,7 +194,7 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     console = Console()
     console.print(table)
     if judged["touches"][0]["expected"] is None:
-        typer.echo(f"{path} says nothing of its uncertainty: what to expect is not known")
+        typer.echo(f"{path} has no covariance: the expected miss is not known")
     if not measured:
         return
     typer.echo(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms_m']:.2f} mm RMS")
@@ -209,17 +213,17 @@ def _millimetres(numbers: "np.ndarray") -> str:
 
 
 def _verdict(comparison: dict[str, Any]) -> str:
-    """Return in words whether the misses are what the calibration expects."""
+    """Return in words whether the misses are as large as the calibration predicts."""
     inside, expected = comparison["inside"], 1e3 * comparison["expected_rms_m"]
-    # The touches share most of their error, so that one test of all is the fair one.
+    # The touches share most of their error, so they are tested together.
     surprising = comparison["p_value"] < SURPRISING_P_VALUE
-    words = "more than the calibration expects" if surprising else "as the calibration expects"
+    words = "more than the calibration predicts" if surprising else "as the calibration predicts"
     return (
-        f"expected were {expected:.2f} mm; {int(inside.sum())} of {len(inside)} are inside their "
-        f"ellipse\nall together (chi-square {comparison['chi_square']:.1f} for "
-        f"{comparison['degrees_of_freedom']} numbers, p {comparison['p_value']:.2g}): {words}"
+        f"predicted: {expected:.2f} mm RMS; {int(inside.sum())} of {len(inside)} are inside their "
+        f"ellipse\nall together (chi-square {comparison['chi_square']:.1f}, "
+        f"{comparison['degrees_of_freedom']} d.o.f., p {comparison['p_value']:.2g}): {words}"
         + (
-            "\n  look at the tip's position in the tool frame, the target's size, and whether the "
+            "\n  check the tip's position in the tool frame, the target's size, and whether the "
             "target was moved"
             if surprising
             else ""

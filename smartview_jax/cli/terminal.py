@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 def progress_line() -> Iterator[Callable[[str], None]]:
     """Report progress on stderr: a bar with the time left on a terminal, plain lines elsewhere.
 
-    A text that counts, such as "fold 2 of 5", moves the bar; any other starts one without an end.
+    A text that counts, such as "fold 2 of 5", moves the bar; any other starts a bar without an end.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
@@ -51,7 +51,7 @@ def progress_line() -> Iterator[Callable[[str], None]]:
 
 
 class BarUpdate:
-    """A function of a line of text that shows it beside a bar."""
+    """A function that shows a line of text next to a progress bar."""
 
     def __init__(self, bar: "Progress"):
         self._bar = bar
@@ -61,7 +61,7 @@ class BarUpdate:
         counted = _COUNTED.search(text)
         stage = text if counted is None else f"{text.partition(':')[0]} of {counted[2]}"
         if stage != self._stage:
-            # Time left is estimated from the speed, which is another in each stage.
+            # The time left is estimated from the speed, which differs between stages.
             self._bar.remove_task(self._task)
             self._stage, self._task = stage, self._bar.add_task(text, total=None)
         number, total = (None, None) if counted is None else map(int, counted.groups())

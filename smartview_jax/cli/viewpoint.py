@@ -1,4 +1,4 @@
-"""Define `smartview viewpoint`, which prints commands by which the camera looks at a point."""
+"""Define `smartview viewpoint`, which prints commands that point the camera at a point."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,15 +25,18 @@ def viewpoint(
     ] = (0.0, 0.0, 0.0),
     distance: Annotated[
         float | None,
-        typer.Option(help="From the camera to the point, m; by default that of the calibration."),
+        typer.Option(
+            help="Distance from the camera to the point, m; by default the mean of the calibration "
+            "views."
+        ),
     ] = None,
-    tilt: Annotated[float, typer.Option(help="From straight above, degrees.")] = 0.0,
+    tilt: Annotated[float, typer.Option(help="Tilt of the camera from vertical, degrees.")] = 0.0,
     azimuth: Annotated[
         float, typer.Option(help="Where the camera stands, about z from x, degrees.")
     ] = 0.0,
-    roll: Annotated[float, typer.Option(help="About the optical axis, degrees.")] = 0.0,
+    roll: Annotated[float, typer.Option(help="Roll about the optical axis, degrees.")] = 0.0,
     five: Annotated[
-        bool, typer.Option("--five", help="The paper's five viewpoints; tilt is their step.")
+        bool, typer.Option("--five", help="The paper's five viewpoints; --tilt is their step.")
     ] = False,
     below: options.BelowOption = None,
     *,
@@ -41,10 +44,10 @@ def viewpoint(
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
-    """Print commands by which the camera looks at a point, and write them for the robot.
+    """Print commands that point the camera at a point, and write them for the robot.
 
-    Refused, with nothing written, are commands out of reach, behind the target, or far outside the
-    views that the calibration was fitted to; --allow says which of these checks to override.
+    Commands out of reach, behind the target, or far outside the calibrated views are refused, and
+    no file is written; --allow overrides a check.
     """
     with errors_reported(debug):
         import numpy as np
@@ -107,22 +110,22 @@ def _error_document(
 
 
 def _error_text(names: tuple[str, ...], covariance: "np.ndarray | None", path: Path) -> str:
-    """Return how well the camera arrives, in words: 95 % intervals in mm."""
-    found = _error_document(names, covariance)
-    if found is None:
-        return f"{path} says nothing of its uncertainty: how well the camera arrives is not known"
+    """Return the camera's position error in words: 95 % intervals in mm."""
+    errors = _error_document(names, covariance)
+    if errors is None:
+        return f"{path} has no covariance: the camera's error is not known"
     lines = []
-    for entry in found:
+    for entry in errors:
         # 1.96 standard deviations are 95 % of a Gaussian.
         millimetres = ", ".join(f"{x:.2f}" for x in 1.96e3 * entry["std_m"])
-        lines.append(f"{entry['name']}: the camera arrives within +- {millimetres} mm (95 %)")
-    return "\n".join([*lines, "along its own x, y, z, by the calibration and the robot's noise"])
+        lines.append(f"{entry['name']}: error of the camera within +- {millimetres} mm (95 %)")
+    return "\n".join([*lines, "along its own x, y, z, from the calibration and the robot's noise"])
 
 
 DEFAULT_DISTANCE = 0.2
 """Default distance from the camera to the point, m, as in the paper.
 
-It is used where a calibration has no region of viewpoints.
+It is used if the calibration has no region of viewpoints.
 """
 
 
@@ -134,7 +137,7 @@ def requested_camera_poses(
     five: bool,
     below: bool | None,
 ) -> "SE3":
-    """Return the requested camera poses; distance and side default to those of the calibration."""
+    """Return the requested camera poses; the calibration gives the default distance and side."""
     import numpy as np
 
     from ..viewpoints import FIVE_VIEWPOINT_STEP, five_viewpoints, look_at, viewing_direction
@@ -151,8 +154,8 @@ def requested_camera_poses(
     above = (None if region is None else region.above) if below is None else not below
     if above is None:
         raise ValueError(
-            "the calibration does not say from which side the target was seen: --above if the "
-            "world's z points to the camera, --below if away from it (as a chessboard's does)"
+            "the calibration does not state from which side the target was seen: give --above if "
+            "the world's z points to the camera, --below if it points away (as a chessboard's does)"
         )
     tilt, azimuth, roll = np.deg2rad(angles_deg)
     if five:

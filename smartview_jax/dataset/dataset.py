@@ -1,4 +1,4 @@
-"""Hold the observations of a target from several robot poses, validated when they are read."""
+"""Hold the observations of a target from several robot poses, checked when a data set is built."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -29,10 +29,10 @@ from .input_checks import (
 from .observations import Observations
 
 MINIMUM_RELIABLE_VIEWS = 8
-"""Smallest number of views with which a result is reliable and a single wrong view is recognised.
+"""Smallest number of views for a reliable result in which a single wrong view is recognised.
 
-Of six good views of a real data set one had fourteen times the misfit of the others, to which the
-transforms had been fitted; without it the error on a held-out view was six times as large.
+In a fit to six good views of a real data set, one view had fourteen times the misfit of the others.
+Without this view, the error on a held-out view was six times as large.
 """
 
 
@@ -96,7 +96,7 @@ class Dataset(eqx.Module):
             image_size: width and height, px.
             visible: `(M, N)`; by default wherever `pixels` is finite.
             view_ids: one name per view; by default 0, 1, ...
-            mount: `"eye_in_hand"` (camera on the tool) or `"eye_to_hand"` (beside the arm).
+            mount: `"eye_in_hand"` (camera on the tool) or `"eye_to_hand"` (fixed camera).
             bad_views: for a view with wrong values (a pose that is not rigid, a pixel far outside
                 the picture), `"raise"` an error or `"mask"` the view and keep the reason.
             masked_views: views already known to be unusable, with the reason.
@@ -115,7 +115,7 @@ class Dataset(eqx.Module):
         mount_frames(mount)
         if bad_views not in ("raise", "mask"):
             raise ValueError(f"bad_views is 'raise' or 'mask'; found {bad_views!r}")
-        # A copy, because masked pixels are overwritten below.
+        # Copied, because masked pixels are overwritten below.
         pixels = np.array(pixels, dtype=float)
         if pixels.ndim != 3 or pixels.shape[-1] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {pixels.shape}")
@@ -126,42 +126,46 @@ class Dataset(eqx.Module):
         if base_from_tool is None:
             base_from_tool = forward_kinematics(joints, arm, ids)
         matrices = pose_matrices(base_from_tool, view_count)
-        seen = visibility_mask(visible, pixels, ids)
+        is_visible = visibility_mask(visible, pixels, ids)
 
-        # A reason given by the caller takes precedence over one found here.
-        problems = dict(masked_views)
-        unknown = set(problems) - set(ids)
+        # The caller's reason takes precedence over a reason found here.
+        reasons = dict(masked_views)
+        unknown = set(reasons) - set(ids)
         if unknown:
             raise ValueError(f"masked_views: no view is called {sorted(unknown)}")
-        # Wrong values are collected over all views, so that one error names all of them.
-        wrong = check_rigid(matrices, ids)
-        for view, problem in pixel_problems(pixels, seen, image_size, ids).items():
-            wrong.setdefault(view, problem)
-        wrong = {view: problem for view, problem in wrong.items() if view not in problems}
-        if wrong and bad_views == "raise":
-            raise ValueError("; ".join(f"view {view}: {text}" for view, text in wrong.items()))
-        problems = {**wrong, **problems}
+        # The error names all views with wrong values.
+        wrong_values = check_rigid(matrices, ids)
+        for view, problem in pixel_problems(pixels, is_visible, image_size, ids).items():
+            wrong_values.setdefault(view, problem)
+        wrong_values = {
+            view: problem for view, problem in wrong_values.items() if view not in reasons
+        }
+        if wrong_values and bad_views == "raise":
+            raise ValueError(
+                "; ".join(f"view {view}: {text}" for view, text in wrong_values.items())
+            )
+        reasons = {**wrong_values, **reasons}
 
         # Masked views stay in the arrays, with finite poses: one NaN would spread through sums.
-        usable = np.array([view not in problems for view in ids], dtype=bool)
+        usable = np.array([view not in reasons for view in ids], dtype=bool)
         matrices = np.where(usable[:, None, None] | finite_views(matrices), matrices, np.eye(4))
-        seen = seen & usable[:, None]
-        points_finite = np.broadcast_to(np.isfinite(points).all(axis=-1), seen.shape)
-        if not points_finite[seen].all():
-            raise ValueError("points: a target point that was seen has NaN coordinates")
-        # NaN makes any code fail visibly that reads a pixel without looking at the mask.
-        pixels[~seen] = np.nan
-        # All arrays are copies of the caller's, because `device_put` may share their memory; unlike
-        # `jnp.asarray` it compiles no program.
+        is_visible = is_visible & usable[:, None]
+        points_finite = np.broadcast_to(np.isfinite(points).all(axis=-1), is_visible.shape)
+        if not points_finite[is_visible].all():
+            raise ValueError("points: a target point that is visible has NaN coordinates")
+        # With NaN, code that ignores the mask fails visibly.
+        pixels[~is_visible] = np.nan
+        # The arrays are copies, because `device_put` may share memory with the caller's arrays;
+        # unlike `jnp.asarray` it compiles no program.
         data = cls(
-            points=to_device(np.broadcast_to(np.nan_to_num(points), (*seen.shape, 3))),
+            points=to_device(np.broadcast_to(np.nan_to_num(points), (*is_visible.shape, 3))),
             pixels=to_device(pixels),
-            visible=to_device(seen),
+            visible=to_device(is_visible),
             base_from_tool=as_se3(matrices),
             view_ids=ids,
             image_size=(int(image_size[0]), int(image_size[1])),
             mount=mount,
-            masked_views=tuple((view, problems[view]) for view in ids if view in problems),
+            masked_views=tuple((view, reasons[view]) for view in ids if view in reasons),
             pictures=None if pictures is None else tuple(Path(p) for p in pictures),
             target=target,
             notes=tuple(notes),
@@ -221,13 +225,13 @@ class Dataset(eqx.Module):
         return np.flatnonzero(np.asarray(self.visible).sum(axis=1) >= minimum_points)
 
     def with_visible(self, visible: Bool[np.ndarray, "views points"]) -> "Dataset":
-        """Return the data set with these observations only, of those that are visible."""
+        """Return the data set with only the given visible observations."""
         return dataclasses.replace(
             self, visible=to_device(np.asarray(self.visible) & np.asarray(visible))
         )
 
     def mask_views(self, views: Sequence[int] | np.ndarray) -> "Dataset":
-        """Return the data set with some views masked; shapes stay, so nothing is compiled again."""
+        """Return the data set with some views masked; shapes and so compiled programs stay."""
         unmasked = np.ones(self.view_count, dtype=bool)
         unmasked[list(views)] = False
         visible = np.asarray(self.visible) & unmasked[:, None]
@@ -251,22 +255,22 @@ class Dataset(eqx.Module):
             raise ValueError(f"views: expected each index once, found {list(views)}")
         ids = tuple(self.view_ids[i] for i in index)
 
-        def taken(values: Array) -> Array:
-            """Return the given views' entries; NumPy needs no program for each number of views."""
+        def of_views(values: Array) -> Array:
+            """Return the entries of the given views; indexing by NumPy compiles nothing."""
             return jax.device_put(np.asarray(values)[index])
 
         return Dataset(
-            points=taken(self.points),
-            pixels=taken(self.pixels),
-            visible=taken(self.visible),
-            base_from_tool=SE3(taken(self.base_from_tool.wxyz_xyz)),
+            points=of_views(self.points),
+            pixels=of_views(self.pixels),
+            visible=of_views(self.visible),
+            base_from_tool=SE3(of_views(self.base_from_tool.wxyz_xyz)),
             view_ids=ids,
             image_size=self.image_size,
             mount=self.mount,
             masked_views=tuple(entry for entry in self.masked_views if entry[0] in ids),
             pictures=None if self.pictures is None else tuple(self.pictures[i] for i in index),
             target=self.target,
-            joints=None if self.joints is None else taken(self.joints),
+            joints=None if self.joints is None else of_views(self.joints),
             arm=self.arm,
             notes=self.notes,
         )

@@ -1,4 +1,4 @@
-"""Check the arrays of which a data set is made, on the host, and name the views that are wrong."""
+"""Check the arrays of a data set on the host, and name the views that are wrong."""
 
 from collections.abc import Sequence
 
@@ -41,14 +41,14 @@ def forward_kinematics(
     """
     if joints is None or arm is None:
         raise ValueError(
-            "expected poses, or joints and the arm they are of; found "
+            "expected poses, or joint readings and their arm; found "
             f"{'neither' if joints is arm else 'joints alone' if arm is None else 'an arm alone'}"
         )
     readings = np.asarray(joints, dtype=float)
     if readings.shape != (len(ids), arm.joint_count):
         raise ValueError(
-            f"joints: expected shape ({len(ids)}, {arm.joint_count}), one reading a joint in every "
-            f"view, found {readings.shape}"
+            f"joints: expected shape ({len(ids)}, {arm.joint_count}), one reading per view and "
+            f"joint; found {readings.shape}"
         )
     return arm.base_from_tool(readings)
 
@@ -64,7 +64,7 @@ def check_forward_kinematics(
 ) -> None:
     """Raise a ValueError if a reported pose differs from the arm's forward kinematics.
 
-    The tool frame, the pose convention or the arm is then wrong.
+    Such a difference shows that the tool frame, the pose convention or the arm is wrong.
     """
     # The difference is the twist log(computed^-1 reported): translation (m), then rotation (rad).
     twist = np.asarray(pose_difference(computed, reported))
@@ -77,23 +77,23 @@ def check_forward_kinematics(
             and rotation <= FORWARD_KINEMATICS_TOLERANCE[1]
         ):
             raise ValueError(
-                f"view {ids[view]}: the reported pose is {1e3 * translation:.3g} mm and "
-                f"{np.rad2deg(rotation):.3g} deg from where the arm's joints put the tool: another "
-                "tool frame, convention or arm?"
+                f"view {ids[view]}: the reported pose differs by {1e3 * translation:.3g} mm and "
+                f"{np.rad2deg(rotation):.3g} deg from the arm's forward kinematics: check the tool "
+                "frame, the pose convention and the arm"
             )
 
 
 def pose_matrices(base_from_tool: PoseLike, view_count: int) -> np.ndarray:
     """Return poses as `(views, 4, 4)` matrices, or raise a ValueError for another shape."""
-    # Matrices are kept as given, not converted to SE3 first, which would normalise their rotations
-    # and hide from `check_rigid` those that are not rigid.
+    # Matrices are not converted to SE3 first: that would normalise their rotations and hide from
+    # `check_rigid` the matrices that are not rigid.
     if not isinstance(base_from_tool, SE3):
         matrices = np.asarray(base_from_tool, dtype=float)
     else:
         matrices = host_matrices(base_from_tool)
     if matrices.shape != (view_count, 4, 4):
         raise ValueError(
-            f"base_from_tool: expected shape ({view_count}, 4, 4), one pose a view, "
+            f"base_from_tool: expected shape ({view_count}, 4, 4), one pose per view; "
             f"found {matrices.shape}"
         )
     return matrices
@@ -117,15 +117,15 @@ def visibility_mask(
     has_numbers = np.asarray(np.isfinite(pixels).all(axis=-1))
     if visible is None:
         return has_numbers
-    seen = np.array(visible, dtype=bool)
-    if seen.shape != has_numbers.shape:
-        raise ValueError(f"visible: expected shape {has_numbers.shape}, found {seen.shape}")
-    # Mask and pixels contradict each other: neither is silently preferred.
-    missing = seen & ~has_numbers
+    is_visible = np.array(visible, dtype=bool)
+    if is_visible.shape != has_numbers.shape:
+        raise ValueError(f"visible: expected shape {has_numbers.shape}, found {is_visible.shape}")
+    # If mask and pixels contradict each other, neither is silently preferred.
+    missing = is_visible & ~has_numbers
     if missing.any():
         view, point = np.argwhere(missing)[0]
         raise ValueError(f"view {ids[view]}: point {point} is marked visible but has no pixel")
-    return seen
+    return is_visible
 
 
 def pixel_problems(

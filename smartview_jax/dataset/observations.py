@@ -1,4 +1,4 @@
-"""Hold what a fit compares with its predictions, and the residuals, by views."""
+"""Hold the measurements of a data set as arrays, and compute their residuals by view."""
 
 import equinox as eqx
 import jax
@@ -22,9 +22,9 @@ class Observations(eqx.Module):
     Attributes:
         points: target points in the target frame, m.
         pixels: measured positions, px; NaN where not visible.
-        visible: mask of the points that were seen.
-        base_from_tool: reported by the robot, one transform per view.
-        joints: readings of the robot's joints, rad or m; None where not known.
+        visible: mask of the visible points.
+        base_from_tool: poses reported by the robot, one transform per view.
+        joints: readings of the robot's joints, rad or m; None if unknown.
     """
 
     points: Float[Array, "*views points 3"]
@@ -39,32 +39,32 @@ class Observations(eqx.Module):
         return Command(self.base_from_tool, self.joints)
 
     def of_shape(self, shape: TargetShape | None) -> "Observations":
-        """Return the observations of a target whose points are displaced from where stated.
+        """Return the observations of a target whose points are displaced by a shape.
 
         Args:
-            shape: shape of the target; None displaces nothing.
+            shape: shape of the target; None for no displacement.
         """
         if shape is None:
             return self
         return eqx.tree_at(lambda o: o.points, self, shape.displaced(self.points))
 
     def padded(self) -> "Observations":
-        """Return the observations of small data with views and points added that nobody saw.
+        """Return the observations of a small data set with invisible views and points added.
 
-        Data sets of about the same size then share compiled programs (`padding`). Large data are
-        returned as they are.
+        Data sets of similar size then share compiled programs (`padding`). Large data sets are
+        returned unchanged.
         """
         views, points = padded_counts(*self.visible.shape)
         if self.visible.shape == (views, points):
             return self
-        seen = np.zeros((views, points), dtype=bool)
-        seen[: self.visible.shape[0], : self.visible.shape[1]] = np.asarray(self.visible)
+        is_visible = np.zeros((views, points), dtype=bool)
+        is_visible[: self.visible.shape[0], : self.visible.shape[1]] = np.asarray(self.visible)
         host = jax.tree.map(
             np.asarray, (self.points, self.pixels, self.base_from_tool, self.joints)
         )
         in_columns = (*repeat_last(host[:2], points, axis=1), *host[2:])
-        # All at once: one array after the other takes twice as long.
-        arrays, visible = jax.device_put((repeat_last(in_columns, views), seen))
+        # One transfer for all arrays takes half as long as one transfer each.
+        arrays, visible = jax.device_put((repeat_last(in_columns, views), is_visible))
         target_points, pixels, base_from_tool, joints = arrays
         return Observations(target_points, pixels, visible, base_from_tool, joints)
 
@@ -72,8 +72,7 @@ class Observations(eqx.Module):
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]
     ) -> Float[Array, "*views points 2"]:
         """Return measured minus predicted pixels, zero where a point has no pixel or prediction."""
-        # Both terms are masked before subtracting; masking the difference would leave NaN in the
-        # gradient.
+        # The two terms are masked, not their difference, which would leave NaN in the gradient.
         used = (self.visible & valid)[..., None]
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
 
@@ -81,11 +80,11 @@ class Observations(eqx.Module):
 def medians_by_view(
     values: Float[np.ndarray, "views points"], counted: Bool[np.ndarray, "views points"]
 ) -> Float[np.ndarray, "views"]:
-    """Return the median of the counted values of each view; NaN of a view that has none.
+    """Return the median of the counted values of each view; NaN for a view without any.
 
-    All views at once: one by one they cost as much as a fit where there are many.
+    A loop over the views would take as long as a fit if there are many views.
     """
-    # Sorted, the counted values of a view come first; NaN among them comes last and hides nothing.
+    # Sorting puts a view's counted values first; a NaN among them is handled separately below.
     count = counted.sum(axis=1)
     in_order = np.sort(np.where(counted, values, np.inf), axis=1)
     middle = np.maximum(np.stack([count - 1, count]) // 2, 0)
@@ -100,7 +99,7 @@ def chain_residuals(
 ) -> Float[Array, "views points 2"]:
     """Return measured minus predicted pixels through the chain (Eq. 10) at the reported poses.
 
-    They are zero where a point was not seen, and infinite where a point was seen but cannot be
+    They are zero where a point is not visible, and infinite where a visible point cannot be
     predicted.
     """
     poses = calibration.camera_from_world_matrices(observations.command)
@@ -120,8 +119,8 @@ def view_residuals(
 ) -> Float[Array, "views points 2"]:
     """Return measured minus predicted pixels for given camera poses.
 
-    They are zero where a point was not seen, and infinite where a point was seen but cannot be
-    predicted. One program serves every fit, whatever it knows about the robot.
+    They are zero where a point is not visible, and infinite where a visible point cannot be
+    predicted. All fits share this program, whatever they assume about the robot.
     """
     if is_traced(camera, target_scale, camera_from_world, observations):
         return _view_residuals(camera, target_scale, camera_from_world, observations)
@@ -138,16 +137,16 @@ def _view_residuals(
     camera_from_world: Float[AnyArray, "views 4 4"],
     observations: Observations,
 ) -> Float[Array, "views points 2"]:
-    """Return what `view_residuals` returns, compiled for the shapes that are given."""
+    """Return the residuals of `view_residuals`, compiled for the given shapes."""
 
     def one_view(pose_and_view: tuple[Array, Observations]) -> Float[Array, "points 2"]:
         """Return the residuals of one view."""
         pose, view = pose_and_view
         in_camera = transformed_coordinates(target_scale * pose[:3, :3], pose[:3, 3], view.points)
         predicted, valid = camera.project(jnp.stack(in_camera, axis=-1))
-        # Infinite, not zero: a calibration that cannot predict a seen point must not look good.
+        # Infinite, not zero: a calibration that cannot predict a visible point must not look good.
         unpredicted = (view.visible & ~valid)[..., None]
         return jnp.where(unpredicted, jnp.inf, view.residuals(predicted, valid))
 
-    # View by view: projecting all views at once takes several times the memory of the data.
+    # Projecting all views at once would take several times the memory of the data.
     return jax.lax.map(one_view, (camera_from_world, observations))

@@ -1,4 +1,4 @@
-"""Recognise pictures that a calibration was fitted to by digests of their detections."""
+"""Recognise pictures that a calibration was fitted to, by digests of their detected points."""
 
 import hashlib
 from typing import TYPE_CHECKING
@@ -9,10 +9,10 @@ if TYPE_CHECKING:
     from .dataset import Dataset
 
 DIGEST_DIGITS = 16
-"""Hexadecimal digits of a digest: 64 bits, with which no two pictures agree by chance."""
+"""Hexadecimal digits of a digest: 64 bits, so that two pictures never agree by chance."""
 
 ROUNDING = 1e-3
-"""Rounding of pixel coordinates, px: files of detections have three decimals or more."""
+"""Rounding of pixel coordinates, px; files of detections have at least three decimals."""
 
 
 def picture_digests(data: "Dataset") -> tuple[str, ...]:
@@ -29,7 +29,7 @@ def picture_digests(data: "Dataset") -> tuple[str, ...]:
 
 def _digest(pixels: np.ndarray) -> str:
     """Return the digest of pixel coordinates."""
-    # Sorted by u: the order of the points is a matter of the target's description.
+    # Sorted by u, because the order of the points depends on the target's description.
     steps = np.round(pixels / ROUNDING).astype("<i8")
     steps = steps[np.lexsort(steps.T[::-1])]
     return hashlib.sha256(steps.tobytes()).hexdigest()[:DIGEST_DIGITS]

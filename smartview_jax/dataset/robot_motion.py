@@ -1,6 +1,6 @@
-"""Check what the robot's poses can tell, before anything is fitted to them.
+"""Check whether the robot's poses suffice for a calibration, before anything is fitted to them.
 
-Three things are asked of the poses alone, and of whether the pictures moved with them:
+Three questions are answered from the poses and from whether the pictures changed with them:
 
 - Was every pose read again? A row of the pose file that repeats the one before although the picture
   moved was not; such a view is set aside, and so is a view that is given twice. Where the two rows
@@ -9,9 +9,9 @@ Three things are asked of the poses alone, and of whether the pictures moved wit
 - Did it turn? Without a turn the camera's place on the robot cannot be told from the target's:
   both can be shifted together. If all turns have one axis, that is so along the axis.
 
-A shift of the camera and one of the target that cancel in every view are a *twist of the holder*
-(base or tool, see `calibration`) that no motion of the robot changes: `Ad(T_i) twist` is the same
-for every pose `T_i = mount_from_holder`.
+Shifts of camera and target that cancel in every view correspond to a *twist of the holder* (base or
+tool, see `calibration`) that no motion of the robot changes: `Ad(T_i) twist` is the same for every
+pose `T_i = mount_from_holder`.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -31,28 +31,27 @@ Poses = Float[np.ndarray, "views 4 4"]
 """Homogeneous matrices, one per view, m."""
 
 SAME_TRANSLATION, SAME_ROTATION = 2e-5, 5e-5
-"""The largest difference of two readings of one pose, m and rad.
+"""The largest difference between two readings of the same pose, m and rad.
 
-The readings of a standing arm flicker by the steps of its encoders. A camera at half a metre with a
-focal length of 1000 px sees less than 0.1 px of that.
+The readings of an arm at rest flicker by the steps of its encoders. For a camera at half a metre
+with a focal length of 1000 px this is less than 0.1 px.
 """
 
 MOVED_PICTURE_SHARE = 0.02
-"""The shift of a picture, as a share of its longer side, from which the robot cannot have stood
-still.
+"""The shift of a picture, as a share of its longer side, that proves that the robot moved.
 
-Even an arm that returns to a pose within 2 mm and 0.4 degrees only shows half of it.
+An arm that returns to a pose only within 2 mm and 0.4 degrees causes half of this shift.
 """
 
 MIN_TURN = 3e-3
-"""The smallest turn, RMS over the views in rad, that counts as one: a sixth of a degree.
+"""The smallest rotation, RMS over the views in rad, that is used: a sixth of a degree.
 
-What is seen of a smaller one is mostly the robot's error, which more views do not average out: a
-robot that is good to 0.1 mm would tell the camera's place to 3 cm, which a ruler does better.
+The effect of a smaller rotation is mostly the robot's error, which more views do not average out. A
+robot with an error of 0.1 mm would determine the camera's position to 3 cm; a ruler does better.
 """
 
 _REPEATED, _DUPLICATE = "its pose repeats view", "its picture and pose are given before, in view"
-"""How the reasons begin for which a view is set aside here."""
+"""The beginnings of the two reasons for which a view is left out here."""
 
 
 def distinct_poses(poses: Poses) -> list[int]:
@@ -64,7 +63,7 @@ def first_equal_pose(poses: Poses) -> list[int]:
     """Return for each pose the index of the first that is equal to it, which may be its own."""
     first = list(range(len(poses)))
     finite = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
-    # Only near positions are compared, so that the time does not grow with the square.
+    # Only near positions are compared, so that the time does not grow with the square of the views.
     near = KDTree(poses[finite, :3, 3]).query_pairs(2.0 * SAME_TRANSLATION, output_type="ndarray")
     for earlier, later in sorted(map(tuple, np.sort(finite[near], axis=1).tolist())):
         is_first = first[earlier] == earlier and first[later] == later
@@ -74,7 +73,7 @@ def first_equal_pose(poses: Poses) -> list[int]:
 
 
 def _is_same_pose(pose: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"]) -> bool:
-    """Return whether two readings are of one pose."""
+    """Return whether two readings belong to the same pose."""
     # |R - S|_F = sqrt(2) angle for a small angle between them.
     return bool(
         np.abs(pose[:3, 3] - other[:3, 3]).max() <= SAME_TRANSLATION
@@ -83,7 +82,7 @@ def _is_same_pose(pose: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"
 
 
 def repeated_views(data: "Dataset") -> dict[int, str]:
-    """Return the views that repeat an earlier one, with the reason to set each aside.
+    """Return the views that repeat an earlier view, with the reason to leave each out.
 
     Views without visible points are not compared.
     """
@@ -154,7 +153,7 @@ def _equal_poses(data: "Dataset") -> Iterator[_EqualPoses]:
         earlier = int(seen[first[place]])
         if earlier == k:
             continue
-        # A target that is raised under a standing camera has other points.
+        # A target that was raised in front of a camera at rest has other points.
         common = visible[k] & visible[earlier] & (points[k] == points[earlier]).all(axis=-1)
         if not common.any():
             continue
@@ -169,16 +168,16 @@ def _equal_poses(data: "Dataset") -> Iterator[_EqualPoses]:
 
 
 def stale_poses(data: "Dataset") -> dict[int, str]:
-    """Return the views whose pose was not read again, with the reason to set each aside.
+    """Return the views whose pose was not read again, with the reason to leave each out.
 
-    Views that were given twice, picture and pose, are not among them: a bootstrap repeats views.
+    Views whose picture and pose were given twice are not included: a bootstrap repeats views.
     """
     reasons = repeated_views(data).items()
     return {view: text for view, text in reasons if text.startswith(_REPEATED)}
 
 
 def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
-    """Return a sentence each about poses that were not read again and views given twice."""
+    """Return one sentence about poses that were not read again, and one about repeated views."""
     warnings = []
     for beginning, text in (
         (
@@ -186,22 +185,22 @@ def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
             "repeat another view's pose though the picture moved, and are left out: the "
             "robot's pose was not read again for them",
         ),
-        (_DUPLICATE, "repeat picture and pose of an earlier view, and count once"),
+        (_DUPLICATE, "repeat the picture and the pose of an earlier view, and count once"),
     ):
         views = [entry.view for entry in rejected if entry.reason.startswith(beginning)]
         if views:
-            named = ", ".join(views[:20]) + (", ..." if len(views) > 20 else "")
-            warnings.append(f"{len(views)} views ({named}) {text}")
+            names = ", ".join(views[:20]) + (", ..." if len(views) > 20 else "")
+            warnings.append(f"{len(views)} views ({names}) {text}")
     return warnings
 
 
 def require_motion(poses: Poses, mount_name: str, place_is_given: bool) -> None:
-    """Raise a ValueError if the robot did not move, or never turned and the place is not given.
+    """Raise a ValueError if the robot did not move, or did not rotate and no position is given.
 
     Args:
-        poses: of the views that are to be used, as reported.
-        mount_name: the hand-eye transform's name.
-        place_is_given: whether the user gives the camera's or the target's place.
+        poses: reported poses of the views to use.
+        mount_name: name of the hand-eye transform.
+        place_is_given: whether the user gives the camera's or the target's position.
     """
     if len(poses) < 2:
         return
@@ -213,14 +212,14 @@ def require_motion(poses: Poses, mount_name: str, place_is_given: bool) -> None:
         )
     if len(distinct) < 3:
         raise ValueError(
-            f"a calibration needs at least 3 different robot poses; the {len(poses)} views have "
-            f"{len(distinct)}"
+            f"a calibration needs at least 3 different robot poses; found {len(distinct)} in "
+            f"{len(poses)} views"
         )
     if never_turns(poses) and not place_is_given:
         raise ValueError(
-            f"the robot never turns: from these poses the rotation of {mount_name} can be known, "
-            "its translation not at all. Turn the tool about two axes between the pictures; or "
-            "give the camera's place: start={'" + mount_name + "': POSE} with "
+            f"the robot never rotates: these poses determine the rotation of {mount_name}, but not "
+            "its translation. Rotate the tool about two axes between the pictures; or "
+            "give the camera's position: start={'" + mount_name + "': POSE} with "
             f"fixed=('{mount_name}.translation',), or a Prior with a mean for each of "
             f"{mount_name}.translation.x, .y and .z"
         )
@@ -232,12 +231,12 @@ def never_turns(poses: Poses) -> bool:
 
 
 def turns_about_one_axis(poses: Poses) -> bool:
-    """Return whether all turns between the poses share an axis, or there are none."""
+    """Return whether all rotations between the poses share one axis, or there are none."""
     return bool(_turns(poses)[-1] < MIN_TURN)
 
 
 def _turns(poses: Poses) -> Float[np.ndarray, "3"]:
-    """Return how far the poses turn directions of the tool, largest first; see `MIN_TURN`."""
+    """Return how much the poses rotate directions of the tool, largest first; see `MIN_TURN`."""
     rotations = poses[:, :3, :3]
     # The direction d moves by (R_i - mean R) d.
     rows = (rotations - rotations.mean(axis=0)).reshape(-1, 3)
@@ -245,21 +244,21 @@ def _turns(poses: Poses) -> Float[np.ndarray, "3"]:
 
 
 def undetermined_twists(mount_from_holder: Poses) -> Float[np.ndarray, "twists 6"]:
-    """Return orthonormal twists of the holder that every pose carries to one twist of the mount.
+    """Return orthonormal twists of the holder that all poses map to the same twist of the mount.
 
-    Camera and target can be moved along them together, and no picture changes. There are none if
-    the robot turned about two axes.
+    Camera and target can move together along these twists without a change in any picture. There
+    are none if the robot rotated about two axes.
     """
     adjoints = host_adjoints(mount_from_holder)
     rows = (adjoints - adjoints.mean(axis=0)).reshape(-1, 6)
-    _, moved, twists = np.linalg.svd(rows, full_matrices=False)
-    return twists[moved < MIN_TURN * np.sqrt(len(mount_from_holder))]
+    _, changes, twists = np.linalg.svd(rows, full_matrices=False)
+    return twists[changes < MIN_TURN * np.sqrt(len(mount_from_holder))]
 
 
 def given_places(
     transform_names: Sequence[str], fixed: Collection[str], priors: Mapping[str, object]
 ) -> bool:
-    """Return whether the translation of either transform is held or has a prior in all axes."""
+    """Return whether the translation of one of the transforms is held or has priors in all axes."""
     paths = (*fixed, *priors)
 
     def is_given(name: str) -> bool:

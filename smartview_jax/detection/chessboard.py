@@ -1,4 +1,4 @@
-"""Detect chessboard corners with OpenCV's sector-based detector, or else its classic one."""
+"""Detect chessboard corners with OpenCV's sector-based or classic detector."""
 
 from collections.abc import Callable, Iterator
 
@@ -12,9 +12,9 @@ from .detection import Detection, empty_detection, full_detection
 from .plausibility import DetectionLimits, checked_detection
 
 _SUBPIXEL_REACH = 0.25
-"""Half width of the window in which a corner is refined, in parts of the distance to the nearest.
+"""Half width of a corner's refinement window, as a fraction of the distance to the nearest corner.
 
-The window must not reach another corner, also where the board is seen from the side.
+The window must not reach another corner, even if the board is seen from the side.
 """
 
 _SUBPIXEL_WINDOWS = (2, 10)
@@ -23,13 +23,13 @@ _SUBPIXEL_WINDOWS = (2, 10)
 _SUBPIXEL_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
 
 _SAMPLE_REACH = 0.35
-"""Distance from a corner at which the four squares around it are sampled, in parts of a square."""
+"""Distance from a corner at which the four squares around it are sampled, in squares."""
 
 _LEAST_SADDLE = 0.75
-"""Saddle (see `_saddles`) above which a line of points is one of inner corners.
+"""Saddle (see `_saddles`) above which a line of points consists of inner corners.
 
-It is 1 for inner corners, and 0.5 along the board's outline, where two of the four squares around a
-point are alike.
+The saddle is 1 for inner corners, and 0.5 along the board's outline, where two of the four squares
+around a point are equal.
 """
 
 
@@ -38,30 +38,35 @@ def detect_chessboard(
 ) -> Detection:
     """Detect the inner corners of a completely visible board, in the target's order.
 
-    The sector-based detector is accurate, but may be wrong by many pixels where the white margin is
-    narrow, and may find nothing where the classic one does. So each detection is tested, and the
-    classic detector is tried where the first one is not convincing.
+    The sector-based detector is accurate, but may be wrong by many pixels if the white margin is
+    narrow, and may find nothing where the classic detector does. So each detection is tested, and
+    the classic detector is tried if the first detection fails or is noisy.
 
     Args:
         image: grey, uint8.
         target: the board.
-        limits: of the test of the detected corners; by default `DetectionLimits()`.
+        limits: limits of the test of the detected corners; by default `DetectionLimits()`.
     """
     limits = limits or DetectionLimits()
     size = (image.shape[1], image.shape[0])
     failed, candidates = [], []
-    for found in _candidates(image, target):
-        tested = checked_detection(found, target.points, size, limits)
-        if tested.reason is None and (problem := _outline_problem(image, found.pixels, target)):
+    for detection in _candidates(image, target):
+        tested = checked_detection(detection, target.points, size, limits)
+        if tested.reason is None and (problem := _outline_problem(image, detection.pixels, target)):
             tested = empty_detection(len(target.points), problem)
         if tested.reason is not None:
             failed.append(tested)
             continue
         candidates.append(tested)
-        if tested.visible.all() and tested.noise <= limits.good_noise(_smallest_distance(found)):
+        if tested.visible.all() and tested.noise <= limits.good_noise(
+            _smallest_distance(detection)
+        ):
             break
     if candidates:
-        return min(candidates, key=lambda found: (-np.count_nonzero(found.visible), found.noise))
+        return min(
+            candidates,
+            key=lambda detection: (-np.count_nonzero(detection.visible), detection.noise),
+        )
     return (
         failed[0]
         if failed
@@ -73,7 +78,7 @@ def detect_chessboard(
 
 
 def _candidates(image: np.ndarray, target: Chessboard) -> Iterator[Detection]:
-    """Yield the detections of both detectors, each only when it is asked for."""
+    """Yield the detections of both detectors; the second runs only if it is needed."""
     detectors: tuple[Callable[..., np.ndarray | None], ...] = (_sector_based, _classic)
     for detector in detectors:
         corners = detector(image, (target.columns, target.rows))
@@ -83,71 +88,69 @@ def _candidates(image: np.ndarray, target: Chessboard) -> Iterator[Detection]:
 
 def _sector_based(image: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
     """Return the corners that OpenCV's sector-based detector finds."""
-    # The detector's own sub-pixel corners are kept. A second refinement by `cornerSubPix` was tried
-    # and shifts them by up to half a pixel; normalising the picture first shifts them by 0.1 to
-    # 0.2 px.
+    # No refinement by `cornerSubPix`, which shifts these corners by up to half a pixel, and no
+    # normalisation of the picture, which shifts them by 0.1 to 0.2 px.
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
-    return corners if found else None
+    is_found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
+    return corners if is_found else None
 
 
 def _classic(image: np.ndarray, size: tuple[int, int]) -> np.ndarray | None:
     """Return the corners that OpenCV's classic detector finds, refined to sub-pixels."""
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    found, corners = cv2.findChessboardCorners(image, size, flags=flags)
-    if not found:
+    is_found, corners = cv2.findChessboardCorners(image, size, flags=flags)
+    if not is_found:
         return None
     reach = int(_SUBPIXEL_REACH * _smallest_distance(full_detection(corners)))
     reach = int(np.clip(reach, *_SUBPIXEL_WINDOWS))
     return cv2.cornerSubPix(image, corners, (reach, reach), (-1, -1), _SUBPIXEL_CRITERIA)
 
 
-def _smallest_distance(found: Detection) -> float:
+def _smallest_distance(detection: Detection) -> float:
     """Return the smallest distance between two detected corners, px."""
-    return float(KDTree(found.pixels).query(found.pixels, k=2)[0][:, 1].min())
+    return float(KDTree(detection.pixels).query(detection.pixels, k=2)[0][:, 1].min())
 
 
 def _outline_problem(
     image: np.ndarray, corners: Float[np.ndarray, "corners 2"], target: Chessboard
 ) -> str | None:
-    """Return in words what is wrong with the number of rows and columns; None if nothing is.
+    """Return an error text if the number of rows and columns is wrong; otherwise None.
 
-    A part of a larger board looks like a whole smaller one, and the outline of a board like one
-    more line of corners.
+    Part of a larger board looks like a complete smaller board, and the outline of a board looks
+    like one more line of corners.
     """
     grid = corners.reshape(target.rows, target.columns, 2)
     if min(grid.shape[:2]) < 3:
         return None
-    # One more line of points on every side, extrapolated quadratically; the columns come last and
-    # so fill the corners.
+    # One more line of points is extrapolated quadratically on every side; the corners are filled
+    # by the columns, which come last.
     outer = np.pad(grid, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    for turned in (outer, outer[::-1], outer.swapaxes(0, 1), outer.swapaxes(0, 1)[::-1]):
-        turned[0] = 3.0 * turned[1] - 3.0 * turned[2] + turned[3]
+    for side in (outer, outer[::-1], outer.swapaxes(0, 1), outer.swapaxes(0, 1)[::-1]):
+        side[0] = 3.0 * side[1] - 3.0 * side[2] + side[3]
     saddles = _saddles(image, outer)
-    # The sign tells whether the first square is dark.
+    # The sign depends on whether the first square is dark.
     saddles *= np.sign(np.nanmean(saddles[1:-1, 1:-1]))
     stated = f"{target.rows} x {target.columns} inner corners"
-    for turned in (saddles, saddles[::-1], saddles.T, saddles.T[::-1]):
-        beyond, last = turned[0, 1:-1], turned[1, 1:-1]
+    for side in (saddles, saddles[::-1], saddles.T, saddles.T[::-1]):
+        beyond, last = side[0, 1:-1], side[1, 1:-1]
         if np.isfinite(last).any() and np.nanmean(last) < _LEAST_SADDLE:
             return (
-                f"what was found are not {stated}, since its outermost points are others: are rows "
-                "and columns stated rightly?"
+                f"the outermost points found are not inner corners of a board with {stated}: check "
+                "rows and columns"
             )
-        # A line that is mostly outside the picture says nothing.
+        # A line that is mostly outside the picture is not judged.
         if np.isfinite(beyond).mean() > 0.5 and np.nanmean(beyond) > _LEAST_SADDLE:
-            return f"the board goes on beyond {stated}: are rows and columns stated rightly?"
+            return f"the board is larger than {stated}: check rows and columns"
     return None
 
 
 def _saddles(
     image: np.ndarray, grid: Float[np.ndarray, "rows columns 2"]
 ) -> Float[np.ndarray, "rows columns"]:
-    """Return how much the four squares around each point look like those around an inner corner.
+    """Return how much the four squares around each point look like an inner corner.
 
-    It is 1 for such a corner, and 0 for a point within a square or on an edge between two; NaN
-    outside the picture. The sign alternates with the colours, so that it is equal for all inner
-    corners of a board.
+    It is 1 for an inner corner, 0 for a point within a square or on an edge between two squares,
+    and NaN outside the picture. Alternating signs make it equal for all inner corners of a board.
     """
     across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     samples = []
@@ -164,20 +167,20 @@ def _saddles(
         samples.append(sample)
     # With the squares a, b on one diagonal and c, d on the other,
     #     (a + b - c - d) / (2 (largest - smallest)),
-    # which light and shadow do not change; one grey value is the least difference that counts.
+    # which light and shadow do not change; one grey value is added against division by zero.
     difference = np.max(samples, axis=0) - np.min(samples, axis=0) + 1.0
     saddles = (samples[0] + samples[1] - samples[2] - samples[3]) / (2.0 * difference)
-    # Every second corner has the dark squares on the other diagonal.
+    # At every second corner the dark squares are on the other diagonal.
     return saddles * (-1.0) ** np.add.outer(np.arange(len(grid)), np.arange(len(grid[0])))
 
 
 def _start_at_light_square(
     image: np.ndarray, corners: Float[np.ndarray, "corners 2"], target: Chessboard
 ) -> Float[np.ndarray, "corners 2"]:
-    """Return the corners in the order whose first square is light, if there is such an order."""
+    """Return the corners in an order whose first square is light, if there is one."""
     # With the brightness b of each square's middle and s = +1, -1, +1, ... over the squares, the
-    # first square is light where sum s (b - mean b) > 0. All squares are compared, so that a single
-    # one in shadow does not decide.
+    # first square is light if sum s (b - mean b) > 0. All squares are compared, so that a single
+    # square in shadow does not decide.
     rows, columns = target.rows, target.columns
     sign = (-1.0) ** np.add.outer(np.arange(rows - 1), np.arange(columns - 1))
     for order in grid_symmetries(rows, columns):

@@ -1,8 +1,8 @@
 """Correct measured circle centres for the bias caused by perspective and the lens.
 
 A detector finds the centre of a circle's image, but a fit projects the circle's centre. The
-difference can be computed from a calibration and hardly depends on its errors. So the data are
-fitted, the pixels corrected by the result, and the corrected data fitted again:
+difference can be computed from a calibration and hardly depends on the calibration's errors. So the
+data are fitted, the pixels corrected with the result, and the corrected data fitted again:
 
     fit = sv.calibrate(data)
     fit = sv.calibrate(sv.correct_circle_centres(data, fit.calibration))
@@ -36,13 +36,13 @@ def correct_circle_centres(
     Args:
         data: detected centres of circles that are parallel to the target's xy-plane.
         calibration: the result of any fit to these data.
-        radius: radius of the circles, one for all or one for each, in the unit of the target's
-            points, m; by default the target's own.
+        radius: radius of the circles, one number or one for each circle, in the unit of the
+            target's points, m; by default the radius that the target states.
 
     Raises:
-        ValueError: a radius that is neither given nor known, or is not positive; a target that is
-            not made of circles; a circle that was seen but cannot be projected by the calibration
-            (the message names the view).
+        ValueError: a radius that is neither given nor known, or is not positive; a target that does
+            not consist of circles; a visible circle that the calibration cannot project (the
+            message names the view).
     """
     radii = np.asarray(circle_radii(data.target) if radius is None else radius, dtype=float)
     if not (np.isfinite(radii).all() and (radii > 0.0).all()):
@@ -57,7 +57,7 @@ def correct_circle_centres(
     if not_projectable.any():
         view, point = np.argwhere(not_projectable)[0]
         raise ValueError(
-            f"view {data.view_ids[view]}: circle {point} was seen, but this calibration cannot "
+            f"view {data.view_ids[view]}: circle {point} is visible, but this calibration cannot "
             "project it"
         )
     measured = np.asarray(data.pixels)
@@ -83,14 +83,14 @@ def predicted_bias(
 
     def view_bias(view_observations: Observations) -> tuple[Array, Array]:
         """Return the bias of all circles in one view, and whether each is valid."""
-        # camera_from_circle = camera_from_world @ (translation to the circle's centre): the axes of
-        # a circle's frame are parallel to those of the world.
+        # camera_from_circle = camera_from_world @ (translation to the circle's centre), because the
+        # axes of a circle's frame are parallel to the world's axes.
         pose = calibration.camera_from_world(view_observations.command)
         centres = SE3.from_translation(calibration.target_scale * view_observations.points)
         poses = SE3(jnp.broadcast_to(pose.wxyz_xyz, centres.wxyz_xyz.shape))
         return circle_centre_bias(calibration.camera, poses @ centres, scaled_radii)
 
-    # Views are processed one after another: each circle is sampled at a dozen or more points, and
+    # Views are processed one after another. Each circle is sampled at a dozen or more points, so
     # all views at once would need that many times the memory of the data.
     return jax.lax.map(view_bias, observations)
 
@@ -99,7 +99,7 @@ def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:
     """Return the radius of every circle of a target, m.
 
     Raises:
-        ValueError: the target is not made of circles, or does not state their radius.
+        ValueError: the target does not consist of circles, or does not state their radius.
     """
     if isinstance(target, StackedTarget):
         return np.tile(circle_radii(target.board), len(target.heights))
@@ -107,7 +107,7 @@ def circle_radii(target: AbstractTarget | None) -> Float[np.ndarray, "points"]:
         raise ValueError(f"target: expected circles, found {target!r}")
     if not target.has_known_radii:
         name = "radius" if target.radius is None else "mark_radius"
-        raise ValueError(f"{name}: the target does not state it, so it has to be given")
+        raise ValueError(f"{name}: the target does not state it, so it must be given")
     radii = np.full(len(target.points), target.radius)
     if target.mark_radius is not None:
         radii[0] = target.mark_radius

@@ -47,9 +47,8 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
         image: grey, uint8.
         target: the grid; with `origin_mark` the larger corner circle comes first.
     """
-    # No single pair of limits suits all pictures, so that pairs are tried until a whole grid is
-    # found. Only if none gives one, a part of a grid is searched for, with the pair that left the
-    # most blobs.
+    # No single pair of limits suits all pictures, so pairs are tried until a whole grid is found.
+    # If none is found, part of a grid is searched for, with the pair that gave the most blobs.
     count = target.rows * target.columns
     max_blob_count, candidate_sets = 0, []
     for min_area, min_circularity in itertools.product(_MIN_BLOB_AREAS, _MIN_CIRCULARITIES):
@@ -66,8 +65,8 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
         if _goes_on(centres, blobs, target):
             return empty_detection(
                 count,
-                f"the grid goes on beyond {target.rows} x {target.columns} circles: are rows and "
-                "columns stated rightly?",
+                f"the grid is larger than {target.rows} x {target.columns} circles: check rows and "
+                "columns",
             )
         if target.origin_mark:
             centres = _start_at_origin_mark(centres, blobs, target)
@@ -77,23 +76,23 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
         f"{max_blob_count} blobs seen, {count} expected"
     )
     if max_blob_count > MAX_BLOBS_PER_CIRCLE * count:
-        reason += ": there is noise or texture"
+        reason += "; the picture has noise or texture"
     return _detect_partial_grid(max(candidate_sets, key=len), target, reason)
 
 
 def candidate_blobs(
     blobs: Sequence[cv2.KeyPoint], count: int, shape: tuple[int, ...]
 ) -> list[cv2.KeyPoint]:
-    """Return the blobs among which a grid of circles is searched for.
+    """Return the blobs in which a grid of circles is searched for.
 
     Blobs that reach the border of the picture are excluded: they are parts of circles, and their
-    centres are wrong. If too many remain, the largest group of similar size is taken; if that is
-    still more than `MAX_BLOBS_PER_CIRCLE` times the number of circles, none is.
+    centres are wrong. If too many remain, the largest group of similar size is returned; if even
+    this group has more than `MAX_BLOBS_PER_CIRCLE` blobs per circle, none is returned.
 
     Args:
         blobs: all blobs.
         count: number of circles in the grid.
-        shape: of the picture, height and width first, px.
+        shape: shape of the picture, height and width first, px.
     """
     height, width = shape[:2]
 
@@ -104,8 +103,8 @@ def candidate_blobs(
 
     whole = sorted(filter(is_whole, blobs), key=lambda blob: blob.size)
     if len(whole) > MAX_BLOBS_PER_CIRCLE * count:
-        # Sorted by diameter, the blobs first ... end - 1 have diameters within the allowed ratio of
-        # the first one's; the longest such group is taken.
+        # Sorted by diameter, the blobs first ... end - 1 are within the allowed ratio of the
+        # diameter of the first; the longest such group is taken.
         diameters = np.array([blob.size for blob in whole])
         ends = np.searchsorted(diameters, _MAX_DIAMETER_RATIO * diameters, side="right")
         first = int(np.argmax(ends - np.arange(len(diameters))))
@@ -114,16 +113,16 @@ def candidate_blobs(
 
 
 def _detect_partial_grid(blobs: list[cv2.KeyPoint], target: CircleGrid, reason: str) -> Detection:
-    """Return the detected circles of a partly visible grid, or the reason why it is not used.
+    """Return the detected circles of a partly visible grid, or an empty detection with the reason.
 
     Args:
         blobs: the candidates for circles.
         target: the grid.
-        reason: the reason why no whole grid was found, with which a message begins.
+        reason: the reason why no whole grid was found, the beginning of a message.
     """
     count = target.rows * target.columns
     if target.asymmetric:
-        return empty_detection(count, f"{reason}; an asymmetric grid has to be seen as a whole")
+        return empty_detection(count, f"{reason}; an asymmetric grid must be visible completely")
     centres = np.array([blob.pt for blob in blobs], dtype=float).reshape(-1, 2)
     match = match_partial_grid(centres, np.array([blob.size for blob in blobs]), target)
     if isinstance(match, str):
@@ -141,7 +140,7 @@ def _blob_parameters(
         min_area: lower limit on a blob's area, px^2.
         min_circularity: lower limit on a blob's circularity.
         target: the grid.
-        shape: of the picture, height and width first, px.
+        shape: shape of the picture, height and width first, px.
     """
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minThreshold, parameters.maxThreshold = 20, 220
@@ -168,12 +167,12 @@ def _find_grid(centres: np.ndarray, target: CircleGrid) -> np.ndarray | None:
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if target.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
     size = (target.columns, target.rows)
     points = centres.astype(np.float32)[:, None]
-    # Clustering tolerates perspective better, the plain search tolerates other blobs better.
+    # Clustering tolerates perspective better; the plain search tolerates other blobs better.
     for flags in (kind | cv2.CALIB_CB_CLUSTERING, kind):
         # With None as the blob detector, the finder accepts points instead of a picture.
         finder = cv2.CirclesGridFinderParameters()
-        ok, centres = cv2.findCirclesGrid(points, size, flags, None, finder)  # pyright: ignore[reportCallIssue, reportArgumentType]
-        if ok and _is_grid(centres.reshape(-1, 2), target):
+        is_found, centres = cv2.findCirclesGrid(points, size, flags, None, finder)  # pyright: ignore[reportCallIssue, reportArgumentType]
+        if is_found and _is_grid(centres.reshape(-1, 2), target):
             return centres.reshape(-1, 2)
     return None
 
@@ -190,7 +189,7 @@ def _is_grid(centres: np.ndarray, target: CircleGrid) -> bool:
     mapped = cv2.perspectiveTransform(flat[None], H)[0]
     neighbour_distances = np.linalg.norm(np.diff(mapped, axis=0), axis=1)
     # Largest residual < 0.3 median distance between neighbours. Lens distortion causes residuals of
-    # a few hundredths of that distance, a wrong circle one of a whole distance.
+    # a few hundredths of this distance, a wrong circle causes a residual of the whole distance.
     return float(np.linalg.norm(centres - mapped, axis=1).max()) < 0.3 * float(
         np.median(neighbour_distances)
     )
@@ -199,7 +198,7 @@ def _is_grid(centres: np.ndarray, target: CircleGrid) -> bool:
 def _goes_on(centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleGrid) -> bool:
     """Return whether there are circles beyond the stated rows or columns, on any side.
 
-    A part of a larger grid looks like a whole smaller one.
+    Part of a larger grid looks like a complete smaller grid.
     """
     grid = centres.reshape(target.rows, target.columns, 2)
     positions = np.array([blob.pt for blob in blobs])
@@ -217,7 +216,7 @@ def _goes_on(centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleG
     for lines in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1]):
         if len(lines) < 3:
             continue
-        # With every second row shifted, the next row lies where the one before the last would.
+        # In a grid with shifted rows, the row before the last shows how the next row is shifted.
         step = 0.5 * (lines[2] - lines[0])
         expected = lines[1] - 2.0 * step
         reach = 0.5 * np.linalg.norm(step, axis=1)
@@ -231,8 +230,8 @@ def _start_at_origin_mark(
     centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleGrid
 ) -> np.ndarray:
     """Return the centres rotated so that the larger corner circle is first, never mirrored."""
-    # The diameter of each centre's blob is compared with those of the corner's three neighbours,
-    # for every rotation that maps the grid to itself.
+    # For every rotation that maps the grid to itself, the diameter of the first corner is compared
+    # with the mean of its three neighbours.
     positions = np.array([blob.pt for blob in blobs])
     diameters = np.array([blob.size for blob in blobs])
     nearest = np.argmin(np.linalg.norm(centres[:, None] - positions[None], axis=-1), axis=1)

@@ -1,9 +1,9 @@
-"""Choose the symmetry of a target that applies to all views, which defines the target's frame.
+"""Choose one symmetry of a target for all views, which defines the target's frame.
 
 The robot's motion determines the order of the points in each view only relative to the other views.
-One symmetry applied to all views at once fits equally well and only changes the frame of the
-target. That frame is chosen by its orientation: the one nearest to a rough pose or, without a rough
-pose, the one with the smallest rotation about z relative to its holder.
+A symmetry that is applied to all views at once fits equally well and only changes the frame of the
+target. The frame is chosen by its orientation: nearest to a rough pose if there is one, otherwise
+with the smallest rotation about z relative to its holder.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 MIN_ROTATION_ANGLE = np.deg2rad(3.0)
-"""Smallest rotation between two views whose axis is used, rad; noise dominates smaller ones."""
+"""Smallest rotation between two views whose axis is used, rad; noise dominates below it."""
 
 MIN_SINGULAR_VALUE_RATIO = 0.1
 """Limit on the second over the first singular value of the rotation vectors, without unit.
@@ -23,7 +23,7 @@ rotation.
 """
 
 MAX_Z_AXIS_ANGLE = np.deg2rad(60.0)
-"""Largest accepted angle between the target's z axis and that of the rough pose, rad."""
+"""Largest accepted angle between the z axes of the target and of the rough pose, rad."""
 
 
 class CommonSymmetry(NamedTuple):
@@ -31,7 +31,7 @@ class CommonSymmetry(NamedTuple):
 
     Attributes:
         symmetry: index of the symmetry to apply to every view.
-        message: a sentence that states how many there are, which one was chosen and why.
+        message: a sentence about the number of symmetries, the chosen one and the reason.
     """
 
     symmetry: int
@@ -60,7 +60,7 @@ def choose_common_symmetry(
             all.
 
     Raises:
-        ValueError: the z axis of the rough pose is not that of the target.
+        ValueError: the rough pose and the target have different z axes.
     """
     count = len(symmetries)
     alike = f"the target's pattern looks the same in {count} orders of its points"
@@ -70,28 +70,30 @@ def choose_common_symmetry(
     holder_rotation = _holder_rotation(camera_rotations, mount_rotations)
     if holder_rotation is None:
         return CommonSymmetry(
-            0, f"{alike}, and the robot's turns do not tell which was taken: {advice}"
+            0, f"{alike}, and the robot's rotations do not determine the right one: {advice}"
         )
     candidate_rotations = Rotation.concatenate(
         [holder_rotation * _symmetry_rotation(points, order) for order in symmetries]
     )
     if rough_rotation is None:
         angles = np.abs(_angle_about_z(candidate_rotations))
-        reason = f"where its x axis is nearest to that of the {holder}"
+        reason = f"with the target's x axis nearest to the {holder}'s"
     else:
         expected_rotation = Rotation.from_matrix(rough_rotation)
         _require_same_z_axis(candidate_rotations, expected_rotation, holder)
         angles = (expected_rotation.inv() * candidate_rotations).magnitude()
         reason = f"nearest to the rough {holder}_from_world that was given"
     first, second = np.argsort(angles, kind="stable")[:2]
-    taken = (
-        f"taken was the one {reason} ({np.rad2deg(angles[first]):.0f} degrees off; the next "
+    choice = (
+        f"the order {reason} was chosen ({np.rad2deg(angles[first]):.0f} degrees off; the next "
         f"{np.rad2deg(angles[second]):.0f})"
     )
-    otherwise = (
-        "" if rough_rotation is not None else f"; give a rough {holder}_from_world if it is another"
+    alternative = (
+        ""
+        if rough_rotation is not None
+        else f"; give a rough {holder}_from_world to choose another"
     )
-    return CommonSymmetry(int(first), f"{alike}: {taken}{otherwise}; {advice}")
+    return CommonSymmetry(int(first), f"{alike}: {choice}{alternative}; {advice}")
 
 
 def _holder_rotation(camera_rotations: np.ndarray, mount_rotations: np.ndarray) -> Rotation | None:
@@ -117,7 +119,7 @@ def _holder_rotation(camera_rotations: np.ndarray, mount_rotations: np.ndarray) 
     if singular_values[1] < MIN_SINGULAR_VALUE_RATIO * singular_values[0]:
         return None
     hand_eye = Rotation.align_vectors(a, b)[0]
-    # Refitting without the large residuals keeps a view in a wrong order from biasing the result.
+    # Refitting without large residuals, because a view in a wrong order would bias the result.
     for _ in range(3):
         residuals = np.linalg.norm(a - hand_eye.apply(b), axis=1)
         inliers = residuals <= 3.0 * np.median(residuals) + 1e-9
@@ -125,7 +127,7 @@ def _holder_rotation(camera_rotations: np.ndarray, mount_rotations: np.ndarray) 
     holder_rotations = mount_rotations.swapaxes(1, 2) @ hand_eye.as_matrix().T @ camera_rotations
     cosines = np.einsum("iab,jab->ij", holder_rotations, holder_rotations)
     # trace(R_i^T R_j) = 1 + 2 cos(angle). The mean is over the half of the views that are nearest
-    # to the others, which excludes those in a wrong order.
+    # to the others, which excludes views in a wrong order.
     dispersion = -np.median(cosines, axis=1)
     return Rotation.from_matrix(holder_rotations[dispersion <= np.median(dispersion)]).mean()
 
@@ -137,7 +139,7 @@ def _relative_rotation_vectors(rotations: np.ndarray) -> np.ndarray:
 
 
 def _symmetry_rotation(points: np.ndarray, order: np.ndarray) -> Rotation:
-    """Return the rotation in the target's plane that maps each point to the one in this order."""
+    """Return the rotation in the target's plane that maps the points to this order."""
     centred = points - points.mean(axis=0)
     return Rotation.align_vectors(centred[order], centred)[0]
 
@@ -149,7 +151,7 @@ def _angle_about_z(rotations: Rotation) -> np.ndarray:
     rotation that tilts z up or down to its direction.
     """
     matrices = rotations.as_matrix()
-    # A z axis that points down is that of a board with z into it, seen from above. Rotating by 180
+    # The z axis points down for a board with z into it that is seen from above. Rotating by 180
     # degrees about x makes it point up and keeps x.
     down = matrices[:, 2, 2] < 0.0
     matrices[down] = matrices[down] @ np.diag([1.0, -1.0, -1.0])
@@ -170,8 +172,8 @@ def _require_same_z_axis(
     angle = float(np.arccos(np.clip(z @ rough_z, -1.0, 1.0)))
     if angle > MAX_Z_AXIS_ANGLE:
         raise ValueError(
-            f"{holder}_from_world: the target's z axis is {np.rad2deg(angle):.0f} degrees from "
-            f"where it is said to point, in every order of the pattern; the z axis of this "
-            f"target's frame points along ({z[0]:.2f}, {z[1]:.2f}, {z[2]:.2f}) of the {holder} "
-            f"frame (into a flat board, out of one that was placed at several heights)"
+            f"{holder}_from_world: the target's z axis is {np.rad2deg(angle):.0f} degrees from the "
+            f"stated direction, in every order of the pattern; it points along ({z[0]:.2f}, "
+            f"{z[1]:.2f}, {z[2]:.2f}) of the {holder} frame (into a flat board, out of a board "
+            f"used at several heights)"
         )

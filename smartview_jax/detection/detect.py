@@ -27,30 +27,30 @@ _DETECTORS: tuple[tuple[type[AbstractTarget], Callable[..., Detection]], ...] = 
     (TagGrid, detect_tags),
     (AprilGrid, detect_tags),
 )
-"""Detector of each kind of target, except the chessboard, which has two."""
+"""Detector of each kind of target, except the chessboard, whose detector takes limits."""
 
 _TURNED_TAGS = (
-    "but every tag turned by half a turn would: Kalibr's boards are of kind aprilgrid, others are "
-    "tag_grid, with rows_from: bottom where the numbers begin there"
+    "with every tag rotated by 180 degrees they would match: state kind: aprilgrid for a board of "
+    "Kalibr's and tag_grid for others, with rows_from: bottom if the numbers begin at the bottom"
 )
-"""What to do where each tag is turned, as in the boards of Kalibr against others."""
+"""Advice if each tag is rotated by 180 degrees, as Kalibr's boards differ from others."""
 
 
 def detect(
     image: np.ndarray, target: AbstractTarget, limits: DetectionLimits | None = None
 ) -> Detection:
-    """Detect a target's points in a picture, and test them against each other.
+    """Detect a target's points in a picture, and test their positions against each other.
 
-    If nothing is found, or what is found does not lie as the target's points do, the result is an
-    empty detection with a reason, not an error. Single points that fail the test are not visible.
+    If nothing is found, or the points found do not match the target, the result is an empty
+    detection with a reason, not an error. Single points that fail the test are not visible.
 
     Args:
         image: uint8, grey `(h, w)` or BGR `(h, w, 3)`.
         target: a flat target; for a `StackedTarget`, its board.
-        limits: of the test; by default `DetectionLimits()`.
+        limits: limits of the test; by default `DetectionLimits()`.
 
     Raises:
-        ValueError: an array that is not a picture, or a target without a detector.
+        ValueError: the array is not a picture, or there is no detector for the target.
     """
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise ValueError(
@@ -62,34 +62,34 @@ def detect(
     for kind, detector in _DETECTORS:
         if isinstance(target, kind):
             size = (grey.shape[1], grey.shape[0])
-            found = detector(grey, target)
-            checked = checked_detection(found, target.points, size, limits)
-            if checked.reason is not None and _has_turned_tags(found, target, size, limits):
+            detection = detector(grey, target)
+            checked = checked_detection(detection, target.points, size, limits)
+            if checked.reason is not None and _has_turned_tags(detection, target, size, limits):
                 return checked._replace(reason=f"{checked.reason}; {_TURNED_TAGS}")
             return checked
     raise ValueError(f"there is no detector for a {type(target).__name__}; detect its board")
 
 
 def _has_turned_tags(
-    found: Detection,
+    detection: Detection,
     target: AbstractTarget,
     size: tuple[int, int],
     limits: DetectionLimits | None,
 ) -> bool:
-    """Return whether tags lie as the target's do if each is turned by half a turn."""
-    if not isinstance(target, TagGrid | AprilGrid) or not found.visible.any():
+    """Return whether tags match the target if each tag is rotated by 180 degrees."""
+    if not isinstance(target, TagGrid | AprilGrid) or not detection.visible.any():
         return False
-    turned = found.pixels.reshape(-1, 4, 2)[:, [2, 3, 0, 1]].reshape(-1, 2)
-    visible = np.asarray(np.isfinite(turned).all(axis=1))
-    again = Detection(turned, visible, None)
-    return checked_detection(again, target.points, size, limits).reason is None
+    pixels = detection.pixels.reshape(-1, 4, 2)[:, [2, 3, 0, 1]].reshape(-1, 2)
+    visible = np.asarray(np.isfinite(pixels).all(axis=1))
+    rotated = Detection(pixels, visible, None)
+    return checked_detection(rotated, target.points, size, limits).reason is None
 
 
 def detection_identity(target: AbstractTarget) -> str:
-    """Return a text that is equal for targets whose detections are the same.
+    """Return a text that is equal for targets with equal detections.
 
-    Lengths count only in relation to each other: a square that was measured more accurately, or the
-    heights of a board, change no pixel.
+    Only ratios of lengths count: a square that was measured more accurately, or other heights of a
+    board, change no pixel.
     """
     board = target.board if isinstance(target, StackedTarget) else target
     fields = {
@@ -99,7 +99,7 @@ def detection_identity(target: AbstractTarget) -> str:
     }
     # Only the centres of circles are detected, whatever their radii.
     lengths = board.lengths[:1] if isinstance(board, CircleGrid) else board.lengths
-    # A length that is not there, as the gap of a single tag, counts as 0.
+    # A missing length, such as the gap of a single tag, counts as 0.
     sizes = [getattr(board, name) or 0.0 for name in lengths]
     ratios = [round(size / sizes[0], 9) for size in sizes]
     heights = len(target.heights) if isinstance(target, StackedTarget) else 1

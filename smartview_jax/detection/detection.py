@@ -12,9 +12,9 @@ class Detection(NamedTuple):
     Attributes:
         pixels: one row for each point of the target, px; NaN where the point was not detected.
         visible: whether each point was detected.
-        reason: the reason why nothing was found; None if something was.
-        noise: standard deviation of the points as `plausibility` measures it, px; 0 if not tested.
-        left_out: number of points that were found and then failed that test.
+        reason: the reason why nothing was found; None if any point was found.
+        noise: standard deviation of the points as measured by `plausibility`, px; 0 if not tested.
+        left_out: number of points that were found but failed the test of `plausibility`.
     """
 
     pixels: Float[np.ndarray, "points 2"]

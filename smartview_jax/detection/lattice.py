@@ -2,8 +2,8 @@
 
 A lattice is grown from a circle and two of its neighbours, neighbour by neighbour, with steps that
 adapt to perspective. It numbers rows and columns from an arbitrary origin. Their numbers on the
-target follow if the lattice spans all rows and columns, with only a few circles hidden, or from the
-larger corner circle if it is visible. Otherwise the result is a text that states what is missing.
+target are known if the lattice spans all rows and columns, with only a few circles hidden, or if
+the larger corner circle is visible. Otherwise the result is a text that states what is missing.
 """
 
 from collections import deque
@@ -50,7 +50,7 @@ def match_partial_grid(
     if len(cells) < MIN_VISIBLE_FRACTION * total:
         return f"{len(cells)} of them lie on a grid, at least half of {total} are needed"
     # Counting can start at any of the four corners. Each of the four rotations of the cells that
-    # fits into the target is a candidate, and the mark or the extent selects among them.
+    # fits into the target is a candidate; the mark or the extent selects one of them.
     cell_indices = np.array(list(cells))
     cell_indices -= cell_indices.min(axis=0)
     blobs = np.array(list(cells.values()))
@@ -61,17 +61,19 @@ def match_partial_grid(
         if (indices.max(axis=0) < (target.rows, target.columns)).all()
     ]
     rows, columns = (fitting_rotations or rotated)[0].max(axis=0) + 1
-    seen = f"{len(cells)} circles seen, on {rows} x {columns} places"
+    extent = f"{len(cells)} circles found, on {rows} x {columns} positions"
     if not fitting_rotations:
-        return f"{seen}: more than the grid of {target.rows} x {target.columns} has"
+        return f"{extent}: larger than the grid of {target.rows} x {target.columns}"
     if target.origin_mark:
         fitting_rotations = _select_by_mark(fitting_rotations, diameters[blobs], target)
-        unknown = "and the larger corner circle is not among them"
+        unknown = "and the larger corner circle was not found"
     else:
         fitting_rotations = fitting_rotations if _spans_target(fitting_rotations[0], target) else []
-        unknown = "and the grid has no larger corner circle that would tell which"
+        unknown = "and the grid has no larger corner circle to show which"
     if not fitting_rotations:
-        return f"{seen} of {target.rows} x {target.columns}: rows or columns are missing, {unknown}"
+        return (
+            f"{extent} of {target.rows} x {target.columns}: rows or columns are missing, {unknown}"
+        )
     return fitting_rotations[0] @ np.array([target.columns, 1]), blobs
 
 

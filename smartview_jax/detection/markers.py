@@ -11,23 +11,23 @@ from ..targets import AprilGrid, Charuco, TagGrid
 from .detection import Detection, empty_detection, partial_detection
 
 _BORDERS = (1, 2, 3)
-"""Widths of a tag's border that are in use, in cells; they are tried where nothing is found."""
+"""Common widths of a tag's border, in cells; they are tried if nothing is found."""
 
 _TAG_WINDOW = 0.3
 """Half width of the window in which a single tag's corner is refined, in cells: OpenCV's own."""
 
 _APRIL_GRID_WINDOW = 0.75
-"""The same for an AprilGrid, in parts of the narrowest of the four squares around a corner.
+"""The same for an AprilGrid, as a fraction of the narrowest of the four squares around a corner.
 
-These are the tag's border, the square beyond the corner, and the white gaps between them. OpenCV
-finds such corners less well, so that the window is as wide as they allow.
+The squares are the tag's border, the square beyond the corner, and the white gaps between them.
+OpenCV finds such corners less accurately, so the window is as wide as the squares allow.
 """
 
 _WINDOWS = (1, 5)
 """Smallest and largest half width of this window, px."""
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)
-"""When the refinement of a corner ends: as for OpenCV's own tags."""
+"""Criteria for the end of a corner's refinement, OpenCV's own for tags."""
 
 
 def dictionary_by_name(name: str) -> cv2.aruco.Dictionary:
@@ -74,8 +74,8 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
 def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
     """Detect the four corners of every visible tag of a grid, with sub-pixel refinement.
 
-    A corner whose refinement gives up is not visible. Tags with another border than the target
-    states are no detection, since their corners would be a cell of the code off.
+    A corner whose refinement fails is not visible. Tags whose border differs from the target's are
+    not accepted, because their corners would be wrong by one cell of the code.
 
     Args:
         image: grey, uint8.
@@ -86,8 +86,8 @@ def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
     if len(tags) < 0.5 * len(target.ids) and (other := _other_border(image, target, len(tags))):
         return empty_detection(
             count,
-            f"{len(tags)} tags have a border of {_cells_in_words(target.border_bits)}, more have "
-            f"one of {_cells_in_words(other)}: state border_bits: {other}",
+            f"{len(tags)} tags have a border of {_cells_in_words(target.border_bits)}, more tags "
+            f"have a border of {_cells_in_words(other)}: state border_bits: {other}",
         )
     if not tags:
         return empty_detection(count, _reason_for_no_tags(image, target))
@@ -99,7 +99,7 @@ def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
     if np.mean(wider) > 0.5:
         return empty_detection(
             count,
-            f"{len(tags)} tags found, but they are black beyond a border of "
+            f"{len(tags)} tags found, but their border is wider than "
             f"{_cells_in_words(target.border_bits)}: state border_bits, 2 for a board of Kalibr's",
         )
     pixels = np.full((count, 2), np.nan)
@@ -116,24 +116,24 @@ def _find_tags(
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
     """Return the corners of the target's tags by number, not refined, px.
 
-    A tag that is found more than once is left out: one of them is not the target's.
+    A number that is found more than once is left out, because one of its tags is not the target's.
     """
     detector = _tag_detector(target, border_bits)
     pictures = [(image, 0)]
     if isinstance(target, AprilGrid):
-        # The squares at the corners of a tag join it to its neighbours; where light grows by a
-        # pixel they part, and the tag's sides move inwards by as much.
+        # The squares at the corners of a tag connect it to its neighbours. Dilating the light areas
+        # by one pixel separates them, and moves the tag's sides inwards by one pixel.
         pictures.append((cv2.dilate(image, np.ones((3, 3), np.uint8)), 1))
     best: dict[int, np.ndarray] = {}
     for picture, shift in pictures:
         corners, ids, _ = detector.detectMarkers(picture)
         numbers = [] if ids is None else [int(k) for k in ids.ravel()]
-        found = {
+        tags = {
             tag: _grown(quad.reshape(4, 2), shift)
             for tag, quad in zip(numbers, corners, strict=True)
             if tag in target.ids and numbers.count(tag) == 1
         }
-        best = {**best, **found}
+        best = {**best, **tags}
     return best
 
 
@@ -156,15 +156,15 @@ def _other_border(image: np.ndarray, target: TagGrid | AprilGrid, count: int) ->
 
 
 def _reason_for_no_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> str:
-    """Return in words that no tag was found, and which others were."""
+    """Return the error text that no tag of the target was found, with the other tags found."""
     reason = f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found"
     _, ids, _ = _tag_detector(target, target.border_bits).detectMarkers(image)
     others = [] if ids is None else sorted(int(k) for k in ids.ravel())
-    return f"{reason}; tags {others} seen" if others else reason
+    return f"{reason}, but tags {others}" if others else reason
 
 
 def _tag_detector(target: TagGrid | AprilGrid, border_bits: int) -> cv2.aruco.ArucoDetector:
-    """Return OpenCV's detector for tags with such a border."""
+    """Return OpenCV's detector for tags with the given border."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = border_bits
     return cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary), parameters)
@@ -180,21 +180,21 @@ def _has_wider_border(
 ) -> bool:
     """Return whether a tag is black just outside its corners, as it is just inside.
 
-    A detector that expects a narrower border than the tag has finds the inner one.
+    A detector that expects too narrow a border finds the inner edge of the border.
     """
     cells = dictionary_by_name(target.dictionary).markerSize + 2 * target.border_bits
     unit = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], dtype=np.float32)
     H = cv2.getPerspectiveTransform(unit, corners.astype(np.float32))
-    # The middle half of each side: other things are at the corners.
+    # Only the middle half of each side is sampled, because other squares touch the corners.
     along = np.linspace(0.25, 0.75, 16) * cells
     step = 0.5 * min(1.0, _gap_in_cells(target, cells))
 
     def sides(offset: float) -> np.ndarray:
-        """Return grey values along the four sides, that many cells outside them."""
+        """Return grey values along the four sides, at a distance of `offset` cells outwards."""
         low, high = np.full_like(along, -offset), np.full_like(along, cells + offset)
         pairs = (along, low), (along, high), (low, along), (high, along)
-        places = np.concatenate([np.stack(pair, axis=1) for pair in pairs])
-        x, y = cv2.perspectiveTransform(places[None], H)[0].T.astype(np.float32)
+        positions = np.concatenate([np.stack(pair, axis=1) for pair in pairs])
+        x, y = cv2.perspectiveTransform(positions[None], H)[0].T.astype(np.float32)
         return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     inside, outside = np.median(sides(-0.5)), np.median(sides(step))
@@ -203,7 +203,7 @@ def _has_wider_border(
 
 
 def _gap_in_cells(target: TagGrid | AprilGrid, cells: int) -> float:
-    """Return the white gap between two tags in cells of their codes; of a single tag, one."""
+    """Return the white gap between two tags in cells of their codes; 1 for a single tag."""
     if isinstance(target, AprilGrid):
         return 1.0 if len(target.ids) == 1 else target.spacing * cells
     return 1.0 if not target.gap or len(target.ids) == 1 else target.gap / target.size * cells
@@ -220,7 +220,7 @@ def _bounding_box(corners: Float[np.ndarray, "4 2"], shape: tuple[int, ...]) -> 
 def _refined_corners(
     image: np.ndarray, corners: Float[np.ndarray, "4 2"], target: TagGrid | AprilGrid
 ) -> Float[np.ndarray, "4 2"]:
-    """Return a tag's corners with sub-pixel accuracy; NaN where the refinement gave up."""
+    """Return a tag's corners with sub-pixel accuracy; NaN where the refinement failed."""
     cells = dictionary_by_name(target.dictionary).markerSize + 2 * target.border_bits
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
     window = _TAG_WINDOW
@@ -230,6 +230,6 @@ def _refined_corners(
     start = corners.astype(np.float32).reshape(-1, 1, 2)
     refined = cv2.cornerSubPix(image, start.copy(), (reach, reach), (-1, -1), _CRITERIA)
     moved = np.linalg.norm((refined - start).reshape(4, 2), axis=1)
-    # A corner that would leave its window is put back to where it was.
-    gave_up = (moved == 0.0) | (moved > reach)
-    return np.where(gave_up[:, None], np.nan, refined.reshape(4, 2))
+    # `cornerSubPix` returns the start for a corner that would leave its window.
+    has_failed = (moved == 0.0) | (moved > reach)
+    return np.where(has_failed[:, None], np.nan, refined.reshape(4, 2))

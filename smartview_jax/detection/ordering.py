@@ -1,6 +1,6 @@
-"""Find one order of a symmetric target's points in all views from the robot's motion.
+"""Find a consistent order of a symmetric target's points in all views from the robot's motion.
 
-A plain grid looks the same after a rotation by 180 degrees, a square one after 90 degrees. So each
+A plain grid looks the same after a rotation by 180 degrees, a square grid after 90 degrees. So each
 view has several possible camera poses, one for each symmetry. Between two views the camera must
 have rotated by the same angle as the robot, and one hand-eye rotation must explain all rotations.
 """
@@ -61,15 +61,15 @@ def consistent_ordering(
         return PointOrdering(
             symmetry_indices,
             f"the target's pattern looks the same in {len(symmetries)} orders of its points, and "
-            f"{len(usable_views)} views are too few to tell them apart: "
-            "each has the detector's own",
+            f"{len(usable_views)} views are too few to choose between them: each view keeps the "
+            "detector's order",
         )
     candidates = _candidate_rotations(
         pixels[usable_views], visible[usable_views], points, symmetries, image_size
     )
     robot_rotations = mount_rotations[usable_views]
-    # The reference view keeps the detector's order. The pose of a single view may be wrong, so that
-    # up to four views are tried as the reference, and the result with the smallest cost is used.
+    # The reference view keeps the detector's order. The pose of a single view may be wrong, so up
+    # to four views are tried as the reference, and the result with the smallest cost is used.
     solutions = [
         _symmetries_from_reference(candidates, robot_rotations, reference_view)
         for reference_view in range(min(len(usable_views), 4))
@@ -90,7 +90,7 @@ def consistent_ordering(
 def _compose_symmetries(
     symmetries: np.ndarray, view_symmetries: np.ndarray, common_symmetry: int
 ) -> np.ndarray:
-    """Return the index of each view's own symmetry followed by one symmetry common to all views."""
+    """Return the index of each view's own symmetry followed by the common symmetry."""
     # pixels[s_v][s] = pixels[s_v[s]]; the composition is again one of the symmetries.
     composed = symmetries[view_symmetries][:, symmetries[common_symmetry]]
     return np.argmax((composed[:, None] == symmetries[None]).all(axis=2), axis=1)
@@ -126,7 +126,7 @@ def _approximate_camera_matrix(
 ) -> np.ndarray:
     """Estimate an approximate camera matrix, px, with OpenCV's version of Zhang's method.
 
-    It is accurate enough here, and the symmetries do not change it, because each view has its own
+    It is accurate enough here, and does not depend on the symmetries, because each view has its own
     pose.
     """
     object_points = [points[view_visible].astype(np.float32) for view_visible in visible]
@@ -167,8 +167,8 @@ def _symmetries_from_reference(
     # view, C the camera's and B the robot's rotations, and a hand-eye rotation X, view v chooses
     # the symmetry k that minimises |a_vk - X b_v|. The cost of X is the median over views of these
     # minima, plus 0.1 times their mean, each limited to 1 rad, which is robust against a few wrong
-    # views. A rotation angle does not depend on X, so that ||a_vk| - |b_v|| (`angle_mismatch`)
-    # limits the hypotheses to try, and decides where none can be formed.
+    # views. A rotation angle does not depend on X, so ||a_vk| - |b_v|| (`angle_mismatch`) limits
+    # the hypotheses to try, and decides if none can be formed.
     reference_rotation = candidates[reference_view, 0]
     relative_camera_rotations = np.einsum("vkab,cb->vkac", candidates, reference_rotation)
     relative_robot_rotations = np.einsum(
@@ -178,8 +178,8 @@ def _symmetries_from_reference(
     angle_mismatch = np.abs(np.linalg.norm(a, axis=-1) - np.linalg.norm(b, axis=-1)[:, None])
     best, lowest_cost = np.argmin(angle_mismatch, axis=1), np.inf
     best[reference_view] = 0
-    # Equal angles do not always decide, so that hand-eye rotations are hypothesised from pairs of
-    # views and compared.
+    # Equal angles do not always decide, so hand-eye rotations are hypothesised from pairs of views
+    # and compared.
     for hand_eye in _hand_eye_hypotheses(a, b, angle_mismatch, reference_view):
         residuals = np.linalg.norm(a - (b @ hand_eye.T)[:, None], axis=-1)
         residuals[reference_view, 1:] = np.inf

@@ -1,8 +1,9 @@
-"""Read picture files, and refuse what is damaged or not one picture before it is used.
+"""Read picture files, and refuse damaged files and files with several pictures.
 
-OpenCV decodes what it can: the upper part of a file that was cut, the first of several pages,
-blocks of a JPEG after a wrong byte. Points are then found in a part of the picture, or nowhere, and
-nobody is told. So the structure of a file is checked before it is decoded.
+OpenCV decodes such files as far as it can, without a message: the upper part of a truncated file,
+the first of several pages, the wrong blocks of a JPEG after a wrong byte. Points would then be
+found only in part of the picture or nowhere. So the structure of a file is checked before it is
+decoded.
 """
 
 import hashlib
@@ -22,13 +23,13 @@ import numpy as np
 from jaxtyping import UInt8
 
 MAX_PICTURE_BYTES = 500_000_000
-"""Largest size of a picture file, bytes: 250 megapixels of 16 bits. More is a video or a volume."""
+"""Largest size of a picture file, bytes: 250 megapixels of 16 bits; larger files are refused."""
 
 STRETCH_PERCENTILES = (0.5, 99.5)
-"""Percentiles of the grey values that become black and white where a picture has over 8 bits.
+"""Percentiles of the grey values that become black and white if a picture has more than 8 bits.
 
-Sensors of 10 to 14 bits use a part of 16, thermal cameras a small part of theirs; single hot or
-dead pixels are not to decide.
+Sensors of 10 to 14 bits use only part of the 16 bits, thermal cameras a small part of their range.
+Percentiles ignore single hot or dead pixels.
 """
 
 _INTERLACING = (
@@ -49,7 +50,7 @@ class Picture(NamedTuple):
 
     Attributes:
         grey: the picture, in the orientation of the sensor.
-        grey_range: the values in the file between which nearly all pixels lie
+        grey_range: range of values in the file that contains nearly all pixels
             (`STRETCH_PERCENTILES`).
         largest_grey: the largest value that the file's type can hold.
     """
@@ -60,7 +61,7 @@ class Picture(NamedTuple):
 
     @property
     def range_in_words(self) -> str:
-        """The grey values in the file, for a message that nothing was found."""
+        """The range of grey values as a text, for a message that nothing was found."""
         low, high = self.grey_range
         return f"nearly all grey values are {low:.4g} to {high:.4g} of {self.largest_grey:.5g}"
 
@@ -98,7 +99,7 @@ def picture_bytes(path: Path) -> bytes:
     size = path.stat().st_size
     if size > MAX_PICTURE_BYTES:
         raise ValueError(
-            f"{path}: {size / 1e9:.3g} GB, more than {MAX_PICTURE_BYTES / 1e9:g}: not one picture"
+            f"{path}: {size / 1e9:.3g} GB; a picture has at most {MAX_PICTURE_BYTES / 1e9:g} GB"
         )
     return path.read_bytes()
 
@@ -112,8 +113,8 @@ def decode_picture(path: Path, data: bytes, image_size: tuple[int, int] | None =
     """Return the picture in the content of a file.
 
     Args:
-        path: of the file, for error messages.
-        data: its content.
+        path: path of the file, for error messages.
+        data: content of the file.
         image_size: expected width and height, px; None accepts any size.
 
     Raises:
@@ -124,7 +125,7 @@ def decode_picture(path: Path, data: bytes, image_size: tuple[int, int] | None =
             if data.startswith(signature):
                 check(data)
     except (ValueError, struct.error, IndexError) as error:
-        problem = str(error) if type(error) is ValueError else "it ends within its header"
+        problem = str(error) if type(error) is ValueError else "it ends within the header"
         raise ValueError(f"{path}: a damaged picture: {problem}") from error
     image = _decoded(path, data)
     size = (image.shape[1], image.shape[0])
@@ -154,7 +155,7 @@ def _decoded(path: Path, data: bytes) -> np.ndarray:
 
 
 def _as_grey_picture(path: Path, image: np.ndarray) -> Picture:
-    """Return the picture with 8 bits, stretched if it had more."""
+    """Return the picture with 8 bits, stretched if it has more."""
     if image.dtype == np.uint8:
         counts = cv2.calcHist([image], [0], None, [256], [0, 256]).ravel()
         shares = 100.0 * np.cumsum(counts) / image.size
@@ -173,13 +174,13 @@ def _as_grey_picture(path: Path, image: np.ndarray) -> Picture:
 
 @contextmanager
 def _standard_error() -> Iterator[list[str]]:
-    """Collect what C libraries print to standard error; what Python may print is passed on."""
+    """Collect the lines that C libraries print to standard error."""
     lines: list[str] = []
     with _stderr_lock, tempfile.TemporaryFile() as file:
         try:
             sys.stderr.flush()
             saved = os.dup(2)
-        # A process without a standard error (or a console) has none to look at.
+        # The process may have no standard error, as without a console.
         except (OSError, ValueError, AttributeError):
             yield lines
             return
@@ -194,7 +195,7 @@ def _standard_error() -> Iterator[list[str]]:
 
 
 def _check_jpeg(data: bytes) -> None:
-    """Raise a ValueError if the file ends before its picture does."""
+    """Raise a ValueError if the file ends before the end of the picture."""
     # A thumbnail within the file is a JPEG too, but comes before the last start of scan (FF DA).
     if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xda" not in data:
         raise ValueError("its end mark is missing, so that it was cut")
@@ -261,7 +262,7 @@ def _check_png(data: bytes) -> None:
             _check_png_size(data, packed)
             return
         position = end + 4
-    raise ValueError("its last chunk is missing, so that it was cut")
+    raise ValueError("its last chunk is missing, so it is truncated")
 
 
 def _check_png_size(data: bytes, packed: list[memoryview]) -> None:
@@ -310,7 +311,7 @@ def _check_tiff(data: bytes) -> None:
 
 
 def _is_reduced(data: bytes, position: int, entries: int, order: str) -> bool:
-    """Return whether a page of a TIFF says that it is a smaller copy of another one."""
+    """Return whether a page of a TIFF is marked as a smaller copy of another page."""
     for k in range(entries):
         tag, _, _, value = struct.unpack_from(f"{order}HHII", data, position + 12 * k)
         if tag == 254:
@@ -324,4 +325,4 @@ _CHECKS: tuple[tuple[bytes, Callable[[bytes], None]], ...] = (
     (b"II*\x00", _check_tiff),
     (b"MM\x00*", _check_tiff),
 )
-"""Check of each format, by the first bytes of its files."""
+"""First bytes of the files of each format, and the check of its structure."""

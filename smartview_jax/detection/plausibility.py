@@ -1,17 +1,18 @@
-"""Test a detection against the target itself, before anything is calibrated with it.
+"""Test a detection against the target's geometry before it is used for a calibration.
 
-Detectors return wrong points without a sign of doubt: a corner taken from the board's outline or
-from another square, a row counted twice, tags with another border. Such points do not lie where a
-camera can see the target. Two tests decide:
+Detectors may return wrong points without any warning: a corner of the board's outline or of another
+square, a row counted twice, tags with another border. No camera can see the target's points in such
+positions. Two tests decide:
 
-- A camera with any symmetric lens is fitted to the picture (`fit_symmetric_lens`). What is left
-  over has to be the noise of a sub-pixel detector.
-- Where that fails, each point is compared with its ring of neighbours, through which a smooth map
-  from target to picture is drawn. It knows no lens at all, and so accepts a lens without an axis or
-  a bent board; but it needs a target of many points.
+- A camera with any symmetric lens is fitted to the picture (`fit_symmetric_lens`). The residuals
+  must be as small as the noise of a sub-pixel detector.
+- If this test fails, each point is compared with a smooth map from target to picture through its
+  ring of neighbours. This test assumes no lens, so it accepts a lens without an axis or a bent
+  board, but it needs a target of many points.
 
-A single point fails where it is likelier to lie anywhere within its cell of the target than where
-it is expected. A picture fails if its noise is too large or too many points fail.
+A single point fails if its position is better explained by a wrong point, uniformly distributed
+over its cell of the target, than by noise. A picture fails if its noise is too large or too many
+points fail.
 """
 
 import dataclasses
@@ -29,35 +30,35 @@ _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 """Median length of a plane vector whose components have unit standard deviation."""
 
 _CELL_STD = 1.0 / np.sqrt(12.0)
-"""Standard deviation of a point that lies anywhere in its cell, in parts of the cell's width."""
+"""Standard deviation of a point distributed uniformly over its cell, in widths of the cell."""
 
 _LEAST_SPACING = 2.0
-"""Least distance between neighbours, px: two edges that are nearer are one in a picture."""
+"""Least distance between neighbours, px; nearer edges merge in a picture."""
 
 _MAX_ROUNDS = 6
-"""Number of fits, each without the points that failed in the one before."""
+"""Number of fits, each without the points that failed in the previous fit."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DetectionLimits:
-    """The distances at which detected points may lie from where the target's others put them.
+    """Limits on the distances of detected points from the positions that the other points predict.
 
     Attributes:
-        noise: standard deviation, px, that a good detection may have without being doubted;
-            OpenCV's sub-pixel detectors reach 0.05 to 0.35 px on real pictures.
-        largest_noise: standard deviation, px, beyond which a picture is not believed: no sub-pixel
-            detector is as bad where it has found the right points.
-        spacing_share: standard deviation, in parts of the distance between neighbours, that adds to
-            both: in large or blurred pictures, and on paper that is not quite flat, noise grows
-            with the size of a square.
-        smooth_share: what a smooth map through a ring of neighbours leaves of the distance between
-            neighbours, for lenses of up to 100 degrees off the axis.
-        wrong_points: probability that a detected point is wrong, before anything is known about it.
-        left_out: largest part of a picture's points that may be left out as wrong; with more, what
-            is left need not be the right ones.
-        ring: number of neighbours to which a point is compared.
-        ring_lines: number of rows and columns of points from which a target may be judged by rings
-            alone: through three the smooth map passes wherever they are.
+        noise: largest standard deviation of a detection that counts as good, px; OpenCV's
+            sub-pixel detectors have 0.05 to 0.35 px on real pictures.
+        largest_noise: standard deviation above which a picture is refused, px; no sub-pixel
+            detector is as bad if it has found the right points.
+        spacing_share: standard deviation as a fraction of the distance between neighbours, which is
+            added to both: in large or blurred pictures, and on paper that is not quite flat, noise
+            grows with the size of a square.
+        smooth_share: residual of a smooth map through a ring of neighbours, as a fraction of the
+            distance between neighbours, for lenses of up to 100 degrees off the axis.
+        wrong_points: prior probability that a detected point is wrong.
+        left_out: largest fraction of a picture's points that may be left out as wrong; with more,
+            the remaining points need not be right either.
+        ring: number of neighbours with which a point is compared.
+        ring_lines: smallest number of rows and columns of points for the test by rings alone; a
+            smooth map fits three lines of points exactly, wherever they are.
     """
 
     noise: float = 0.5
@@ -78,22 +79,23 @@ class DetectionLimits:
             raise ValueError("wrong_points, left_out: expected less than half of the points")
 
     def good_noise(self, spacing: float) -> float:
-        """Return the standard deviation that a good detection may have, px."""
+        """Return the largest standard deviation of a good detection, px."""
         return float(np.hypot(self.noise, self.spacing_share * spacing))
 
     def largest(self, spacing: float) -> float:
-        """Return the standard deviation beyond which a picture is not believed, px."""
-        # In a picture so small that pixels are no measure, the limit is a third of the noise of
-        # points that lie anywhere in their cells.
+        """Return the standard deviation above which a picture is refused, px."""
+        # In a very small picture, where limits in pixels mean little, the limit is a third of the
+        # standard deviation of points distributed uniformly over their cells.
         limit = float(np.hypot(self.largest_noise, self.spacing_share * spacing))
         return min(limit, _CELL_STD * spacing / 3.0)
 
     def distance(self, std: float | np.ndarray, spacing: np.ndarray) -> np.ndarray:
-        """Return the distance beyond which a point is likelier wrong than right, px.
+        """Return the distance above which a point is likelier wrong than right, px.
 
         Args:
             std: standard deviation of a right point along each axis, px.
-            spacing: distance between neighbours, px: a wrong point lies anywhere in such a square.
+            spacing: distance between neighbours, px, the side of the square over which wrong points
+                are distributed uniformly.
         """
         # (1 - w) exp(-d^2 / (2 std^2)) / (2 pi std^2)  =  w / spacing^2
         ratio = (1.0 - self.wrong_points) / self.wrong_points * spacing**2 / (2.0 * np.pi * std**2)
@@ -104,9 +106,9 @@ class PointTest(NamedTuple):
     """The result of testing one picture's points.
 
     Attributes:
-        passed: whether each point lies where it is expected.
+        passed: whether each point is near its expected position.
         noise: standard deviation of the points that passed, px.
-        reason: the reason why the whole picture fails; None if it does not.
+        reason: the reason why the whole picture fails; None if it passes.
     """
 
     passed: Bool[np.ndarray, "points"]
@@ -123,18 +125,18 @@ def check_points(
     """Test the points that were detected in one picture against each other.
 
     Args:
-        points: of the target, those that were detected only, m.
+        points: the target's points that were detected, m.
         pixels: one for each point, px.
         image_size: width and height, px.
         limits: by default `DetectionLimits()`.
 
     Returns:
-        The result; all points pass where there are too few of them to tell.
+        The result; if there are too few points for a test, all of them pass.
     """
     limits = limits or DetectionLimits()
     spacing = _spacing(points, pixels)
     if len(points) >= MIN_LENS_POINTS and np.median(spacing) < _LEAST_SPACING:
-        reason = f"its points lie {np.median(spacing):.2g} px apart, less than a detector can tell"
+        reason = f"its points are only {np.median(spacing):.2g} px apart, too near for a detector"
         return PointTest(np.zeros(len(points), dtype=bool), 0.0, reason)
     by_camera = _by_camera(points, pixels, image_size, spacing, limits)
     if by_camera is None or by_camera.reason is None:
@@ -152,8 +154,8 @@ def checked_detection(
     """Return a detection without the points that fail, or an empty one with the reason.
 
     Args:
-        detection: of all the target's points.
-        points: of the target, m.
+        detection: the detection of all the target's points.
+        points: points of the target, m.
         image_size: width and height, px.
         limits: by default `DetectionLimits()`.
     """
@@ -181,11 +183,11 @@ def checked_pixels(
     image_size: tuple[int, int],
     limits: DetectionLimits | None = None,
 ) -> tuple[Float[np.ndarray, "views points 2"], dict[str, str], tuple[str, ...]]:
-    """Test detections that another program made; points that fail become NaN.
+    """Test detections of another program; points that fail become NaN.
 
     Args:
-        points: of the target, one set for all views `(points, 3)` or one for each, m.
-        pixels: NaN where a point was not detected, px.
+        points: points of the target, one set for all views `(points, 3)` or one for each, m.
+        pixels: detected points, px; NaN where a point was not detected.
         view_ids: ids of the views.
         image_size: width and height, px.
         limits: by default `DetectionLimits()`.
@@ -195,33 +197,33 @@ def checked_pixels(
     """
     tested, failed, left_out = pixels.copy(), {}, {}
     for k, view in enumerate(view_ids):
-        seen = np.asarray(np.isfinite(pixels[k]).all(axis=1))
+        is_detected = np.asarray(np.isfinite(pixels[k]).all(axis=1))
         view_points = points if points.ndim == 2 else points[k]
-        if not seen.any() or not np.isfinite(view_points[seen]).all():
+        if not is_detected.any() or not np.isfinite(view_points[is_detected]).all():
             continue
-        test = check_points(view_points[seen], pixels[k][seen], image_size, limits)
+        test = check_points(view_points[is_detected], pixels[k][is_detected], image_size, limits)
         if test.reason is not None:
             failed[view] = test.reason
             tested[k] = np.nan
         elif not test.passed.all():
             left_out[view] = int(np.count_nonzero(~test.passed))
-            tested[k, np.flatnonzero(seen)[~test.passed]] = np.nan
+            tested[k, np.flatnonzero(is_detected)[~test.passed]] = np.nan
     return tested, failed, left_out_note(left_out)
 
 
 def left_out_note(left_out: dict[str, int]) -> tuple[str, ...]:
-    """Return a sentence that says how many points were left out in which views, or none."""
+    """Return a sentence about the points left out and their views; empty if there are none."""
     if not left_out:
         return ()
     views = ", ".join(list(left_out)[:5]) + (", ..." if len(left_out) > 5 else "")
     return (
-        "detected points left out because they do not lie where the target's other points put "
-        f"them: {sum(left_out.values())} (views {views})",
+        "detected points left out because they do not match the target's other points: "
+        f"{sum(left_out.values())} (views {views})",
     )
 
 
 def _spacing(points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return the distance in the picture from each point to the nearest other of the target, px."""
+    """Return the distance in the picture from each point to its nearest neighbour, px."""
     if len(points) < 2:
         return np.ones(len(points))
     nearest = np.asarray(KDTree(points).query(points, k=2)[1])
@@ -237,7 +239,7 @@ def _by_camera(
     spacing: np.ndarray,
     limits: DetectionLimits,
 ) -> PointTest | None:
-    """Test points against a camera fitted to them; None if they do not determine one."""
+    """Test points against a camera fitted to them; None if they do not determine a camera."""
     usual_spacing = float(np.median(spacing))
     good = limits.good_noise(usual_spacing)
     every_point = np.ones(len(points), dtype=bool)
@@ -256,11 +258,11 @@ def _by_camera(
             break
         distances = np.linalg.norm(fit.residuals, axis=1)
         noise = _noise(fit.residuals[passed], fit.parameter_count)
-        right = distances <= limits.distance(max(noise, good), spacing)
-        if np.array_equal(right, passed) or not right.any():
-            passed = right
+        near = distances <= limits.distance(max(noise, good), spacing)
+        if np.array_equal(near, passed) or not near.any():
+            passed = near
             break
-        passed = right
+        passed = near
     return _judged(passed, noise, distances, spacing, limits)
 
 
@@ -272,7 +274,7 @@ def _by_rings(
     if coordinates.shape[1] != 2 or len(points) <= limits.ring_lines:
         return None
     step = np.median(np.asarray(KDTree(coordinates).query(coordinates, k=2)[0])[:, 1])
-    # A little less, since distances are rounded.
+    # 1.01 instead of 1, because distances are rounded.
     if np.ptp(coordinates, axis=0).min() < (limits.ring_lines - 1.01) * step:
         return None
     every_point = np.ones(len(points), dtype=bool)
@@ -280,9 +282,9 @@ def _by_rings(
     noise = _noise(residuals, 0)
     distances = np.linalg.norm(residuals, axis=1)
     std = np.hypot(limits.noise, limits.smooth_share * spacing)
-    # A wrong point spoils the rings of its neighbours, so that no single one can be left out.
-    right = distances <= limits.distance(std, spacing)
-    return _judged(every_point if right.all() else right, noise, distances, spacing, limits)
+    # Points are not left out one by one, because a wrong point spoils the rings of its neighbours.
+    near = distances <= limits.distance(std, spacing)
+    return _judged(every_point if near.all() else near, noise, distances, spacing, limits)
 
 
 def _ring_residuals(
@@ -290,7 +292,7 @@ def _ring_residuals(
 ) -> Float[np.ndarray, "points 2"]:
     """Return measured minus expected pixels, scaled to the noise of a single point, px.
 
-    Expected is the value at each point of the quadratic polynomial through its neighbours.
+    The expected pixel is the value at the point of the quadratic polynomial through its neighbours.
     """
     distances, neighbours = KDTree(coordinates).query(
         coordinates, k=min(ring + 1, len(coordinates))
@@ -327,11 +329,11 @@ def _judged(
     if noise <= limits.largest(usual_spacing) and wrong <= limits.left_out * len(passed):
         return PointTest(passed, noise, None)
     typical, farthest = float(np.median(distances)), int(np.argmax(distances))
-    points = f"{wrong} of its points lie" if 0 < wrong < len(passed) else "its points lie"
+    points = f"{wrong} of its points are" if 0 < wrong < len(passed) else "its points are"
     return PointTest(
         passed,
         noise,
-        f"what was found is not this target: {points} up to {distances[farthest]:.2g} px "
-        f"({distances[farthest] / spacing[farthest]:.2g} of their spacing) from where the others "
-        f"put them, half of all {typical:.2g} px ({typical / usual_spacing:.2g}) or more",
+        f"the points found do not match this target: {points} up to {distances[farthest]:.2g} px "
+        f"({distances[farthest] / spacing[farthest]:.2g} of their spacing) from the positions "
+        f"expected from the others; the median is {typical:.2g} px ({typical / usual_spacing:.2g})",
     )

@@ -5,14 +5,14 @@ from typing import Any
 
 
 def check_clicks(change: Mapping[str, Any], names: Sequence[str], size: tuple[int, int]) -> None:
-    """Raise an error for a change with a click in an unknown view or outside of its picture.
+    """Raise an error for a change with a click in an unknown view or outside its picture.
 
     Args:
         change: as `document.apply_change` describes it.
         names: of the views.
         size: width and height of their pictures, px.
     """
-    # A change of several parts is checked as a whole before any of it is made.
+    # All parts of a change are checked before any of them is made.
     clicks = dict(change.get("clicks") or {})
     if change.get("do") == "click":
         clicks[change.get("view")] = change.get("pixel")
@@ -25,7 +25,7 @@ def check_clicks(change: Mapping[str, Any], names: Sequence[str], size: tuple[in
 def check_view(view: Any, names: Sequence[str]) -> None:
     """Raise an error for a view that does not exist."""
     if view not in names:
-        raise ValueError(f"there is no view {view!r}; the views are {', '.join(names)}")
+        raise ValueError(f"no view {view!r}; the views are {', '.join(names)}")
 
 
 def checked_pixel(
@@ -33,7 +33,7 @@ def checked_pixel(
 ) -> tuple[float, float]:
     """Return a pixel of a view, or raise an error that names both."""
     check_view(view, names)
-    # From a page anything may come: text, null, three numbers.
+    # The page's messages are not validated: text, null and three numbers are possible.
     try:
         # Texts of digits and true would pass as numbers.
         if any(isinstance(number, str | bool) for number in pixel):
@@ -42,10 +42,9 @@ def checked_pixel(
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"view {view}: a pixel is two numbers; found {pixel!r}") from None
     width, height = size
-    # NaN fails the comparison, too.
+    # NaN fails this comparison too.
     if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
         raise ValueError(
-            f"view {view}: the click ({u:g}, {v:g}) is outside of the picture of "
-            f"{width} x {height} px"
+            f"view {view}: the click ({u:g}, {v:g}) is outside the picture of {width} x {height} px"
         )
     return u, v

@@ -1,8 +1,8 @@
-"""Answer the page's messages: one conversation for each page that shows a session.
+"""Answer the messages of a page: one conversation for each page that shows a session.
 
-A message is a mapping with `do`, the name of a change or of one of the commands here, and
-`message`, a number by which the page knows the answer. What a change moved is sent, not the whole
-model: with a thousand features an answer has a few of them.
+A message is a mapping with `do`, the name of a change or of a command of this file, and `message`,
+a number by which the page matches the answer. An answer contains only the parts that changed, not
+the whole model.
 """
 
 import dataclasses
@@ -28,43 +28,43 @@ from .model_building import face_problem, placed_grasp, problems_of
 from .session import ModelSession
 
 Message = dict[str, Any]
-"""A mapping of plain values, as JSON has them."""
+"""A mapping of plain values, as in JSON."""
 
 
 class Conversation:
-    """The exchange with one page, which knows what the page has been shown."""
+    """The exchange with one page; keeps what the page has been shown."""
 
     def __init__(self, session: ModelSession):
-        """Begin a conversation in which nothing has been shown."""
+        """Begin a conversation with a page that shows nothing yet."""
         self._session = session
-        # By kind and id, the objects that the page's entry was made from.
+        # The objects from which each of the page's entries was made, by kind and id.
         self._shown: dict[str, dict[int, tuple]] = {kind: {} for kind in KINDS}
 
     def answer(self, message: Mapping[str, Any]) -> Message:
-        """Return the answer to a message; an error is an answer too, and changes nothing."""
-        # The page matches answers by this number, because slow ones come out of order.
+        """Return the answer to a message; an error is also an answer, and changes nothing."""
+        # The page matches answers by this number, because slow commands are answered out of order.
         content = dict(message)
         number, name = content.pop("message", None), content.get("do")
         try:
             command = _COMMANDS.get(str(name))
             if command is not None:
                 content.pop("do")
-                found = command(self, **content)
+                reply = command(self, **content)
             else:
-                found = self._changed(content)
-        # What a page sends is unchecked, and a disk may be full: no exception of any kind ends the
-        # conversation, because the session keeps a change only after everything was tried.
+                reply = self._changed(content)
+        # Messages are not validated, and the disk may be full, so any exception is answered. The
+        # session stays valid: it keeps a change only after everything succeeded.
         except Exception as error:
-            found = {"type": "error", "text": str(error) or type(error).__name__}
-        return {**found, "reply_to": number}
+            reply = {"type": "error", "text": str(error) or type(error).__name__}
+        return {**reply, "reply_to": number}
 
     def _changed(self, change: Message) -> Message:
-        """Make a change of the document, and return what it moved."""
+        """Make a change of the document, and return the parts that changed."""
         if change.get("do") not in CHANGES:
-            raise ValueError(f"the page asked for {change.get('do')!r}, which nobody knows")
-        # Faces and grasps are checked against the geometry, which the document does not know.
+            raise ValueError(f"unknown command {change.get('do')!r}")
+        # Faces and grasps are checked against the geometry, which the document does not have.
         session, before = self._session, self._session.document.next_id
-        # The session turns a new face's loop towards the cameras, and refuses one that is not flat.
+        # The session orients a new face towards the cameras, and refuses a face that is not flat.
         if change["do"] == "add_face":
             session.add_face(
                 change.get("loop", ()), change.get("name", ""), change.get("graspable")
@@ -77,12 +77,11 @@ class Conversation:
         return {**self.update(), "new": before if session.document.next_id > before else None}
 
     def greeting(self) -> Message:
-        """Return the views, and everything that there is; the first message to a page."""
+        """Return the views and the whole model; the first message to a page."""
         session = self._session
-        # A page that was reloaded has forgotten everything.
+        # A reloaded page shows nothing.
         self._shown = {kind: {} for kind in KINDS}
         width, height = session.calibration.camera.image_size
-        # The page draws the cameras, for which it needs their poses in the world.
         poses = np.linalg.inv(session.geometry.camera_from_world)
         camera = session.calibration.camera
         return {
@@ -102,27 +101,27 @@ class Conversation:
         }
 
     def update(self) -> Message:
-        """Return what has changed since the page was shown anything last."""
+        """Return what has changed since the last message to the page."""
         session = self._session
         document, estimates = session.document, session.estimates()
-        # A part's entry is made anew if it or a point that it needs is another object than before.
+        # A part's entry is recomputed if the part or a point that it needs is a new object.
         sources: dict[str, dict[int, tuple]] = {
             "points": {k: (clicks, estimates[k]) for k, clicks in document.points.items()},
             "edges": {k: (e, *(estimates[p] for p in e)) for k, e in document.edges.items()},
             "faces": {k: (f, *(estimates[p] for p in f.loop)) for k, f in document.faces.items()},
-            "constraints": {k: (one, estimates) for k, one in document.constraints.items()},
+            "constraints": {k: (fact, estimates) for k, fact in document.constraints.items()},
         }
-        # The width between the fingers depends on all faces, so a grasp is made anew with any of
-        # them.
+        # The width between the fingers depends on all faces, so grasps are recomputed with any
+        # face.
         surface = tuple(part for source in sources["faces"].values() for part in source)
         sources["grasps"] = {k: (g, *surface) for k, g in document.grasps.items()}
         parts: dict[str, dict[int, Any]] = {}
         for kind, source in sources.items():
             shown = self._shown[kind]
             new = [k for k, made_from in source.items() if not _same(shown.get(k), made_from)]
-            # None tells the page that a part is gone.
-            gone = [k for k in shown if k not in source]
-            parts[kind] = {**self._entries(kind, new, estimates), **dict.fromkeys(gone)}
+            # None tells the page that a part was deleted.
+            deleted = [k for k in shown if k not in source]
+            parts[kind] = {**self._entries(kind, new, estimates), **dict.fromkeys(deleted)}
             self._shown[kind] = source
         return {"type": "update", "parts": parts, **self.status()}
 
@@ -147,20 +146,20 @@ class Conversation:
 
     def _constraint_entry(self, number: int) -> Message:
         """Return a constraint in words."""
-        one, verdict = self._session.document.constraints[number], self._session.verdicts()[number]
-        # What contradicts the pictures is shown in red with its cost.
+        fact, verdict = self._session.document.constraints[number], self._session.verdicts()[number]
+        # A constraint that contradicts the pictures is shown in red with its cost.
         doubted = verdict.contradicts or verdict.violated
         return {
             **({"problem": str(verdict)} if doubted else {}),
-            "words": FACT_KINDS[one.kind].words,
-            "kind": one.kind,
-            "items": [list(group) for group in one.items],
-            "value_mm": None if one.value is None else round(1e3 * one.value, 3),
-            "sigma": one.sigma,
+            "words": FACT_KINDS[fact.kind].words,
+            "kind": fact.kind,
+            "items": [list(group) for group in fact.items],
+            "value_mm": None if fact.value is None else round(1e3 * fact.value, 3),
+            "sigma": fact.sigma,
         }
 
     def _grasp_entry(self, number: int, grasp: PlacedGrasp) -> Message:
-        """Return a grasp, or why there is none."""
+        """Return a grasp, or the reason why it is not possible."""
         session = self._session
         problem = problems_of(session.document, session.estimates()).get(("grasps", number))
         if problem:
@@ -169,9 +168,9 @@ class Conversation:
         return grasp_entry(placed_grasp(model, index, grasp), grasp.face, session)
 
     def _face_index(self, face: int) -> int:
-        """Return the number in the model of a face with an id."""
+        """Return the index in the model of a face given by its id."""
         session = self._session
-        # The model has only faces that are whole, in the document's order.
+        # The model has only the complete faces, in the document's order.
         wrong = problems_of(session.document, session.estimates())
         return [k for k in session.document.faces if ("faces", k) not in wrong].index(face)
 
@@ -188,72 +187,73 @@ class Conversation:
 
     def hover(self, view: str, pixel: Any) -> Message:
         """Return the curves of a pixel in the other views, with the depth of every sample."""
-        # The mouse may be beside the picture, which is an error with words, not a curve.
-        place = self._session.checked_pixel(view, pixel)
-        curves = {name: curve_entry(one) for name, one in self._session.curves(view, place).items()}
-        return {"type": "curves", "view": view, "pixel": list(place), "curves": curves}
+        # The mouse may be outside the picture.
+        checked = self._session.checked_pixel(view, pixel)
+        curves = {
+            name: curve_entry(curve) for name, curve in self._session.curves(view, checked).items()
+        }
+        return {"type": "curves", "view": view, "pixel": list(checked), "curves": curves}
 
     def features(self, view: str) -> Message:
         """Return the corners and segments of a view's picture, which clicks snap to."""
-        found = self._session.features(view)
+        features = self._session.features(view)
         return {
             "type": "features",
             "view": view,
-            "corners": found.corners.round(3).tolist(),
-            "segments": found.segments.round(2).reshape(-1, 4).tolist(),
+            "corners": features.corners.round(3).tolist(),
+            "segments": features.segments.round(2).reshape(-1, 4).tolist(),
         }
 
     def undo(self) -> Message:
-        """Take back the last change."""
+        """Undo the last change."""
         self._session.undo()
         return self.update()
 
     def redo(self) -> Message:
-        """Make the change again that was taken back last."""
+        """Redo the change that was undone last."""
         self._session.redo()
         return self.update()
 
     def save(self) -> Message:
         """Write the model's file."""
-        # A model with parts missing is saved all the same, and the note says how many.
+        # A model with incomplete parts is saved without them, with a note on their number.
         path = self._session.save()
         left_out = self._session.problems()
-        words = f"; {len(left_out)} parts are not whole yet and left out" if left_out else ""
+        words = f"; {len(left_out)} incomplete parts left out" if left_out else ""
         return {**self.update(), "note": f"saved to {path}{words}"}
 
     def propose(self, rectangles: Mapping[str, Any] | None = None) -> Message:
-        """Match all views by themselves, and offer the points and edges found in rectangles."""
-        # The page waits for this one; its other messages are answered meanwhile.
+        """Match all views automatically, and offer the points and edges found in rectangles."""
         self._session.propose(rectangles=rectangles)
         return offer_message(self._session)
 
     def accept(self, points: list[int]) -> Message:
         """Add proposed points to the model."""
         self._session.accept(points)
-        # Both what was added and what remains to be decided.
+        # The points added, and those still to be decided.
         return {**self.update(), **offer_message(self._session), "type": "update"}
 
     def reject(self, points: list[int]) -> Message:
-        """Take proposed points from the offer."""
+        """Remove proposed points from the offer."""
         self._session.reject(points)
         return offer_message(self._session)
 
     def symmetry(self) -> Message:
-        """Return the symmetry that the object has by its geometry, and what was said of it."""
+        """Return the symmetry of the object's geometry, and whether it was confirmed."""
         session = self._session
-        found = session.symmetry()
-        entry = None if found is None else symmetry_entry(found, session.symmetry_said)
+        symmetry = session.symmetry()
+        entry = None if symmetry is None else symmetry_entry(symmetry, session.symmetry_said)
         return {"type": "symmetry", "symmetry": entry}
 
     def distance(self, a: int, b: int) -> Message:
-        """Return the distance of two points with its standard deviation."""
+        """Return the distance between two points with its standard deviation."""
         length, sigma = self._session.distance(a, b)
         return {"type": "distance", "a": a, "b": b, "mm": 1e3 * length, "sigma_mm": 1e3 * sigma}
 
     def grasp_at(self, view: str, pixel: Any, depth: float = 0.01) -> Message:
-        """Place a grasp where a pixel's ray meets the nearest face that is turned to the view."""
+        """Place a grasp where a pixel's ray meets the nearest face towards the camera."""
         face, point = face_under(self._session, view, pixel)
-        # Kept relative to the face, so that the grasp follows when clicks move the face.
+        # Relative to the face, so that the grasp follows when clicks move the face.
         offset = drawn_plane(self._session, face).coordinates(point[None])[0].tolist()
         number = self._session.add_grasp(face, offset=offset, depth=depth)
         return {**self.update(), "new": number}
@@ -266,16 +266,16 @@ class Conversation:
         if commit:
             session.change_grasp(grasp, angle=angle)
             return self.update()
-        # While the mouse moves nothing is kept: the journal gets one turn, not hundreds.
+        # While the mouse moves nothing is kept, so that the journal gets one turn, not hundreds.
         turned = dataclasses.replace(placed, angle=angle)
         made = placed_grasp(session.model(), self._face_index(placed.face), turned)
         entry = grasp_entry(made, placed.face, session)
         return {"type": "preview", "grasp": grasp, "entry": entry}
 
 
-def _same(one: tuple | None, other: tuple) -> bool:
-    """Return whether two tuples have the same objects, not only equal ones."""
-    return one is not None and len(one) == len(other) and all(map(operator.is_, one, other))
+def _same(first: tuple | None, second: tuple) -> bool:
+    """Return whether two tuples have identical objects, not only equal ones."""
+    return first is not None and len(first) == len(second) and all(map(operator.is_, first, second))
 
 
 _COMMANDS: dict[str, Callable[..., Message]] = {
@@ -293,7 +293,7 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "grasp_at": Conversation.grasp_at,
     "turn_grasp": Conversation.turn_grasp,
 }
-"""The commands of a page, by name, besides the changes of a document."""
+"""The commands of a page by name, in addition to the changes of a document."""
 
 SLOW_COMMANDS = ("features", "propose", "symmetry")
-"""Commands that change nothing of the document and may take seconds."""
+"""Commands that do not change the document and may take seconds."""

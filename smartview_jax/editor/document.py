@@ -1,8 +1,8 @@
-"""Hold what a person has made in the editor, and apply one change after another to it.
+"""Hold the content of the editor, and apply changes to it.
 
-A document is immutable: a change returns a new one, so that undo is a step back to the old one.
-Every change is a mapping of plain values, as the journal and the page send it; `apply_change` is
-the only way to make one. Points are known by ids that never come twice.
+A document is immutable: a change returns a new document, so that undo returns to the old one. Every
+change is a mapping of plain values, as the journal and the page send it, and is made by
+`apply_change`. Points are known by ids that are never reused.
 """
 
 import dataclasses
@@ -29,16 +29,16 @@ KINDS = ("points", "edges", "faces", "grasps", "constraints")
 
 @dataclasses.dataclass(frozen=True)
 class Document:
-    """Everything that a person has made: clicks, edges, faces, grasps and constraints, by id.
+    """The content of the editor: clicks, edges, faces, grasps and constraints, by id.
 
     Attributes:
-        points: for every point its clicks.
+        points: the clicks of every point.
         edges: pairs of points.
-        faces, grasps, constraints: what their classes say.
-        next_id: the id of what is added next.
+        faces, grasps, constraints: see their classes.
+        next_id: the id of the part that is added next.
         name: of the object.
-        symmetry_confirmed: whether the symmetry that was found is meant; None if not said.
-        symmetry_order: the number of turns of the symmetry of which that was said; None is any.
+        symmetry_confirmed: whether the user confirmed the symmetry found; None if undecided.
+        symmetry_order: order of the symmetry that was confirmed or refused; None is any.
     """
 
     points: Mapping[int, Clicks] = dataclasses.field(default_factory=dict)
@@ -59,7 +59,7 @@ class Document:
         return parts[number]
 
     def _added(self, kind: str, part: Any) -> "Document":
-        # Copied, never changed in place: earlier documents are what undo goes back to.
+        # Copied, never changed in place, because undo returns to earlier documents.
         parts = {**getattr(self, kind), self.next_id: part}
         return dataclasses.replace(self, **{kind: parts}, next_id=self.next_id + 1)
 
@@ -92,13 +92,12 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
     """Return the document after a change.
 
     Args:
-        document: before the change.
-        change: `{"do": name, ...}` with the arguments of the change of that name.
+        document: the document before the change.
+        change: `{"do": name, ...}` with the arguments of the named change.
 
     Raises:
         ValueError: an unknown change, a missing or unknown argument, or a part that does not exist.
     """
-    # The journal has changes as plain mappings; here they become calls with named arguments.
     content = dict(change)
     name = content.pop("do", None)
     function = CHANGES.get(str(name))
@@ -106,12 +105,12 @@ def apply_change(document: Document, change: Mapping[str, Any]) -> Document:
         raise ValueError(f"expected one of the changes {', '.join(CHANGES)}; found {name!r}")
     try:
         return function(document, **content)
-    # A missing or misspelt argument; Python's message names it after the function's name.
+    # A missing or misspelt argument, which Python's message names after the function's name.
     except TypeError as error:
         raise ValueError(f"{name}: {str(error).split('() ')[-1]}") from None
-    # A list where a mapping is expected, infinity as an id, changes nested without end.
+    # A list instead of a mapping, infinity as an id, endlessly nested changes.
     except (AttributeError, LookupError, OverflowError, RecursionError) as error:
-        raise ValueError(f"{name}: not a change that can be made: {error}") from None
+        raise ValueError(f"{name}: not a valid change: {error}") from None
 
 
 def _pixel(pixel: Any) -> tuple[float, float]:
@@ -122,36 +121,35 @@ def _pixel(pixel: Any) -> tuple[float, float]:
     u, v = map(float, pixel)
     # JSON has no NaN, but scripts do.
     if not (math.isfinite(u) and math.isfinite(v)):
-        raise ValueError(f"a pixel is two finite numbers; found {u}, {v}")
+        raise ValueError(f"pixel: expected two finite numbers, found {u}, {v}")
     return u, v
 
 
 def _add_point(document: Document, clicks: Mapping[str, Any]) -> Document:
-    """Add a point that was clicked in one view or in several."""
+    """Add a point with its clicks in one or more views."""
     return document._added("points", {view: _pixel(pixel) for view, pixel in clicks.items()})
 
 
 def _click(document: Document, point: int, view: str, pixel: Any) -> Document:
-    """Add the click of a point in a further view, or move the one that it has there."""
+    """Add or move the click of a point in a view."""
     clicks = document.existing("points", point)
     return document._changed("points", point, {**clicks, view: _pixel(pixel)})
 
 
 def _remove_click(document: Document, point: int, view: str) -> Document:
-    """Remove the click of a point in one view; a point without clicks is deleted."""
+    """Remove the click of a point in a view; a point without clicks is deleted."""
     clicks = document.existing("points", point)
     if view not in clicks:
         raise ValueError(f"point {point} was not clicked in view {view!r}")
-    # A point that is clicked nowhere could not be found again on the page.
-    left = {name: pixel for name, pixel in clicks.items() if name != view}
-    return document._changed("points", point, left) if left else _delete(document, "points", point)
+    # A point without clicks would not be visible on the page.
+    rest = {name: pixel for name, pixel in clicks.items() if name != view}
+    return document._changed("points", point, rest) if rest else _delete(document, "points", point)
 
 
 def _delete(document: Document, kind: str, id: int) -> Document:
-    """Delete a part, and with it every other part that needs it."""
+    """Delete a part, and every other part that depends on it."""
     if kind not in KINDS:
         raise ValueError(f"expected one of {', '.join(KINDS)}; found {kind!r}")
-    # Kept apart from the original mappings, which earlier documents still have.
     document.existing(kind, id)
     kept = {name: dict(getattr(document, name)) for name in KINDS}
     del kept[kind][id]
@@ -161,11 +159,13 @@ def _delete(document: Document, kind: str, id: int) -> Document:
     kept["faces"] = {
         k: face for k, face in kept["faces"].items() if all(p in points for p in face.loop)
     }
-    kept["grasps"] = {k: one for k, one in kept["grasps"].items() if one.face in kept["faces"]}
+    kept["grasps"] = {
+        k: grasp for k, grasp in kept["grasps"].items() if grasp.face in kept["faces"]
+    }
     kept["constraints"] = {
-        k: one
-        for k, one in constraints.items()
-        if all(p in points for group in one.items for p in group)
+        k: fact
+        for k, fact in constraints.items()
+        if all(p in points for group in fact.items for p in group)
     }
     return dataclasses.replace(document, **kept)
 
@@ -176,8 +176,8 @@ def _add_edge(document: Document, ends: Any) -> Document:
     for point in (a, b):
         document.existing("points", point)
     if a == b:
-        raise ValueError(f"an edge joins two points; found point {a} twice")
-    # In either direction: edges have none.
+        raise ValueError(f"an edge joins two different points, found point {a} twice")
+    # In either direction.
     if {a, b} in [set(edge) for edge in document.edges.values()]:
         raise ValueError(f"there is an edge between points {a} and {b} already")
     return document._added("edges", (a, b))
@@ -198,8 +198,8 @@ def _add_face(
 
 
 def _change_face(document: Document, id: int, **values: Any) -> Document:
-    """Change the name of a face, whether it is graspable, or its loop."""
-    # JSON has lists only; a face's loop is compared and hashed as a tuple.
+    """Change the name, graspability or loop of a face."""
+    # JSON has lists only, but loops are compared and hashed as tuples.
     if "loop" in values:
         values["loop"] = tuple(part_id(point) for point in values["loop"])
     face = dataclasses.replace(document.existing("faces", id), **values)
@@ -207,11 +207,11 @@ def _change_face(document: Document, id: int, **values: Any) -> Document:
 
 
 def _checked_face(document: Document, face: DrawnFace) -> DrawnFace:
-    """Return a face whose points exist and whose values can be saved and read."""
+    """Return a face after checking that its points exist and its values can be saved."""
     for point in face.loop:
         document.existing("points", point)
     if len(set(face.loop)) != len(face.loop) or len(face.loop) < 3:
-        raise ValueError(f"a face goes around 3 or more different points; found {list(face.loop)}")
+        raise ValueError(f"a face needs 3 or more different points, found {list(face.loop)}")
     require_readable_or_empty("face", face.name)
     # Not by equality, by which 1 is true.
     if not isinstance(face.graspable, bool | None):
@@ -233,7 +233,7 @@ def _change_grasp(document: Document, id: int, **values: Any) -> Document:
 
 
 def _checked_grasp(grasp: PlacedGrasp, values: dict[str, Any]) -> PlacedGrasp:
-    """Return a grasp with changed values, which are finite."""
+    """Return a grasp with changed values, after checking them."""
     if "offset" in values:
         values["offset"] = _pixel(values["offset"])
     numbers = (values.get(name) for name in ("angle", "opening", "depth"))
@@ -266,7 +266,7 @@ def _add_constraint(
     if sigma is not None and not sigma > 0.0:
         raise ValueError(f"the standard deviation of a fact is above 0; found {sigma}")
     if not isinstance(kind, str):
-        raise ValueError(f"the kind of a fact is a name; found {kind!r}")
+        raise ValueError(f"the kind of a constraint is a name, found {kind!r}")
     return document._added("constraints", DrawnConstraint(kind, groups, value, sigma))
 
 
@@ -289,7 +289,7 @@ def _confirm_symmetry(document: Document, confirmed: Any, order: Any = None) -> 
 
 def _several(document: Document, changes: Any) -> Document:
     """Make several changes that are undone together."""
-    # Each sees what the earlier ones made, so that an edge may join points added with it.
+    # Each change sees the earlier ones, so that an edge may join points added just before.
     for change in changes:
         document = apply_change(document, change)
     return document

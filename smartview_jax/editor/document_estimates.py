@@ -1,4 +1,4 @@
-"""Say where the points of a document are, with what the person knows of them or without."""
+"""Estimate the points of a document, with or without constraints."""
 
 import operator
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from .view_geometry import PointEstimate, ViewGeometry
 MAX_JOINT_POINTS = 200
 """Largest number of points under constraints whose covariance a model has with all correlations.
 
-With 200 a file has 360,000 numbers; above, each vertex has its own covariance only.
+With 200 a file has 360,000 numbers; above this a file has the covariance of each vertex only.
 """
 
 
@@ -24,9 +24,9 @@ class _Refinement(NamedTuple):
     """The points of a document with constraints, refined together.
 
     Attributes:
-        made_from: the parts of the document that it depends on.
-        estimates: of points by id.
-        verdicts: on constraints by id.
+        made_from: the parts of the document on which it depends.
+        estimates: estimates of the points by id.
+        verdicts: verdicts on the constraints by id.
         features: the refined points in the document's order.
     """
 
@@ -37,7 +37,7 @@ class _Refinement(NamedTuple):
 
 
 class DocumentEstimates:
-    """The estimates of documents in fixed views; what was computed last is kept."""
+    """The estimates of documents in fixed views; the last result is kept."""
 
     def __init__(self, geometry: ViewGeometry):
         """Take the views."""
@@ -45,38 +45,38 @@ class DocumentEstimates:
         self._last: _Refinement | None = None
 
     def points(self, document: Document) -> dict[int, PointEstimate]:
-        """Return where all points are, by id."""
-        # Constraints tie points together; without any, each point is on its own, which is faster.
+        """Return the estimates of all points, by id."""
+        # Without constraints each point is triangulated by itself, which is faster.
         if document.constraints:
             return self._refined(document).estimates
-        found = self._geometry.estimates(list(document.points.values()))
-        return dict(zip(document.points, found, strict=True))
+        estimates = self._geometry.estimates(list(document.points.values()))
+        return dict(zip(document.points, estimates, strict=True))
 
     def verdicts(self, document: Document) -> dict[int, ConstraintVerdict]:
-        """Return how each constraint agrees with the pictures and the others, by id."""
+        """Return whether each constraint agrees with the pictures and the others, by id."""
         return self._refined(document).verdicts if document.constraints else {}
 
     def picture_covariance(
         self, document: Document, points: Sequence[int]
     ) -> Float[np.ndarray, "coordinates coordinates"]:
-        """Return the covariance of points' coordinates together due to the clicks, m^2.
+        """Return the joint covariance of points' coordinates due to the clicks, m^2.
 
-        The clicks of a point are its own. But constraints let the clicks of one point move others,
-        and then their errors are correlated: the length of an edge between two points of a known
-        distance has none, though each of them is uncertain.
+        Without constraints points have independent clicks. With constraints the clicks of one point
+        move others, so that their errors are correlated: two points at a known distance are
+        uncertain, but their distance is not.
         """
         if document.constraints:
             place = {point: k for k, point in enumerate(document.points)}
             features = self._refined(document).features
             return features.joint_picture_covariance([place[point] for point in points])
         estimates = self.points(document)
-        own = [estimates[point].picture_covariance for point in points]
-        return np.asarray(block_diag(*own))
+        blocks = [estimates[point].picture_covariance for point in points]
+        return np.asarray(block_diag(*blocks))
 
     def correlations(
         self, document: Document, points: Sequence[int]
     ) -> Float[np.ndarray, "coordinates coordinates"] | None:
-        """Return the covariance of points together, or None where their own ones say it all."""
+        """Return the joint covariance of points, or None if they are independent or too many."""
         if not document.constraints or len(points) > MAX_JOINT_POINTS:
             return None
         return self.picture_covariance(document, points)
@@ -86,37 +86,38 @@ class DocumentEstimates:
     ) -> list[tuple[float, float]]:
         """Return the distances of pairs of points and their standard deviations, m.
 
-        What the error of the calibration does to both points alike cancels.
+        The common part of the calibration error cancels.
         """
-        estimates, found = self.points(document), []
+        estimates, results = self.points(document), []
         for a, b in pairs:
-            one, other = estimates[a], estimates[b]
-            difference = other.position - one.position
+            first, second = estimates[a], estimates[b]
+            difference = second.position - first.position
             length = float(np.linalg.norm(difference))
-            # d|b - a| = n . (db - da); two points in one place have no direction, and sigma 0.
+            # d|b - a| = n . (db - da); coincident points have no direction, and sigma 0.
             n = difference / max(length, 1e-30)
             gradient = np.concatenate([-n, n])
-            # Without constraints the two are independent, which needs no matrix of both.
+            # Without constraints the two are independent, and no joint covariance is needed.
             if document.constraints:
                 variance = gradient @ self.picture_covariance(document, (a, b)) @ gradient
             else:
-                variance = n @ (one.picture_covariance + other.picture_covariance) @ n
-            common = n @ (other.calibration_factor - one.calibration_factor)
+                variance = n @ (first.picture_covariance + second.picture_covariance) @ n
+            common = n @ (second.calibration_factor - first.calibration_factor)
             # An exact constraint leaves rounding error, of either sign.
-            found.append((length, float(np.sqrt(max(variance + common @ common, 0.0)))))
-        return found
+            results.append((length, float(np.sqrt(max(variance + common @ common, 0.0)))))
+        return results
 
     def _refined(self, document: Document) -> _Refinement:
-        """Return points and verdicts of a document with constraints, refined together."""
+        """Return the joint refinement of a document with constraints."""
         made_from = (document.points, document.constraints)
-        # The same objects mean the same answer; a document shares what a change left alone.
+        # Documents share the parts that a change left alone, so identical parts mean the same
+        # result.
         last = self._last
         if last is None or not all(map(operator.is_, last.made_from, made_from)):
             number = {point: k for k, point in enumerate(document.points)}
             constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
             points = list(document.points.values())
-            found, features = self._geometry.refined(points, constraints)
-            named = dict(zip(document.points, found, strict=True))
+            estimates, features = self._geometry.refined(points, constraints)
+            named = dict(zip(document.points, estimates, strict=True))
             judged = dict(zip(document.constraints, features.verdicts, strict=True))
             self._last = last = _Refinement(made_from, named, judged, features)
         return last

@@ -1,4 +1,4 @@
-"""Change a document as a person does: clicks, edges, faces and grasps, undo and redo."""
+"""Edit a document: clicks, edges, faces and grasps, undo and redo."""
 
 import abc
 import dataclasses
@@ -15,11 +15,11 @@ from .view_geometry import PointEstimate, ViewGeometry
 
 
 class AbstractDrawing(abc.ABC):
-    """A document that is drawn step by step, each of which is checked before it is kept.
+    """A document that is edited step by step; every change is checked before it is kept.
 
     Attributes:
-        names: of the views, in their order.
-        geometry: where points and curves are.
+        names: names of the views, in their order.
+        geometry: geometry of points and curves in the views.
     """
 
     names: list[str]
@@ -33,25 +33,25 @@ class AbstractDrawing(abc.ABC):
 
     @abc.abstractmethod
     def estimates(self, document: Document | None = None) -> dict[int, PointEstimate]:
-        """Return where all points are, by id."""
+        """Return the estimates of all points, by id."""
 
     @property
     def document(self) -> Document:
-        """Return what the person has made."""
+        """Return the document as it is now."""
         return self._journal.document
 
     def change(self, change: Mapping[str, Any]) -> None:
-        """Make one change, as `document.apply_change` describes it, and keep it on disk.
+        """Make a change, as in `document.apply_change`, and write it to the journal.
 
         Raises:
             ValueError: the change is not possible; nothing was changed.
             OSError: it cannot be written; nothing was changed.
         """
-        # Clicks first: the document knows neither the views nor the size of their pictures.
+        # The document itself knows neither the views nor the size of their pictures.
         check_clicks(change, self.names, self.picture_size)
         changed = apply_change(self.document, change)
-        # Everything that a page shows is tried on the copy before the journal has the change: what
-        # fails only afterwards would fail again whenever the file is opened.
+        # Everything that a page shows is computed for the new document before the change is
+        # journalled: a change that fails later would fail again whenever the file is opened.
         try:
             problems_of(changed, self.estimates(changed))
         except ValueError:
@@ -74,11 +74,10 @@ class AbstractDrawing(abc.ABC):
         Args:
             view: name of the view.
             pixel: u and v, px.
-            point: the point that this is a further click of; None for a new point.
+            point: the existing point to which this click belongs; None for a new point.
         """
         u, v = self.checked_pixel(view, pixel)
         if point is None:
-            # Ids are given in order.
             number = self.document.next_id
             self.change({"do": "add_point", "clicks": {view: [u, v]}})
             return number
@@ -86,18 +85,18 @@ class AbstractDrawing(abc.ABC):
         return point
 
     def add_edge(self, a: int, b: int) -> int:
-        """Draw an edge between two points, and return its id."""
+        """Add an edge between two points, and return its id."""
         number = self.document.next_id
         self.change({"do": "add_edge", "ends": [a, b]})
         return number
 
     def add_face(self, loop: Sequence[int], name: str = "", graspable: bool | None = None) -> int:
-        """Draw a face around points, and return its id; its normal is towards the cameras.
+        """Add a face around points, and return its id; its normal points to the cameras.
 
         Raises:
-            ValueError: a point without a position, or a face that is not planar or crosses itself.
+            ValueError: a point has no position, or the face is not planar or intersects itself.
         """
-        # The journal gets the loop as it was turned, so that repeating it needs no geometry.
+        # The oriented loop is journalled, so that replaying needs no geometry.
         outward = checked_loop(loop, self.document, self.estimates(), self.geometry)
         number = self.document.next_id
         self.change({"do": "add_face", "loop": list(outward), "name": name, "graspable": graspable})
@@ -105,7 +104,7 @@ class AbstractDrawing(abc.ABC):
 
     def add_grasp(self, face: int, **values: Any) -> int:
         """Place a grasp on a face, and return its id; `PlacedGrasp` lists the values."""
-        # Tried on a copy: only what can be gripped is journalled.
+        # Checked on a copy, so that an impossible grasp is not journalled.
         number = self.document.next_id
         change = {"do": "add_grasp", "face": face, **values}
         self._check_grasps(apply_change(self.document, change), number)
@@ -119,33 +118,33 @@ class AbstractDrawing(abc.ABC):
         self.change(change)
 
     def _check_grasps(self, document: Document, grasp: int) -> None:
-        """Raise an error if a grasp cannot be made on its face as it is now."""
-        # Other grasps may have problems of their own, which are no reason to refuse this one.
+        """Raise an error if a grasp is not possible on its face."""
+        # Problems of other grasps are no reason to refuse this one.
         only = dataclasses.replace(document, grasps={grasp: document.existing("grasps", grasp)})
         reason = problems_of(only, self.estimates(only)).get(("grasps", grasp))
         if reason is not None:
             raise ValueError(f"grasp: {reason}")
 
     def delete(self, kind: str, number: int) -> None:
-        """Delete a point, an edge, a face, a grasp or a constraint, and what needs it."""
+        """Delete a point, edge, face, grasp or constraint, and the parts that depend on it."""
         self.change({"do": "delete", "kind": kind, "id": number})
 
     def undo(self) -> bool:
-        """Take back the last change; return whether there was one."""
+        """Undo the last change; return whether there was one."""
         return self._journal.undo()
 
     def redo(self) -> bool:
-        """Make the change again that was taken back last; return whether there was one."""
+        """Redo the change that was undone last; return whether there was one."""
         return self._journal.redo()
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a change to take back."""
+        """Whether there is a change to undo."""
         return self._journal.can_undo
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is a change to make again."""
+        """Whether there is a change to redo."""
         return self._journal.can_redo
 
     @property

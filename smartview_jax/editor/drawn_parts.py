@@ -1,4 +1,4 @@
-"""Hold the faces, grasps and facts that a person draws, which name points by their ids."""
+"""Define the faces, grasps and constraints of a document, which refer to points by id."""
 
 import dataclasses
 import math
@@ -6,12 +6,12 @@ import math
 
 @dataclasses.dataclass(frozen=True)
 class DrawnFace:
-    """A face that was drawn by clicking its points.
+    """A face, drawn by clicking its points.
 
     Attributes:
         loop: ids of its points, counter-clockwise as seen from outside.
         name: for people.
-        graspable: whether a finger may touch it; None if nobody has said so.
+        graspable: whether a finger may touch it; None if not stated.
     """
 
     loop: tuple[int, ...]
@@ -25,10 +25,10 @@ class PlacedGrasp:
 
     Attributes:
         face: id of the face.
-        offset: of its position from the mean of the face's corners, along the face's x and y, m.
-        angle: of the opening direction from the face's x, rad.
+        offset: offset from the mean of the face's corners, along the face's x and y, m.
+        angle: angle of the opening direction from the face's x, rad.
         opening: distance between the open fingers, m; None for 1.2 times the object's width.
-        depth: of the fingertips below the face, m.
+        depth: depth of the fingertips below the face, m.
         name: for people.
     """
 
@@ -42,13 +42,13 @@ class PlacedGrasp:
 
 @dataclasses.dataclass(frozen=True)
 class DrawnConstraint:
-    """A fact that a person knows about the object.
+    """A geometric fact about the object that the user knows.
 
     Attributes:
         kind: name of the constraint.
-        items: ids of the points that it binds, in groups.
-        value: known length, m; None where there is none.
-        sigma: standard deviation of the fact; None if it is exact.
+        items: ids of the points that it constrains, in groups.
+        value: known length, m; None for other kinds.
+        sigma: standard deviation of the constraint; None if it is exact.
     """
 
     kind: str

@@ -1,6 +1,6 @@
-"""Describe points, edges, faces and grasps as the page draws them: plain numbers, few digits.
+"""Describe points, edges, faces and grasps for the page: plain numbers, few digits.
 
-Lengths are millimetres here, because that is what people read; positions stay metres.
+Lengths are in millimetres, for people; positions stay in metres.
 """
 
 from collections.abc import Mapping
@@ -15,19 +15,19 @@ from .session import ModelSession
 from .view_geometry import PointEstimate, ViewGeometry
 
 EDGE_SAMPLES = 7
-"""Points of an edge as drawn in a picture, because a lens bends a straight edge."""
+"""Number of points by which an edge is drawn in a picture, because a lens bends it."""
 
 _PIXEL_DIGITS, _METRE_DIGITS, _MILLIMETRE_DIGITS = 2, 7, 3
 
 
 def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
-    """Return a point: its clicks, its position, and where it is predicted in every view."""
+    """Return a point: its clicks, its position, and its predicted pixel in every view."""
     entry: dict[str, Any] = {"clicks": {view: list(pixel) for view, pixel in clicks.items()}}
     if estimate.wrong_clicks:
         entry["wrong"] = dict(estimate.wrong_clicks)
     if estimate.failure:
-        seen = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else estimate.failure
-        return {**entry, "problem": seen}
+        problem = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else estimate.failure
+        return {**entry, "problem": problem}
     # The half axes of the error ellipsoid are the eigenvectors times the roots of the eigenvalues.
     values, vectors = np.linalg.eigh(estimate.covariance)
     ellipses = [_ellipse(covariance) for covariance in estimate.ellipses]
@@ -51,11 +51,11 @@ def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
 
 
 def _ellipse(covariance: Float[np.ndarray, "2 2"]) -> list[float]:
-    """Return half axes, px, and the angle of the long one, rad, of one standard deviation."""
-    # A point behind a view has no pixel there; it is not drawn.
+    """Return the half axes (px) and the angle (rad) of the one-sigma ellipse."""
+    # A point behind a camera has no pixel, and is not drawn.
     if not np.isfinite(covariance).all():
         return [0.0, 0.0, 0.0]
-    # NumPy sorts eigenvalues ascending: the long half axis is the last.
+    # NumPy sorts eigenvalues in ascending order.
     values, vectors = np.linalg.eigh(covariance)
     short, long = np.sqrt(values.clip(0.0)).tolist()
     return [round(long, 3), round(short, 3), round(float(np.arctan2(*vectors[::-1, 1])), 4)]
@@ -66,7 +66,7 @@ def curve_entry(curve: EpipolarCurve) -> list[dict[str, list[float]]]:
     return [
         {
             "pixels": curve.pixels[curve.piece == k].round(1).ravel().tolist(),
-            # A depth may be infinite, which JSON has no number for.
+            # JSON has no infinity.
             "mm": np.nan_to_num(1e3 * curve.depths[curve.piece == k], posinf=-1.0)
             .round(2)
             .tolist(),
@@ -81,38 +81,37 @@ def edge_entries(
     session: ModelSession,
 ) -> dict[int, dict[str, Any]]:
     """Return edges with their lengths, and as polylines in every view, by id."""
-    found: dict[int, dict[str, Any]] = {}
-    whole = {}
+    entries: dict[int, dict[str, Any]] = {}
+    complete = {}
     for number, (a, b) in edges.items():
         missing = [p for p in (a, b) if estimates[p].failure]
-        found[number] = {"ends": [a, b]}
+        entries[number] = {"ends": [a, b]}
         if missing:
-            found[number]["problem"] = f"point {missing[0]} has no position"
+            entries[number]["problem"] = f"point {missing[0]} has no position"
         else:
-            whole[number] = (a, b)
-    distances = session.distances(list(whole.values()))
-    for number, (length, sigma) in zip(whole, distances, strict=True):
-        found[number] |= {"mm": round(1e3 * length, 3), "sigma_mm": round(1e3 * sigma, 3)}
-    # All edges in one program, however many there are.
-    if whole:
-        ends = np.array([[estimates[p].position for p in pair] for pair in whole.values()])
+            complete[number] = (a, b)
+    distances = session.distances(list(complete.values()))
+    for number, (length, sigma) in zip(complete, distances, strict=True):
+        entries[number] |= {"mm": round(1e3 * length, 3), "sigma_mm": round(1e3 * sigma, 3)}
+    # All edges in one call.
+    if complete:
+        ends = np.array([[estimates[p].position for p in pair] for pair in complete.values()])
         t = np.linspace(0.0, 1.0, EDGE_SAMPLES)[None, :, None]
         samples = (1.0 - t) * ends[:, :1] + t * ends[:, 1:]
-        for number, polylines in zip(whole, _polylines(session.geometry, samples), strict=True):
-            found[number]["in"] = polylines
-    return found
+        for number, polylines in zip(complete, _polylines(session.geometry, samples), strict=True):
+            entries[number]["in"] = polylines
+    return entries
 
 
 def _polylines(geometry: ViewGeometry, samples: Float[np.ndarray, "lines n 3"]) -> list[list[Any]]:
-    """Return lines in space as polylines in every view, None where they are not seen whole."""
+    """Return lines in space as polylines in every view, None if a part is behind the camera."""
     lines, count, _ = samples.shape
-    # A line that is partly behind a camera would be drawn across the whole picture.
     pixels, valid = geometry.pixels_of(samples.reshape(-1, 3))
     views = len(pixels)
     pixels = pixels.reshape(views, lines, count, 2).round(_PIXEL_DIGITS)
-    seen = np.asarray(valid.reshape(views, lines, count).all(axis=2))
+    in_front = np.asarray(valid.reshape(views, lines, count).all(axis=2))
     return [
-        [pixels[v, k].ravel().tolist() if seen[v, k] else None for v in range(views)]
+        [pixels[v, k].ravel().tolist() if in_front[v, k] else None for v in range(views)]
         for k in range(lines)
     ]
 
@@ -120,7 +119,7 @@ def _polylines(geometry: ViewGeometry, samples: Float[np.ndarray, "lines n 3"]) 
 def face_entry(
     face: DrawnFace, problem: str, estimates: Mapping[int, PointEstimate]
 ) -> dict[str, Any]:
-    """Return a face with its normal, or with why it is none."""
+    """Return a face with its normal, or with its problem."""
     entry: dict[str, Any] = {
         "loop": list(face.loop),
         "name": face.name,
@@ -142,12 +141,12 @@ def grasp_entry(grasp: Grasp, face: int, session: ModelSession) -> dict[str, Any
     """Return a grasp with the gripper's lines in space and in every view.
 
     Args:
-        grasp: as placed on the model.
+        grasp: the grasp, as placed on the model.
         face: id of its face.
-        session: of the model.
+        session: the session of the model.
     """
-    # A gripper as in the paper's Fig. 3: two fingers, the bar between them, and the approach.
-    # The fingers reach `depth` below the face; the bar between them stands clear of it.
+    # A gripper as in the paper's Fig. 3: two fingers, the bar between them, and the approach. The
+    # fingers reach `depth` below the face; the bar is above it.
     half, back = 0.5 * grasp.opening, grasp.depth + 0.6 * grasp.opening
     tool = np.array(
         [
@@ -173,7 +172,7 @@ def grasp_entry(grasp: Grasp, face: int, session: ModelSession) -> dict[str, Any
 
 
 def offer_message(session: ModelSession) -> dict[str, Any]:
-    """Return the proposed points that are not decided yet, the best supported first."""
+    """Return the proposed points that are neither accepted nor rejected, best supported first."""
     offer, names = session.proposals, session.names
     points = [
         {
@@ -184,18 +183,18 @@ def offer_message(session: ModelSession) -> dict[str, Any]:
         }
         for number, point in offer.points.items()
     ]
-    # An edge is drawn while both of its ends are open.
+    # Edges between two undecided points.
     edges = [pair for pair in offer.edges if set(pair) <= set(offer.points)]
     return {"type": "proposals", "offer": {"points": points, "edges": edges}}
 
 
-def symmetry_entry(found: Symmetry, said: bool | None) -> dict[str, Any]:
-    """Return a symmetry in words, with its axes; said is None where the person has said nothing."""
+def symmetry_entry(symmetry: Symmetry, confirmed: bool | None) -> dict[str, Any]:
+    """Return a symmetry in words, with its axes, and whether it was confirmed (None: open)."""
     return {
-        "order": found.order,
-        "words": found.words,
-        "round": found.axis is not None,
-        "centre": found.centre.round(_METRE_DIGITS).tolist(),
-        "axes": [one.direction.round(6).tolist() for one in found.axes],
-        "said": said,
+        "order": symmetry.order,
+        "words": symmetry.words,
+        "round": symmetry.axis is not None,
+        "centre": symmetry.centre.round(_METRE_DIGITS).tolist(),
+        "axes": [axis.direction.round(6).tolist() for axis in symmetry.axes],
+        "said": confirmed,
     }

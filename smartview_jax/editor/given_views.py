@@ -1,4 +1,4 @@
-"""Check the views that a session is given: names and pictures."""
+"""Check the views given to a session: names and pictures."""
 
 import os
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from ..argument_checks import require_distinct, require_readable
 from ..detection import read_picture
 
 MIN_VIEWS = 2
-"""Smallest number of views of a session: from one view nothing can be triangulated."""
+"""Smallest number of views of a session, for triangulation."""
 
 
 def checked_names(names: Sequence[str] | None, count: int) -> list[str]:
-    """Return the views' names, or raise an error for too few or for a name that comes twice."""
+    """Return the views' names, or raise an error for too few or repeated names."""
     if count < MIN_VIEWS:
         raise ValueError(f"a session needs at least {MIN_VIEWS} views; found {count}")
     given = [f"v{1 + k}" for k in range(count)] if names is None else [str(name) for name in names]
@@ -32,14 +32,14 @@ def checked_picture(
     try:
         if not isinstance(picture, np.ndarray):
             return read_picture(Path(picture), size)
-        found = picture.mean(axis=2).astype(np.uint8) if picture.ndim == 3 else picture
-        if found.dtype != np.uint8 or found.ndim != 2:
+        grey = picture.mean(axis=2).astype(np.uint8) if picture.ndim == 3 else picture
+        if grey.dtype != np.uint8 or grey.ndim != 2:
             raise ValueError(f"expected uint8, grey or BGR; found {picture.dtype} {picture.shape}")
-        if found.shape[::-1] != size:
-            width, height = found.shape[::-1]
+        if grey.shape[::-1] != size:
+            width, height = grey.shape[::-1]
             raise ValueError(
                 f"the picture has {width} x {height} px, the camera {size[0]} x {size[1]} px"
             )
-        return found
+        return grey
     except ValueError as error:
         raise ValueError(f"view {name}: {error}") from None

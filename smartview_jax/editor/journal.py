@@ -20,9 +20,9 @@ class Journal:
     """An append-only file of changes.
 
     Attributes:
-        path: of the file.
-        entries: the changes that it has had when it was opened.
-        cut_off: number of bytes of a torn last line that were cut off.
+        path: path of the file.
+        entries: the changes in the journal when it was opened.
+        cut_off: number of bytes of an incomplete last line that were removed.
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]):
@@ -30,10 +30,10 @@ class Journal:
 
         Args:
             path: of the file.
-            header: what the changes refer to; that of an existing journal must be the same.
+            header: the views that the changes refer to; an existing journal must have the same.
 
         Raises:
-            ValueError: it belongs to something else, or a line before the last is broken.
+            ValueError: the journal has other views, or a line before the last is broken.
         """
         self.path = path
         self.entries: list[dict[str, Any]] = []
@@ -46,7 +46,7 @@ class Journal:
         if lines:
             self._check_header(lines[0], json.loads(json.dumps(first)))
             self.entries = lines[1:]
-        # Unbuffered: bytes that a full disk refused must not come out with the next change.
+        # Unbuffered: bytes that a full disk refused must not be written with the next change.
         self._file = open(path, "ab", buffering=0)  # noqa: SIM115 (it stays open until `close`)
         if not lines:
             self.append(first)
@@ -56,19 +56,19 @@ class Journal:
         """Write an entry, and return when it is on the disk.
 
         Raises:
-            OSError: the disk is full or failed; the file has its earlier entries only.
+            OSError: the disk is full or failed; the file keeps only its earlier entries.
         """
         data = memoryview(_line(entry))
         descriptor = self._file.fileno()
         size = os.fstat(descriptor).st_size
         try:
-            # A disk that is nearly full takes a part of the bytes, and refuses at the next call.
+            # A nearly full disk accepts a part of the bytes, and fails at the next call.
             while data:
                 data = data[os.write(descriptor, data) :]
-            # After `fsync` a power cut loses nothing either.
+            # `fsync` protects against a power cut.
             os.fsync(descriptor)
         except BaseException:
-            # A part of a line would make one broken line with the next entry.
+            # A partial line would spoil the next entry.
             os.ftruncate(descriptor, size)
             raise
 
@@ -132,8 +132,8 @@ class Journal:
         for key, value in expected.items():
             if found.get(key) != value:
                 raise ValueError(
-                    f"{self.path}: the journal's {key} are {found.get(key)!r}, those of this "
-                    f"session {value!r}: choose another file, or the data set of that journal"
+                    f"{self.path}: {key} differ: {found.get(key)!r} in the journal, {value!r} in "
+                    "this session: choose another file, or the data set of that journal"
                 )
 
 
@@ -153,7 +153,7 @@ def _may_be_torn(line: bytes, number: int, first: bytes = b"") -> bool:
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
-    """Return the mapping that a line has, or None."""
+    """Return the mapping in a line, or None."""
     try:
         entry = json.loads(line)
     except (ValueError, RecursionError):
@@ -162,7 +162,7 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Wait until a new file's name is on the disk, where the system can be asked to."""
+    """Wait until a new file's name is on disk, if the system supports it."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:

@@ -1,4 +1,4 @@
-"""Turn what a person says of chosen points and edges into constraints of the refinement."""
+"""Convert the user's facts about points and edges to constraints of the refinement."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -16,18 +16,18 @@ from ..modeling import (
 from .document import DrawnConstraint
 
 Groups = Sequence[tuple[int, ...]]
-"""Groups of points' numbers: pairs for edges, one group for points."""
+"""Groups of point numbers: pairs for edges, one group for points."""
 
 
 class FactKind(NamedTuple):
-    """A kind of fact that a person can state.
+    """A kind of fact that the user can state.
 
     Attributes:
-        words: how the page calls it.
-        takes: what is chosen for it: "points" or "edges".
-        least: smallest number of them.
-        most: largest number of them.
-        build: makes the constraint of groups of vertex numbers, a length (m) and a sigma.
+        words: its name on the page.
+        takes: the parts that it constrains: "points" or "edges".
+        least: smallest number of these.
+        most: largest number of these.
+        build: function from groups of vertex numbers, a length (m) and a sigma to the constraint.
     """
 
     words: str
@@ -46,7 +46,7 @@ def _pair(group: tuple[int, ...]) -> tuple[int, int]:
 def _length(groups: Groups, value: float | None, sigma: float | None) -> AbstractConstraint:
     """Return the constraint of a known length."""
     if value is None:
-        raise ValueError("a known length needs its length")
+        raise ValueError("known length: the length is missing")
     return KnownLength(_pair(groups[0]), value, sigma=sigma)
 
 
@@ -62,7 +62,7 @@ FACT_KINDS: Mapping[str, FactKind] = {
         "points",
         2,
         1000,
-        # Points were chosen pair by pair: the first and its mirror image, then the next two.
+        # Points were chosen in pairs: a point and its mirror image, and so on.
         lambda g, _, s: Symmetric(tuple(zip(g[0][::2], g[0][1::2], strict=True)), sigma=s),
     ),
     "parallel": FactKind(
@@ -91,18 +91,16 @@ def constraint_of(fact: DrawnConstraint, number: Mapping[int, int]) -> AbstractC
     """Return the constraint of a fact.
 
     Args:
-        fact: as it was stated.
-        number: of the vertex by the id of the point.
+        fact: the fact, as stated.
+        number: number of the vertex by the id of the point.
 
     Raises:
-        ValueError: an unknown kind, or another number of points or edges than it takes.
+        ValueError: an unknown kind, or a wrong number of points or edges.
     """
     kind = FACT_KINDS.get(fact.kind)
     if kind is None:
         raise ValueError(f"expected one of the facts {', '.join(FACT_KINDS)}; found {fact.kind!r}")
-    # The document knows points by ids that never come twice, the refinement by their place.
     groups = [tuple(number[point] for point in group) for group in fact.items]
-    # Points come as one group, edges as pairs.
     if kind.takes == "points":
         count = len(groups[0]) if len(groups) == 1 else 0
     else:

@@ -1,4 +1,4 @@
-"""Make an object model of what a person has clicked and drawn, and say what is missing."""
+"""Build an object model from a document, and list the parts that are incomplete."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -23,8 +23,7 @@ Estimates = Mapping[int, PointEstimate]
 
 
 def placed_points(document: Document, estimates: Estimates) -> list[int]:
-    """Return the points that are vertices of the model: those that have a position."""
-    # A point clicked once waits for its second view.
+    """Return the points that have a position, which are the vertices of the model."""
     return [point for point in document.points if not estimates[point].failure]
 
 
@@ -34,16 +33,16 @@ def build_model(
     names: Sequence[str],
     picture_covariance: Float[np.ndarray, "coordinates coordinates"] | None = None,
 ) -> ObjectModel:
-    """Return the model of all points that have a position, with what can be made of them.
+    """Return the model of all points that have a position, with its edges, faces and grasps.
 
-    Parts for which `problems_of` gives a reason are left out; the symmetry is not looked for.
+    Parts in `problems_of` are left out; the symmetry is not computed.
 
     Args:
-        document: the clicks and what was drawn.
-        estimates: of all points.
-        names: of the views, for the provenance.
-        picture_covariance: of the coordinates of all `placed_points` together, m^2; None where
-            they are independent, and their estimates say all.
+        document: the document.
+        estimates: estimates of all points.
+        names: names of the views, for the provenance.
+        picture_covariance: joint covariance of the coordinates of all `placed_points`, m^2; None
+            if the points are independent.
     """
     wrong = problems_of(document, estimates)
     placed = placed_points(document, estimates)
@@ -60,7 +59,7 @@ def build_model(
         for edge, (a, b) in document.edges.items()
         if ("edges", edge) not in wrong
     ]
-    # Whoever finds the file later sees how much it rests on.
+    # For the provenance.
     clicks = sum(len(document.points[point]) for point in placed)
     covariance, factor = None, None
     if placed:
@@ -68,9 +67,9 @@ def build_model(
         if covariance is None:
             covariance = np.stack([estimates[point].picture_covariance for point in placed])
         factors = np.concatenate([estimates[point].calibration_factor for point in placed])
-        # Without a covariance of the calibration there are no columns, and no second part.
+        # Without a covariance of the calibration the factors have no columns.
         factor = factors if factors.shape[1] else None
-    # Grasps are computed from the model that they belong to, so that comes first.
+    # Grasps are computed from the model without grasps.
     bare = ObjectModel(
         vertices,
         np.array(edges, int).reshape(-1, 2),
@@ -92,10 +91,9 @@ def placed_grasp(model: ObjectModel, face: int, grasp: PlacedGrasp) -> Grasp:
     """Return the grasp that is placed on a face of a model.
 
     Raises:
-        ValueError: it is not on the face, or the fingers are not wide enough there.
+        ValueError: it is not on the face, or the fingers do not open wide enough.
     """
     plane = face_plane(model.vertices, model.faces[face])
-    # Offsets and angles are in the plane's own axes, which move with it.
     x, y = plane.axes[:2]
     return grasp_on_face(
         model,
@@ -109,35 +107,35 @@ def placed_grasp(model: ObjectModel, face: int, grasp: PlacedGrasp) -> Grasp:
 
 
 def problems_of(document: Document, estimates: Estimates) -> dict[tuple[str, int], str]:
-    """Return what cannot be part of a model and why, by kind and id."""
-    found: dict[tuple[str, int], str] = {}
+    """Return the parts that cannot be in a model, with the reasons, by kind and id."""
+    problems: dict[tuple[str, int], str] = {}
     for point, clicks in document.points.items():
         if estimates[point].failure:
-            # The plain reason first: most points without a position lack only a second click.
-            seen = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else ""
-            found["points", point] = seen or estimates[point].failure
+            # Most points without a position lack only a second click.
+            reason = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else ""
+            problems["points", point] = reason or estimates[point].failure
     for edge, ends in document.edges.items():
-        missing = [p for p in ends if ("points", p) in found]
+        missing = [p for p in ends if ("points", p) in problems]
         if missing:
-            found["edges", edge] = f"point {missing[0]} has no position"
+            problems["edges", edge] = f"point {missing[0]} has no position"
     for face, drawn in document.faces.items():
         reason = face_problem(drawn.loop, estimates)
         if reason:
-            found["faces", face] = reason
+            problems["faces", face] = reason
     for grasp, placed in document.grasps.items():
-        reason = found.get(("faces", placed.face)) or _grasp_problem(document, estimates, placed)
+        reason = problems.get(("faces", placed.face)) or _grasp_problem(document, estimates, placed)
         if reason:
-            found["grasps", grasp] = reason
-    return found
+            problems["grasps", grasp] = reason
+    return problems
 
 
 def face_problem(loop: Sequence[int], estimates: Estimates) -> str:
-    """Return what is wrong with a face, in words that name points by id; empty if nothing is."""
+    """Return the problem of a face, naming points by id; empty if there is none."""
     missing = [p for p in loop if estimates[p].failure]
     if missing:
         return f"point {missing[0]} has no position"
     vertices = _positions(loop, estimates)
-    # A clicked corner may be off the plane by its own uncertainty.
+    # A corner may be off the plane by its uncertainty.
     sigma = np.sqrt([np.linalg.eigvalsh(estimates[p].covariance)[-1].clip(0.0) for p in loop])
     try:
         check_face(vertices, Face(tuple(range(len(loop)))), sigma)
@@ -147,8 +145,8 @@ def face_problem(loop: Sequence[int], estimates: Estimates) -> str:
 
 
 def _grasp_problem(document: Document, estimates: Estimates, grasp: PlacedGrasp) -> str:
-    """Return why a grasp cannot be made; empty if it can."""
-    # Only the faces matter, and of those only the ones that are whole.
+    """Return why a grasp is not possible; empty if it is."""
+    # Only complete faces matter.
     faces = {
         k: face for k, face in document.faces.items() if not face_problem(face.loop, estimates)
     }
@@ -171,28 +169,27 @@ def _grasp_problem(document: Document, estimates: Estimates, grasp: PlacedGrasp)
 def checked_loop(
     loop: Sequence[int], document: Document, estimates: Estimates, geometry: ViewGeometry
 ) -> tuple[int, ...]:
-    """Return a face's loop so that its normal is towards the cameras that saw it.
+    """Return a face's loop, oriented so that its normal points to the cameras that saw it.
 
     Raises:
-        ValueError: a point that does not exist or has no position, or a face that is not planar or
-            crosses itself.
+        ValueError: a point does not exist or has no position, or the face is not planar or
+            intersects itself.
     """
     points = tuple(part_id(point) for point in loop)
     for point in points:
         document.existing("points", point)
     if len(points) < 3:
-        raise ValueError(f"a face goes around 3 or more points; found {list(points)}")
-    # Said before anything is journalled, so that a refused face leaves no trace.
+        raise ValueError(f"a face needs 3 or more points, found {list(points)}")
+    # Checked before anything is journalled.
     reason = face_problem(points, estimates)
     if reason:
         raise ValueError(f"face {list(points)}: {reason}")
     plane = face_plane(_positions(points, estimates), Face(tuple(range(len(points)))))
     centres = geometry.centres
-    # Cameras that did not see the face may be on either side of it.
+    # Only cameras that saw the face are known to be on its outside.
     clicked = {view for point in points for view in document.points[point]}
-    seen = [k for k, name in enumerate(geometry.names) if name in clicked]
-    # Each camera that saw the face votes for its own side.
-    votes = np.sign((centres[seen] - plane.origin) @ plane.normal).sum()
+    cameras = [k for k, name in enumerate(geometry.names) if name in clicked]
+    votes = np.sign((centres[cameras] - plane.origin) @ plane.normal).sum()
     return points if votes >= 0 else points[::-1]
 
 

@@ -1,4 +1,4 @@
-"""Let one editor at a time work on a file, and say who the other one is."""
+"""Lock a file against other editors, and name the editor that has it open."""
 
 import json
 import os
@@ -8,10 +8,10 @@ from typing import Any
 
 
 class OwnerLock:
-    """A file beside the edited one that names the process that edits it.
+    """A file next to the edited one that names the process that edits it.
 
-    A lock whose process has ended on this machine is stale and taken over. On another machine that
-    cannot be seen, so such a lock is kept and the message says which file to remove.
+    A lock whose process on this machine has ended is stale and taken over. Processes of other
+    machines cannot be checked, so their locks are kept and the message says which file to remove.
     """
 
     def __init__(self, path: Path):
@@ -29,15 +29,15 @@ class OwnerLock:
             if not _is_stale(owner):
                 raise BlockingIOError(_refusal(path, owner)) from None
             path.unlink(missing_ok=True)
-            # A third editor may have been quicker; then it is the owner.
+            # A third editor may have taken the lock in between.
             try:
                 self._create()
             except FileExistsError:
                 raise BlockingIOError(_refusal(path, self._read())) from None
 
     def _create(self) -> None:
-        """Create the file with the name of this process, or raise a FileExistsError."""
-        # O_EXCL: exactly one of several processes makes the file.
+        """Create the file that names this process, or raise a FileExistsError."""
+        # O_EXCL: exactly one of several processes creates the file.
         descriptor = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
         try:
             with os.fdopen(descriptor, "w") as file:
@@ -45,12 +45,12 @@ class OwnerLock:
                 file.flush()
                 os.fsync(file.fileno())
         except BaseException:
-            # A full disk: half a name would be a lock that nobody is known to hold.
+            # On a full disk an incomplete file would be a lock without an owner.
             self.path.unlink(missing_ok=True)
             raise
 
     def _read(self) -> dict[str, Any]:
-        """Return what the lock says about its owner; empty if it says nothing readable."""
+        """Return the owner in the lock; empty if it is not readable."""
         try:
             content = json.loads(self.path.read_text())
             return content if isinstance(content, dict) else {}
@@ -59,20 +59,19 @@ class OwnerLock:
 
     def release(self) -> None:
         """Remove the lock; a second call does nothing."""
-        # Another editor may have taken over a lock that looked stale to it; that is not ours to
-        # remove.
+        # Another editor may have taken over the lock because it looked stale.
         if self._read() == _this_process():
             self.path.unlink(missing_ok=True)
 
 
 def _this_process() -> dict[str, Any]:
-    """Return what names this process."""
+    """Return the identity of this process."""
     return {"pid": os.getpid(), "host": socket.gethostname(), "started": _start_of(os.getpid())}
 
 
 def _start_of(pid: int) -> str | None:
-    """Return when a process started, in the kernel's own count; None where that is not known."""
-    # The number of a process is given again to a later one; its start tells the two apart.
+    """Return the start time of a process, in the kernel's ticks; None if unknown."""
+    # Process ids are reused; the start time tells two such processes apart.
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19]
     except (OSError, IndexError):
@@ -83,13 +82,12 @@ def _is_stale(owner: dict[str, Any]) -> bool:
     """Return whether the owner of a lock is a process of this machine that has ended."""
     pid = owner.get("pid")
     if not isinstance(pid, int):
-        # The owner was killed between making the file and writing to it.
+        # Empty: the owner was killed between creating the file and writing to it.
         return not owner
     if owner.get("host") != socket.gethostname():
         return False
     try:
         os.kill(pid, 0)
-    # Signal 0 reaches a process that exists without disturbing it.
     except ProcessLookupError:
         return True
     except OSError:
@@ -102,5 +100,5 @@ def _refusal(path: Path, owner: dict[str, Any]) -> str:
     edited = path.with_suffix("")
     return (
         f"{edited} is open in another editor: process {owner.get('pid', '?')} on "
-        f"{owner.get('host', '?')}. Close it there; if it is gone, remove {path}"
+        f"{owner.get('host', '?')}. Close it there; if it no longer runs, remove {path}"
     )

@@ -1,4 +1,4 @@
-"""Find the features of each picture once, whoever asks for them first."""
+"""Find the features of each picture once, when first needed."""
 
 import threading
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from ..features import find as find_features
 
 
 class PictureFeatures:
-    """The features of a session's pictures, found when they are asked for."""
+    """The features of a session's pictures, found on first use."""
 
     def __init__(self, camera: Camera, pictures: Mapping[str, np.ndarray]):
         """Take the pictures by view."""
@@ -25,12 +25,11 @@ class PictureFeatures:
         Raises:
             ValueError: the picture is blank, over-exposed or under-exposed; the view is named.
         """
-        # The page asks for them while a server's thread prepares them: one waits for the other.
+        # A page may ask for them while a thread of the server prepares them.
         with self._finding[view]:
             if view not in self._found:
                 try:
                     self._found[view] = find_features(self._pictures[view], self._camera)
-                # Of several pictures, one may be of a lens cap.
                 except ValueError as error:
                     raise ValueError(f"view {view}: {error}") from None
         return self._found[view]

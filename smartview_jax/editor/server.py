@@ -1,8 +1,7 @@
 """Serve the editor's page on this machine: `smartview model`, and the tests' browser.
 
-The server listens on 127.0.0.1 only. The address that it prints has a token, without which neither
-pictures nor the model are given; requests that come from another page, or under another name than
-this machine's, are refused.
+The server listens on 127.0.0.1 only. Pictures and model are served only with the token in the
+printed address; requests from other pages, or under another host name, are refused.
 """
 
 import asyncio
@@ -25,7 +24,7 @@ HOST = "127.0.0.1"
 """The only address that the server listens on."""
 
 JPEG_QUALITY = 93
-"""The quality of the pictures sent to the page; clicks snap to the features of the originals."""
+"""JPEG quality of the pictures sent to the page; features are found in the originals."""
 
 PAGE = Path(__file__).parent / "page"
 """The folder of the page's files."""
@@ -47,9 +46,9 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     """Return the ASGI application that shows a session.
 
     Args:
-        session: to be edited.
-        token: that the first request must have.
-        port: that the server listens on; part of the origin that is accepted.
+        session: the session to edit.
+        token: the token that the first request must have.
+        port: port of the server, part of the accepted origin.
 
     Raises:
         ImportError: starlette is not installed.
@@ -61,9 +60,9 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     from starlette.routing import Mount, Route, WebSocketRoute
     from starlette.staticfiles import StaticFiles
 
-    # A browser calls this machine by either name.
     origins = {f"http://{name}:{port}" for name in (HOST, "localhost")}
-    # Cookies are shared by all ports of a machine: without it, two editors would exchange tokens.
+    # Cookies are shared by all ports of a machine, so the name includes the port: otherwise two
+    # editors would overwrite each other's token.
     editor = _Editor(session, token, origins, cookie=f"smartview_editor_{port}")
     return Starlette(
         routes=[
@@ -73,7 +72,7 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
             WebSocketRoute("/socket", editor.socket),
             Mount("/", StaticFiles(directory=PAGE)),
         ],
-        # Another name that is made to lead here would be another page's way in (DNS rebinding).
+        # Against DNS rebinding, by which another page could reach this server under its own name.
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
     )
 
@@ -91,11 +90,11 @@ class _Page(NamedTuple):
 
 
 class _Editor:
-    """The session that all requests of one server share, and who may ask for it."""
+    """The session that all requests of a server share, with access control."""
 
     def __init__(self, session: ModelSession, token: str, origins: set[str], cookie: str):
         self._session, self._token, self._origins = session, token, origins
-        # It has the token for the requests that the page makes by itself.
+        # The cookie carries the token in the page's own requests.
         self._cookie = cookie
         self._pages: dict[Any, _Page] = {}
         # Answers are computed in a thread, so that pictures load meanwhile; one after another,
@@ -105,37 +104,36 @@ class _Editor:
         self._pictures: dict[str, bytes] = {}
 
     async def page(self, request: Any) -> Any:
-        """Give the page to whoever has the token, and let it keep that as a cookie."""
+        """Serve the page if the token is right, and set the token as a cookie."""
         from starlette.responses import FileResponse, PlainTextResponse
 
         if not self._has_token(request.query_params.get("token", "")):
             return PlainTextResponse(
-                "This address is not complete: open the one that smartview printed.", 403
+                "This address has no valid token: open the address that smartview printed.", 403
             )
         response = FileResponse(PAGE / "index.html")
-        # Pictures and the socket are asked for without the address's token.
         response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
         return response
 
     async def picture(self, request: Any) -> Any:
-        """Give the picture of a view."""
+        """Serve the picture of a view."""
         from starlette.responses import PlainTextResponse, Response
 
         view = request.path_params["view"]
-        # The pictures are the user's; the page's own files are public.
+        # The user's pictures need the token; the page's files do not.
         if not self._has_token(request.cookies.get(self._cookie, "")):
             return PlainTextResponse("no token", 403)
         if view not in self._session.pictures:
-            return PlainTextResponse(f"there is no view {view!r}", 404)
+            return PlainTextResponse(f"no view {view!r}", 404)
         if view not in self._pictures:
-            # Encoding 12 megapixels takes a tenth of a second; the page may be opened again.
+            # Kept, because encoding 12 megapixels takes a tenth of a second.
             self._pictures[view] = await asyncio.to_thread(
                 encoded_picture, self._session.pictures[view]
             )
         return Response(self._pictures[view], media_type="image/jpeg")
 
     async def socket(self, socket: Any) -> None:
-        """Answer the messages of one page, and tell it what other pages have changed."""
+        """Answer the messages of one page, and send it the changes of other pages."""
         from starlette.websockets import WebSocketDisconnect
 
         # Other programs on this machine leave cookies, too, which may be malformed.
@@ -212,23 +210,23 @@ class _Editor:
                 return
 
     def _has_token(self, given: str) -> bool:
-        """Return whether a token is the right one, in a time that does not tell how nearly."""
+        """Return whether a token is right, in constant time against timing attacks."""
         return secrets.compare_digest(given.encode(), self._token.encode())
 
 
 async def _send(socket: Any, message: dict[str, Any]) -> None:
-    """Send a message to a page that may have left; its own loop sees that it did, and ends."""
+    """Send a message to a page that may have been closed, which its own loop notices."""
     from starlette.websockets import WebSocketDisconnect
 
-    # The error of one page's socket must not end the loop of another page. Starlette raises a
-    # RuntimeError for a socket that was closed by this side.
+    # An error of one page's socket must not end another page's loop. Starlette raises a
+    # RuntimeError for a socket that this side closed.
     with contextlib.suppress(WebSocketDisconnect, RuntimeError, OSError):
         await socket.send_json(message)
 
 
 def encoded_picture(picture: np.ndarray) -> bytes:
     """Return a picture as JPEG, for the page."""
-    # JPEG: a lossless picture of 12 megapixels takes seconds to decode in the browser.
+    # A lossless picture of 12 megapixels takes seconds to decode in the browser.
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes()
 
@@ -241,9 +239,9 @@ def serve(
     """Serve a session until the process is interrupted.
 
     Args:
-        session: to be edited.
-        port: to listen on; 0 takes a free one.
-        announce: called with the page's address, token included, when the server listens.
+        session: the session to edit.
+        port: port to listen on; 0 takes a free one.
+        announce: called with the page's address, including the token, when the server listens.
 
     Raises:
         ImportError: starlette or uvicorn is not installed.
@@ -253,7 +251,7 @@ def serve(
     import socket as sockets
 
     listener = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
-    # So that an editor can be started again on the same port at once.
+    # Allows a restart on the same port at once.
     listener.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
     with listener:
         try:
@@ -261,18 +259,18 @@ def serve(
         except OSError as error:
             raise OSError(f"port {port} of {HOST}: {error.strerror}") from error
         listener.listen()
-        taken, token = listener.getsockname()[1], secrets.token_urlsafe(24)
-        app = editor_app(session, token, taken)
+        bound_port, token = listener.getsockname()[1], secrets.token_urlsafe(24)
+        app = editor_app(session, token, bound_port)
         # The session is opened and closed by the caller, so the server needs no lifespan events.
         config = uvicorn.Config(app, log_level="warning", lifespan="off", ws="websockets-sansio")
-        # Whoever opens the page looks at the pictures first; meanwhile the first click is prepared.
+        # The first click is prepared while the user looks at the pictures.
         stop = threading.Event()
         preparing = threading.Thread(target=session.prepare, args=(stop,), daemon=True)
         preparing.start()
         try:
-            announce(f"http://{HOST}:{taken}/?token={token}")
+            announce(f"http://{HOST}:{bound_port}/?token={token}")
             uvicorn.Server(config).run([listener])
         finally:
-            # A thread that still computes when Python ends aborts the process.
+            # A thread that still runs when Python exits would abort the process.
             stop.set()
             preparing.join()

@@ -1,9 +1,9 @@
 """Edit an object model: the one class behind the page, the notebook's widget and scripts.
 
 with ModelSession(calibration, poses, pictures, path="bracket.json") as session:
-corner = session.click("v1", (312.4, 201.9))
-session.click("v2", (298.1, 215.0), corner)
-session.save()
+    corner = session.click("v1", (312.4, 201.9))
+    session.click("v2", (298.1, 215.0), corner)
+    session.save()
 """
 
 import contextlib
@@ -47,20 +47,20 @@ from .view_geometry import PointEstimate, ViewGeometry
 
 
 class ModelSession(AbstractDrawing):
-    """Views with pictures, clicks, and the object model that they make.
+    """Views with pictures and clicks, and the object model made from them.
 
-    Every change is on the disk before the call returns, in a journal beside the model's file; a
-    session that is opened on the same file again goes on where the last one ended, however it
-    ended. A call that raises leaves the session as it was.
+    Every change is on disk before the call returns, in a journal next to the model's file; a
+    session opened on the same file resumes where the last one ended, even if it crashed. A call
+    that raises leaves the session as it was.
 
     Attributes:
-        names: of the views, in their order.
+        names: names of the views, in their order.
         pictures: grey pictures by view.
-        calibration: of the camera that took them.
-        path: of the model's file; None for a session that is kept in memory only.
-        geometry: where points and curves are.
-        notes: sentences on what happened when the session was opened.
-        proposals: points and edges that are offered and not decided yet.
+        calibration: calibration of the camera.
+        path: path of the model's file; None for a session in memory only.
+        geometry: geometry of points and curves in the views.
+        notes: remarks from the opening of the session.
+        proposals: proposed points and edges that are not decided yet.
     """
 
     def __init__(
@@ -73,27 +73,27 @@ class ModelSession(AbstractDrawing):
         covariance: CalibrationEstimate | None = None,
         click_sigma: float = 0.5,
     ):
-        """Open a session; with the journal of an earlier one, go on where that ended.
+        """Open a session, or resume an earlier one from its journal.
 
         Args:
-            calibration: of the camera; the model is in its world frame.
-            poses: what the robot reported in each view: `base_from_tool`, or a `Command` with the
-                joint readings, which a calibration of an arm's errors needs.
+            calibration: calibration of the camera; the model is in its world frame.
+            poses: reported pose of each view: `base_from_tool`, or a `Command` with joint readings
+                if the calibration corrects errors of the arm.
             pictures: a file, or a picture as grey or BGR uint8, for each view.
-            names: of the views; by default v1, v2, ...
-            path: of the model's file, a .json; None keeps nothing on disk.
-            covariance: a joint fit that says how well the calibration is known; None takes it as
-                exact.
+            names: names of the views; by default v1, v2, ...
+            path: path of the model's file, a .json; None keeps nothing on disk.
+            covariance: a joint fit with the covariance of the calibration; None takes the
+                calibration as exact.
             click_sigma: standard deviation of u and of v of a click, px.
 
         Raises:
-            ValueError: fewer than two views, poses that are not rigid, pictures of another size
-                than the camera's, names that come twice, a journal of other views, or a model file
-                without a journal, which the session would overwrite.
+            ValueError: fewer than two views, poses that are not rigid, pictures of a wrong size,
+                repeated names, a journal of other views, or a model file without a journal, which
+                the session would overwrite.
             FileNotFoundError: a picture is missing.
             BlockingIOError: the file is open in another editor, which the message names.
         """
-        # Everything that is given is checked before a lock or a file is made.
+        # All arguments are checked before a lock or a file is created.
         self.names: list[str] = checked_names(names, len(pictures))
         command = as_checked_command(poses, self.names)
         size = calibration.camera.image_size
@@ -105,7 +105,7 @@ class ModelSession(AbstractDrawing):
         self.geometry: ViewGeometry = ViewGeometry(
             calibration, command, self.names, covariance, click_sigma
         )
-        # What was computed or found once is kept in these two.
+        # These keep their results.
         self._estimates = DocumentEstimates(self.geometry)
         self._symmetry = StatedSymmetry()
         self._features = PictureFeatures(calibration.camera, self.pictures)
@@ -125,11 +125,11 @@ class ModelSession(AbstractDrawing):
         return self.calibration.camera.image_size
 
     def estimates(self, document: Document | None = None) -> dict[int, PointEstimate]:
-        """Return where all points are, by id."""
+        """Return the estimates of all points, by id."""
         return self._estimates.points(document or self.document)
 
     def verdicts(self) -> dict[int, ConstraintVerdict]:
-        """Return how each constraint agrees with the pictures and the others, by id."""
+        """Return whether each constraint agrees with the pictures and the others, by id."""
         return self._estimates.verdicts(self.document)
 
     def curves(self, view: str, pixel: Sequence[float] | np.ndarray) -> dict[str, EpipolarCurve]:
@@ -145,27 +145,26 @@ class ModelSession(AbstractDrawing):
         box: Float[np.ndarray, "2 3"] | Sequence[Sequence[float | int]] | None = None,
         rectangles: Mapping[str, Any] | None = None,
     ) -> Proposals:
-        """Match the corners of all views by themselves, and offer the points and edges found.
+        """Match the corners of all views automatically, and offer the points and edges found.
 
-        The offer is not part of the session's file; what is accepted of it is.
+        The offer is not part of the session's file; accepted points are.
 
         Args:
-            box: smallest and largest x, y and z of the object in the world, m; None is anywhere.
-            rectangles: around the object by the view's name, px: smallest u and v, largest u and
-                v. One is enough to leave out what stands beside the object; see `Region`.
+            box: smallest and largest x, y and z of the object in the world, m; None for no limits.
+            rectangles: rectangles around the object by the view's name, px: smallest u and v,
+                largest u and v. One view suffices to exclude most clutter; see `Region`.
 
         Raises:
-            ValueError: an unknown view, a box or a rectangle with nothing inside, or a picture
-                without features.
+            ValueError: an unknown view, an empty box or rectangle, or a picture without features.
         """
         for name in rectangles or {}:
             check_view(name, self.names)
-        numbers = {self.names.index(name): one for name, one in (rectangles or {}).items()}
+        numbers = {self.names.index(name): corners for name, corners in (rectangles or {}).items()}
         region = Region(box, numbers)
-        # Here and not only in `propose_model`, which knows the views by their numbers.
+        # Checked here too, because `propose_model` knows only the numbers of the views.
         region.check(self.names, self.picture_size)
-        # Features were found for snapping; they are not searched for again.
-        found = propose_model(
+        # The features found for snapping are used again.
+        proposal = propose_model(
             self.calibration,
             self.geometry.command,
             list(self.pictures.values()),
@@ -174,35 +173,35 @@ class ModelSession(AbstractDrawing):
             covariance=self._covariance,
             region=region,
         )
-        self.proposals = Proposals(found, self.names, self.document)
+        self.proposals = Proposals(proposal, self.names, self.document)
         return self.proposals
 
     def accept(self, numbers: Sequence[int]) -> None:
-        """Add proposed points to the model, with the edges between what is there then."""
+        """Add proposed points to the model, with the edges between them and earlier points."""
         before = self.document
         self.change(self.proposals.accepted(numbers, before))
         self.proposals.decide(numbers, before)
 
     def reject(self, numbers: Sequence[int]) -> None:
-        """Take proposed points from the offer."""
+        """Remove proposed points from the offer."""
         self.proposals.decide(numbers, None)
 
     def problems(self) -> dict[tuple[str, int], str]:
-        """Return what is not part of the model yet and why, by kind and id."""
+        """Return the incomplete parts, which are not in the model, with reasons, by kind and id."""
         return problems_of(self.document, self.estimates())
 
     def distance(self, a: int, b: int) -> tuple[float, float]:
-        """Return the distance of two points and its standard deviation, m."""
+        """Return the distance between two points and its standard deviation, m."""
         return self.distances([(a, b)])[0]
 
     def distances(self, pairs: Sequence[tuple[int, int]]) -> list[tuple[float, float]]:
         """Return the distances of pairs of points and their standard deviations, m.
 
-        Both points' errors are taken together: what constraints and the calibration do to both of
-        them alike is no error of their distance.
+        The errors of both points are correlated by constraints and the calibration: an error that
+        moves both points alike does not change their distance.
 
         Raises:
-            ValueError: a point that does not exist or has no position.
+            ValueError: a point does not exist or has no position.
         """
         document, estimates = self.document, self.estimates()
         for point in dict.fromkeys(point for pair in pairs for point in pair):
@@ -212,50 +211,50 @@ class ModelSession(AbstractDrawing):
         return self._estimates.distances(document, pairs)
 
     def model(self, document: Document | None = None) -> ObjectModel:
-        """Return the object model of everything that has a position, with what was said of it."""
+        """Return the object model of all complete parts, with the confirmed or refused symmetry."""
         document = document or self.document
         estimates = self.estimates(document)
         joint = self._estimates.correlations(document, placed_points(document, estimates))
         model = build_model(document, estimates, self.names, joint)
-        # Most models are asked for while somebody draws: only what was said is looked for.
+        # The symmetry is not searched for while the user still draws.
         if document.symmetry_confirmed is None:
             return model
         return dataclasses.replace(model, symmetry=self._symmetry.stated(document, model))
 
     def symmetry(self) -> Symmetry | None:
-        """Return the turns that map the object onto itself, for the person to confirm or refuse.
+        """Return the rotations that map the object onto itself, for the user to confirm or refuse.
 
         Returns:
-            The group found from vertices, edges and faces, `confirmed` if the person has confirmed
-            it; None while there are not three vertices that span a plane.
+            The group found from vertices, edges and faces, `confirmed` if the user confirmed it;
+            None without three vertices that span a plane.
         """
-        # One document throughout: the page's other messages may change it meanwhile.
+        # Other messages of the page may replace the document meanwhile.
         document = self.document
         model = self.model(document)
-        found = self._symmetry.found(document, model)
-        if found is None:
+        group = self._symmetry.found(document, model)
+        if group is None:
             return None
-        return dataclasses.replace(found, confirmed=bool(self._symmetry.said(document, model)))
+        return dataclasses.replace(group, confirmed=bool(self._symmetry.said(document, model)))
 
     @property
     def symmetry_said(self) -> bool | None:
-        """Whether the symmetry as found now was confirmed or refused; None if nothing was said."""
+        """Whether the present symmetry was confirmed or refused; None if neither."""
         document = self.document
         return self._symmetry.said(document, self.model(document))
 
     def confirm_symmetry(self, confirmed: bool | None = True) -> None:
-        """Confirm the symmetry that is found now, refuse it (False), or take that back (None).
+        """Confirm the present symmetry, refuse it (False), or withdraw the decision (None).
 
-        A refused symmetry is saved as that of an object whose poses can all be told apart. An edit
-        that changes the symmetry ends what was said of it.
+        A refused symmetry is saved as none: all poses of the object can be told apart. An edit that
+        changes the symmetry voids the decision.
 
         Raises:
-            ValueError: there is nothing yet of which a symmetry could be found.
+            ValueError: there are not yet three vertices that span a plane.
         """
-        found = self.symmetry()
-        if found is None:
+        group = self.symmetry()
+        if group is None:
             raise ValueError("symmetry: fewer than three vertices that are not on one line")
-        self.change({"do": "confirm_symmetry", "confirmed": confirmed, "order": found.order})
+        self.change({"do": "confirm_symmetry", "confirmed": confirmed, "order": group.order})
 
     def save(self, path: str | os.PathLike[str] | None = None) -> Path:
         """Write the model as JSON, completely or not at all.
@@ -266,18 +265,18 @@ class ModelSession(AbstractDrawing):
         target = self.path if path is None else Path(path)
         if target is None:
             raise ValueError("save: this session has no file; give a path")
-        # Made before the file is opened: a model that cannot be made leaves the old file alone.
+        # Built before the file is opened, so that an error leaves the old file alone.
         model = self.model()
         if not len(model.vertices):
-            raise ValueError("save: no point has a position yet; click each in two views")
+            raise ValueError("save: no point has a position yet; click each point in two views")
         written = save_object_model(model, target)
-        # A copy elsewhere does not make this file saved.
+        # A copy elsewhere does not count as saved.
         if target == self.path:
             self._journal.mark_saved(target.name)
         return written
 
     def close(self) -> None:
-        """Let go of the file, so that another editor can open it."""
+        """Release the file, so that another editor can open it."""
         self._journal.close()
 
     def __enter__(self) -> "ModelSession":
@@ -292,13 +291,13 @@ class ModelSession(AbstractDrawing):
         self.close()
 
     def prepare(self, stop: threading.Event | None = None) -> None:
-        """Compile what the first clicks need, and find the features of all pictures.
+        """Compile the programs of the first clicks, and find the features of all pictures.
 
         Args:
-            stop: set by another thread to leave out the pictures that are not begun yet.
+            stop: set by another thread to skip the remaining pictures.
         """
         width, height = self.calibration.camera.image_size
-        # Any pixel will do: the first call of each program is the slow one.
+        # Any pixel will do: only the first call of each program is slow.
         middle = (0.5 * width, 0.5 * height)
         self.geometry.estimates([dict.fromkeys(self.names, middle)])
         self.geometry.curves(self.names[0], middle)
@@ -306,6 +305,6 @@ class ModelSession(AbstractDrawing):
         for name in self.names:
             if stop is not None and stop.is_set():
                 return
-            # A picture without features can still be clicked; whoever asks for them is told why.
+            # A picture without features can still be clicked; `features` reports the error.
             with contextlib.suppress(ValueError):
                 self.features(name)

@@ -1,7 +1,7 @@
 """Answer the editor's geometric questions for a fixed set of views.
 
-Points are triangulated from clicks, predicted in every view with the ellipse of their error, and
-clicked pixels drawn as curves in the other views. What was computed once is not computed again.
+Points are triangulated from clicks and predicted in every view with an error ellipse; pixels are
+drawn as epipolar curves in the other views. Results are kept.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,24 +31,26 @@ from ..robots import Command
 from .document import Clicks
 
 DEPTH_RANGE = (0.3, 3.0)
-"""Depths along a curve, over the distance from the view to the point that the views look at."""
+"""Depths along a curve, relative to the distance from the camera to the views' common point."""
 
 MAX_DEPTH_SCALE = 100.0
-"""Largest distance to that point, over the distance between the views; beyond it they look in
-parallel, and their common point says nothing."""
+"""Largest distance to the common point relative to the distance between the views.
+
+Beyond it the optical axes are nearly parallel, and the point is meaningless.
+"""
 
 
 class PointEstimate(NamedTuple):
-    """A point that was clicked, where it is in space and in every view.
+    """The estimate of a clicked point, in space and in every view.
 
     Attributes:
-        position: in the world, m; NaN if it could not be triangulated.
-        picture_covariance: due to the clicks, m^2.
+        position: position in the world, m; NaN if it could not be triangulated.
+        picture_covariance: covariance due to the clicks, m^2.
         calibration_factor: movement for one standard deviation of each independent error of the
             calibration, m.
-        predicted: its pixel in every view.
+        predicted: predicted pixel in every view.
         ellipses: covariance of the predicted pixel in every view, px^2.
-        visible: whether it is predicted within each picture.
+        visible: whether the predicted pixel is within each picture.
         residuals: clicked minus predicted pixel by the view's name.
         wrong_clicks: why a click contradicts those in the other views, by the view's name.
         failure: why it has no position; empty if it has one.
@@ -74,10 +76,10 @@ class ViewGeometry:
     """The views of a session with their cameras' poses.
 
     Attributes:
-        names: of the views.
-        command: what the robot reported.
+        names: names of the views.
+        command: reported poses.
         camera_from_world: extrinsics of all views.
-        centres: of the cameras in the world, m.
+        centres: camera centres in the world, m.
         depth_range: nearest and farthest depth of curves by view, m.
     """
 
@@ -89,7 +91,7 @@ class ViewGeometry:
         covariance: CalibrationEstimate | None = None,
         click_sigma: float = 0.5,
     ):
-        """Compute the poses of the cameras; arguments, checked, as in `ModelSession`."""
+        """Compute the poses of the cameras; the arguments are as in `ModelSession`, checked."""
         self._calibration = calibration
         self.command: Command = command
         self.names: list[str] = list(names)
@@ -97,7 +99,7 @@ class ViewGeometry:
         self._click_sigma = click_sigma
         self._seen = SeenViews.of(calibration, self.command)
         self._estimates: dict[tuple, PointEstimate] = {}
-        # The clicks are kept with their estimate, so that their identity is not given again.
+        # The clicks are kept with their estimate, so that their `id` is not reused.
         self._known: dict[int, tuple[Clicks, PointEstimate]] = {}
         self.camera_from_world: Float[np.ndarray, "views 4 4"] = self._seen.camera_from_world
         self.centres: Float[np.ndarray, "views 3"] = self._seen.centres
@@ -106,12 +108,12 @@ class ViewGeometry:
         )
 
     def estimates(self, points: Sequence[Clicks]) -> list[PointEstimate]:
-        """Return where points are that were clicked in one view or in several."""
-        # Documents share the clicks of the points that a change left alone, so that the same object
-        # means the same estimate; comparing a thousand of them by value takes too long.
+        """Return the estimates of points from their clicks in one or more views."""
+        # Documents share the clicks of points that a change left alone, so identical clicks mean
+        # the same estimate; comparing a thousand points by value would take too long.
         unknown = [clicks for clicks in points if id(clicks) not in self._known]
         if unknown:
-            # By value, too: undo and redo make equal clicks anew.
+            # By value too, because undo and redo create equal clicks as new objects.
             keys = [tuple(sorted(clicks.items())) for clicks in unknown]
             new = list(dict.fromkeys(key for key in keys if key not in self._estimates))
             if new:
@@ -155,10 +157,10 @@ class ViewGeometry:
     def refined(
         self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
     ) -> tuple[list[PointEstimate], RefinedFeatures]:
-        """Return where points are under constraints, and the refinement that says so.
+        """Return the estimates of points under constraints, and their refinement.
 
         Raises:
-            ValueError: a constraint that cannot be used.
+            ValueError: an invalid constraint.
         """
         observations = ModelObservations(
             self._calibration,
@@ -180,34 +182,37 @@ class ViewGeometry:
 
     def _estimates_from(
         self,
-        found: TriangulatedPoints | RefinedFeatures,
+        solution: TriangulatedPoints | RefinedFeatures,
         points: Sequence[Clicks],
         wrong_clicks: Sequence[Mapping[str, str]],
     ) -> list[PointEstimate]:
         """Return the estimates of points that were triangulated or refined."""
-        # The program takes finite points only; what is predicted for the others is not read.
-        jacobians = pixel_jacobians(self._seen, np.where(found.ok[:, None], found.points, 0.0))
-        # With C = R R^T the calibration's part J C J^T is F F^T for F = J R.
-        root = covariance_factor(found.calibration_covariance)
-        total, failures = found.covariance(), found.failures
+        # Points without a position are replaced by zeros; their predictions are not used.
+        jacobians = pixel_jacobians(
+            self._seen, np.where(solution.ok[:, None], solution.points, 0.0)
+        )
+        # For C = R R^T the part of the calibration is J C J^T = F F^T with F = J R.
+        root = covariance_factor(solution.calibration_covariance)
+        total, failures = solution.covariance(), solution.failures
         size = np.array(self._calibration.camera.image_size)
         results = []
         for k, clicks in enumerate(points):
-            J, seen_at = jacobians.by_point[:, k], jacobians.pixels[:, k]
-            # Behind the border of a picture a point is predicted, but not drawn.
-            within = ((seen_at > -0.5) & (seen_at < size - 0.5)).all(axis=1)
+            J, pixels = jacobians.by_point[:, k], jacobians.pixels[:, k]
+            # A point outside the picture is predicted, but not drawn.
+            within = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
             residuals = {
-                name: tuple(found.residuals[self.names.index(name), k].tolist()) for name in clicks
+                name: tuple(solution.residuals[self.names.index(name), k].tolist())
+                for name in clicks
             }
             results.append(
                 PointEstimate(
-                    found.points[k],
-                    found.picture_covariance[k],
-                    found.calibration_jacobian[k] @ root,
-                    seen_at,
+                    solution.points[k],
+                    solution.picture_covariance[k],
+                    solution.calibration_jacobian[k] @ root,
+                    pixels,
                     J @ total[k] @ J.swapaxes(1, 2),
-                    jacobians.valid[:, k] & within & found.ok[k],
-                    residuals if found.ok[k] else {},
+                    jacobians.valid[:, k] & within & solution.ok[k],
+                    residuals if solution.ok[k] else {},
                     wrong_clicks[k],
                     failures.get(k, ""),
                 )
@@ -215,19 +220,19 @@ class ViewGeometry:
         return results
 
     def curves(self, view: str, pixel: tuple[float, float]) -> dict[str, EpipolarCurve]:
-        """Return the curves of a pixel in all other views, by name."""
+        """Return the epipolar curves of a pixel in all other views, by name."""
         index = self.names.index(view)
         others = [k for k in range(len(self.names)) if k != index]
         if not others:
             return {}
-        found = epipolar_curves(
+        curves = epipolar_curves(
             self._calibration,
             command_at(self.command, index),
             np.array(pixel, dtype=float),
             command_at(self.command, others),
             self.depth_range[index],
         )
-        return {self.names[k]: curve for k, curve in zip(others, found, strict=True)}
+        return {self.names[k]: curve for k, curve in zip(others, curves, strict=True)}
 
     @property
     def common_depths(self) -> tuple[float, float]:
@@ -240,32 +245,31 @@ class ViewGeometry:
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """Return the camera's centre and the unit direction of a pixel's ray in the world."""
         curves = self.curves(view, pixel)
-        # Every curve of the pixel has its ray; two views at least are there.
+        # All curves of a pixel have the same ray, and there are at least two views.
         curve = next(iter(curves.values()))
         return curve.origin, curve.direction
 
     def pixels_of(
         self, points: Float[np.ndarray, "points 3"]
     ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
-        """Return where points in the world are seen in all views, and whether they are."""
-        found = pixel_jacobians(self._seen, points)
-        return found.pixels, found.valid
+        """Return the pixels of world points in all views, and whether they are valid."""
+        jacobians = pixel_jacobians(self._seen, points)
+        return jacobians.pixels, jacobians.valid
 
 
 def _depth_range(
     camera_from_world: Float[np.ndarray, "views 4 4"], centres: Float[np.ndarray, "views 3"]
 ) -> list[tuple[float, float]]:
-    """Return nearest and farthest depth of curves by view, around what all views look at."""
+    """Return the nearest and farthest depth of curves by view, around the common point."""
     axes = camera_from_world[:, 2, :3]
     # The point nearest to all optical axes: sum_v (I - a a^T) (x - c) = 0.
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     matrix, right = projectors.sum(axis=0), np.einsum("vij,vj->i", projectors, centres)
-    # The baseline sets what can be triangulated at all.
     spread = float(np.linalg.norm(np.ptp(centres, axis=0)))
     point = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
     distances = np.linalg.norm(point - centres, axis=1)
     in_front = np.einsum("vi,vi->v", point - centres, axes) > 0.0
     if spread == 0.0 or not in_front.all() or distances.max() > MAX_DEPTH_SCALE * spread:
-        # Cameras that look in parallel or apart: from a baseline away to infinity.
+        # Optical axes that are parallel or diverge: from one baseline to infinity.
         return [(max(spread, 1e-3), np.inf)] * len(centres)
     return [(DEPTH_RANGE[0] * d, DEPTH_RANGE[1] * d) for d in distances.tolist()]

@@ -1,8 +1,8 @@
 """Show the editor's page in a notebook: the same files, over Jupyter's own connection.
 
-A notebook's widget is one script, so the page's modules are sent as texts and put together in the
-browser, each under an address of its own. Nothing is read from a network or from another port, so
-that it works wherever the notebook itself does.
+A notebook's widget is a single script, so the page's modules are sent as texts and assembled in the
+browser, each under its own address. Nothing is read from a network or another port, so it works
+wherever the notebook does.
 """
 
 import json
@@ -28,7 +28,7 @@ MODULES = (
     "connection.js",
     "editor.js",
 )
-"""The page's modules, each after those that it imports."""
+"""The page's modules in order of import."""
 
 _RENDER = """
 export default {
@@ -65,12 +65,12 @@ export default {
 
 @cache
 def widget_script() -> str:
-    """Return the widget's script: the page's modules as texts, and what starts them."""
+    """Return the widget's script: the page's modules as texts, and the code that starts them."""
     lines = ["const addresses = {};"]
     for name in MODULES:
         text = (PAGE / name).read_text(encoding="utf-8")
-        # A module imports others by names; here each name becomes the address it was given.
-        # The script adds texts and addresses up: an address is known only in the browser.
+        # Names of imported modules are replaced by addresses, which are known only in the browser,
+        # so the script concatenates texts and addresses.
         parts: list[str] = []
         end = 0
         for match in re.finditer(r"""(from ?|import ?)(["'])(three|\./[\w./]+)\2""", text):
@@ -78,7 +78,7 @@ def widget_script() -> str:
             parts += [json.dumps(text[end : match.start()] + match[1] + match[2])]
             parts += [f"addresses[{json.dumps(target)}]", json.dumps(match[2])]
             end = match.end()
-        # JSON's texts are JavaScript's, too.
+        # JSON strings are valid in JavaScript.
         parts.append(json.dumps(text[end:]))
         lines.append(
             f"addresses[{json.dumps(name)}] = URL.createObjectURL("
@@ -88,7 +88,7 @@ def widget_script() -> str:
 
 
 def _module_named(specifier: str, importer: str) -> str:
-    """Return the module that another one imports by a name."""
+    """Return the file of a module that another one imports."""
     if specifier == "three":
         return "vendor/three.module.min.js"
     folder = importer.rpartition("/")[0]
@@ -97,9 +97,9 @@ def _module_named(specifier: str, importer: str) -> str:
 
 
 def editor_widget(session: ModelSession) -> "anywidget.AnyWidget":
-    """Return the editor of a session as a widget, which a notebook's cell shows.
+    """Return the editor of a session as a widget for a notebook.
 
-    Changes made by the notebook's own code appear in the page after `widget.refresh()`.
+    Changes made by the notebook's code appear in the page after `widget.refresh()`.
 
     Raises:
         ImportError: anywidget is not installed.
@@ -107,7 +107,7 @@ def editor_widget(session: ModelSession) -> "anywidget.AnyWidget":
     anywidget = import_extra("anywidget", "editor", "the editor in a notebook")
     conversation = Conversation(session)
 
-    # Made here, because anywidget is imported only where a widget is wanted.
+    # Defined here, because anywidget is an optional import.
     class EditorWidget(anywidget.AnyWidget):
         """The editor's page in a notebook."""
 
@@ -128,7 +128,7 @@ def editor_widget(session: ModelSession) -> "anywidget.AnyWidget":
             self.send(conversation.answer(message))
 
         def refresh(self) -> None:
-            """Show what has changed in the session since the page was shown anything."""
+            """Show the changes of the session since the last message to the page."""
             self.send(conversation.update())
 
     return EditorWidget()

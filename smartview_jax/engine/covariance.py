@@ -52,7 +52,7 @@ class ReducedEquations(NamedTuple):
     Attributes:
         schur_complement: matrix of the shared parameters alone.
         per_view_inverse: inverse of each view's own block.
-        gain: that inverse times the view's border block with the shared parameters.
+        gain: this inverse times the view's border block with the shared parameters.
     """
 
     schur_complement: Float[np.ndarray, "n n"]
@@ -62,7 +62,7 @@ class ReducedEquations(NamedTuple):
     def per_view_covariance(
         self, shared_covariance: Float[np.ndarray, "n n"]
     ) -> Float[np.ndarray, "views 6 6"]:
-        """Return the covariance of each view's own parameters, given that of the shared ones."""
+        """Return the covariance of each view's own parameters from the shared parameters'."""
         # Cov(y_v) = D_v^-1 + K_v C K_v^T with the gain K_v = D_v^-1 B_v and C = Cov(x).
         return self.per_view_inverse + self.gain @ shared_covariance @ np.swapaxes(self.gain, 1, 2)
 
@@ -87,11 +87,10 @@ def variance_factor(
     """Estimate the factor by which the assumed pixel variance is wrong, from all residuals.
 
     It is the sum of squared whitened residuals over the degrees of freedom. With a robust loss it
-    is estimated from the median, since outliers must not inflate it.
+    is estimated from the median, so that outliers do not inflate it.
 
     Args:
-        problem: the problem; a free parameter with a prior takes no degree of freedom from the
-            residuals.
+        problem: the problem; a free parameter with a prior does not reduce the degrees of freedom.
         squared_residuals: squared whitened residuals of the points, as
             `JointProblem.squared_residuals` returns them.
     """
@@ -139,7 +138,7 @@ def covariance(
 
     Args:
         jacobian: decomposition of the Jacobian at the optimum.
-        variance_factor: factor by which the assumed variances are wrong: 1 where they are known.
+        variance_factor: factor by which the assumed variances are wrong; 1 if they are known.
     """
     observable = jacobian.singular_values > RANK_TOLERANCE
     inverse = np.where(observable, 1.0 / np.where(observable, jacobian.singular_values, 1.0), 0.0)
@@ -177,9 +176,9 @@ def per_view_std(
 
 def covariance_factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return a matrix R with R R^T equal to a covariance, which may be singular."""
-    # Not a Cholesky factor: averaged models can leave a covariance without full rank. Correlations
-    # instead of the covariance: metres, radians and pixels differ by many orders. Rounding may make
-    # the smallest eigenvalues slightly negative.
+    # Not a Cholesky factor, because averaged models can have a covariance without full rank. From
+    # correlations, because metres, radians and pixels differ by many orders of magnitude. Rounding
+    # may make the smallest eigenvalues slightly negative.
     scale = np.sqrt(np.diagonal(covariance).clip(0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
     eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))

@@ -13,13 +13,13 @@ _cholesky, _invert_triangular = get_lapack_funcs(("potrf", "trtri"))
 def inverse_cholesky_factor(matrix: Float[AnyArray, "*batch n n"]) -> Float[AnyArray, "*batch n n"]:
     """Return the inverse F of the lower Cholesky factor of a matrix A, so that `F A F^T = 1`.
 
-    It is NaN, and nothing is raised, where a matrix is not positive definite.
+    NaN, without an error, if a matrix is not positive definite.
     """
     xp = array_namespace(matrix)
     if xp is jnp:
         return jnp.linalg.inv(jnp.linalg.cholesky(matrix))
     if matrix.ndim == 2 and matrix.size:
-        # NumPy inverts a triangular matrix as any other, which takes four times as long.
+        # NumPy does not use that the matrix is triangular, which takes four times as long.
         factor, info = _cholesky(matrix, lower=1)
         return _invert_triangular(factor, lower=1)[0] if info == 0 else np.full_like(matrix, np.nan)
     # In units with a diagonal of one, pivoting does not depend on the units of the matrix.

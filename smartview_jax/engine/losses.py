@@ -1,8 +1,8 @@
 """Robust losses that limit the influence of points with large residuals.
 
 The fit minimises `1/2 sum rho(s)` with `s = |r|^2` over the observations, where r is the residual
-of a point (two components) divided by the pixel sigma. An ordinary least-squares solver gets the
-residual `r sqrt(rho(s) / s)`: its square is rho, so that any such solver can be used unchanged.
+of a point (two components) divided by the pixel sigma. An ordinary least-squares solver can be used
+unchanged with the residual `r sqrt(rho(s) / s)`, whose square is rho.
 """
 
 import abc
@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 class AbstractLoss(eqx.Module):
     """A loss function of the squared whitened residual of a point.
 
-    A `scale` is in standard deviations of a pixel; residuals much smaller cost their square.
+    A `scale` is in standard deviations of a pixel; the loss of much smaller residuals is their
+    square.
     """
 
     @abc.abstractmethod
@@ -55,7 +56,7 @@ class Cauchy(AbstractLoss):
 class GemanMcClure(AbstractLoss):
     """The Geman-McClure loss `s / (1 + s / scale^2)`.
 
-    It is bounded, so that a gross error has no influence at all.
+    It is bounded, so that a gross error has no influence.
     """
 
     scale: float = 3.0

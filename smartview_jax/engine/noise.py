@@ -20,11 +20,10 @@ class Noise:
             infinite if unknown.
         field: standard deviation of the coefficients of the robot error field, one for each of the
             field's groups.
-        white_pixel: standard deviation of u and of v about a view's own best pose, px; None where
-            it equals `pixel`. Errors of real pixels are correlated within a view, so that a view
-            gives less information on the camera and on its pose than its many points suggest:
-            `pixel` weights them in the fit, and `white_pixel` predicts the scatter of single
-            points.
+        white_pixel: standard deviation of u and of v about the view's best pose, px; None if it
+        equals `pixel`. Errors of real pixels are correlated within a view, so that a view has
+        less information than its number of points suggests: `pixel` weights the points in the
+        fit, and `white_pixel` predicts the scatter of single points.
     """
 
     pixel: float

@@ -28,7 +28,7 @@ class Direction(NamedTuple):
 
 
 class Observability(NamedTuple):
-    """The rank of a fit's Jacobian, and the directions that the data hardly determine, or not.
+    """The rank of a fit's Jacobian, and the directions that the data determine poorly or not.
 
     Attributes:
         rank: rank of the scaled Jacobian.
@@ -63,7 +63,7 @@ def observability(
     def direction(k: int) -> Direction:
         """Return the k-th right singular vector as a `Direction`."""
         order = np.argsort(-np.abs(Vt[k]))
-        # At most eight components, and none below 5 % of the largest: more are unreadable.
+        # At most eight components, above 5 % of the largest, for readability.
         largest = [i for i in order if abs(Vt[k, i]) > 0.05 * abs(Vt[k, order[0]])][:8]
         components = tuple((names[i], float(Vt[k, i] * inverse_norms[i])) for i in largest)
         text = describe_direction(components, calibration)
@@ -110,7 +110,7 @@ def describe_direction(components: tuple[tuple[str, float], ...], calibration: C
         axis = _describe_axis(rotation.T @ displacement)
         return f"camera offset along the {mount}'s {axis}: all rotations share that axis"
     listed = ", ".join(f"{name} ({value:+.2g})" for name, value in components)
-    return f"only together, not one by one: {listed}"
+    return f"a combination of parameters: {listed}"
 
 
 def _describe_axis(vector: np.ndarray) -> str:

@@ -9,8 +9,8 @@ Every number has a name, which is a path:
 A path selects every name that it is a prefix of. A fit adds a step to the parameters, except for
 rotations: these are multiplied from the left by the exponential of a rotation vector, in the axes
 of the frame that the transform maps into (`R = exp(step) R_start`). Translations therefore do not
-depend on the rotation. The parameter of the target's scale is its logarithm, so that no step makes
-a target without size.
+depend on the rotation. The parameter of the target's scale is its logarithm, so that the scale
+stays positive.
 """
 
 import difflib
@@ -86,7 +86,7 @@ def _unknown_path_message(path: str, names: Sequence[str]) -> str:
     prefixes = {".".join(name.split(".")[:k]) for name in names for k in range(1, 5)}
     prefixes = sorted(name for name in prefixes if not name.startswith(f"{POSE_CORRECTIONS}."))
     close = difflib.get_close_matches(path, prefixes, n=3, cutoff=0.4)
-    hint = f"did you mean {', '.join(close)}?" if close else f"there is {', '.join(prefixes)}"
+    hint = f"did you mean {', '.join(close)}?" if close else f"known are {', '.join(prefixes)}"
     return f"no parameter is called {path!r}; {hint}"
 
 
@@ -95,7 +95,7 @@ class Step(NamedTuple):
 
     Attributes:
         shared: components of the parameters common to all views.
-        per_view: six components for each view's own correction; no views where there are none.
+        per_view: six components for each view's own correction; empty without corrections.
     """
 
     shared: Float[Array, "shared"]
@@ -103,7 +103,7 @@ class Step(NamedTuple):
 
 
 class ParameterLayout(NamedTuple):
-    """The places of the shared parameters in the flat vector, one slice for each group.
+    """The positions of the shared parameters in the flat vector, one slice for each group.
 
     Attributes:
         camera: pinhole parameters and lens.
@@ -146,7 +146,7 @@ class Parameters(eqx.Module):
 
     @property
     def layout(self) -> ParameterLayout:
-        """The places of the parameters common to all views."""
+        """The positions of the parameters common to all views."""
         camera_size = sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
         error = self.start.robot_error
         return ParameterLayout.of_sizes(camera_size, 0 if error is None else error.field.size)
@@ -190,8 +190,8 @@ class Parameters(eqx.Module):
     def step_to(self, other: Calibration) -> Float[Array, "shared"]:
         """Return the step from the start to another calibration with the same parameters."""
         start, layout = self.start, self.layout
-        # Differences of values are right for all parameters except rotations, whose values are
-        # zero; these steps are the rotation vectors between the two.
+        # Steps are differences of values, except for rotations, whose values are zero: their steps
+        # are the rotation vectors between start and end.
         step = Parameters(other).values() - self.values()
         for place, before, after in (
             (layout.mount, start.camera_from_mount, other.camera_from_mount),
@@ -208,12 +208,12 @@ def _rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:
 
 
 def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Calibration:
-    """Return what `Parameters(start).retract` returns for a step of the shared parameters.
+    """Return the calibration of `Parameters(start).retract` for a step of the shared parameters.
 
-    It is computed with NumPy: for a few steps whose programs would take longer to compile.
+    It is computed with NumPy, for a few steps, because compilation would take longer.
     """
     layout = Parameters(start).layout
-    # The camera's numbers stand in the order of its leaves, as `ravel_pytree` puts them.
+    # The camera's numbers are in the order of its leaves, as in `ravel_pytree`.
     leaves, structure = jax.tree.flatten(start.camera)
     ends = np.cumsum([np.size(leaf) for leaf in leaves])
     steps = np.split(shared[layout.camera], ends[:-1])
@@ -236,7 +236,7 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
 
 
 def _host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:
-    """Return what `_retract_transform` returns, computed with NumPy."""
+    """Return the result of `_retract_transform`, computed with NumPy."""
     matrix = host_matrices(start)
     # R = exp(step) R_start, and the translation by itself: see the module's docstring.
     rotation_alone = np.concatenate([np.zeros(3), step[3:]])

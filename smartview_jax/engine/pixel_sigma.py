@@ -1,7 +1,7 @@
-"""Estimate the pixel sigma together with the fit, where the answer depends on it.
+"""Estimate the pixel sigma together with the fit, if the result depends on it.
 
-A robust loss and priors weigh residuals in units of sigma. Where sigma is not known, the fit and
-the residuals' standard deviation are computed in turn until they agree:
+A robust loss and priors weight residuals in units of sigma. If sigma is unknown, the fit and the
+residuals' standard deviation are computed in turn until they agree:
 
     sigma <- sigma sqrt(f),  f = variance of the residuals at the fit / variance assumed in the fit
 """
@@ -20,20 +20,20 @@ from .solver import Solution
 from .view_normal_equations import INVALID_PROJECTION_RESIDUAL
 
 SIGMA_FLOOR = 1e-4
-"""Smallest pixel sigma, px; data with a smaller one count as free of noise."""
+"""Smallest pixel sigma, px; data with less noise count as noise-free."""
 
 
 def with_pixel_sigma(problem: JointProblem, sigma: AnyScalar) -> JointProblem:
-    """Return the problem with another pixel sigma, px."""
+    """Return the problem with a new pixel sigma, px."""
     return eqx.tree_at(lambda p: p.pixel_sigma, problem, as_float_array(sigma))
 
 
 def updated_sigma(sigma: AnyScalar, factor: AnyScalar) -> AnyScalar:
-    """Return the pixel sigma that the residuals have, not less than `SIGMA_FLOOR`.
+    """Return the pixel sigma estimated from the residuals, at least `SIGMA_FLOOR`.
 
     Args:
         sigma: pixel sigma assumed in the fit, px.
-        factor: variance of the residuals at the fit over the assumed one.
+        factor: variance of the residuals at the fit over the assumed variance.
     """
     xp = array_namespace(sigma, factor)
     return xp.maximum(sigma * xp.sqrt(factor), SIGMA_FLOOR)
@@ -71,14 +71,14 @@ def solve_with_estimated_sigma(
     Args:
         problem: the problem with the first pixel sigma.
         solve_problem: solves a problem from a step.
-        variance_factor: variance of the residuals over the assumed one, from a problem and the
-            squared whitened residuals of its fit.
+        variance_factor: function from a problem and the squared whitened residuals of its fit to
+            the variance of the residuals over the assumed variance.
         tolerance: relative change of the pixel sigma at which to stop.
         maximum_fits: number of fits after which to stop.
 
     Returns:
-        The problem with the pixel sigma of the last fit, what the last fit returned, and the pixel
-        sigma that its residuals have.
+        The problem with the pixel sigma of the last fit, the results of the last fit, and the pixel
+        sigma estimated from its residuals.
     """
     step = problem.zero_step()
     for fits in range(1, maximum_fits + 1):

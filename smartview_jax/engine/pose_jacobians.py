@@ -25,8 +25,7 @@ class PoseJacobians(eqx.Module):
         camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
         shared_jacobian: derivatives by the translation and rotation step of both transforms, by the
             logarithm of the target's scale, and by the coefficients of the robot error field.
-        per_view_jacobian: derivatives by each view's own correction; no views where there are no
-            corrections.
+        per_view_jacobian: derivatives by each view's own correction; empty without corrections.
     """
 
     calibration: Calibration
@@ -44,7 +43,7 @@ def linearise_poses(
         parameters: the start and the layout of its parameters.
         step: step from the start.
         reported: poses that the robot reported, batch shape `(views)`.
-        prepared_poses: what the robot error field needs of them; None without a field.
+        prepared_poses: precomputed quantities of the robot error field; None without a field.
     """
     calibration, corrections = parameters.retract(step)
     layout = parameters.layout
@@ -86,8 +85,8 @@ def linearise_poses(
     ]
     if error is not None and prepared_poses is not None:
         # actual_pose(coefficients + d) = actual_pose(coefficients) @ exp(F d), F = field_jacobian.
-        # With the camera on the hand the chain has the inverse, exp(-F d) @ actual_pose^-1; with
-        # the camera outside the arm it has actual_pose @ exp(F d).
+        # With the camera on the hand the chain has the inverse, exp(-F d) @ actual_pose^-1; with a
+        # fixed camera it has actual_pose @ exp(F d).
         camera_from_tool = camera_from_mount if eye_in_hand else camera_from_holder
         field_jacobian = prepared_poses.jacobian(error.field, error.coefficients)
         columns.append(
@@ -95,7 +94,7 @@ def linearise_poses(
         )
     per_view_jacobian = jnp.zeros((0, 6, 6))
     if len(corrections):
-        # exp(c + dc) = exp(J_l(c) dc) @ exp(c); the sign is that of the correction in the chain.
+        # exp(c + dc) = exp(J_l(c) dc) @ exp(c); the sign is as for the correction in the chain.
         left_jacobian = se3_left_jacobian(signed_corrections)
         per_view_jacobian = camera_from_before.adjoint() @ (
             left_jacobian if eye_in_hand else -left_jacobian

@@ -1,12 +1,11 @@
-"""Evaluate a robot error field where the robot was, rather than where it said it was.
+"""Evaluate a robot error field at poses corrected for noise, rather than at reported poses.
 
-A reported pose is wrong by the field, which is smooth, and by noise. If the field were evaluated at
-reported poses while the target's size multiplies the poses that the pictures show, noise would
-enter the equations on one side only. All lengths could then shrink together (target, camera
-distance, hand-eye transform, and through the field the motion) without a change in any pixel, and
-the noise would shrink with them: each view would pay the estimate to make the world smaller.
-Evaluated at reported poses less their noise, the field is a function of the same poses as the size.
-The noise stays in the metres that the robot reports, and shrinking gains nothing.
+A reported pose has an error by the field, which is smooth, and by noise. If the field were
+evaluated at reported poses, the estimate of the target's size would be biased: all lengths could
+shrink together (target, camera distance, hand-eye transform and, through the field, the motion)
+without a change of any pixel, and the noise of the poses would shrink with them, so that a smaller
+world would fit better. With the field at poses corrected for noise, the noise stays in the metres
+that the robot reports, and shrinking gains nothing.
 """
 
 from typing import Any
@@ -24,11 +23,11 @@ from ..runtime.compilation import compiled
 from ..runtime.padding import over_padded_views
 
 JOINT_DAMPING = 1e-2
-"""Damping of the joints' motion that undoes the noise of a pose, in m and rad per radian."""
+"""Damping of the joint motion that corrects a pose for noise, in m and rad per radian."""
 
 
 class PreparedPoses(eqx.Module):
-    """All that an error field needs of the poses where it is evaluated.
+    """The precomputed quantities of an error field at the poses where it is evaluated.
 
     Attributes:
         evaluated_from_base: inverse of the poses where the field is evaluated.
@@ -40,7 +39,7 @@ class PreparedPoses(eqx.Module):
 
     @classmethod
     def at(cls, field: AbstractField, evaluated: Command) -> "PreparedPoses":
-        """Return what a field needs of the poses where it is evaluated."""
+        """Precompute the quantities of a field at some poses."""
         return cls(evaluated.base_from_tool.inverse(), field.prepare(evaluated))
 
     def error(self, field: AbstractField, coefficients: Float[Array, "coefficients"]) -> SE3:
@@ -60,13 +59,13 @@ def prepare_poses(
     reported: Command,
     corrections: Float[np.ndarray, "views 6"] | None = None,
 ) -> PreparedPoses | None:
-    """Return what a field needs of reported poses, evaluated at these poses less their noise.
+    """Precompute the quantities of a field at reported poses, corrected for noise.
 
     Args:
         error: robot error with the field; None returns None.
-        reported: what the robot reported.
-        corrections: twists at the tool by which reported poses are corrected for noise; None where
-            the noise is not known.
+        reported: reported poses.
+        corrections: twists at the tool that correct reported poses for noise; None if the noise is
+            not known.
     """
     if error is None:
         return None
@@ -78,14 +77,14 @@ def prepare_poses(
 
 @compiled
 def _prepare(field: AbstractField, evaluated: Command) -> PreparedPoses:
-    """Return what a field needs of the poses where it is evaluated, compiled."""
+    """Precompute the quantities of a field, compiled."""
     return PreparedPoses.at(field, evaluated)
 
 
 def _less_noise(
     field: AbstractField, reported: Command, corrections: Float[np.ndarray, "views 6"]
 ) -> Command:
-    """Return the poses that a robot without noise would have reported."""
+    """Return the reported poses, corrected for noise."""
     # corrected = reported exp(-c), as in the chain.
     pose = host_transforms(
         host_matrices(reported.base_from_tool) @ host_exponentials(-np.asarray(corrections))
@@ -93,8 +92,8 @@ def _less_noise(
     arm = nominal_arm(field)
     if reported.joints is None or arm is None:
         return Command(pose, reported.joints)
-    # The joints that move the tool by the twist -c, by least squares: a redundant arm has several
-    # such motions, and in a singular pose there is none.
+    # The change of the joints that moves the tool by the twist -c, by damped least squares: a
+    # redundant arm has several solutions, and a singular pose none.
     by_coefficients = over_padded_views(lambda padded: _jacobian_at_zero(field, padded), reported)
     # The first coefficients of a field of arm errors are the offsets of its joints.
     by_joints = np.asarray(by_coefficients)[..., : arm.joint_count]

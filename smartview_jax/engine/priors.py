@@ -1,4 +1,4 @@
-"""Gaussian priors on single parameters, known before any picture is taken."""
+"""Define Gaussian priors on single parameters."""
 
 import dataclasses
 
@@ -9,8 +9,8 @@ class Prior:
 
     Attributes:
         std: standard deviation, in the parameter's own unit (px, m, rad, 1).
-        mean: mean value; None takes the value of the start. The prior of a rotation is always
-            centred at the start and has no mean of its own.
+        mean: mean value; None is the value of the start. The prior of a rotation is always centred
+            at the start and has no mean.
     """
 
     std: float

@@ -37,8 +37,7 @@ class NormalEquations(eqx.Module):
     """The cost, its gradient and the Gauss-Newton matrix at a step.
 
     Attributes:
-        cost: half the sum of squared whitened residuals, or of the loss, with priors where
-            included.
+        cost: half the sum of squared whitened residuals, or of the loss; with priors if included.
         gradient: gradient of the cost.
         matrix: Gauss-Newton approximation of the Hessian, `J^T J`.
     """
@@ -53,10 +52,10 @@ class FittedChain(eqx.Module):
 
     Attributes:
         calibration: the calibration.
-        pose_corrections: twist at the tool of every view's own correction; no views where there are
-            none.
-        field_corrections: twist at the tool from the reported pose to the one that the robot error
-            field gives; zero without a field.
+        pose_corrections: twist at the tool of every view's own correction; empty without
+            corrections.
+        field_corrections: twist at the tool from the reported pose to the pose corrected by the
+            robot error field; zero without a field.
         camera_from_world: pose of the world in each view's camera, with all corrections.
     """
 
@@ -75,15 +74,14 @@ class JointProblem(eqx.Module):
         pixel_sigma: standard deviation of u and of v, px.
         free: indices of the free shared parameters; an index after the last one is padding (see
             `solver.padded`), a parameter without any effect.
-        per_view_free: mask of the free parameters among each view's own six; no views where there
-            are none.
-        prior_mean: prior mean of every parameter's value; NaN where it is the start's.
+        per_view_free: mask of the free parameters among each view's own six; empty without
+            corrections.
+        prior_mean: prior mean of every parameter's value; NaN for the start's value.
         prior_weight: one over the prior standard deviation of every parameter; zero is no prior.
         scale: length of one unit of step, for the free shared parameters and for each view's own;
             for solvers that treat all parameters alike.
         loss: robust loss; None is least squares.
-        prepared_poses: what the robot error field needs of the reported poses, and where it is
-            evaluated; None without a field.
+        prepared_poses: precomputed quantities of the robot error field; None without a field.
         mesh: devices over which the views are distributed; None is one device.
     """
 
@@ -106,7 +104,7 @@ class JointProblem(eqx.Module):
         return dataclasses.replace(self, observations=observations, prepared_poses=prepared)
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "JointProblem":
-        """Return the problem with the robot error field evaluated at poses less their noise."""
+        """Return the problem with the robot error field at poses corrected for noise."""
         error, command = self.parameters.start.robot_error, self.observations.command
         return dataclasses.replace(self, prepared_poses=prepare_poses(error, command, corrections))
 
@@ -171,8 +169,8 @@ class JointProblem(eqx.Module):
     def squared_residuals(self, z: Step) -> Float[Array, "views points"]:
         """Compute the squared length of every whitened residual.
 
-        The views are processed one after the other, so that memory does not exceed that of the
-        result.
+        The views are processed one after the other, so that little more memory is needed than for
+        the result.
         """
         calibration, poses = self._corrected_poses(z)
 
@@ -258,12 +256,11 @@ class JointProblem(eqx.Module):
 
         The results are the gradient and the matrix of the observations alone.
         """
-        # matrix = sum_v S_v^T G_v S_v,   border_v = O_v^T G_v S_v,
-        # per_view_block_v = O_v^T G_v O_v,
-        # gradient = sum_v S_v^T g_v,     per_view_gradient_v = O_v^T g_v,
-        # where G_v and g_v are a view's matrix and gradient by (camera, twist), S_v = shared is the
-        # derivative of these by the shared parameters, and O_v = per_view the derivative of the
-        # twist (the last rows) by the view's own.
+        # matrix = sum_v S_v^T G_v S_v,   border_v = O_v^T G_v S_v, per_view_block_v = O_v^T G_v
+        # O_v, gradient = sum_v S_v^T g_v,     per_view_gradient_v = O_v^T g_v, where G_v and g_v
+        # are a view's matrix and gradient by (camera, twist), S_v = shared is the derivative of
+        # (camera, twist) by the shared parameters, and O_v = per_view the derivative of the twist
+        # (the last rows) by the view's own.
         shared = self._shared_jacobian(pose_jacobians)
         shared = self._with_shape(shared, views.matrix.shape[-1] - shared.shape[1])
         matrix_shared = views.matrix @ shared
@@ -331,7 +328,7 @@ class JointProblem(eqx.Module):
         return jnp.concatenate([columns[:, :n], rows, columns[:, n:]], axis=1)
 
     def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:
-        """Return the entries of the free shared parameters; those of padding are zero."""
+        """Return the entries of the free shared parameters, with zeros for padding."""
         return jnp.take(shared, self.free, axis=-1, mode="fill", fill_value=0.0)
 
     def _per_view_jacobian(self, pose_jacobians: PoseJacobians) -> Float[Array, "corrected 6 6"]:
@@ -352,7 +349,7 @@ class JointProblem(eqx.Module):
     def _per_view_precision(self) -> Float[Array, "corrected 6"]:
         """The prior precisions of each view's own parameters, with one for fixed parameters.
 
-        A fixed parameter has a zero column in the Jacobian; the one keeps its equation solvable.
+        A fixed parameter has a zero column in the Jacobian; 1 keeps the equations solvable.
         """
         return jnp.where(self.per_view_free, self._per_view_weight**2, 1.0)
 
@@ -392,7 +389,7 @@ class JointProblem(eqx.Module):
         gradient, matrix = equations.gradient, equations.matrix
         residual, per_view_residual = self._prior_residuals(step)
         weight = self._take_free(self.prior_weight.shared) * self.scale.shared
-        # Padding has a zero column in the Jacobian; the one keeps its equation solvable.
+        # Padding has a zero column in the Jacobian; 1 keeps the equations solvable.
         precision = jnp.where(self.free < self.parameters.layout.size, weight**2, 1.0)
         return NormalEquations(
             equations.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(per_view_residual**2)),

@@ -35,7 +35,7 @@ class BuiltProblem(eqx.Module):
         problem: the problem, in the parameters' own units.
         shared_names: names of the free shared parameters.
         per_view_names: names of the free parameters of single views, in order.
-        noise: the assumed noise; None where the robot's poses are taken as exact.
+        noise: the assumed noise; None if the robot's poses are taken as exact.
         unprojectable: visible points that cannot be projected at the start; they are left out.
     """
 
@@ -58,7 +58,7 @@ class BuiltProblem(eqx.Module):
         )
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "BuiltProblem":
-        """Return the problem with the robot error field evaluated at poses less their noise."""
+        """Return the problem with the robot error field at poses corrected for noise."""
         return dataclasses.replace(self, problem=self.problem.with_noise_corrections(corrections))
 
     @property
@@ -89,23 +89,23 @@ def build_problem(
     prior_centre: Calibration | None = None,
     noise_corrections: Float[np.ndarray, "views 6"] | None = None,
 ) -> BuiltProblem:
-    """Build the least-squares problem that `fit_joint` solves; arguments and errors as there.
+    """Build the least-squares problem of `fit_joint`; arguments and errors are as there.
 
-    Priors without a mean are centred at `prior_centre`, which is the start where none is given.
-    The coefficients of a robot error field begin at their values in the start if the start has the
-    same field, otherwise at zero. With `field="auto"` the robot error of the start is kept fixed.
-    The field is evaluated at reported poses less `noise_corrections`, where these are given.
+    Priors without a mean are centred at `prior_centre`, by default the start. The coefficients of a
+    robot error field begin at their values in the start if it has the same field, otherwise at
+    zero. With `field="auto"` the robot error of the start is held. The field is evaluated at
+    reported poses corrected by `noise_corrections`, if given.
     """
     refuse_traced("build_problem", data, start)
     if not (noise == "trusted" or isinstance(noise, Noise)):
         raise ValueError(
-            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), and what '
-            f"estimates it is fit_joint alone; found {noise!r}"
+            'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), where '
+            f'"estimated" is for fit_joint only; found {noise!r}'
         )
     require_names("fixed", fixed)
     require_names("free", free)
     if start.mount != data.mount:
-        raise ValueError(f"the start is {start.mount}, the data {data.mount}")
+        raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
     field = checked_field_choice(field)
     start = with_field(with_lens(start, lens), field)
     priors = dict(priors or {})
@@ -140,7 +140,7 @@ def build_problem(
         # constrains it.
         usable = np.isin(np.arange(data.view_count), views).repeat(6)
         is_free[shared_size:] &= usable | (weight[shared_size:] > 0.0)
-    # Arrays are made by NumPy: every JAX operation on the host would be a program to compile.
+    # Arrays are created by NumPy, because every JAX operation on the host would be compiled.
     units = np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
     problem = JointProblem(
         parameters,
@@ -154,9 +154,9 @@ def build_problem(
         loss_by_name(loss),
         prepare_poses(start.robot_error, data.observations.command, noise_corrections),
     )
-    # Residuals are infinite where a point that was seen cannot be projected.
+    # Residuals of points that were seen but cannot be projected are infinite.
     residuals = np.asarray(chain_residuals(start, data.observations))
-    # Component by component: NumPy reduces an axis of two entries thirty times as slowly.
+    # Component by component, because NumPy reduces an axis of two entries thirty times as slowly.
     unprojectable = ~(np.isfinite(residuals[..., 0]) & np.isfinite(residuals[..., 1]))
     _check_views_projectable(data, unprojectable)
     visible = to_device(np.asarray(data.visible) & ~unprojectable)
@@ -173,12 +173,12 @@ def build_problem(
 def with_free_camera_poses(
     data: Dataset, camera: Camera, camera_from_world: SE3, field: AbstractField | None = None
 ) -> tuple[Dataset, Calibration]:
-    """Return data and a start in which each view's own camera pose replaces the robot's report.
+    """Return data and a start in which camera poses of the views replace the reported poses.
 
     With both transforms held, the corrections of the reported poses are then free camera poses: the
-    corrected pose of a view is `exp(correction) @ camera_from_world`. A robot error field, which
-    must be one of reported poses, has coefficients of zero and no effect; with it the problem has
-    the structure of a fit with that field.
+    corrected pose of a view is `exp(correction) @ camera_from_world`. A robot error field (without
+    joints) gets zero coefficients and has no effect, but gives the problem the structure of a fit
+    with this field.
     """
     identity = host_transforms(np.eye(4))
     error = None if field is None else RobotError.zero(field)
@@ -192,8 +192,8 @@ def with_free_camera_poses(
 
 
 def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
-    """Return the start with another lens, initialised from its own lens; None keeps its own."""
-    # The region describes the data of an earlier fit, so that it does not apply to a start.
+    """Return the start with another lens, initialised from the present one; None keeps it."""
+    # The region describes the data of an earlier fit, so it does not apply to a start.
     if start.region is not None:
         start = dataclasses.replace(start, region=None)
     if lens is None:
@@ -202,7 +202,7 @@ def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibratio
 
 
 def with_field(start: Calibration, field: FieldChoice) -> Calibration:
-    """Return the start with a given robot error field; `"auto"` keeps its own."""
+    """Return the start with a given robot error field; `"auto"` keeps the present one."""
     if field == "auto":
         return start
     if field is None:
@@ -231,8 +231,8 @@ def _prior_means_and_weights(
 ) -> tuple[Float[np.ndarray, "parameters"], Float[np.ndarray, "parameters"]]:
     """Return the prior mean and weight of every parameter; `target_scale` is the start's.
 
-    A mean of NaN is the value of the start. The weight is one over the standard deviation; zero is
-    no prior.
+    A mean of NaN is the value of the start. The weight is one over the standard deviation; zero
+    means no prior.
     """
     mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
     scale_index = names.index("target_scale")
@@ -240,25 +240,27 @@ def _prior_means_and_weights(
     if noise is not None:
         if len(noise.field) != len(groups):
             raise ValueError(
-                f"Noise.field: expected one deviation for each of the field's {len(groups)} "
-                f"groups, found {len(noise.field)}" + ("; say field= too" if not groups else "")
+                f"Noise.field: expected a standard deviation for each of the field's {len(groups)} "
+                f"groups, found {len(noise.field)}" + ("; give field= too" if not groups else "")
             )
         for (group, _), sigma in zip(groups, noise.field, strict=True):
             selected = parameter_mask(names, (f"{ROBOT_ERROR}.{group}",))
             mean[selected], weight[selected] = 0.0, 1.0 / sigma
-        # One over infinity is a weight of zero, which is no prior: the poses are then free.
+        # One over infinity is a weight of zero, no prior: the poses are then free.
         pose_sigmas = np.repeat([noise.translation, noise.rotation], 3)
         weight[shared_size:] = np.tile(1.0 / pose_sigmas, (len(names) - shared_size) // 6)
     for path, prior in priors.items():
         selected = parameter_mask(names, (path,))
         rotation_names = [names[k] for k in np.flatnonzero(selected) if ".rotation." in names[k]]
         if prior.mean is not None and rotation_names:
-            raise ValueError(f"prior on {path!r}: a rotation's prior is about the start; no mean")
+            raise ValueError(
+                f"prior on {path!r}: a rotation's prior is centred at the start; omit the mean"
+            )
         weight[selected] = 1.0 / prior.std
         if prior.mean is not None:
             mean[selected] = prior.mean
         if selected[scale_index]:
-            # The parameter is the logarithm, whose standard deviation is the relative one.
+            # The parameter is the logarithm, whose standard deviation is relative.
             size = target_scale if prior.mean is None else prior.mean
             if not size > 0.0:
                 raise ValueError(f"prior on {path!r}: a size is positive; found a mean of {size}")
@@ -269,8 +271,8 @@ def _prior_means_and_weights(
 
 @compiled
 def _values_at(parameters: Parameters, other: Calibration) -> Float[Array, "shared"]:
-    """Return the values of another calibration; of its rotations, the vectors from the start's."""
-    # Priors on the robot's error have a mean of their own.
+    """Return the values of another calibration; rotations as vectors from the start's."""
+    # Priors on the robot's error always have a mean.
     other = dataclasses.replace(other, robot_error=parameters.start.robot_error)
     return parameters.values() + parameters.step_to(other)
 
@@ -283,10 +285,10 @@ def _step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int)
 def _check_views_projectable(
     data: Dataset, unprojectable: Bool[np.ndarray, "views points"]
 ) -> None:
-    """Raise if the start cannot project a single point of some view.
+    """Raise if the start cannot project any point of some view.
 
     Raises:
-        ValueError: every point seen in a view lies behind the camera or outside the lens's domain.
+        ValueError: all points seen in a view are behind the camera or outside the lens's domain.
     """
     visible_counts = np.asarray(data.visible).sum(axis=1)
     is_lost = (visible_counts > 0) & (unprojectable.sum(axis=1) == visible_counts)
@@ -296,8 +298,8 @@ def _check_views_projectable(
 
 
 def unprojectable_views_message(views: Sequence[str]) -> str:
-    """Return the error message for views of which the start cannot project a single point."""
+    """Return the error message for views without any projectable point at the start."""
     return (
-        f"start: every point of view {', '.join(views)} lies behind the camera or outside the "
-        f"lens's domain; start nearer to the truth (fit_staged), or check the poses"
+        f"start: every point of view {', '.join(views)} is behind the camera or outside the "
+        f"lens's domain; start nearer to the solution (fit_staged), or check the poses"
     )

@@ -3,9 +3,9 @@
     [ shared   border^T ]
     [ border   per_view ]
 
-The parameters of one view are coupled to the parameters that are common to all views, but not to
-those of another view: `per_view` is block diagonal, with one block per view. They are therefore
-eliminated view by view (Schur complement), which leaves one small system in the shared parameters.
+A view's own parameters are coupled to the shared parameters, but not to other views' parameters:
+`per_view` is block diagonal, with one block per view. They are therefore eliminated view by view
+(Schur complement), which leaves one small system in the shared parameters.
 With A = shared, B = border, D = per_view and the right-hand side (a, b), the reduced system is
 
     (A - sum_v B_v^T D_v^-1 B_v) x = a - sum_v B_v^T D_v^-1 b_v,    y_v = D_v^-1 b_v - D_v^-1 B_v x
@@ -39,7 +39,7 @@ class BlockArrow(lx.AbstractLinearOperator):
     Attributes:
         shared: block of the parameters common to all views.
         border: blocks of each view's own parameters (rows) by the shared ones (columns).
-        per_view: diagonal block of each view's own parameters; no views where there are none.
+        per_view: diagonal block of each view's own parameters; empty without any.
     """
 
     shared: Float[Array, "shared shared"]
@@ -71,8 +71,8 @@ class BlockArrow(lx.AbstractLinearOperator):
 
     def in_structure(self) -> Any:
         """Return the shapes of the vectors that the operator takes."""
-        # On the host lineax asks whenever an operator is made, and `jax.eval_shape` would take a
-        # millisecond of a fit that takes twenty. Inside a program it knows the sharding, too.
+        # Lineax calls this for every new operator, and `jax.eval_shape` would take a millisecond of
+        # a fit that takes twenty. Inside a program `eval_shape` is needed for the sharding.
         if is_traced(self.shared, self.per_view):
             return jax.eval_shape(self.diagonal)
         shared, views = self.shared, self.per_view.shape[:-1]
@@ -107,8 +107,8 @@ class BlockArrow(lx.AbstractLinearOperator):
         )
 
 
-# Lineax asks for the properties of an operator by single dispatch; an operator of one's own has to
-# answer each question.
+# Lineax queries the properties of an operator by single dispatch; a custom operator has to register
+# each of them.
 for _predicate, _answer in (
     (lx.is_symmetric, True),
     (lx.is_positive_semidefinite, True),
@@ -215,7 +215,7 @@ def _as_block_arrow(operator: lx.AbstractLinearOperator) -> BlockArrow:
     """Return the operator that optimistix makes of a damped `BlockArrow` as a `BlockArrow` again.
 
     Raises:
-        ValueError: the operator is neither a `BlockArrow` nor one plus a multiple of the identity.
+        ValueError: the operator is not a `BlockArrow`, with or without a multiple of the identity.
     """
     if isinstance(operator, BlockArrow):
         return operator

@@ -1,7 +1,7 @@
-"""Run one fit on several devices or processes; each device linearises its own views.
+"""Run one fit on several devices or processes; each device linearises a part of the views.
 
 Views are independent in the linearisation. In a step, devices exchange only the sum of one small
-matrix, so that the result equals that of a single device up to rounding.
+matrix. The result is the same as on a single device, up to rounding.
 """
 
 import dataclasses
@@ -75,7 +75,7 @@ def solve_on(
 def shard(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
     """Distribute the views of a problem over several devices.
 
-    The number of views is made divisible by that of the devices with views that show no points.
+    Views without points are added to make the number of views divisible by the number of devices.
     """
     # JAX splits an axis only into equal parts, hence the padding.
     mesh = Mesh(np.array(devices), (VIEW_AXIS,))

@@ -1,4 +1,4 @@
-"""Solve the joint problem on the host's behalf: pad it, minimise it, and read the result.
+"""Solve the joint problem from the host: pad it, minimise it, and return the result.
 
 `optimum` is the same inside `jit`, `vmap` and `grad`.
 """
@@ -35,9 +35,9 @@ from .structured_lm import (
 )
 
 MIN_UNPADDED_OBSERVATIONS = 40_000
-"""Smallest number of observations, visible or not, of a problem that is solved without padding.
+"""Smallest number of observations, visible or not, for which a problem is solved without padding.
 
-With more, the additional columns cost more than the compilation of a program that has none.
+With more observations, the additional columns cost more than the compilation of a new program.
 """
 
 MAXIMUM_STEPS = 200
@@ -91,7 +91,7 @@ def solve(
         solver = dataclasses.replace(solver, rtol=rtol, atol=atol)
         problem = padded(problem)
     else:
-        # Padding would make the residuals' Jacobian singular, which not every solver allows for.
+        # Padding would make the residuals' Jacobian singular, which not every solver allows.
         problem = _with_jacobi_scale(problem)
     initial = problem.zero_step() if start is None else padded_step(start, problem)
     z, steps, recorded_costs, equations, predicted_decrease, chain = _minimise_and_evaluate(
@@ -100,7 +100,7 @@ def solve(
     cost, predicted_decrease = float(equations.cost), float(predicted_decrease)
     relative_decrease = predicted_decrease / max(cost, 1e-300)
     converged = bool(is_converged(predicted_decrease, cost))
-    # Entries that were never reached are NaN.
+    # Unused entries are NaN.
     recorded_costs = np.asarray(recorded_costs)
     costs = (*recorded_costs[np.isfinite(recorded_costs)].tolist(), cost)
     solution = Solution(
@@ -115,11 +115,10 @@ def solve(
 
 
 def padded(problem: JointProblem) -> JointProblem:
-    """Return a small problem with views, points and free parameters added that have no effect.
+    """Pad a small problem with views, points and free parameters that have no effect.
 
-    Small problems that differ in their size, in what is free or in their loss, as they do within
-    one calibration, are then solved by the same program, which takes far longer to compile than to
-    run.
+    Small problems that differ in size, free parameters or loss, as within one calibration, then
+    share a program, which takes far longer to compile than to run.
     """
     size, count = problem.parameters.layout.size, len(problem.free)
     if problem.observations.visible.size >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
@@ -132,11 +131,11 @@ def padded(problem: JointProblem) -> JointProblem:
         loss = Cauchy(to_device(np.array(np.inf if loss is None else loss.scale)))
     observations = problem.observations.padded()
     views = len(observations.visible)
-    # The corrections of the views that are added are held, and have no priors.
+    # The corrections of added views are held, without priors.
     more_views = views - len(problem.per_view_free) if len(problem.per_view_free) else 0
 
     def with_zeros(per_view: Array) -> Array:
-        """Append the numbers of the views that are added."""
+        """Append zeros for the added views."""
         return to_device(np.pad(np.asarray(per_view), ((0, more_views), (0, 0))))
 
     return dataclasses.replace(
@@ -163,7 +162,7 @@ def padded_step(step: Step, problem: JointProblem) -> Step:
 
 
 def step_without_padding(step: Step, original: JointProblem) -> Step:
-    """Return a step of a padded problem as one of the problem that was padded."""
+    """Return a step of a padded problem without the padding."""
     shared = without_padding(step.shared, len(original.free))
     return Step(shared, without_padding(step.per_view, len(original.per_view_free)))
 
@@ -171,7 +170,7 @@ def step_without_padding(step: Step, original: JointProblem) -> Step:
 def equations_without_padding(
     equations: NormalEquations, original: JointProblem
 ) -> NormalEquations:
-    """Return the normal equations of a padded problem as those of the one that was padded."""
+    """Return the normal equations of a padded problem without the padding."""
     free, corrected = len(original.free), len(original.per_view_free)
     matrix = equations.matrix
     return NormalEquations(
@@ -186,7 +185,7 @@ def equations_without_padding(
 
 
 def chain_without_padding(chain: FittedChain, original: JointProblem) -> FittedChain:
-    """Return the chain of a padded problem for the views of the one that was padded."""
+    """Return the chain of a padded problem without the padding."""
     views = len(original.observations.visible)
     return dataclasses.replace(
         chain,
@@ -198,7 +197,7 @@ def chain_without_padding(chain: FittedChain, original: JointProblem) -> FittedC
 
 @compiled
 def _with_jacobi_scale(problem: JointProblem) -> JointProblem:
-    """Return the problem in units that suit solvers that treat all parameters alike."""
+    """Return the problem in units for solvers that treat all parameters alike."""
     matrix = jax.lax.stop_gradient(problem).normal_equations(problem.zero_step()).matrix
     return eqx.tree_at(lambda p: p.scale, problem, jacobi_scale(matrix))
 
@@ -268,9 +267,9 @@ def optimum(
 ) -> Step:
     """Return the step to the optimum, for use inside `jit`, `vmap` and `grad`.
 
-    Derivatives are those of the optimum by the implicit function theorem, with respect to every
-    array in `problem`: pixels, poses, priors, and the start's own values. For instance, where the
-    camera sits on the hand as a function of the measured pixels, and its derivative:
+    The optimum is differentiable, by the implicit function theorem, with respect to every array in
+    `problem`: pixels, poses, priors, and the start's values. For instance, the derivative of the
+    camera's position on the hand by the measured pixels:
 
         problem = sv.build_problem(data, start).problem
 
@@ -284,10 +283,10 @@ def optimum(
     Args:
         problem: from `build_problem`, with any of its arrays changed.
         solver: optimistix least-squares solver; by default the engine's own.
-        start: step to begin at; by default none.
-        maximum_steps: number of steps after which the last one is returned as it is.
+        start: step at which to begin; by default zero.
+        maximum_steps: number of steps after which the present step is returned.
     """
-    # The derivatives need a linear solve at the optimum, which these units keep well conditioned.
+    # These units keep the linear solve for the derivatives well conditioned.
     scaled = _with_jacobi_scale(problem)
     jacobi_units = scaled.scale
     initial = (

@@ -3,8 +3,8 @@
 Optimistix provides everything but the linearisation: its damped Newton descent (with the Schur
 complement as linear solver), its trust region, its loop and its implicit differentiation.
 Convergence is tested by the decrease of the cost that one more undamped step predicts. Tests of
-single parameters say little on ill-conditioned data, and tests of the cost alone stop too early on
-data without noise.
+single parameters are unreliable on ill-conditioned data, and tests of the cost alone stop too early
+on data without noise.
 """
 
 from collections.abc import Callable
@@ -27,8 +27,8 @@ MAX_RECORDED_COSTS = 64
 SCALED_COLUMN_NORM = 1e4
 """Length to which the Jacobian's columns at the start are scaled.
 
-The diagonal of the normal equations is then 1e8. Optimistix's damping starts at 1, which is a
-hundred-millionth of that.
+The diagonal of the normal equations is then 1e8, and Optimistix's initial damping of 1 is a
+hundred-millionth of it.
 """
 
 MAX_CONSECUTIVE_REJECTIONS = 25
@@ -57,9 +57,9 @@ class _State(eqx.Module):
 class StructuredLM(optx.AbstractLeastSquaresSolver):
     """A Levenberg-Marquardt solver for a `JointProblem`, which is passed as `args`.
 
-    The function to minimise must be that problem's `residuals`; it is linearised by
+    The function to minimise must be the problem's `residuals`; it is linearised by
     `normal_equations`. Internally the parameters are in units in which the columns of the Jacobian
-    at the start have length `SCALED_COLUMN_NORM`, so that one damping suits all of them.
+    at the start have length `SCALED_COLUMN_NORM`, so that one damping suits all parameters.
 
     Attributes:
         rtol: relative tolerance: converged if an undamped step predicts a decrease of the cost by
@@ -90,8 +90,8 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         )
         if f_struct != expected:
             raise ValueError(
-                "StructuredLM minimises the residuals of the JointProblem that is given as args, "
-                "and no other function; for others take optimistix.LevenbergMarquardt"
+                "StructuredLM minimises only the residuals of a JointProblem, given as args; for "
+                "other functions use optimistix.LevenbergMarquardt"
             )
         del fn, options, aux_struct, tags
         struct = jax.eval_shape(quadratic_model, args, y)
@@ -132,8 +132,8 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         # (H + lambda I) d = -g with lambda = 1 / step_size. Once per damping: one Schur
         # elimination, one solve.
         scaled_step, result = self.descent.step(step_size, descent_state)
-        # Converged if -g.d - d.H d / 2 <= rtol cost + atol for the undamped step d. It is computed
-        # only if the damped step predicts so little too, since it costs another elimination.
+        # Converged if -g.d - d.H d / 2 <= rtol cost + atol for the undamped step d, which costs
+        # another elimination and so is computed only if the damped step meets the test.
         tolerance = self.rtol * f_info.f + self.atol
         is_negligible = decrease_along(f_info, scaled_step) <= tolerance
         converged = jax.lax.cond(
@@ -175,7 +175,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         return y, aux, {"costs": state.costs}
 
 
-# Compiled by itself, it is traced once within a program, and not for each of its two uses.
+# Compiled separately, so that a program traces it once, not for each of its two uses.
 @compiled
 def quadratic_model(problem: JointProblem, z: Step) -> QuadraticModel:
     """Linearise the problem at a scaled step."""
@@ -195,9 +195,9 @@ def gauss_newton_matrix(model: QuadraticModel) -> BlockArrow:
 
 
 def jacobi_scale(matrix: BlockArrow) -> Step:
-    """Return the unit of each parameter in which all columns of the Jacobian have the same length.
+    """Return units of the parameters in which all columns of the Jacobian have the same length.
 
-    The length is `SCALED_COLUMN_NORM`; a zero column is left as it is.
+    The length is `SCALED_COLUMN_NORM`; zero columns are not scaled.
     """
     # The diagonal of J^T J holds the squared lengths of the columns.
     return jax.tree.map(
@@ -234,7 +234,7 @@ def gauss_newton_step(model: QuadraticModel) -> Step:
 def is_converged(predicted_decrease: Any, cost: Any) -> Any:
     """Return whether a fit has converged: a further step predicts a negligible decrease.
 
-    Both are numbers on the host, or scalar arrays inside `jit`; the result is of the same kind.
+    The arguments, and the result, are numbers on the host or scalar arrays inside `jit`.
     """
     return (abs(predicted_decrease) < 1e-8 * cost) | (abs(predicted_decrease) < 1e-12)
 

@@ -1,13 +1,12 @@
 """Linearise all observations into one small matrix of normal equations per view.
 
 Every parameter except the camera's acts on the pixels of a view only through the pose of that view,
-and a change of a pose is a twist. Whatever is being fitted, the Jacobian of a point therefore has
-columns for the camera's parameters and six columns for a twist in the camera frame; this file does
-not depend on the robot. The products of these columns are formed at once, chunk by chunk, so that
-memory does not grow with the number of points. `pose_jacobians.py` continues from twists to
-parameters.
+and a change of a pose is a twist. So the Jacobian of a point always has columns for the camera's
+parameters and six columns for a twist in the camera frame, whatever is fitted; this file does not
+depend on the robot. The products of these columns are formed chunk by chunk, so that memory does
+not grow with the number of points. `pose_jacobians.py` continues from twists to parameters.
 
-The columns of u and of v are kept apart, because v does not depend on alpha_u and u0, nor u on
+The columns of u and of v are separate, because v does not depend on alpha_u and u0, nor u on
 alpha_v and v0.
 """
 
@@ -34,7 +33,7 @@ It is so large that moving points out of the lens's domain never lowers the cost
 """
 
 MAX_CHUNK_POINTS = 4096
-"""Largest number of points of a view linearised at once; their columns fit the CPU's cache."""
+"""Largest number of points of a view in a chunk; their columns fit the CPU's cache."""
 
 MAX_GROUP_POINTS, MAX_GROUP_CHUNKS = 1024, 8
 """Largest number of points, and of chunks, linearised in one iteration.
@@ -47,7 +46,7 @@ class ViewNormalEquations(eqx.Module):
     """The normal equations of every view in the camera's parameters and a twist of its pose.
 
     The columns are the camera's parameters in the order of its leaves, the coefficients of the
-    target's shape where it is a parameter, and the twist `(v, w)` of
+    target's shape if it is a parameter, and the twist `(v, w)` of
     `camera_from_world -> exp((v, w)) @ camera_from_world`.
 
     Attributes:
@@ -73,7 +72,7 @@ def linearise_views(
     """Compute the normal equations of every view from all its observations.
 
     Args:
-        camera: camera with any central lens, one whose pixels depend only on a point's direction.
+        camera: camera with any central lens (pixels depend only on a point's direction).
         camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
         observations: observations of shape `(views, points)`; points that are not visible do not
             count.
@@ -81,7 +80,7 @@ def linearise_views(
         pixel_sigma: standard deviation of u and of v, px.
         loss: robust loss, whose weights give the normal equations of iteratively reweighted least
             squares; None is least squares.
-        shape: shape of the target by whose coefficients the pixels are differentiated, too.
+        shape: shape of the target; the pixels are differentiated by its coefficients too.
     """
     views = len(observations.visible)
     # A chunk is a piece of one view; a group is several chunks, linearised in one iteration of the
@@ -100,8 +99,10 @@ def linearise_views(
         if shape is not None:
             directions = jnp.moveaxis(shape.directions(points), -2, 0)
             displacements = tuple(
-                transformed_coordinates(target_scale * rotation, jnp.zeros_like(translation), one)
-                for one in directions
+                transformed_coordinates(
+                    target_scale * rotation, jnp.zeros_like(translation), direction
+                )
+                for direction in directions
             )
         columns_u, columns_v, cost = _jacobian_columns(
             camera,
@@ -133,14 +134,14 @@ def linearise_views(
 
 def _gram_matrices(columns: Float[Array, "group rows points"]) -> Float[Array, "group rows rows"]:
     """Compute `columns @ columns.T` separately for each chunk of points."""
-    # One batched product: the call of a small one takes longer than the product itself.
+    # One batched product, because for small matrices a call takes longer than the product.
     return jnp.einsum("crn,csn->crs", columns, columns)
 
 
 def _split_into_chunks(observations: Observations) -> tuple[Array, Array, Array]:
     """Split points, pixels and visibility into chunks, `(views * chunks, points, ...)`.
 
-    The last chunk of a view is padded with invisible points where the points do not divide evenly.
+    The last chunk of a view is padded with invisible points if the points do not divide evenly.
     """
     views, count = observations.visible.shape
     min_chunks = max(1, -(-count // MAX_CHUNK_POINTS))
@@ -195,9 +196,9 @@ def _jacobian_columns(
         invalid_loss = loss.rho(jnp.asarray(2.0 * INVALID_PROJECTION_RESIDUAL**2))
         cost = 0.5 * (jnp.where(valid, rho, 0.0) + jnp.where(unprojectable, invalid_loss, 0.0))
     # Columns and residual are multiplied by sqrt(weight), so that their products are weighted once.
-    # XLA computes what several columns are made of again for each of them, unless it takes it to be
-    # expensive, as it does square roots and divisions. Hence the divisions by sigma: derivatives
-    # are whitened before columns are made of them.
+    # XLA recomputes common subexpressions of several columns for each of them, unless it considers
+    # them expensive, such as square roots and divisions. Hence the divisions by sigma: derivatives
+    # are whitened before they enter the columns.
     sqrt_weight = jnp.sqrt(jnp.where(valid, weight, 0.0))
     whitening = sqrt_weight / pixel_sigma
     px, py, pz = projected.ray
@@ -205,7 +206,8 @@ def _jacobian_columns(
     for k, (normalised, alpha) in enumerate(((x, camera.alpha_u), (y, camera.alpha_v))):
         derivatives = [alpha * sqrt_weight * d[k] / pixel_sigma for d in projected.by_ray]
         if len(derivatives) == 2:
-            # Only the direction of the ray matters: the derivative along it is zero, and pz is 1.
+            # Only the direction of the ray matters: the derivative along the ray is zero, and pz is
+            # 1.
             derivatives.append(-(px * derivatives[0] + py * derivatives[1]))
         hx, hy, hz = derivatives
         # Pose Jacobian: the twist (v, w) moves a point by dp = v + w x p. With g = du/dp the chain
@@ -244,8 +246,8 @@ class _Projection(NamedTuple):
         valid: whether the point is visible and can be projected.
         by_lens: derivatives by each lens parameter.
         ray: the point `p` in the camera frame as `inverse_depth * p`.
-        inverse_depth: one over the depth of the point, or one where rays are the points themselves.
-        by_ray: derivatives by the coordinates of the ray; of a ray `(x, y, 1)` by the first two.
+        inverse_depth: one over the depth of the point, or one if the ray is the point itself.
+        by_ray: derivatives by the coordinates of the ray; for a ray `(x, y, 1)` by the first two.
     """
 
     distorted: tuple[Array, Array]
@@ -294,8 +296,8 @@ def _project_with_jacobians(
         )
         return _Projection(distorted, valid, by_lens, (*ray, 1.0), inverse_depth, by_ray)
 
-    # Other lenses (fisheye) may see points beside or behind the camera, which points on a plane
-    # cannot describe; they are differentiated by all three coordinates.
+    # Other lenses (fisheye) may see points at 90 degrees from the axis or more, which have no point
+    # on the unit plane; they are differentiated by all three coordinates.
     valid = visible & lens.distort(jnp.stack(in_camera, axis=-1))[1]
     ray = tuple(
         jnp.where(valid, p, axis) for p, axis in zip(in_camera, (0.0, 0.0, 1.0), strict=True)
@@ -328,7 +330,7 @@ def _value_and_derivatives(
 
     def derivative(k: int) -> tuple[Array, Array]:
         """Return the derivative along the k-th input, for all points at once."""
-        # Points are independent, so that one tangent of ones gives the derivative of every point.
+        # Points are independent, so a tangent of ones gives the derivatives of all points.
         tangent = [jnp.ones_like(t) if i == k else t for i, t in enumerate(flat)]
         return linear(*jax.tree.unflatten(tree, tangent))
 
@@ -341,7 +343,7 @@ def _assemble(
     gram_v: Float[Array, "views rows rows"],
     cost: Float[Array, "views"],
 ) -> ViewNormalEquations:
-    """Add the products of u and of v in one order of columns.
+    """Add the products of u and of v in a common order of columns.
 
     The order is alpha_u, alpha_v, u0, v0, lens, displacements, twist. The last row and column of
     each product belong to the residual: `J^T r` and `r^T r`.

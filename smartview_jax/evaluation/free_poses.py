@@ -1,8 +1,8 @@
 """Compute the reprojection error that remains when every view has a free pose.
 
-It is what the camera alone allows: no chain through a robot can predict better with the same
-camera. The difference from the chain's error is due to the robot's poses, the target's size and the
-two constant transforms.
+It is a lower bound: no chain through a robot can predict better with the same camera. The
+difference from the chain's error is due to the robot's poses, the target's size and the two
+constant transforms.
 """
 
 import jax
@@ -19,7 +19,7 @@ from ..runtime.compilation import compiled
 from .measures import ReprojectionErrors, errors_of_predictions
 
 MAX_STEPS = 50
-"""The largest number of Levenberg-Marquardt steps; the chain's poses are close, so few suffice."""
+"""The largest number of Levenberg-Marquardt steps; few suffice from the chain's poses."""
 
 
 def free_pose_errors(calibration: Calibration, data: Dataset) -> ReprojectionErrors:
@@ -27,7 +27,7 @@ def free_pose_errors(calibration: Calibration, data: Dataset) -> ReprojectionErr
 
     Args:
         calibration: its camera and target scale are held; its chain gives the initial poses.
-        data: views with at least four visible points are fitted, others keep the chain's pose.
+        data: views; a view with fewer than four visible points keeps the chain's pose.
     """
     return errors_of_predictions(
         calibration.camera, data, *free_pose_predictions(calibration, data)
@@ -42,7 +42,7 @@ def free_pose_predictions(
     """Return pixels, their validity and depths (m) of all points under the fitted free poses."""
     initial_poses = calibration.camera_from_world(data.command)
     points = calibration.true_points(data.points)
-    # Four points determine a pose; with fewer, the start stays because all residuals are zero.
+    # Four points determine a pose; with fewer all residuals are zero, and the start stays.
     determined = data.visible.sum(axis=1, keepdims=True) >= 4
     # NaN of unseen pixels would propagate through the derivatives of the masked residuals.
     pixels = jnp.where(data.visible[..., None], data.pixels, 0.0)

@@ -28,9 +28,9 @@ class Predictor(Protocol):
 class ReprojectionErrors(NamedTuple):
     """The reprojection errors of points: distances between measured and predicted pixels.
 
-    NaN where a point was not seen, infinite where one was seen but cannot be predicted (behind the
+    NaN for points not seen, infinite for points that were seen but cannot be predicted (behind the
     camera, or outside the lens's domain). The figures below are over predicted points only;
-    `unpredicted` counts the others, and any report of these figures should state that count.
+    `unpredicted_count` counts the others, and any report of the figures should state it.
 
     Attributes:
         px: distance in the image.
@@ -93,7 +93,7 @@ def reprojection_errors(predictor: Predictor, data: Dataset) -> ReprojectionErro
 
 
 def _chain_reprojection_errors(calibration: Calibration, data: Dataset) -> ReprojectionErrors:
-    """Return the reprojection errors of a calibration, by the programs that every fit uses."""
+    """Return the reprojection errors of a calibration, using the compiled programs of the fits."""
     poses = np.asarray(calibration.camera_from_world_matrices(data.command))
     residuals = view_residuals(
         calibration.camera,
@@ -118,7 +118,7 @@ def errors_of_predictions(
     """Return the reprojection errors of predicted pixels whose points have the given depths (m)."""
     error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)
     visible = np.asarray(data.visible)
-    # Unseen points are NaN and unpredicted ones infinite, so that neither passes for a small error.
+    # NaN for unseen and infinity for unpredicted points: neither passes for a small error.
     px = np.where(visible, np.where(np.asarray(valid), error, np.inf), np.nan)
     return errors_at_target(camera, px, depth)
 

@@ -26,8 +26,8 @@ def rejected_by(fit: Any) -> tuple[Rejection, ...] | None:
 def without_rejected_views(data: Dataset, fit: JointFit) -> Dataset:
     """Return the data without the views that a joint fit did not use at all, to evaluate the fit.
 
-    A view whose pose contradicts the others' has an error as large as its pose error, for any
-    predictor. Points that were left out one by one stay: new data will have similar outliers.
+    A view with a grossly wrong pose has a large error for any predictor. Points that were rejected
+    one by one stay, because new data will have similar outliers.
     """
     used = np.asarray(fit.problem.observations.visible).any(axis=1)
     return data.mask_views(np.flatnonzero(~used))
@@ -35,7 +35,7 @@ def without_rejected_views(data: Dataset, fit: JointFit) -> Dataset:
 
 def count_rejected(rejected: Sequence[Rejection]) -> RejectionCount:
     """Return how many points were rejected one by one, and how many whole views."""
-    # A rejection without a point is that of a whole view, in which its points are included.
+    # A rejection without a point is a whole view, with all its points.
     views = {item.view for item in rejected if item.point is None}
     points = sum(item.point is not None and item.view not in views for item in rejected)
     return RejectionCount(points, len(views))

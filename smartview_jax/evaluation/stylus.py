@@ -1,7 +1,7 @@
 """Simulate the paper's stylus test (Fig. 2): how far a stylus misses the point it should touch.
 
-Errors in pixels can be small for the wrong reason. A stylus that reaches the point where the
-calibration locates the target confirms the whole chain.
+Errors in pixels can be small although parameters are wrong. A stylus that touches the point where
+the calibration locates it confirms the whole chain.
 """
 
 import jax.numpy as jnp
@@ -42,8 +42,8 @@ def stylus_error(
 ) -> Float[Array, "*touches 3"]:
     """Return the position of the tip minus its intended position, in the true world frame, m.
 
-    The calibration gives the pose to command (Eq. 20); the true robot and the true world determine
-    where that puts the tip.
+    The calibration gives the pose to command (Eq. 20); the true robot and the true world give the
+    resulting position of the tip.
 
     Args:
         calibration: of an eye-in-hand camera, used to command the robot.

@@ -1,12 +1,12 @@
-"""Compute poses of cameras that look at a point, the paper's five viewpoints among them.
+"""Compute poses of cameras that look at a point, such as the paper's five viewpoints.
 
 Roll is measured from the following orientation. A camera that looks straight down (along the
 world's -z) with zero roll has the picture's x along the world's x. The same holds for a camera that
-looks straight up, along +z, as towards a board whose z points into it. For any other direction,
-zero roll is the orientation reached from the nearer of these two by the smallest rotation, and for
-a horizontal direction from the one that looks down. With this definition roll varies smoothly near
-the usual views. Definitions by an upright direction are singular where the camera looks straight
-down.
+looks straight up, along +z, for example at a board whose z points into it. For any other direction,
+the orientation with zero roll is reached from the nearer of these two by the smallest rotation; for
+a horizontal direction, from the camera that looks down. With this definition roll varies smoothly
+near the usual views. Definitions by an upright direction are singular where the camera looks
+straight down.
 """
 
 import jax
@@ -54,7 +54,7 @@ def look_at(
     arguments = tuple(as_float_array(x) for x in (point, direction, distance, roll))
     if is_traced(arguments):
         return _look_at(*arguments)
-    # On the host one program serves all numbers of views.
+    # Outside of a transformation, padding lets one program serve many numbers of views.
     vectors, numbers = jax.tree.map(np.asarray, (arguments[:2], arguments[2:]))
     views = np.broadcast_shapes(*(x.shape[:-1] for x in vectors), *(x.shape for x in numbers))
     by_view = (
@@ -72,7 +72,7 @@ def _look_at(
     distances: Float[Array, "*#views"],
     rolls: Float[Array, "*#views"],
 ) -> SE3:
-    """Compute `look_at` as one program; operation by operation it would be some thirty."""
+    """Compute `look_at` as one program instead of about thirty operations."""
     # With d the unit direction and S (`smallest_rotation`) the smallest rotation to d from the
     # nearer of +z and -z:
     #   camera_from_world = (R, t),   R = Rz(-roll) R0 S^-1,   t = (0, 0, distance) - R point,
@@ -113,7 +113,7 @@ def viewing_direction(
         above: whether the camera is on the +z side; False for a board with z into it, as in
             OpenCV, where the tilt is measured from -z.
     """
-    # On the host NumPy needs no compilation.
+    # NumPy needs no compilation.
     xp = jnp if is_traced(tilt, azimuth) else np
     tilts, azimuths = xp.broadcast_arrays(xp.asarray(tilt, float), xp.asarray(azimuth, float))
     horizontal, height = xp.sin(tilts), xp.cos(tilts)
@@ -133,7 +133,7 @@ def five_viewpoints(
     above: bool = True,
     pattern: str = "cross",
 ) -> SE3:
-    """Return the paper's viewpoints (Fig. 6): one from above, and two each along X and Y.
+    """Return the paper's five viewpoints (Fig. 6): one from above, two along X and two along Y.
 
     If all views have the same roll, the hand-eye transform is poorly determined; a different roll
     for each view is recommended.

@@ -58,7 +58,7 @@ def region_centroid(
     #   area     A = 1/2 integral (p x p') dt
     #   centroid c = m + 1/A integral 2/3 p 1/2 (p x p') dt
     # because p dt sweeps a triangle from m, whose centroid is at 2/3 p.
-    # Without m, the digits of a small region far from the origin would cancel.
+    # Without m, the digits of a small region far from the origin would cancel out.
     mean = jnp.mean(boundary, axis=-2, keepdims=True)
     p = boundary - mean
     # The factors 1/2 and the step dt are in both integrals and cancel in their ratio.

@@ -1,9 +1,9 @@
-"""Convert rotations to and from three angles: yaw, pitch, roll (Eq. 16) and every other convention.
+"""Convert rotations to and from three angles: yaw, pitch, roll (Eq. 16) and all other conventions.
 
 Each inverse reads two angles from the matrix, undoes the first rotation, and reads the last angle
 from the product. The two entries that give the last angle form a vector of length 1 in every pose.
-Near gimbal lock, where the first angle is ill determined, the last angle therefore compensates for
-it: the rotation is recovered to rounding error, although the single angles are not.
+Near gimbal lock, where the first angle is poorly determined, the last angle therefore compensates
+for its error: the rotation is recovered to rounding error, although the single angles are not.
 """
 
 from typing import NamedTuple
@@ -61,11 +61,11 @@ def ypr_from_rotation(rotation: SO3) -> Float[Array, "*batch 3"]:
 
 
 class EulerConvention(NamedTuple):
-    """Convention of three angles: their axes, and whether these are fixed or move along.
+    """Convention of three angles: their axes, and whether the axes are fixed or moving.
 
     Attributes:
         axes: in the order of the angles, such as `"ZYX"`.
-        moving: whether each rotation is about the axes that the ones before have turned.
+        moving: whether each rotation is about the axes as rotated by the previous rotations.
     """
 
     axes: str
@@ -81,8 +81,9 @@ class EulerConvention(NamedTuple):
 
         The second angle is within +-90 degrees, or in [0, 180] degrees if the outer axes are the
         same. Where it is at an end of this range, only a sum or difference of the outer angles is
-        defined: the first angle is zero if the outer axes are the same, or else the third; for
-        fixed axes, whose angles are the moving ones in reverse order, the other of the two.
+        defined. For moving axes the first angle is then zero if the outer axes are the same, and
+        the third otherwise. For fixed axes, whose angles are the moving ones in reverse order, it
+        is the other of the two.
         """
         matrices = rotation.as_matrix()
         if self.moving:

@@ -34,8 +34,8 @@ def host_transforms(matrices: Float[np.ndarray, "*batch 4 4"]) -> SE3:
 def _transform_numbers(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
     """Return the numbers `wxyz_xyz` of matrices: a unit quaternion and a translation.
 
-    SciPy is not used: of a matrix of few digits it takes the nearest rotation, which is another one
-    than jaxlie's, and it refuses the mirrored matrices that masked views may have.
+    SciPy is not used: for a matrix of few digits it returns the nearest rotation, which differs
+    from jaxlie's result, and it refuses the mirrored matrices that masked views may have.
     """
     R = matrices[:, :3, :3]
     # For a unit quaternion (w, x, y, z), each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
@@ -44,7 +44,7 @@ def _transform_numbers(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray
     xy, xz, yz = (R[:, i, j] + R[:, j, i] for i, j in ((1, 0), (0, 2), (2, 1)))
     w, x, y, z = diagonal.T
     rows = np.array([[w, wx, wy, wz], [wx, x, xy, xz], [wy, xy, y, yz], [wz, xz, yz, z]])
-    # The choice of the row is jaxlie's: one that is far from zero.
+    # The row is chosen as in jaxlie, so that it is far from zero.
     first, second, third = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
     chosen = np.where(third < 0.0, np.where(first > second, 1, 2), np.where(first < -second, 3, 0))
     quaternions = rows[chosen, :, np.arange(len(R))]
@@ -71,7 +71,7 @@ def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarr
         angle = np.linalg.norm(w, axis=1, keepdims=True)
         # The translation t is V v of the tangent (v, w), and with half the angle, h,
         #   V^-1 t = t - w x t / 2 + (1 - h cot h) w x (w x t) / angle^2.
-        # The last term is exactly zero for angle zero, whatever it is divided by.
+        # At angle zero the last term is exactly zero, whatever the divisor.
         factor = 1.0 - np.cos(0.5 * angle) / np.sinc(0.5 * angle / np.pi)
         factor /= np.where(angle > 0.0, angle, 1.0) ** 2
         turned = np.cross(w, t)
@@ -110,7 +110,7 @@ def host_cross_matrices(
 def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:
     """Return the adjoints of rigid 4x4 matrices as `SE3.adjoint` does, translation first.
 
-    They move a twist from one side of the transform to the other:
+    An adjoint moves a twist from one side of the transform to the other:
     `T exp(xi) = exp(adjoint xi) T`.
     """
     R, t = matrices[..., :3, :3], matrices[..., :3, 3]

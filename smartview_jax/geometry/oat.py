@@ -8,7 +8,7 @@ At O = A = T = 0 the tool points along -y. At A = +-90 degrees it points straigh
 does when a camera looks at a table, and only T - O (or T + O) is defined there. Therefore this
 format is used for files and commands only: nothing is estimated, averaged or interpolated in it.
 Near this gimbal lock O and T vary strongly from pose to pose, and only their combination is
-meaningful: the O of one pose with the T of another gives an orientation that is near neither.
+meaningful: the O of one pose with the T of another gives an orientation near neither pose.
 
 Reference: UNIMATION, VAL, 1977; the paper's Eq. 18.
 """
@@ -46,10 +46,10 @@ def oat_from_rotation(
         rotation: `(*batch)`.
         other_branch: return the second solution `(O + pi, pi - A, T + pi)` of the same rotation.
         gimbal_o: the O to return where the tool points straight down or up, such as the last
-            commanded one; one for all rotations or one for each. In the other branch pi is added
-            to it, too.
+            commanded O; one for all rotations or one for each. In the other branch pi is added to
+            it too.
     """
-    # As data: a program would be compiled for each number.
+    # An array, because a program would be compiled for each Python number.
     if not isinstance(gimbal_o, Array):
         gimbal_o = np.asarray(gimbal_o, dtype=float)
     return _oat_from_rotation(rotation, other_branch, gimbal_o)
@@ -69,7 +69,7 @@ def _oat_from_rotation(
     O = jnp.arctan2(jnp.where(gimbal, 1.0, R[..., 0, 2]), -R[..., 1, 2])
     O = jnp.where(gimbal, jnp.broadcast_to(jnp.asarray(gimbal_o, R.dtype), O.shape), O)
     # The first row of Rz(-O) R = M0 Ry(A) Rz(T) is (sin T, cos T, 0), so T is consistent with the
-    # O that was chosen, at gimbal lock too.
+    # chosen O, also at gimbal lock.
     s, c = jnp.sin(O), jnp.cos(O)
     T = jnp.arctan2(c * R[..., 0, 0] + s * R[..., 1, 0], c * R[..., 0, 1] + s * R[..., 1, 1])
     if other_branch:

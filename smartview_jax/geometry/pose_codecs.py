@@ -1,4 +1,4 @@
-"""Read and write poses as rows of numbers in the named formats of robots and files.
+"""Read and write poses as rows of numbers in named formats of robots and files.
 
 A codec converts rows to transforms and back. Units are stated by the caller, never guessed. Rows
 are read with SciPy, so that reading a file compiles no JAX program.
@@ -57,13 +57,13 @@ ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
 """Size of each known unit of angle, rad."""
 
 _QUATERNION_NORM_TOLERANCE = 1e-3
-"""Largest accepted difference of a quaternion's length from 1, because files have few digits."""
+"""Largest accepted difference of a quaternion's length from 1; files have few digits."""
 
 _MAX_RADIANS = 4.0 * np.pi
-"""Largest accepted angle, rad. A larger number where radians are stated must be in degrees."""
+"""Largest accepted angle, rad; a larger number must be in degrees."""
 
 _MAX_NAMED_ROWS = 5
-"""Largest number of bad rows that a message names; in a wrong unit or format all rows are bad."""
+"""Largest number of bad rows that a message names; with a wrong format all rows are bad."""
 
 _SI, _MM_DEG = ("m", "rad"), ("mm", "deg")
 
@@ -106,12 +106,11 @@ class PoseCodec:
             rows: the numbers, in the stated units.
             length_unit: a key of `LENGTH_UNITS`.
             angle_unit: a key of `ANGLE_UNITS`.
-            labels: one name a row, for messages; by default the row's number.
+            labels: one name per row, for messages; by default the row's number.
 
         Raises:
-            ValueError: an unknown unit, a wrong number of columns, angles too large for radians,
-                another number of labels than rows, or a row that is not a rigid transform, named
-                by its label.
+            ValueError: an unknown unit, a wrong number of columns or labels, angles too large for
+                radians, or a row that is not a rigid transform, named by its label.
         """
         numbers = np.array(rows, dtype=float)
         if numbers.ndim == 0 or numbers.shape[-1] != len(self.columns):
@@ -122,8 +121,8 @@ class PoseCodec:
         magnitudes = np.abs(numbers[..., list(self.angle_columns)])
         if angle_unit == "rad" and (magnitudes[np.isfinite(magnitudes)] > _MAX_RADIANS).any():
             raise ValueError(
-                f"{self.name}: angles up to {np.nanmax(magnitudes):.4g} where radians are stated: "
-                "degrees? (angle_unit: deg)"
+                f"{self.name}: angles up to {np.nanmax(magnitudes):.4g} are too large for radians; "
+                "for degrees state angle_unit: deg"
             )
         numbers = numbers * self._unit_factors(length_unit, angle_unit)
         # The checks need a flat list of rows, with one label for each.
@@ -341,10 +340,10 @@ POSE_CODECS: dict[str, PoseCodec] = {
         _euler_codec("epson", "euler_ZYX_moving", ("U", "V", "W"), _MM_DEG),
     )
 }
-"""Codec of every pose format with a name of its own."""
+"""Codec of every pose format, by name, except the conventions of three angles."""
 
 EULER_CODECS = {name: _euler_codec(name, name) for name in EULER_CONVENTIONS}
-"""Codec of every convention of three angles, by name: for robots that are not named here."""
+"""Codec of every convention of three angles, by name, for robots without a format of their own."""
 
 
 def pose_codec(name: str) -> PoseCodec:
@@ -355,7 +354,7 @@ def pose_codec(name: str) -> PoseCodec:
     """
     if name not in POSE_CODECS and name not in EULER_CODECS:
         raise ValueError(
-            f"pose format is one of {', '.join(POSE_CODECS)}, or euler_XYZ_fixed, "
-            f"euler_XYZ_moving and so on to euler_ZYZ_moving; found {name!r}"
+            f"pose format is one of {', '.join(POSE_CODECS)}, or one of euler_XYZ_fixed, "
+            f"euler_XYZ_moving, ..., euler_ZYZ_moving; found {name!r}"
         )
     return POSE_CODECS.get(name) or EULER_CODECS[name]

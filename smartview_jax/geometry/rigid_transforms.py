@@ -1,8 +1,8 @@
 """Check, apply, average and differentiate rigid transforms, as a thin layer over `jaxlie`.
 
 The library `jaxlie` provides the group SE(3) and its derivatives. A transform named
-`target_from_source` maps points of `source` into `target`. Tangents are jaxlie's: translation (m)
-first, then rotation (rad).
+`target_from_source` maps points of `source` into `target`. Tangents are as in jaxlie: translation
+(m) first, then rotation (rad).
 """
 
 from types import ModuleType
@@ -44,11 +44,11 @@ _CROSS_BASIS = np.array(
 
 
 def as_se3(pose: PoseLike) -> SE3:
-    """Return a rigid transform as an `SE3`, whether it is given as one or as 4x4 matrices.
+    """Return a rigid transform, given as an `SE3` or as 4x4 matrices, as an `SE3`.
 
-    Matrices are assumed to be rigid here; `check_rigid` tests them where they enter the library.
-    Their rounding error is removed: from a matrix of few digits jaxlie computes a quaternion whose
-    length is not quite 1, which would scale every point that it is applied to.
+    Matrices are assumed to be rigid; `check_rigid` tests them where they enter the library. The
+    quaternion is normalised, because a matrix of few digits gives a quaternion whose length is not
+    quite 1, which would scale every point that it is applied to.
 
     Raises:
         ValueError: an array whose last two axes are not 4 and 4.
@@ -72,8 +72,8 @@ def check_rigid(
     Args:
         matrices: `(views, 4, 4)`.
         labels: one name per matrix, the key in the result.
-        tolerance: largest accepted entry of `R^T R - I`. Matrices written with four decimals, the
-            fewest in use, have at most 2 sqrt(3) 0.5e-4.
+        tolerance: largest accepted entry of `R^T R - I`. Matrices with four decimals, the fewest in
+            use, have at most 2 sqrt(3) 0.5e-4.
 
     Returns:
         A dictionary that is empty if all matrices are rigid transforms.
@@ -125,13 +125,13 @@ def transformed_coordinates(
     """Return x, y and z of many transformed points, for programs that run often.
 
     Args:
-        rotation: matrices, times a scale where there is one.
+        rotation: rotation matrices, multiplied by a scale if there is one.
         translation: of the same batch.
         points: of the same batch.
     """
     x, y, z = (points[..., k] for k in range(3))
 
-    # Products of single numbers, which XLA fuses: a product of matrices so thin takes longer.
+    # XLA fuses products of single numbers; a product of such thin matrices takes longer.
     def coordinate(k: int) -> Float[Array, "*batch N"]:
         """Return one coordinate of all points."""
         by_x, by_y, by_z = (rotation[..., k, i, None] for i in range(3))
@@ -145,8 +145,8 @@ def nearest_rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """Return the rotation that is closest to a matrix in the Frobenius norm.
 
     It has its own derivative, which exists wherever the closest rotation is unique. The singular
-    vectors that it is computed from are not differentiable where singular values are equal, which
-    they are at every rotation and at every mean of equal rotations.
+    vectors from which it is computed are not differentiable where singular values are equal, as at
+    every rotation and at every mean of equal rotations.
     """
     return _orthogonal_factor(matrix, jnp)
 
@@ -155,7 +155,7 @@ def host_nearest_rotation(
     matrix: Float[np.ndarray, "*batch 3 3"],
 ) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the closest rotations with NumPy, NaN where a matrix is not finite."""
-    # NumPy's decomposition raises where a matrix is not finite; JAX's returns NaN.
+    # NumPy's decomposition raises an error if a matrix is not finite; JAX's returns NaN.
     finite = np.isfinite(matrix).all(axis=(-2, -1), keepdims=True)
     return np.where(finite, _orthogonal_factor(np.where(finite, matrix, np.eye(3)), np), np.nan)
 
@@ -165,8 +165,8 @@ def _orthogonal_factor(matrix: Any, array_module: ModuleType) -> Any:
     # M = U S V^T   gives   R = U diag(1, 1, det(U V^T)) V^T.
     U, _, Vt = array_module.linalg.svd(matrix)
     sign = array_module.linalg.det(U @ Vt)
-    one = array_module.ones_like(sign)
-    return (U * array_module.stack([one, one, sign], axis=-1)[..., None, :]) @ Vt
+    ones = array_module.ones_like(sign)
+    return (U * array_module.stack([ones, ones, sign], axis=-1)[..., None, :]) @ Vt
 
 
 @nearest_rotation.defjvp
@@ -192,8 +192,8 @@ def mean_pose(
 ) -> SE3:
     """Return the chordal mean of poses, computed with NumPy.
 
-    Its rotation is the one nearest to the weighted mean of the rotation matrices, and its
-    translation the weighted mean of the translations.
+    Its rotation is nearest to the weighted mean of the rotation matrices, and its translation is
+    the weighted mean of the translations.
 
     Reference: Hartley, Trumpf, Dai, Li, Rotation averaging, IJCV 103, 2013 (chordal L2 mean).
 
@@ -226,8 +226,8 @@ def se3_left_jacobian(tangent: Float[Array, "*batch 6"]) -> Float[Array, "*batch
 
     Reference: Barfoot, State estimation for robotics, 2017, section 7.1.
     """
-    # J = sum_k ad^k / (k + 1)!, with ad the matrix of [tangent, .]. By ad^5 = -2 t^2 ad^3 - t^4 ad,
-    # t the angle, the series ends at the fourth power:
+    # J = sum_k ad^k / (k + 1)!, with ad the matrix of [tangent, .]. With the angle t,
+    # ad^5 = -2 t^2 ad^3 - t^4 ad, so the series ends at the fourth power:
     #     J = I + a1 ad + a2 ad^2 + a3 ad^3 + a4 ad^4
     #     a1 = (4 - t sin t - 4 cos t) / (2 t^2),   a2 = (4 t - 5 sin t + t cos t) / (2 t^3),
     #     a3 = (2 - t sin t - 2 cos t) / (2 t^4),   a4 = (2 t - 3 sin t + t cos t) / (2 t^5)
@@ -237,7 +237,7 @@ def se3_left_jacobian(tangent: Float[Array, "*batch 6"]) -> Float[Array, "*batch
     ad = jnp.concatenate([upper, jnp.concatenate([jnp.zeros_like(w), w], axis=-1)], axis=-2)
     squared_angle = jnp.sum(rotation**2, axis=-1)
     is_small = squared_angle < _SERIES_SQUARED_ANGLE
-    # Taylor series of the four in t^2 near zero, where the quotients lose their digits.
+    # Near zero, where the quotients lose their digits, their Taylor series in t^2 are used.
     series = [
         sum(c * squared_angle**k for k, c in enumerate(coefficients))
         for coefficients in _LEFT_JACOBIAN_SERIES

@@ -22,7 +22,7 @@ def transform_from_dict(name: str, content: dict[str, Any]) -> SE3:
         content: `translation` and `quaternion_wxyz`.
 
     Raises:
-        ValueError: not a rigid transform; the message has its name.
+        ValueError: not a rigid transform; the message has the transform's name.
         KeyError: an entry is missing.
     """
     translation = np.asarray(content["translation"], dtype=float)

@@ -1,7 +1,7 @@
 """Describe the region of camera positions from which a calibration's views were taken.
 
-Commands outside this region are extrapolations. The side of the target on which the cameras were
-is computed from the views, because the frame of a flat board does not show it: with z into the
+Commands outside this region are extrapolations. The side of the target on which the cameras were is
+computed from the views, because the frame of a flat board does not define it: with z into the
 board, as in OpenCV, the cameras are where z is negative.
 """
 
@@ -21,7 +21,7 @@ _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
 MIN_RADIUS_FRACTION = 0.1
 """Smallest radius of a region, as a fraction of the mean distance to the target.
 
-Views that were all taken from one position would otherwise have a region of radius zero.
+Views that were all taken from one position would otherwise have a radius of zero.
 """
 
 
@@ -31,11 +31,11 @@ class ViewedRegion(eqx.Module):
     Attributes:
         side: 1 if all cameras were on the +z side of the target, -1 if all were on the -z side,
             0 otherwise.
-        plane_z: z of the target's plane, m; for points at several heights, z of those farthest from
-            the cameras.
+        plane_z: z of the target's plane, m; for points at several heights, z of the points farthest
+            from the cameras.
         centroid: mean of the camera centres, m.
-        radius: distance of the farthest camera from the centroid, m, but not less than the fraction
-            `MIN_RADIUS_FRACTION` of the mean distance to the target.
+        radius: distance of the farthest camera from the centroid, m, at least
+            `MIN_RADIUS_FRACTION` times the mean distance to the target.
         distance_range: smallest and largest distance from the cameras to the mean of the target's
             points, m.
         min_tool_height: smallest height of the tool's origin over the target's plane, on the side
@@ -60,7 +60,7 @@ class ViewedRegion(eqx.Module):
 
         Args:
             cameras: camera centres in the target's frame, m.
-            points: points of the target in its own frame, in true size, m.
+            points: points of the target in its own frame, true to scale, m.
             tools: origins of the tool in the target's frame, m; None if the target is on the tool.
         """
         height, lower, upper = cameras[:, 2], points[:, 2].min(), points[:, 2].max()
@@ -68,7 +68,8 @@ class ViewedRegion(eqx.Module):
         # beyond all of its points. The plane is at the points that are farthest from the cameras.
         side = 1.0 if (height > upper).all() else -1.0 if (height < lower).all() else 0.0
         centroid = cameras.mean(axis=0)
-        # The mean over many points is a product with a vector: NumPy's is twenty times as slow.
+        # The mean as a product with a vector; NumPy's `mean` is twenty times slower for many
+        # points.
         target_centre = np.full(len(points), 1.0 / len(points)) @ points
         distances = np.linalg.norm(cameras - target_centre, axis=1)
         radius = np.linalg.norm(cameras - centroid, axis=1).max()
@@ -107,8 +108,8 @@ class ViewedRegion(eqx.Module):
     ) -> Float[Array, "*views"]:
         """Return the distance of cameras from the centroid, relative to the views' own distances.
 
-        The unit is the farthest distance of a view from the target, or `radius` if that is larger:
-        views that were all taken close together say nothing against moving about the target.
+        The unit is the farthest distance of a view from the target, or `radius` if that is larger,
+        because close views do not limit how far a camera may move around the target.
 
         Args:
             cameras: camera centres in the target's frame, m.
@@ -119,7 +120,7 @@ class ViewedRegion(eqx.Module):
 
 def region_to_dict(region: ViewedRegion) -> dict[str, Any]:
     """Return a region as plain numbers in metres by name, as in `calibration.yaml`."""
-    # The keys are those of the file format, which are older than the names of the attributes.
+    # The keys of the file format are older than the names of the attributes.
     side = next(name for name, sign in _SIDES.items() if sign == float(region.side))
     content: dict[str, Any] = {
         "side": side,

@@ -1,9 +1,9 @@
-"""Read at which height the board stood in each picture, where every picture has its own robot pose.
+"""Read the board's height in each picture, for data where every picture has its own robot pose.
 
-A board may be raised under a robot that does not move: then a view has a picture for each height.
-Or the robot goes through all its poses, the board is raised, and the robot goes through them again,
-which it does not exactly: then every picture has a row of its own in the table of poses (or of
-joint readings), and a column `height` with the index of the board's height in it:
+If the board is raised under a robot that does not move, a view has a picture for each height. If
+the robot instead goes through all its poses, the board is raised, and the robot repeats the poses
+(not exactly), every picture has its own row in the table of poses or joint readings, and the
+column `height` holds the index of the board's height:
 
     view,height,x,y,z,...
     first_0,0,...
@@ -25,14 +25,15 @@ def read_board_heights(
     """Return the index of the board's height by view; None if a view has a picture of each height.
 
     Args:
-        table: of the poses, the joint readings or the pictures' times; None if the poses are in a
-            file of another format, which has no further columns.
+        table: the table of poses, joint readings or picture times; None if the poses are in a file
+            of another format, which has no further columns.
         target: only a `StackedTarget` has several heights.
-        view_ids: ids of all views, which are the table's.
-        suffix: with which the table's names end beyond those ids.
+        view_ids: ids of all views in the table.
+        suffix: suffix of the names in the table that the ids do not have.
 
     Raises:
-        ValueError: a row whose height is no index of the target's heights, with file and view.
+        ValueError: a row whose height is not an index of the target's heights; names file and
+            view.
     """
     if not isinstance(target, StackedTarget) or table is None:
         return None

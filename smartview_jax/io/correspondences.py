@@ -21,8 +21,8 @@ def import_correspondences(
 ) -> Dataset:
     """Import a data set whose target points were detected by another program.
 
-    The points of each view are tested against each other: what cannot be a picture of them is left
-    out, with the reason.
+    The points of each view are checked for consistency; points or views that fail are left out,
+    with the reason.
 
     Args:
         poses_csv: table with the columns `view, m00 .. m33`: base_from_tool, row-major, m.
@@ -31,8 +31,8 @@ def import_correspondences(
         image_size: width and height, px.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         bad_views: `"raise"` or `"mask"`, as in `Dataset.from_arrays`.
-        detection_limits: how far points may lie from where the others put them; by default
-            `DetectionLimits()`.
+        detection_limits: largest distance of a point from the position that the other points of
+            its view predict; by default `DetectionLimits()`.
 
     Raises:
         FileNotFoundError: a table is missing.
@@ -48,8 +48,7 @@ def import_correspondences(
         )
     if not view_ids:
         raise ValueError(f"{poses_csv}: no poses")
-    # NaN and infinity pass here: `Dataset.from_arrays` raises an error or masks the view, as
-    # `bad_views` says.
+    # NaN and infinity pass here: `Dataset.from_arrays` raises or masks the view, by `bad_views`.
     rows = [
         parse_numbers(poses_csv, row, codec.columns, row["view"], require_finite=False)
         for row in table.rows

@@ -15,7 +15,7 @@ from .table_text import VIEW_COLUMN, TableText, is_number, named_unit, read_tabl
 from .table_text import duplicates as duplicates
 
 MAX_COORDINATE = 100.0
-"""Largest coordinate of a pose, m: a larger one was given in another unit, such as mm."""
+"""Largest coordinate of a pose, m; a larger one must be in another unit, such as mm."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Table:
         path: of the file.
         rows: fields by the name of their column.
         notes: sentences for the user; none for a table as this package writes it.
-        comments: lines of the file that are no rows.
-        written_header: names of the columns as they are written in the file.
+        comments: comment lines of the file.
+        written_header: names of the columns as the file has them.
     """
 
     path: Path
@@ -39,7 +39,7 @@ class Table:
     def requiring(self, required: Sequence[str], units: Collection[str] = ("s",)) -> "Table":
         """Return the table with further required columns under their names, as `read_table` does.
 
-        The columns that are needed may be known only after a look at the table.
+        For columns that are known to be required only after the table was read.
 
         Raises:
             ValueError: a required column is missing.
@@ -68,19 +68,19 @@ def read_table(path: Path, required: Sequence[str], units: Collection[str] = ("s
     Args:
         path: of the file.
         required: names of columns that the table must have.
-        units: in which the caller takes required columns whose names have no unit.
+        units: units that a required column may have in its name, such as `time_s` for `time`.
 
     Raises:
         FileNotFoundError: the file is missing.
         ValueError: it is not a CSV text, a required column is missing, a column occurs twice, a
-            row has another number of fields than the header, a view's name is no name, or numbers
-            have two readings.
+            row has more or fewer fields than the header, a view's name is invalid, or numbers are
+            ambiguous.
     """
     text = read_table_text(path, lambda header: _named(header, required, units)[1] == [])
     rows = [dict(zip(text.header, fields, strict=True)) for fields in text.rows]
     written = Table(path, rows, _notes(path, text), text.comments, tuple(text.header))
     table = written.requiring(required, units)
-    # Tables of detections have many rows of each view: each name is looked at once, in its first.
+    # Tables of detections have many rows of each view: each name is checked once.
     views = [row.get(VIEW_COLUMN, "?") for row in table.rows]
     for view in dict.fromkeys(views):
         if (reason := name_problem(view)) is not None:
@@ -90,7 +90,7 @@ def read_table(path: Path, required: Sequence[str], units: Collection[str] = ("s
 
 
 def _notes(path: Path, text: TableText) -> tuple[str, ...]:
-    """Return what was recognised in the text of a table, as a sentence, or none."""
+    """Return a sentence about what was recognised in a table's text; empty if nothing was."""
     header = _named(text.header, (), ())[0]
     changed = [
         f"{old!r} as {new}" for old, new in zip(text.header, header, strict=True) if old != new
@@ -105,13 +105,13 @@ def _named(
     """Return the header in the package's names, and the required columns that it lacks."""
     named = []
     for column in header:
-        found = named_unit(column)
-        named.append(column if found is None else "_".join(filter(None, found)).lower())
+        name_unit = named_unit(column)
+        named.append(column if name_unit is None else "_".join(filter(None, name_unit)).lower())
     missing = []
     for name in required:
         if name in named:
             continue
-        # Without regard to case; a unit is allowed where it is the caller's own.
+        # Case is ignored; a unit is allowed if it is one of the caller's.
         wanted = {name.lower(), *(f"{name}_{unit}".lower() for unit in units)}
         fitting = [k for k, column in enumerate(named) if column.lower() in wanted]
         if len(fitting) == 1:
@@ -122,21 +122,21 @@ def _named(
 
 
 def _other_units(header: Sequence[str], missing: Sequence[str]) -> str:
-    """Return the columns with a missing name in another unit, as a clause; empty without any."""
+    """Return a clause that lists missing columns found in another unit; empty without any."""
     names = {name.lower() for name in missing}
     other = [
         repr(column)
         for column in header
-        if (found := named_unit(column)) is not None and found[0].lower() in names
+        if (name_unit := named_unit(column)) is not None and name_unit[0].lower() in names
     ]
-    return f" (found {', '.join(other)}: a unit that is not expected here)" if other else ""
+    return f" (found {', '.join(other)}, in an unexpected unit)" if other else ""
 
 
 def refuse_truncated(path: Path, rows: Sequence[object], stated_rows: int | None) -> None:
-    """Raise a ValueError if a table has another number of rows than its description states."""
+    """Raise a ValueError if the number of rows differs from the one in the description."""
     if stated_rows is not None and len(rows) != stated_rows:
         raise ValueError(
-            f"{path}: {len(rows)} rows, but the description says {stated_rows}: was the file cut?"
+            f"{path}: {len(rows)} rows, but the description states {stated_rows}: truncated file?"
         )
 
 
@@ -150,8 +150,7 @@ def parse_numbers(
         row: one row of the table, by column name.
         columns: names of the columns to return.
         view: id of the row's view, for error messages.
-        require_finite: whether to refuse NaN and infinity; False where the caller may mask such a
-            view.
+        require_finite: whether to refuse NaN and infinity; False if the caller can mask the view.
 
     Raises:
         ValueError: a field is not a number; the message names the file, the view and the column.
@@ -191,7 +190,7 @@ def write_table(
     rows: Sequence[Sequence[object]],
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a CSV file, complete or not at all; floats keep every digit.
+    """Write a CSV file, completely or not at all; floats keep every digit.
 
     Args:
         path: of the file.
@@ -200,7 +199,7 @@ def write_table(
         comments: lines to write at the end, which readers ignore.
 
     Raises:
-        ValueError: a view's name with which the file could not be read back; nothing is written.
+        ValueError: the file could not be read back with a view's name; nothing is written.
     """
     if VIEW_COLUMN in header:
         column = list(header).index(VIEW_COLUMN)

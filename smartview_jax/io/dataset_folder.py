@@ -8,17 +8,17 @@
             direction: base_from_tool}
     pictures: {pattern: "images/{view}.png"}
 
-`poses.csv` has a column `view` and the codec's columns; a file of viewpoints, which says its format
-and units itself, is named without them: `poses: {file: views.csv}`. In the pattern, `{view}` stands
-for the view's name and `{height}` for the index of the height, for a board at several heights;
-where every picture has a pose of its own, the table says the height (see `board_heights.py`).
+`poses.csv` has a column `view` and the codec's columns; a file of viewpoints, which states its
+format and units itself, is named without them: `poses: {file: views.csv}`. In the pattern, `{view}`
+is the view's name and `{height}` the index of the height, for a board at several heights; if every
+picture has its own pose, the table states the height (see `board_heights.py`).
 Instead of poses, or in addition to them, the folder may have joint readings (see `joints.py`).
 Pictures, poses and joint readings are matched by the view's name, never by their order; a name has
-up to 200 printable characters, does not begin with # and leads to no other folder. Where the
-target's pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a camera that
-stands beside the arm) gives the target's approximate pose (see `rough_pose.py`). The schema of the
-file is in `schemas.dataset`; an unknown key is an error. A board that Kalibr printed is named by
-Kalibr's own file: `target: {kind: aprilgrid, file: target.yaml}`.
+up to 200 printable characters, does not begin with # and leads to no other folder. If the target's
+pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a fixed camera) gives
+the target's approximate pose (see `rough_pose.py`). The schema of the file is in `schemas.dataset`;
+an unknown key is an error. A board printed by Kalibr can refer to Kalibr's own file:
+`target: {kind: aprilgrid, file: target.yaml}`.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
@@ -141,7 +141,7 @@ def load_dataset_folder(
             notes=(*notes, *table_notes),
         )
     except ValueError as error:
-        # Messages of `read_detections` name the file already; those of `Dataset` do not.
+        # `read_detections` names the file in its messages, `Dataset` does not.
         prefix = "" if str(folder) in str(error) else f"{folder / DETECTIONS_FILE}: "
         raise ValueError(f"{prefix}{error}") from error
     return _with_joints(readings, data, description_path)
@@ -163,14 +163,14 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """Write poses, target, detections and joint readings as a folder that `load_dataset` reads.
 
     Args:
-        data: the data set, whose points are those of its target.
+        data: a data set with a target; its points must be the target's.
         folder: folder to create.
-        pose_format: the way in which `poses.csv` has the poses: one of `POSE_CODECS`.
+        pose_format: pose format of `poses.csv`: one of `POSE_CODECS`.
 
     Raises:
-        ValueError: an unknown pose format, no target description, or points that are not the
-            target's, or a name or a value with which the folder could not be read back; nothing is
-            written then.
+        ValueError: an unknown pose format, no target description, points that are not the
+            target's, or a name or value with which the folder could not be read back; nothing is
+            written.
     """
     folder, target = Path(folder), data.target
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
@@ -178,9 +178,9 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
     if data.arm is not None and data.joints is not None:
         refuse_unreadable_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
-    # A point that was hidden, as a gross error is, has no row: it stays hidden when it is read.
-    seen = np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan)
-    rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, seen)
+    # A point that was hidden, such as a gross error, has no row, so it stays hidden when read back.
+    visible_pixels = np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan)
+    rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, visible_pixels)
     extra_entries: dict[str, Any] = {"detections": {"rows": rows}}
     if data.arm is not None and data.joints is not None:
         write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
@@ -207,10 +207,10 @@ def write_dataset_folder(
     extra_entries: dict[str, Any] | None = None,
     pose_format: str = "matrix",
 ) -> None:
-    """Write `poses.csv` and then `dataset.yaml`, the file by which a data set is recognised.
+    """Write `poses.csv` and then `dataset.yaml`, which marks the folder as a data set.
 
     Args:
-        folder: that already has the pictures or detections.
+        folder: a folder that already has the pictures or detections.
         view_ids: one id for each pose.
         base_from_tool: reported poses, `(views)`.
         image_size: width and height, px.
@@ -228,8 +228,7 @@ def write_dataset_folder(
 
     description = {
         "smartview_dataset": FORMAT_VERSION,
-        # Declares that the last line is an end mark, so that a truncated file is an error. A file
-        # written by hand needs neither.
+        # Declares that the last line is an end mark, so that a truncated file is an error.
         "end_mark": True,
         "camera": {"image_size": [int(size) for size in image_size]},
         "target": target_to_dict(target),
@@ -272,7 +271,7 @@ def picture_files(
     if board_heights is None and len(heights) > 1 and "{height}" not in pattern:
         raise ValueError(
             f"{description_path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "
-            f"or a column height in {poses_path.name} if every picture has a pose of its own"
+            f"or a column height in {poses_path.name} if every picture has its own pose"
         )
     files = {
         view: [

@@ -1,8 +1,8 @@
 """Read and write `detections.csv`: detected target points in pixels (view, point, u_px, v_px).
 
-Where the points were detected in pictures, the last column has a key of everything that a view's
-detection depends on, so that it is repeated only where something has changed. Why nothing was found
-in a view is kept in a comment at the end of the file.
+If the points were detected in pictures, the last column holds a key of everything that a view's
+detection depends on, so that detection is repeated only if something has changed. The reason why
+nothing was found in a view is kept in a comment at the end of the file.
 """
 
 import json
@@ -27,11 +27,11 @@ _KEY_COLUMN = "pictures"
 
 
 class KeptDetection(NamedTuple):
-    """A view's detection as it was kept in the file.
+    """A view's detection as kept in the file.
 
     Attributes:
-        key: what the detection was made from.
-        detection: with the reason where nothing was found.
+        key: hash of everything that the detection depends on.
+        detection: the detection, with the reason if nothing was found.
     """
 
     key: str
@@ -60,7 +60,7 @@ def write_detections(
 
 
 def write_kept_detections(path: Path, kept: Mapping[str, KeptDetection]) -> None:
-    """Write detections so that they can be taken from the file as long as their keys are the same.
+    """Write detections to the file, to be reused as long as their keys stay the same.
 
     Args:
         path: of the file.
@@ -68,7 +68,7 @@ def write_kept_detections(path: Path, kept: Mapping[str, KeptDetection]) -> None
     """
     rows, comments = [], []
     for view, (key, detection) in kept.items():
-        # The number of rows reveals a file that was cut.
+        # The number of rows reveals a truncated file.
         marked = f"{key}-{np.count_nonzero(detection.visible)}"
         rows += _rows(view, detection.pixels, marked)
         if detection.reason is not None or detection.left_out:
@@ -100,13 +100,12 @@ def read_detections(
         path: of the file.
         view_ids: ids of all views.
         point_count: number of points of the target.
-        stated_rows: number of rows that the data set's description states; None where it states
-            none.
+        stated_rows: number of rows that the description states; None if it states none.
 
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: a view without a pose, a point that the target does not have or that a view
-            has twice, a pixel that is not a number, or rows are missing.
+            has twice, a pixel that is not a number, or missing rows.
     """
     table = read_table(path, _COLUMNS, ())
     refuse_truncated(path, table.rows, stated_rows)
@@ -117,11 +116,11 @@ def read_detections(
 def read_kept_detections(
     path: Path, view_ids: Sequence[str], point_count: int
 ) -> dict[str, KeptDetection]:
-    """Read the detections that `write_kept_detections` wrote, of the views that are complete.
+    """Read the complete views of a file that `write_kept_detections` wrote.
 
     Args:
         path: of the file, which may be missing.
-        view_ids: ids of the views that are wanted; rows of others are ignored.
+        view_ids: ids of the views to read; rows of others are ignored.
         point_count: number of points of the target.
 
     Raises:
@@ -147,13 +146,13 @@ def read_kept_detections(
             or any(row[_KEY_COLUMN] != marked for row in view_rows)
         ):
             continue
-        # A target that has other points than the file is another one, and so has another key.
+        # A point beyond the target's means another target, and so another key.
         if any(row["point"].isdecimal() and int(row["point"]) >= point_count for row in view_rows):
             continue
         pixels = _pixels_from_table(path, view_rows, [view], point_count)[0]
         visible = np.asarray(np.isfinite(pixels).all(axis=1))
         reason, left_out = note.get("reason"), note.get("left_out")
-        # A note of other pictures, or one that somebody has changed, says nothing.
+        # A note about other pictures, or one that was edited, is ignored.
         known = note.get("pictures") == marked
         detection = Detection(
             pixels,
@@ -166,7 +165,7 @@ def read_kept_detections(
 
 
 def _kept_notes(comments: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return the notes in a file's comments by view id; what is no such note is ignored."""
+    """Return the notes in a file's comments by view id; other comments are ignored."""
     notes = {}
     for line in comments:
         if line.startswith("# {"):

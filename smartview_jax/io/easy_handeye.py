@@ -37,7 +37,7 @@ class PoseSamples(NamedTuple):
 
     @property
     def mount_from_holder(self) -> SE3:
-        """The robot's part of the chain: `tool_from_base`, for eye-to-hand `base_from_tool`."""
+        """The robot's part of the chain: `tool_from_base`, or `base_from_tool` for eye-to-hand."""
         return mount_from_holder(self.mount, self.base_from_tool)
 
 
@@ -47,12 +47,12 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
     Args:
         path: of the file.
         mount: `"eye_in_hand"` or `"eye_to_hand"`, as the samples were taken (`calibration_type`);
-            the file does not contain it. For a camera beside the arm easy_handeye stores the
-            inverse of the robot's pose, which is undone here.
+            the file does not contain it. For a fixed camera easy_handeye stores the inverse of the
+            robot's pose, which is undone here.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: no samples, or one without its transforms; named by its number from 0.
+        ValueError: no samples, or a sample without its transforms, named by its number from 0.
     """
     from ..schemas.external_formats import SAMPLES_SCHEMA
     from ..schemas.validation import validate_content
@@ -80,7 +80,7 @@ def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
         {"robot": _transform_message(r), "tracking": _transform_message(t)} for r, t in pairs
     ]
     refuse_unreadable({"samples": content}, SAMPLES_SCHEMA, path)
-    # YAML whatever the file is called, as easy_handeye writes it.
+    # Always YAML, whatever the file's ending, as easy_handeye writes it.
     write_atomically(path, dump_yaml({"samples": content}))
 
 

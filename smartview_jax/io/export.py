@@ -28,7 +28,7 @@ class OpenCVDistortion(NamedTuple):
     Attributes:
         model: ROS's name: `plumb_bob`, `rational_polynomial` or `equidistant`.
         coefficients: distortion coefficients in OpenCV's order.
-        max_deviation: largest distance to the fitted lens over the picture, px; 0 where OpenCV has
+        max_deviation: largest distance to the fitted lens over the picture, px; 0 if OpenCV has
             the same model.
     """
 
@@ -38,7 +38,7 @@ class OpenCVDistortion(NamedTuple):
 
 
 def opencv_coefficients(camera: Camera) -> OpenCVDistortion:
-    """Return the lens as an OpenCV model: the same one, or the nearest k1, k2, p1, p2, k3.
+    """Return the lens as an OpenCV model: the same model, or the nearest k1, k2, p1, p2, k3.
 
     The lens models of the paper and of Weng map distorted to undistorted coordinates, the opposite
     of OpenCV's. Their inverse is not a polynomial, so the nearest polynomial is fitted over the

@@ -1,4 +1,4 @@
-"""Read what `dataset.yaml` says of a folder, before there are pictures in it."""
+"""Read the description of a data-set folder before it has any pictures."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +19,7 @@ class FolderDescription(NamedTuple):
         target: the target.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_size: width and height of the pictures, px.
-        holder_from_world: where the target stands, roughly; None where it is not said.
+        holder_from_world: rough pose of the target; None if the file does not state it.
     """
 
     target: AbstractTarget
@@ -33,7 +33,7 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
 
     Raises:
         FileNotFoundError: the folder has no `dataset.yaml`.
-        ValueError: naming the file and the entry that is wrong.
+        ValueError: a wrong entry; the message names it and the file.
     """
     from ..schemas.dataset import DATASET_SCHEMA
     from ..schemas.validation import validate_content
@@ -46,6 +46,6 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
         target = read_target(Path(folder), content["target"])
         pose = rough_pose(description)
     except ValueError as error:
-        # These two read parts of the file and do not know its name.
+        # Both read parts of the file and do not know its name.
         raise ValueError(f"{path}: {error}") from error
     return FolderDescription(target, description.mount, (width, height), pose)

@@ -1,9 +1,9 @@
-"""Say what a tool does between the poses of a grasp: straight lines, and opening and closing.
+"""Define what the tool does between the poses of a grasp: straight motions, opening, closing.
 
-In VAL a straight line is MOVES, where MOVE lets each joint turn as it likes. OPENI and CLOSEI wait
-until the arm stands, then move the fingers; OPEN and CLOSE move them on the way to the next
-location. BREAK waits as well: without it the controller rounds the corner to the next motion, so
-that a straight line would not begin where it was checked.
+In VAL, MOVES is a straight line and MOVE a joint-interpolated motion. OPENI and CLOSEI wait until
+the arm stands, then move the fingers; OPEN and CLOSE move them on the way to the next location.
+BREAK waits as well: without it the controller blends into the next motion, so that a straight line
+would not begin where it was checked.
 """
 
 from itertools import pairwise
@@ -16,9 +16,9 @@ class HandSteps(NamedTuple):
     """The actions of the tool on its way to each pose of a grasp; one entry for each pose.
 
     Attributes:
-        straight: whether it moves there in a straight line; otherwise as the robot likes.
-        opening: distance between the fingers, m, to which they are set before it sets out; zero
-            closes them on what is between them.
+        straight: whether the tool moves in a straight line; otherwise by joint interpolation.
+        opening: distance between the fingers, m, set before the motion; zero closes them on the
+            object.
     """
 
     straight: tuple[bool, ...]
@@ -31,10 +31,10 @@ class HandSteps(NamedTuple):
 
 
 def hand_columns(hand: HandSteps | None, count: int) -> list[tuple[str, float] | tuple[()]]:
-    """Return the columns `motion` and `opening_m` of each pose; without a hand there are none.
+    """Return the columns `motion` and `opening_m` of each pose; no columns without a hand.
 
     Raises:
-        ValueError: the hand has another number of steps, or an opening that cannot be.
+        ValueError: a wrong number of steps, or an opening that is negative or not finite.
     """
     if hand is None:
         return [()] * count
@@ -43,27 +43,26 @@ def hand_columns(hand: HandSteps | None, count: int) -> list[tuple[str, float] |
 
 
 def val_hand(hand: HandSteps, count: int) -> list[list[str]]:
-    """Return the lines of VAL before the motion to each of so many poses.
+    """Return the lines of VAL before the motion to each pose.
 
     Raises:
         ValueError: as in `hand_columns`.
     """
     _check_hand(hand, count)
     lines = []
-    # Neither opening nor motion is known before the first pose.
     openings, motions = (np.nan, *hand.opening), (True, *hand.straight)
     for (old, new), (was_straight, straight) in zip(
         pairwise(openings), pairwise(motions), strict=True
     ):
-        own = ["BREAK"] if straight and not was_straight else []
+        actions = ["BREAK"] if straight and not was_straight else []
         if new != old:
-            own.append(f"OPENI {1e3 * new:.2f}" if new > 0.0 else "CLOSEI")
-        lines.append(own)
+            actions.append(f"OPENI {1e3 * new:.2f}" if new > 0.0 else "CLOSEI")
+        lines.append(actions)
     return lines
 
 
 def _check_hand(hand: HandSteps, count: int) -> None:
-    """Raise a ValueError if the steps of a hand are not those of so many poses."""
+    """Raise a ValueError for a wrong number of steps or an impossible opening."""
     if not len(hand.straight) == len(hand.opening) == count:
         raise ValueError(
             f"hand: expected an entry for each of {count} poses, found {len(hand.straight)} in "

@@ -35,14 +35,14 @@ MAX_JOINT_READING = 100.0
 
 
 class ReadJoints(NamedTuple):
-    """The joint readings of a table by view.
+    """The joint readings of a table, by view.
 
     Attributes:
         view_ids: view ids.
         readings: rad (m for a prismatic joint).
         arm: the arm that has these readings.
         table: the file as a table.
-        notes: sentences on what was recognised in it.
+        notes: sentences on what was recognised in the table.
     """
 
     view_ids: tuple[str, ...]
@@ -59,7 +59,7 @@ def read_joints(
 
     Args:
         folder: of the data set.
-        content: the entry, as `schemas.dataset` defines it.
+        content: the entry `joints`, as `schemas.dataset` defines it.
         description_path: path of the description, for error messages.
         view_ids: view ids in the order wanted; None keeps the order of the file.
 
@@ -70,19 +70,18 @@ def read_joints(
     arm = _arm_from_entry(content.get("arm"), description_path)
     path, columns = folder / content["file"], _joint_columns(arm)
     stated_units = (content["angle_unit"], content["length_unit"])
-    found = read_table(path, ("view", *columns), stated_units)
-    rows, notes = (found.rows, ()) if view_ids is None else with_names_of(found, view_ids)
+    joints_table = read_table(path, ("view", *columns), stated_units)
+    rows, notes = (
+        (joints_table.rows, ()) if view_ids is None else with_names_of(joints_table, view_ids)
+    )
     refuse_truncated(path, rows, content.get("rows"))
     table = {row["view"]: row for row in rows}
     if repeated := duplicates([row["view"] for row in rows]):
         raise ValueError(f"{path}: view {', '.join(repeated)} has more than one row")
     ordered_views = tuple(table) if view_ids is None else tuple(view_ids)
     if set(ordered_views) != set(table) or not table:
-        # The symmetric difference: the views that only one of the two tables has.
         unmatched = sorted(set(ordered_views) ^ set(table))
-        raise ValueError(
-            f"{path}: poses and joints are not of the same views: {', '.join(unmatched)}"
-        )
+        raise ValueError(f"{path}: poses and joints have different views: {', '.join(unmatched)}")
     # A prismatic joint reads a length, a revolute one an angle.
     length, angle = LENGTH_UNITS[content["length_unit"]], ANGLE_UNITS[content["angle_unit"]]
     unit_factors = np.where(arm.prismatic, length, angle)
@@ -90,7 +89,7 @@ def read_joints(
         [unit_factors * parse_numbers(path, table[view], columns, view) for view in ordered_views]
     )
     _refuse_impossible(path, ordered_views, readings, columns)
-    return ReadJoints(ordered_views, readings, arm, found, (*found.notes, *notes))
+    return ReadJoints(ordered_views, readings, arm, joints_table, (*joints_table.notes, *notes))
 
 
 def write_joints(
@@ -118,13 +117,13 @@ def refuse_unreadable_joints(
 ) -> None:
     """Raise a ValueError for readings with which `joints.csv` could not be read back.
 
-    For a writer of several files, which has to know before it writes the first.
+    Called before the first of several files is written.
     """
     _refuse_impossible(folder / JOINTS_FILE, view_ids, joints, _joint_columns(arm))
 
 
 def joints_entry(count: int, arm: SerialArm) -> dict[str, Any]:
-    """Return the entry `joints` of a description, for a table of so many rows."""
+    """Return the entry `joints` of a description, for a table with a number of rows."""
     return {
         "file": JOINTS_FILE,
         "angle_unit": "rad",
@@ -140,7 +139,7 @@ def _refuse_impossible(
     readings: Float[np.ndarray, "views joints"],
     columns: Sequence[str],
 ) -> None:
-    """Raise a ValueError that names the first reading that no joint has; rad or m."""
+    """Raise a ValueError that names the first impossible reading, rad or m."""
     for view, row in zip(view_ids, readings, strict=True):
         # NaN fails this comparison as well.
         wrong = ~(np.abs(row) <= MAX_JOINT_READING)

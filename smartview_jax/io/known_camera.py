@@ -1,4 +1,4 @@
-"""Read a camera that is known already, from whatever file its maker or an earlier run wrote."""
+"""Read a known camera from a file in any format that is supported."""
 
 from pathlib import Path
 
@@ -13,11 +13,11 @@ def read_camera(path: str | Path) -> Camera:
     """Read a camera from a calibration.yaml, a YAML of OpenCV or ROS, or an XML of ViSP.
 
     Args:
-        path: of the file; its content tells which of them it is.
+        path: of the file; the format is recognised from its content.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: naming the file and the entry that is wrong or missing.
+        ValueError: a wrong or missing entry; the message names it and the file.
     """
     text = read_text(path)
     if text.lstrip().startswith("<"):

@@ -39,10 +39,11 @@ def load_dataset(
         progress: called with a line of text for each step of the work.
         keep_detections: whether to write the detections to the folder, to be read the next time.
         holder_from_world: approximate pose of the target (`base_from_world`, or `tool_from_world`
-            for a camera that stands beside the arm), for patterns that look the same when rotated;
-            by default the folder's own, or else the orientation with the smallest rotation.
-        detection_limits: how far a view's points may lie from where the others put them, be they
-            detected here or read from a file; by default `DetectionLimits()`.
+            for a fixed camera), for patterns that look the same when rotated; by default the
+            folder's own, or else the orientation with the smallest rotation.
+        detection_limits: largest distance of a point from the position that the other points of
+        its view predict, for detected points and for points from a file; by default
+        `DetectionLimits()`.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -61,16 +62,16 @@ def load_dataset(
         )
     else:
         raise FileNotFoundError(
-            f"{folder}: neither {DESCRIPTION_FILE} nor {DATA_FILE} here: "
-            "not a data set this library knows"
+            f"{folder}: has neither {DESCRIPTION_FILE} nor {DATA_FILE}: "
+            "not a data set in a known format"
         )
-    seen, masked = data.observation_count, len(data.masked_views)
-    _log.info("%s: %d views, %d points, %d masked", folder, data.view_count, seen, masked)
+    points, masked = data.observation_count, len(data.masked_views)
+    _log.info("%s: %d views, %d points, %d masked", folder, data.view_count, points, masked)
     return data
 
 
 def load_pose_log(folder: str | os.PathLike[str]) -> PoseLog | None:
-    """Read the log of a data-set folder; None where every view has a pose of its own.
+    """Read the pose log of a data-set folder; None if every view has its own pose.
 
     Raises:
         FileNotFoundError: a table is missing.

@@ -40,7 +40,7 @@ def read_matrix_rows(
 def _decoded(
     path: Path, fields: Sequence[Sequence[str]], names: Sequence[str], length_unit: str
 ) -> SE3:
-    """Return the poses of some lines; raise a ValueError that names a line that is not a pose."""
+    """Return the poses of the lines; raise a ValueError that names a line that is not a pose."""
     if not fields:
         raise ValueError(f"{path}: no poses")
     for name, row in zip(names, fields, strict=True):

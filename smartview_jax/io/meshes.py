@@ -1,8 +1,8 @@
 """Read and write object models as triangle meshes: OBJ, PLY, STL and glTF, through trimesh.
 
-A mesh has a flat face as many triangles. On reading, triangles in one plane are joined to faces
-again, and the edges between them become the wireframe where the surface bends sharply. On writing,
-faces are cut into triangles; graspable surfaces, grasps and uncertainty have no place in a mesh.
+On reading, adjacent coplanar triangles are joined to flat faces, and the edges at which the surface
+bends sharply become the wireframe. On writing, faces are cut into triangles; graspable surfaces,
+grasps and uncertainty are lost, because meshes have no place for them.
 """
 
 import os
@@ -27,17 +27,17 @@ MESH_FORMATS = ("obj", "ply", "stl", "glb", "gltf")
 """Endings of the files that are read and written."""
 
 SHARP_ANGLE = float(np.deg2rad(20.0))
-"""Smallest angle between the normals of two triangles whose common edge is a sharp one, rad.
+"""Smallest angle between the normals of two triangles whose common edge is sharp, rad.
 
-The smallest bend in use that is meant as an edge is that of an octagonal prism, 45 degrees; round
-parts are meshed with steps of 5 to 15 degrees.
+The smallest bend commonly meant as an edge is 45 degrees (an octagonal prism); round parts are
+meshed with steps of 5 to 15 degrees.
 """
 
 COPLANAR_ANGLE = float(np.deg2rad(0.5))
 """Largest angle between the normals of two triangles of one flat face, rad."""
 
 WELD_DISTANCE = 1e-6
-"""Largest distance between vertices that are the same one, over the object's extent.
+"""Largest distance between vertices that are merged, relative to the object's extent.
 
 STL gives every triangle its own vertices, in single precision.
 """
@@ -50,7 +50,7 @@ def read_mesh(
 
     Args:
         path: a file with one of the endings in `MESH_FORMATS`.
-        unit: of its coordinates: m, cm or mm; most CAD programs write mm. glTF is always in metres.
+        unit: unit of the coordinates: m, cm or mm; most CAD programs write mm. glTF is always in m.
         sharp_angle: smallest bend of the surface that is an edge, rad.
 
     Raises:
@@ -71,12 +71,12 @@ def read_mesh(
         if isinstance(mesh, trimesh.Scene):
             mesh = mesh.to_mesh()
         vertices, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, int)
-    # A broken file can raise anything in a parser of another library.
+    # Another library's parser can raise any error for a broken file.
     except Exception as error:
         raise ValueError(f"{path}: not readable as {kind}: {error}") from error
     # The glTF standard fixes metres; the other formats have no unit.
     scale = 1.0 if kind in ("glb", "gltf") else LENGTH_UNITS[unit]
-    # A file may be called what an object may not.
+    # Names of files have fewer restrictions than names of objects.
     name = nearest_name(path.stem)
     try:
         return model_from_triangles(scale * vertices, triangles, sharp_angle, name, str(path))
@@ -88,7 +88,7 @@ def write_mesh(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
     """Write the faces of a model as triangles in metres, completely or not at all.
 
     Raises:
-        ValueError: another format than those in `MESH_FORMATS`, or a model without faces.
+        ValueError: a format that is not in `MESH_FORMATS`, or a model without faces.
         ImportError: trimesh or mapbox-earcut is not installed.
     """
     path = Path(path)
@@ -100,25 +100,24 @@ def write_mesh(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
         # One file, with its numbers inside, so that it is written completely or not at all.
         files = export_gltf(mesh.scene(), embed_buffers=True)
         return write_atomically(path, files["model.gltf"])
-    # PLY, STL and glTF have single precision; the text of OBJ keeps what the model has.
+    # PLY, STL and glTF have single precision; OBJ, a text format, keeps the model's.
     options: dict[str, Any] = {"digits": 12} if kind == "obj" else {}
     content: Any = mesh.export(file_type=kind, **options)
     return write_atomically(path, content)
 
 
 def to_trimesh(model: ObjectModel) -> "trimesh.Trimesh":
-    """Return the faces of a model as a trimesh mesh, whose vertices are those of the model.
+    """Return the faces of a model as a trimesh mesh with the same vertices.
 
-    The metadata `face_of_triangle` has the face that each triangle is part of.
+    The metadata `face_of_triangle` holds the index of the face of each triangle.
 
     Raises:
         ValueError: the model has no faces.
         ImportError: trimesh or mapbox-earcut is not installed.
     """
     if not model.faces:
-        raise ValueError(f"model {model.name!r} has no faces, only a wireframe, so it is no mesh")
+        raise ValueError(f"model {model.name!r} has only a wireframe, no faces to write as a mesh")
     trimesh = import_extra("trimesh", "objects", "a mesh")
-    # Vertices stay those of the model, in its order.
     parts = [face_triangles(model.vertices, face) for face in model.faces]
     owners = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     mesh = trimesh.Trimesh(model.vertices, np.concatenate(parts), process=False)
@@ -127,18 +126,18 @@ def to_trimesh(model: ObjectModel) -> "trimesh.Trimesh":
 
 
 def face_triangles(vertices: Float[np.ndarray, "V 3"], face: Face) -> Int[np.ndarray, "T 3"]:
-    """Return a face cut into triangles, as indices of vertices, with the face's normal.
+    """Return a face cut into triangles: vertex indices, in the orientation of the face.
 
     Raises:
         ImportError: mapbox-earcut is not installed.
     """
     mapbox_earcut = import_extra("mapbox_earcut", "objects", "cutting faces into triangles")
     plane = face_plane(vertices, face)
-    # Earcut works in the plane; the loops follow one another.
+    # Earcut works in the plane and takes all loops one after the other.
     flat = plane.coordinates(vertices[face.indices])
     ends = np.cumsum([len(loop) for loop in face.loops]).astype(np.uint32)
     corners = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3)
-    # In the plane's coordinates counter-clockwise is outward, whichever way earcut cuts.
+    # Counter-clockwise in the plane's coordinates is outward; earcut guarantees no orientation.
     a, b, c = (flat[corners[:, k]] for k in range(3))
     area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     corners = np.where(area[:, None] < 0.0, corners[:, ::-1], corners)
@@ -167,7 +166,7 @@ def model_from_triangles(
         triangles: counter-clockwise as seen from outside.
         sharp_angle: smallest bend of the surface that is an edge, rad.
         name: of the model.
-        source: where the mesh is from, for the provenance.
+        source: origin of the mesh, for the provenance.
 
     Raises:
         ValueError: there are no triangles, or coordinates are not finite.
@@ -175,7 +174,7 @@ def model_from_triangles(
     mesh = _welded(vertices, triangles)
     owners = _flat_groups(mesh)
     loops_by_face = [_boundary_loops(mesh.faces[owners == k]) for k in range(owners.max() + 1)]
-    # A vertex in the middle of a straight edge came from another program's triangles.
+    # Vertices in the middle of a straight edge are artefacts of the triangulation.
     kept = _corners(mesh.vertices, loops_by_face)
     shortened = [[tuple(v for v in loop if kept[v]) for loop in loops] for loops in loops_by_face]
     faces = [_face_from_loops(mesh.vertices, loops) for loops in shortened]
@@ -192,7 +191,7 @@ def model_from_triangles(
 
 
 def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"]) -> Any:
-    """Return a trimesh mesh whose vertices in one place are joined, without empty triangles."""
+    """Return a trimesh mesh with coincident vertices merged, without degenerate triangles."""
     from scipy.spatial import KDTree
 
     if not len(triangles):
@@ -207,8 +206,7 @@ def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"
             "numbered from 0"
         )
     radius = WELD_DISTANCE * float(np.ptp(vertices, axis=0).max())
-    # The first of each cluster stands for all of it.
-    # Joined by distance, not by rounding, which would part neighbours at its steps.
+    # Each cluster is replaced by its first vertex. Rounding would separate neighbours at its steps.
     first = np.arange(len(vertices))
     for a, b in sorted(KDTree(vertices).query_pairs(radius)):
         first[b] = min(first[b], first[a])
@@ -217,7 +215,7 @@ def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"
     mesh = import_extra("trimesh", "objects", "a mesh").Trimesh(
         vertices, joined[distinct], process=False
     )
-    # Slivers without an area have no normal.
+    # Triangles without an area have no normal.
     mesh.update_faces(mesh.area_faces > 1e-12 * np.ptp(vertices, axis=0).max() ** 2)
     if not len(mesh.faces):
         raise ValueError("the mesh has no triangles with an area")
@@ -225,7 +223,7 @@ def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"
 
 
 def _flat_groups(mesh: Any) -> Int[np.ndarray, "T"]:
-    """Return the number of the flat face that each triangle is part of."""
+    """Return the index of the flat face of each triangle."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -237,15 +235,15 @@ def _flat_groups(mesh: Any) -> Int[np.ndarray, "T"]:
 
 
 def _boundary_loops(triangles: Int[np.ndarray, "T 3"]) -> list[tuple[int, ...]]:
-    """Return the closed loops around connected triangles, in the triangles' direction."""
+    """Return the boundary loops of connected triangles, in the triangles' orientation."""
     sides = {(int(t[k]), int(t[(k + 1) % 3])) for t in triangles for k in range(3)}
     following: dict[int, list[int]] = {}
     for a, b in sides:
-        # An inner side is run through in both directions.
+        # An inner side occurs in both directions.
         if (b, a) not in sides:
             following.setdefault(a, []).append(b)
     loops = []
-    # Each side is used once; where two loops touch in a vertex, it has two followers.
+    # Each side is used once; a vertex in which two loops touch has two followers.
     while following:
         loop = [min(following)]
         while not (len(loop) > 1 and loop[-1] == loop[0]):
@@ -260,7 +258,7 @@ def _boundary_loops(triangles: Int[np.ndarray, "T 3"]) -> list[tuple[int, ...]]:
 def _corners(
     vertices: Float[np.ndarray, "V 3"], loops_by_face: list[list[tuple[int, ...]]]
 ) -> np.ndarray:
-    """Return which vertices are corners: not in the middle of a straight edge of every loop."""
+    """Return which vertices are corners: some loop bends there."""
     corners = np.zeros(len(vertices), bool)
     for loop in (loop for loops in loops_by_face for loop in loops):
         points = vertices[list(loop)]
@@ -273,7 +271,7 @@ def _corners(
 
 
 def _face_from_loops(vertices: Float[np.ndarray, "V 3"], loops: list[tuple[int, ...]]) -> Face:
-    """Return the face whose outer loop is the one around the largest extent."""
+    """Return the face of the loops; the outer loop has the largest extent."""
     extents = [float(np.ptp(vertices[list(loop)], axis=0).max()) for loop in loops]
     outer = int(np.argmax(extents))
     return Face(loops[outer], tuple(loop for k, loop in enumerate(loops) if k != outer))
@@ -285,16 +283,16 @@ def _sharp_edges(
     loops_by_face: list[list[tuple[int, ...]]],
     sharp_angle: float,
 ) -> Int[np.ndarray, "E 2"]:
-    """Return the sides of faces at which the surface ends or bends by more than an angle."""
+    """Return the edges at which the surface ends or bends by at least the sharp angle."""
     normals: dict[frozenset[int], list[np.ndarray]] = {}
     for k, loops in enumerate(loops_by_face):
-        # Of a flat group every triangle has the normal; the largest has it most accurately.
+        # The largest triangle of a flat face has the most accurate normal.
         members = np.flatnonzero(owners == k)
         normal = mesh.face_normals[members[np.argmax(mesh.area_faces[members])]]
         for loop in loops:
             for pair in zip(loop, loop[1:] + loop[:1], strict=True):
                 normals.setdefault(frozenset(pair), []).append(normal)
-    # An edge with one face is the border of an open surface, and sharp in any case.
+    # An edge with a single face is the border of an open surface, and always sharp.
     sharp = [
         tuple(sorted(pair))
         for pair, sides in normals.items()

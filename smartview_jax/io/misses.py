@@ -1,4 +1,4 @@
-"""Read how far a stylus missed its points, as somebody measured and wrote it down.
+"""Read the measured misses of a stylus: the vectors from the points to the tip.
 
 CSV, with or without z:
 
@@ -25,7 +25,7 @@ from ..geometry import LENGTH_UNITS
 from .csv_tables import duplicates, parse_numbers, read_table
 
 MAX_MISS = 0.1
-"""Largest component of a miss, m: a larger one was given in another unit."""
+"""Largest component of a miss, m; a larger one must be in another unit."""
 
 
 def read_misses(
@@ -35,23 +35,25 @@ def read_misses(
 
     Args:
         path: a file ending in `.csv`, `.yaml` or `.yml`.
-        names: of the touches; the file has these, in any order.
+        names: names of the touches; the file must have exactly these, in any order.
         progress: called with a line of text for what was recognised in a table.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: another kind of file, other touches, or a wrong value; with the file's name.
+        ValueError: an unknown kind of file, wrong touches, or a wrong value; names the file.
     """
     path = Path(path)
-    found = _read_csv(path, progress) if path.suffix == ".csv" else _read_yaml(path)
-    if set(found) != set(names):
-        unmatched = ", ".join(sorted(set(found) ^ set(names)))
-        raise ValueError(f"{path}: expected the touches {', '.join(names)}; other are {unmatched}")
-    if len({len(row) for row in found.values()}) > 1:
+    miss_by_name = _read_csv(path, progress) if path.suffix == ".csv" else _read_yaml(path)
+    if set(miss_by_name) != set(names):
+        unmatched = ", ".join(sorted(set(miss_by_name) ^ set(names)))
+        raise ValueError(
+            f"{path}: expected the touches {', '.join(names)}; missing or unknown: {unmatched}"
+        )
+    if len({len(row) for row in miss_by_name.values()}) > 1:
         raise ValueError(f"{path}: some touches have z and some have none")
-    misses = np.array([found[name] for name in names])
+    misses = np.array([miss_by_name[name] for name in names])
     for name, row in zip(names, misses, strict=True):
-        # A stylus a hand's breadth beside its point was not aimed by this calibration.
+        # A miss of 10 cm is no error of a calibration.
         if (np.abs(row) > MAX_MISS).any():
             raise ValueError(
                 f"{path}: {name}: a miss of {np.abs(row).max():.4g} m, more than {MAX_MISS} m: "

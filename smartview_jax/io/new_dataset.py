@@ -1,4 +1,4 @@
-"""Begin a data-set folder: a commented description and an empty table, for a person to fill in."""
+"""Begin a data-set folder: a commented description and an empty table, to be filled in."""
 
 from collections import Counter
 from pathlib import Path
@@ -13,11 +13,11 @@ from .poses import POSES_FILE
 
 
 class RobotFormat(NamedTuple):
-    """The way in which a maker's robots report poses.
+    """The pose format of a robot manufacturer.
 
     Attributes:
-        codec: name of the pose format, which knows its units.
-        source: where the numbers are read.
+        codec: name of the pose format, which includes its units.
+        source: where the controller shows the numbers.
     """
 
     codec: str
@@ -43,13 +43,13 @@ ROBOTS = {
     "yaskawa": RobotFormat("yaskawa", "the current position: X Y Z Rx Ry Rz"),
     "matrix": RobotFormat("matrix", "4 x 4 matrices, row by row"),
 }
-"""The makers whose formats are known, by the name that a user gives."""
+"""Pose formats by the name of the manufacturer."""
 
 TARGETS = {
     "chessboard": """target:
   kind: chessboard
   rows: 9            # inner corners, not squares
-  columns: 6         # one of the two odd, the other even, so that it looks the same one way only
+  columns: 6         # one of the two odd, the other even, so that the board has no symmetry
   square: 0.025      # MEASURE over many squares with a calliper, m""",
     "circle_grid": """target:
   kind: circle_grid
@@ -82,15 +82,15 @@ TARGETS = {
   size: 0.088        # tagSize; MEASURE the black square's side, m
   spacing: 0.3       # tagSpacing: the gap in parts of that side""",
 }
-"""The entry `target` of every kind of target, with what a person has to measure."""
+"""The entry `target` of every kind of target; comments mark what has to be measured."""
 
 
 class FoundPictures(NamedTuple):
-    """The pictures that a folder has already.
+    """The pictures already in a folder.
 
     Attributes:
-        image_size: width and height of the first, px.
-        suffix: of most of them, with its dot.
+        image_size: width and height of the first picture, px.
+        suffix: the most frequent suffix, with its dot.
         picture_count: number of pictures with that suffix.
         others: names of pictures with other suffixes.
     """
@@ -121,7 +121,7 @@ pictures: {{pattern: "images/{{view}}{suffix}"}}
 
 
 def found_pictures(folder: Path) -> FoundPictures | None:
-    """Return what pictures the folder `images` of a data set has already; None if there are none.
+    """Return the pictures already in the folder `images` of a data set; None if there are none.
 
     Raises:
         ValueError: the first picture cannot be read.
@@ -148,7 +148,7 @@ def write_new_dataset(
     """Write a commented `dataset.yaml`, the heading of `poses.csv` and the folder `images`.
 
     Args:
-        folder: may exist, and may have pictures already.
+        folder: the folder; it may exist, and may have pictures already.
         robot: one of `ROBOTS`.
         target: one of `TARGETS`.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
@@ -159,7 +159,7 @@ def write_new_dataset(
         The path of the description.
 
     Raises:
-        ValueError: an unknown robot, target or mount, or a suffix or size that no data set has.
+        ValueError: an unknown robot, target or mount, or an invalid suffix or size.
         FileExistsError: the folder has a description or a table already.
     """
     from ..schemas.dataset import DATASET_SCHEMA
@@ -193,6 +193,6 @@ def write_new_dataset(
     refuse_unreadable(parse_yaml(text, description), DATASET_SCHEMA, description)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_atomically(table, ",".join(("view", *codec.columns)) + "\n")
-    # Written last: a folder without a description is none that was begun.
+    # Written last, so that an interrupted run can be repeated.
     write_atomically(description, text)
     return description

@@ -43,11 +43,11 @@ def save_object_model(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
     """Write an object model as JSON in metres, completely or not at all.
 
     Raises:
-        ValueError: a value that no object model has, so that the file could not be read back.
+        ValueError: an invalid value, so that the file could not be read back.
     """
     content = object_model_to_dict(model)
     try:
-        # Reading mends the names that earlier versions wrote, so that it alone would not refuse.
+        # Reading repairs names that earlier versions wrote, so names are checked here.
         for part in (model, *model.faces, *model.grasps):
             require_readable_or_empty(type(part).__name__, part.name)
         object_model_from_dict(content)
@@ -62,7 +62,7 @@ def load_object_model(path: str | os.PathLike[str]) -> ObjectModel:
     Raises:
         FileNotFoundError: the file is missing.
         ValueError: it is not JSON, not an object model, or a part of the model is wrong; the
-            message names the file and the line or the entry.
+            message names the file and the line or entry.
     """
     content = parse_json(read_text(path), path)
     try:
@@ -98,7 +98,7 @@ def object_model_to_dict(model: ObjectModel) -> dict[str, Any]:
         content["covariance"] = {"full": model.covariance.tolist()}
     if model.calibration_factor is not None:
         content["calibration_factor"] = model.calibration_factor.tolist()
-    # Last on purpose, so that a file that was cut is recognised even if it was closed by hand.
+    # Last, so that a truncated file is recognised even if its brackets were closed by hand.
     return {**content, "end": "smartview_object"}
 
 
@@ -144,11 +144,11 @@ def parse_json(text: str, path: str | os.PathLike[str]) -> Any:
     """Parse strict JSON: unique keys, finite numbers; errors name the file and the line.
 
     Raises:
-        ValueError: it is not such JSON.
+        ValueError: the text is not strict JSON.
     """
 
     def refuse(name: str) -> float:
-        raise ValueError(f"{name} is not a number that JSON has")
+        raise ValueError(f"{name} is not a number in JSON")
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         # Python's parser would silently keep the last of two equal keys.
@@ -173,7 +173,7 @@ def parse_json(text: str, path: str | os.PathLike[str]) -> Any:
 
 def _readable_json(content: dict[str, Any]) -> str:
     """Return JSON in which every row of numbers, and every short mapping, is on one line."""
-    # A person compares two versions line by line: one vertex, edge or loop in each.
+    # One vertex, edge or loop on a line, so that versions can be compared line by line.
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
     strings: list[str] = []
 
@@ -181,14 +181,14 @@ def _readable_json(content: dict[str, Any]) -> str:
         strings.append(match.group())
         return f'"{len(strings) - 1}"'
 
-    # Strings may contain brackets; they are put aside while the innermost lists are joined.
+    # Strings may contain brackets, so they are set aside while the innermost lists are joined.
     text = re.sub(r'"(?:[^"\\]|\\.)*"', hide, text)
     text = re.sub(r"\[([^\[\]{}]*)\]", lambda m: f"[{' '.join(m.group(1).split())}]", text)
     return re.sub(r'"(\d+)"', lambda m: strings[int(m.group(1))], text) + "\n"
 
 
 def _face_to_dict(face: Face) -> dict[str, Any]:
-    """Return a face as a mapping without entries that say nothing."""
+    """Return a face as a mapping, without empty entries."""
     return {
         **({"name": face.name} if face.name else {}),
         "loop": list(face.loop),
@@ -214,7 +214,6 @@ def _grasp_to_dict(grasp: Grasp) -> dict[str, Any]:
 
 def _grasp_from_entry(entry: Any, scale: float) -> Grasp:
     """Return the grasp of a file's entry, converted to metres."""
-    # Rotations have no unit; everything else is converted.
     pose = np.eye(4)
     pose[:3, :3] = _rotation(entry.object_from_tool.quaternion_wxyz)
     pose[:3, 3] = scale * np.array(entry.object_from_tool.translation)
@@ -224,7 +223,7 @@ def _grasp_from_entry(entry: Any, scale: float) -> Grasp:
 
 def _quaternion(rotation: np.ndarray) -> list[float]:
     """Return the unit quaternion of a rotation matrix, real part first."""
-    # Canonical: of the two quaternions of a rotation the one with w >= 0, so that files repeat.
+    # Canonical (w >= 0), so that equal rotations give equal files.
     x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
     return [w, x, y, z]
 
@@ -241,7 +240,7 @@ def _covariance(entry: Any) -> np.ndarray:
     """Return the covariance of an entry, in the file's unit squared."""
     if entry.full is not None:
         return _matrix(entry.full, "covariance.full")
-    # Both triangles of the symmetric matrix from its upper one.
+    # Fill both triangles of the symmetric matrix from the upper one.
     rows = np.array(entry.per_vertex, float).reshape(-1, 6)
     covariance = np.zeros((len(rows), 3, 3))
     covariance[:, *_UPPER] = covariance[:, *_UPPER[::-1]] = rows

@@ -1,4 +1,4 @@
-"""Read and write a folder of pictures of an object, with the robot's pose of each.
+"""Read and write a folder of pictures of an object with the robot's poses.
 
     smartview_object_views: 1
     camera: {image_size: [640, 480]}
@@ -8,8 +8,8 @@
     end: smartview_object_views
 
 The file is called `object_views.yaml`. Pictures and poses are matched by the view's name, as in a
-data-set folder. Joint readings, an entry `joints` as in a data-set folder, may stand beside the
-poses or instead of them. The calibration is a file of its own: one camera sees many objects.
+data-set folder. An entry `joints`, as in a data-set folder, may add joint readings to the poses or
+replace them. The calibration is a separate file, because a camera is used for many objects.
 """
 
 from collections.abc import Sequence
@@ -35,14 +35,13 @@ OBJECT_VIEWS_FILE = "object_views.yaml"
 
 
 class ObjectViews(NamedTuple):
-    """Pictures of an object and where the robot reported to be.
+    """Pictures of an object and the robot's reported poses.
 
     Attributes:
         view_ids: names of the views.
         paths: files of the pictures.
         pictures: grey levels.
-        command: what the robot reported in each view, with joint readings where the folder has
-            them.
+        command: reported pose of each view, with joint readings if the folder has them.
         image_size: width and height, px.
         notes: sentences on what was recognised in the tables.
     """
@@ -65,7 +64,7 @@ def load_object_views(folder: str | Path) -> ObjectViews:
 
     Raises:
         FileNotFoundError: the description, a table or a picture is missing.
-        ValueError: naming the file and the entry, view or picture that is wrong.
+        ValueError: a wrong entry, view or picture; the message names it and the file.
     """
     # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
     from ..schemas.object_views import OBJECT_VIEWS_SCHEMA
@@ -79,7 +78,7 @@ def load_object_views(folder: str | Path) -> ObjectViews:
     readings.refuse_masked(path)
     width, height = description.camera.image_size
     pattern = description.pictures.pattern
-    # By the name of the view, so that a picture too many or too few shifts nothing.
+    # Matched by name, so that an extra or missing picture does not shift the others.
     paths = tuple(folder / pattern.format(view=view) for view in readings.view_ids)
     pictures = tuple(read_picture(file, (width, height)) for file in paths)
     return ObjectViews(
@@ -106,19 +105,19 @@ def write_object_views(
 
     Args:
         folder: folder to create.
-        view_ids: names of the views, which become names of files.
-        pictures: one for each view, all of one size.
+        view_ids: names of the views, used as file names.
+        pictures: one for each view, all of the same size.
         base_from_tool: `(views)` poses that the robot reported.
-        suffix: kind of the picture files; `".jpg"` is small, `".png"` exact.
-        pose_format: the way in which `poses.csv` has the poses: one of `POSE_CODECS`.
-        joints: joint readings, rad (m for a prismatic joint), which a calibration of an arm's
-            errors needs.
+        suffix: format of the picture files; `".jpg"` is small, `".png"` lossless.
+        pose_format: pose format of `poses.csv`: one of `POSE_CODECS`.
+        joints: joint readings, rad (m for a prismatic joint), needed if the calibration
+            corrects errors of the arm.
         arm: the arm that has these readings.
 
     Raises:
         ValueError: numbers of views, pictures, poses and readings differ, or the pictures' sizes
-            do, or only one of `joints` and `arm` is given, or a view's name is no name; nothing is
-            written then.
+            differ, or only one of `joints` and `arm` is given, or a view's name is invalid; nothing
+            is written.
     """
     from ..schemas.object_views import OBJECT_VIEWS_SCHEMA
     from ..schemas.validation import refuse_unreadable, write_validated
@@ -129,7 +128,6 @@ def write_object_views(
             f"found {len(view_ids)} views, {len(pictures)} pictures and {len(poses.wxyz_xyz)} "
             f"poses; expected one of each for every view"
         )
-    # Checked before anything is written.
     if (joints is None) != (arm is None):
         raise ValueError("joints and arm: give both, or neither")
     if joints is not None and len(joints) != len(view_ids):

@@ -21,7 +21,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
     The camera_info files of ROS have the same entries, and the name of the lens model.
 
     Raises:
-        ValueError: an entry is missing, or there are coefficients of no known model.
+        ValueError: an entry is missing, or the number of coefficients fits no lens model.
     """
     from ..schemas.calibration import PINHOLE_SCHEMA
     from ..schemas.external_formats import OPENCV_CAMERA_SCHEMA
@@ -33,7 +33,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
         raise ValueError(
             f"{path}: camera_matrix: expected [fx 0 cx; 0 fy cy; 0 0 1], found {K.tolist()}"
         )
-    # The limits are those of a calibration.yaml: positive focal lengths, and a plausible centre.
+    # The same limits as in calibration.yaml: positive focal lengths, and a plausible centre.
     intrinsics = {"alpha_u": K[0, 0], "alpha_v": K[1, 1], "u0": K[0, 2], "v0": K[1, 2]}
     validate_content(
         {key: float(x) for key, x in intrinsics.items()}, PINHOLE_SCHEMA, f"{path}: camera_matrix"
@@ -44,7 +44,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
 
 
 def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
-    """Return a matrix of the file as an array; raise a ValueError where its size is wrong."""
+    """Return a matrix of the file as an array; raise a ValueError if its size is wrong."""
     if matrix.rows * matrix.cols != len(matrix.data):
         raise ValueError(
             f"{path}: {name}: {matrix.rows} x {matrix.cols}, but {len(matrix.data)} numbers"
@@ -53,10 +53,10 @@ def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
 
 
 def _opencv_lens(coefficients: np.ndarray, model: str | None, path: str) -> AbstractLens:
-    """Return the lens model that has as many coefficients: 4, 5 or 8; or the named fisheye."""
+    """Return the lens model with this number of coefficients (4, 5 or 8), or the named fisheye."""
     k = [jnp.asarray(x) for x in coefficients]
     if model == "equidistant":
-        # ROS's name of OpenCV's fisheye, whose four coefficients are not those of four others.
+        # ROS's name of OpenCV's fisheye; its four coefficients differ from OpenCV4's.
         if len(k) != 4:
             raise ValueError(f"{path}: distortion_coefficients: expected 4, found {len(k)}")
         return Fisheye(k[0], k[1], k[2], k[3])

@@ -23,7 +23,7 @@ from .detections import KeptDetection, read_kept_detections, write_kept_detectio
 from .view_names import PICTURE_SUFFIXES
 
 _DECIDING_PICTURES = 3
-"""Number of pictures of another size than stated, all equal, after which no more are looked at."""
+"""Number of pictures of one wrong size after which no more pictures are checked."""
 
 
 def detect_views(
@@ -41,12 +41,12 @@ def detect_views(
     Args:
         pictures, target, image_size, bad_views, progress, cache, board_heights: as in
             `dataset_from_pictures`.
-        limits: of the test of detected points; by default `DetectionLimits()`.
+        limits: limits of the check of detected points; by default `DetectionLimits()`.
 
     Raises:
-        FileNotFoundError: no picture exists; or one does not, unless views are masked.
-        ValueError: no picture has the stated size or can be read; or one does not, unless views
-            are masked.
+        FileNotFoundError: a picture is missing and views are not masked, or all are missing.
+        ValueError: a picture is unreadable or has a wrong size and views are not masked, or all
+            are.
     """
     report_progress = progress or (lambda _: None)
     limits = limits or DetectionLimits()
@@ -54,7 +54,7 @@ def detect_views(
     image_size = _checked_size(pictures, image_size)
     kept = {} if cache is None else read_kept_detections(cache, list(pictures), len(target.points))
     common = repr((detection_identity(target), limits, image_size, cv2.__version__))
-    found: dict[str, KeptDetection] = {}
+    entries: dict[str, KeptDetection] = {}
     for number, (view, paths) in enumerate(pictures.items(), start=1):
         height = None if board_heights is None else board_heights[view]
         try:
@@ -62,37 +62,37 @@ def detect_views(
             digests = [content_hash(content) for content in contents]
             key = hashlib.sha256(repr((common, height, digests)).encode()).hexdigest()[:16]
             if view in kept and kept[view].key == key:
-                found[view] = kept[view]
+                entries[view] = kept[view]
                 continue
             report_progress(f"looking for the target: view {view} ({number} of {len(pictures)})")
             detection = _detect_view(paths, contents, target, image_size, height, limits)
-            found[view] = KeptDetection(key, detection)
+            entries[view] = KeptDetection(key, detection)
         except (FileNotFoundError, ValueError) as error:
             if bad_views != "mask":
                 raise
-            found[view] = KeptDetection("", empty_detection(len(target.points), str(error)))
-    detections = {view: detection for view, (_, detection) in found.items()}
-    if all(not key for key, _ in found.values()):
+            entries[view] = KeptDetection("", empty_detection(len(target.points), str(error)))
+    detections = {view: detection for view, (_, detection) in entries.items()}
+    if all(not key for key, _ in entries.values()):
         raise ValueError(f"no picture can be used: {next(iter(detections.values())).reason}")
     if cache is not None:
-        _keep(cache, kept, found, report_progress)
+        _keep(cache, kept, entries, report_progress)
     return detections, image_size
 
 
 def _keep(
     cache: Path,
     kept: Mapping[str, KeptDetection],
-    found: Mapping[str, KeptDetection],
+    entries: Mapping[str, KeptDetection],
     report_progress: Callable[[str], None],
 ) -> None:
-    """Write the detections to the file, unless all of them are from there."""
-    usable = {view: entry for view, entry in found.items() if entry.key}
+    """Write the detections to the file, unless all of them come from it."""
+    usable = {view: entry for view, entry in entries.items() if entry.key}
     if all(kept.get(view) is entry for view, entry in usable.items()):
         report_progress(f"detections of {len(usable)} views from {cache.name}")
         return
     try:
         write_kept_detections(cache, usable)
-    # The file only saves time: a folder that cannot be written to is no reason to fail.
+    # The file only saves time, so a read-only folder is not an error.
     except OSError as error:
         report_progress(f"detections are not kept: {error}")
 
@@ -113,7 +113,7 @@ def _detect_view(
         target: the target.
         image_size: width and height that every picture must have, px.
         height: index of the height in the only picture; the points of the others are not visible.
-        limits: of the test of detected points.
+        limits: limits of the check of detected points.
     """
     board = target.board if isinstance(target, StackedTarget) else target
     parts, reasons = [], []
@@ -124,8 +124,8 @@ def _detect_view(
         if part.reason:
             reasons.append(f"{part.reason}; {picture.range_in_words}")
     if height is not None and isinstance(target, StackedTarget):
-        (found,), absent = parts, empty_detection(len(board.points), "")
-        parts = [found if k == height else absent for k in range(len(target.heights))]
+        (detection,), absent = parts, empty_detection(len(board.points), "")
+        parts = [detection if k == height else absent for k in range(len(target.heights))]
     return Detection(
         np.concatenate([part.pixels for part in parts]),
         np.concatenate([part.visible for part in parts]),
@@ -136,9 +136,9 @@ def _detect_view(
 
 
 def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
-    """Raise a FileNotFoundError if none of the pictures exists, which says what there is instead.
+    """Raise a FileNotFoundError if none of the pictures exists; it lists what the folder has.
 
-    A wrong folder or suffix is then the reason, not a picture that was lost.
+    Then the folder or the suffix is wrong, and not a single picture missing.
     """
     paths = [path for view_paths in pictures.values() for path in view_paths]
     if not paths:
@@ -149,11 +149,11 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
     if not first.parent.is_dir():
         raise FileNotFoundError(f"{first}: no such picture: there is no folder {first.parent}")
     others = [file for file in sorted(first.parent.iterdir()) if is_picture_name(file)]
-    there = f"such as {others[0].name}" if others else "no pictures"
+    content = f"such as {others[0].name}" if others else "no pictures"
     raise FileNotFoundError(
         f"{first}: no such picture, nor any other of {len(paths)}; {first.parent} has "
-        f"{f'{len(others)} others, ' if others else ''}{there}: does the pattern name their suffix "
-        "and folder?"
+        f"{f'{len(others)} others, ' if others else ''}{content}: does the pattern have the right "
+        "folder and suffix?"
     )
 
 
@@ -165,11 +165,11 @@ def is_picture_name(path: Path) -> bool:
 def _checked_size(
     pictures: Mapping[str, Sequence[Path]], stated: tuple[int, int] | None
 ) -> tuple[int, int]:
-    """Return the stated size of the pictures, or else the first picture's.
+    """Return the stated size of the pictures, or the first picture's if none is stated.
 
     Raises:
-        ValueError: no picture can be read, or none has the stated size: the description is then
-            wrong, not a picture.
+        ValueError: no picture can be read, or none has the stated size, so that the description
+            is wrong.
     """
     first_error: Exception | None = None
     other_sizes: list[tuple[int, int]] = []
@@ -183,10 +183,10 @@ def _checked_size(
             return columns, rows
         other_sizes.append((columns, rows))
         first_error = first_error or ValueError(
-            f"{path}: expected {stated[0]} x {stated[1]} px, found {columns} x {rows}: is the size "
-            "of the pictures stated rightly?"
+            f"{path}: expected {stated[0]} x {stated[1]} px, found {columns} x {rows}: is the "
+            "stated picture size right?"
         )
-        # A picture or two may be others; more of one size are the data set's.
+        # A picture or two may be stray; three of one size are the data set's.
         if len(other_sizes) >= _DECIDING_PICTURES and len(set(other_sizes)) == 1:
             break
     raise first_error or ValueError("pictures: expected at least one view")

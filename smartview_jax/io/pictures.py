@@ -1,4 +1,4 @@
-"""Make a data set from picture files and robot poses; every importer of pictures uses this."""
+"""Make a data set from picture files and robot poses, for all importers of pictures."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -37,22 +37,22 @@ def dataset_from_pictures(
         base_from_tool: `(views)` robot poses, in the order of `pictures`.
         target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        image_size: width and height that every picture must have, px; by default the first one's.
+        image_size: width and height of every picture, px; by default the first picture's.
         bad_views: `"raise"` an error for a picture that cannot be read, or `"mask"` its view.
         masked_views: reason by view id, for views already known to be unusable.
         progress: called with a line of text for each step of the work.
-        cache: a `detections.csv` to read if it belongs to these pictures, or else to write.
+        cache: a `detections.csv` to read if it belongs to these pictures, and to write otherwise.
         holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
-            for a camera that stands beside the arm. It decides the orientation of a pattern that
-            looks the same when rotated; by default the orientation with the smallest rotation.
+            for a fixed camera. It decides the orientation of a pattern that looks the same when
+            rotated; by default the orientation with the smallest rotation.
         board_heights: index of the height of a `StackedTarget` in the only picture of a view, by
             view id; by default every view has a picture for each height.
         detection_limits: as in `load_dataset`.
 
     Raises:
         FileNotFoundError: a picture is missing.
-        ValueError: a picture cannot be read or has another size, none of them shows the target, or
-            a circle grid has rows or columns that none of them shows.
+        ValueError: a picture is unreadable or has a wrong size, no picture shows the target, or
+            some rows or columns of a circle grid are in no picture.
     """
     views, poses = list(pictures), as_se3(base_from_tool)
     mount_frames(mount)
@@ -67,14 +67,14 @@ def dataset_from_pictures(
     if len(undetected) == len(views):
         raise ValueError(
             f"{next(iter(pictures.values()))[0].parent}: the target was found in none of "
-            f"{len(views)} views ({next(iter(undetected.values()))}): is it a {target!r}?"
+            f"{len(views)} views ({next(iter(undetected.values()))}): is it really a {target!r}?"
         )
     pixels = np.stack([detections[view].pixels for view in views])
     _refuse_undetected_rows(pixels, target, next(iter(pictures.values()))[0].parent)
     consistent_pixels, note = _consistent_numbering(
         pixels, target, poses, mount, image_size, holder_from_world
     )
-    left_out = {view: found.left_out for view, found in detections.items() if found.left_out}
+    left_out = {view: d.left_out for view, d in detections.items() if d.left_out}
     notes = (*((note,) if note else ()), *left_out_note(left_out))
     if progress is not None:
         for text in notes:
@@ -100,7 +100,7 @@ def numbered_pictures(
     """Return the picture of each numbered view, by view id.
 
     Args:
-        folder: folder that the pattern is relative to.
+        folder: folder to which the pattern is relative.
         pattern: file name with `{view}`, formatted by the number.
         numbers: numbers of the views.
         poses_path: file of the poses, for the error message.
@@ -125,12 +125,12 @@ def refuse_unmatched_pictures(
     if unmatched:
         raise ValueError(
             f"{poses_path}: no pose for the picture {', '.join(unmatched[:5])} of {parent}: "
-            f"a row is missing, or a picture too many"
+            f"a missing row, or an extra picture"
         )
 
 
 def _shown_picture(paths: Sequence[Path], visible: Bool[np.ndarray, " points"]) -> Path:
-    """Return the picture of the first height at which a point was found, to be drawn on."""
+    """Return the picture to show: the first height at which a point was found."""
     if len(paths) == 1:
         return paths[0]
     # The points of a stacked target are in the order of the heights. `argmax` finds the first True.
@@ -142,8 +142,8 @@ def _refuse_undetected_rows(
 ) -> None:
     """Raise a ValueError if no view shows some rows or columns of a circle grid.
 
-    Circles carry no numbers. If the stated grid is larger than the real one, every view of the
-    whole real grid looks like a view of a part of the stated one; nothing else reveals the mistake.
+    Circles carry no numbers: if the stated grid is larger than the real one, every view of the real
+    grid looks like a partial view of the stated grid, and nothing else reveals the mistake.
     """
     grid = target.board if isinstance(target, StackedTarget) else target
     if not isinstance(grid, CircleGrid):
@@ -153,8 +153,9 @@ def _refuse_undetected_rows(
     rows, columns = (len(np.unique(indices)) for indices in np.nonzero(visible))
     if (rows, columns) != (grid.rows, grid.columns):
         raise ValueError(
-            f"{folder}: of {grid.rows} rows and {grid.columns} columns of circles, {rows} and "
-            f"{columns} are seen in any of {len(pixels)} views: is it a grid of {rows} x {columns}?"
+            f"{folder}: expected a grid of {grid.rows} x {grid.columns} circles, but the "
+            f"{len(pixels)} views show only {rows} rows and {columns} columns: is it a grid of "
+            f"{rows} x {columns}?"
         )
 
 
@@ -166,10 +167,10 @@ def _consistent_numbering(
     image_size: tuple[int, int],
     holder_from_world: PoseLike | None,
 ) -> tuple[Float[np.ndarray, "views points 2"], str]:
-    """Return pixels in one numbering of the points for all views, and a note on how it was chosen.
+    """Return pixels with one numbering of the points in all views, and a note on its choice.
 
-    A pattern that looks the same when rotated has several numberings, and the detector may take
-    another one in each picture; the robot's rotations decide which of them agree.
+    A pattern that looks the same when rotated has several numberings, and the detector may choose
+    differently in each picture; the robot's rotations decide which choices agree.
     """
     stacked = isinstance(target, StackedTarget)
     board = target.board if stacked else target
@@ -180,13 +181,13 @@ def _consistent_numbering(
     if holder_from_world is not None:
         rough_rotation = host_matrices(as_se3(holder_from_world))[:3, :3]
         if stacked and not board.y_up:
-            # The order refers to the board's own frame, which differs from the stack's frame by a
-            # half rotation about x: diag(1, -1, -1).
+            # The numbering refers to the board's frame, which differs from the stack's frame by
+            # half a turn about x: diag(1, -1, -1).
             rough_rotation = rough_rotation @ np.diag([1.0, -1.0, -1.0])
-    # Each picture has an order of its own: at another height the detector may start at another
-    # corner. So the heights of a view are separate rows here, `(views * heights, points, 2)`.
+    # The detector may start at a different corner in each picture, so the heights of a view are
+    # separate rows here, `(views * heights, points, 2)`.
     board_pixels = pixels.reshape(-1, len(board.points), 2)
-    # The rotations of `mount_from_holder`, whose inverse are the transposes.
+    # The rotations of `mount_from_holder`.
     rotations = host_matrices(poses)[:, :3, :3]
     if mount_frames(mount)[0] == "tool":
         rotations = rotations.transpose(0, 2, 1)

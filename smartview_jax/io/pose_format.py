@@ -1,11 +1,11 @@
-"""Find the format and the units of a table of poses: in its own header, or in a description.
+"""Find the format and the units of a table of poses, from its header or from a description.
 
 Tables that `smartview viewpoint --out` writes name both in the header, as in
 
     view,format,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg
 
-so that they need no more than `poses: {file: views.csv}`. Any other table has the columns of its
-codec without units, and the description states codec, units and direction.
+so that `poses: {file: views.csv}` suffices. Any other table has the columns of its codec without
+units, and the description states codec, units and direction.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,13 +36,13 @@ _STATED = ("codec", "length_unit", "angle_unit", "direction")
 
 
 class PoseFormat(NamedTuple):
-    """A pose format and the units in which a table has it.
+    """A pose format and the units of a table.
 
     Attributes:
         codec: the format.
         length_unit: a key of `LENGTH_UNITS`.
         angle_unit: a key of `ANGLE_UNITS`.
-        columns: the table's names of the numbers, in the codec's order.
+        columns: names of the table's columns, in the codec's order.
         direction: `"base_from_tool"`, or `"tool_from_base"` for inverse poses.
     """
 
@@ -66,7 +66,7 @@ def pose_columns(codec: PoseCodec, units: tuple[str, str] | None = None) -> tupl
         units: of length and of angle; by default the manufacturer's.
     """
     length, angle = units or codec.units
-    # Numbers without a unit, such as those of a quaternion, keep their bare names.
+    # Numbers without a unit, such as a quaternion's, keep their bare names.
     return tuple(
         f"{name}_{length}".lower()
         if k in codec.length_columns
@@ -95,7 +95,7 @@ def codec_of_rows(path: Path, rows: Sequence[Mapping[str, str]]) -> PoseCodec | 
 def table_format(
     path: Path, rows: Sequence[Mapping[str, str]], stated: Mapping[str, Any]
 ) -> PoseFormat:
-    """Return the format of a table from its header and from what a description states.
+    """Return the format of a table from its header and from a description.
 
     Args:
         path: of the table, for messages.
@@ -104,7 +104,7 @@ def table_format(
             `direction` may be missing where the header says the same.
 
     Raises:
-        ValueError: header and description leave something open or contradict one another.
+        ValueError: header and description are incomplete or contradict each other.
     """
     # The column `format` decides first, then the units in the header, then the description.
     named = codec_of_rows(path, rows)
@@ -112,46 +112,46 @@ def table_format(
     if not fitting:
         return _stated_format(path, stated)
     if named is None:
-        # A table that no program wrote as commands may have either direction.
+        # Without a column `format` the table may hold inverse poses.
         direction = stated.get("direction") or COMMANDED_DIRECTION
-        fitting = [one._replace(direction=direction) for one in fitting]
-    agreeing = [one for one in fitting if _contradiction(one, stated) is None]
+        fitting = [form._replace(direction=direction) for form in fitting]
+    agreeing = [form for form in fitting if _contradiction(form, stated) is None]
     if not agreeing:
         raise ValueError(f"{path}: {_contradiction(fitting[0], stated)}")
-    # VAL and Kawasaki both call their angles O, A, T, and mean different rotations.
-    if any(_other_pose(agreeing[0], other) for other in agreeing[1:]):
+    # VAL and Kawasaki both call their angles O, A, T, but with different conventions.
+    if any(_decode_differently(agreeing[0], other) for other in agreeing[1:]):
         raise ValueError(
             f"{path}: the columns {', '.join(agreeing[0].columns)} fit "
-            f"{' and '.join(one.codec.name for one in agreeing)}: add a column "
+            f"{' and '.join(form.codec.name for form in agreeing)}: add a column "
             f"'{FORMAT_COLUMN}', or state poses.codec in the description"
         )
     return agreeing[0]
 
 
 def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> list[PoseFormat]:
-    """Return the formats whose columns, with units, are all in a header; empty if there are none.
+    """Return the formats whose columns, with units, are all in a header.
 
     Args:
         header: names of the table's columns.
-        named: the only format that is looked for, where one is known.
+        named: the only format to look for; None for all formats.
     """
-    found: dict[tuple[str, tuple[str, ...]], PoseFormat] = {}
+    formats: dict[tuple[str, tuple[str, ...]], PoseFormat] = {}
     for codec in POSE_CODECS.values() if named is None else (named,):
         for length in LENGTH_UNITS:
             for angle in ANGLE_UNITS:
                 columns = pose_columns(codec, (length, angle))
                 if set(columns) <= set(header):
                     # A format without angles fits with either unit of angle.
-                    one = PoseFormat(codec, length, angle, columns)
-                    found.setdefault((codec.name, columns), one)
-    return list(found.values())
+                    form = PoseFormat(codec, length, angle, columns)
+                    formats.setdefault((codec.name, columns), form)
+    return list(formats.values())
 
 
 def stated_format(found: PoseFormat, stated: Mapping[str, Any], path: Path) -> PoseFormat:
-    """Return the format of a file that states its own; raise where a description contradicts it.
+    """Return the format of a file that states it; raise if a description contradicts it.
 
     Raises:
-        ValueError: the description says otherwise.
+        ValueError: the description contradicts the file.
     """
     problem = _contradiction(found, stated)
     if problem is not None:
@@ -162,7 +162,7 @@ def stated_format(found: PoseFormat, stated: Mapping[str, Any], path: Path) -> P
 def decoded_poses(
     path: Path, form: PoseFormat, rows: Float[np.ndarray, "poses columns"], labels: Sequence[str]
 ) -> SE3:
-    """Return `base_from_tool` of the rows of a table, inverted where it has the inverse.
+    """Return `base_from_tool` of the rows of a table, which may hold inverse poses.
 
     Args:
         path: of the table, for messages.
@@ -171,7 +171,7 @@ def decoded_poses(
         labels: a name for each row, for messages.
 
     Raises:
-        ValueError: a row is no pose.
+        ValueError: a row is not a pose.
     """
     try:
         poses = form.codec.decode(rows, *form.units, labels=labels)
@@ -182,35 +182,35 @@ def decoded_poses(
     return poses
 
 
-def _other_pose(one: PoseFormat, other: PoseFormat) -> bool:
-    """Return whether the same numbers in the columns of a table are another pose in two formats."""
-    if not (one.codec.angle_columns and other.codec.angle_columns):
+def _decode_differently(first: PoseFormat, second: PoseFormat) -> bool:
+    """Return whether the same numbers in a table are different poses in two formats."""
+    if not (first.codec.angle_columns and second.codec.angle_columns):
         return True
-    # Any numbers at which no two conventions coincide.
-    numbers = {name: 0.1 * k for k, name in enumerate(sorted(one.columns), start=1)}
+    # Arbitrary numbers at which no two conventions coincide.
+    numbers = {name: 0.1 * k for k, name in enumerate(sorted(first.columns), start=1)}
     poses = [
         host_matrices(
             form.codec.decode(np.array([[numbers[c] for c in form.columns]]), *form.units)
         )
-        for form in (one, other)
+        for form in (first, second)
     ]
     return not np.allclose(*poses, rtol=0.0, atol=1e-9)
 
 
 def _contradiction(found: PoseFormat, stated: Mapping[str, Any]) -> str | None:
-    """Return in what a description contradicts a file's own format; None if it does not."""
-    own = (found.codec.name, found.length_unit, found.angle_unit, found.direction)
-    for key, value in zip(_STATED, own, strict=True):
-        # A quaternion is the same in either unit of angle.
+    """Return the contradiction between a description and a file's own format, or None."""
+    values = (found.codec.name, found.length_unit, found.angle_unit, found.direction)
+    for key, value in zip(_STATED, values, strict=True):
+        # The unit of angle is irrelevant to quaternions.
         if key == "angle_unit" and not found.codec.angle_columns:
             continue
         if stated.get(key) not in (None, value):
-            return f"the file itself says {key} {value}, the description {stated[key]}"
+            return f"{key} is {value} in the file but {stated[key]} in the description"
     return None
 
 
 def _stated_format(path: Path, stated: Mapping[str, Any]) -> PoseFormat:
-    """Return the format that a description states alone.
+    """Return the format that a description states without help of the header.
 
     Raises:
         ValueError: something is not stated.
@@ -219,7 +219,7 @@ def _stated_format(path: Path, stated: Mapping[str, Any]) -> PoseFormat:
     if missing:
         raise ValueError(
             f"entry {' and '.join(repr(f'poses.{key}') for key in missing)} is missing, and the "
-            f"header of {path} does not say it; a table that needs none has columns such as "
+            f"header of {path} does not state it; a table that needs no entry has columns such as "
             f"view,{FORMAT_COLUMN},{','.join(pose_columns(pose_codec('kuka_abc')))}"
         )
     # The columns have the codec's own names here, without units.

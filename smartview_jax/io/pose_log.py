@@ -1,11 +1,11 @@
-"""Read the poses that a robot logged while it moved, and when pictures were taken meanwhile.
+"""Read the poses that a robot logged in motion, and the times of the pictures.
 
     poses: {file: log.csv, codec: ur, length_unit: m, angle_unit: rad, direction: base_from_tool,
             picture_times: times.csv, time_offset: 0.035}
 
 The log has a column `time`, s, and the columns of the codec; the other table has `view` and `time`.
-Each clock may have a zero of its own within the offset, which is added to the times of the
-pictures; zero if it is not stated, and `estimate_time_offset` finds it.
+The clocks of camera and robot may differ: `time_offset` (by default 0) is added to the times of the
+pictures; `estimate_time_offset` estimates it.
 """
 
 from collections.abc import Mapping
@@ -29,11 +29,11 @@ from .csv_tables import (
 from .pose_format import decoded_poses, table_format
 
 _TIME_ZONE_STEP = 900.0
-"""By a multiple of this the world's time zones differ, s."""
+"""Time zones differ by multiples of this, s."""
 
 
 class PoseLog(NamedTuple):
-    """A robot's logged poses, and when the pictures were taken by the camera's clock.
+    """A robot's logged poses, and the times of the pictures by the camera's clock.
 
     Attributes:
         trajectory: the poses over the robot's time.
@@ -41,8 +41,8 @@ class PoseLog(NamedTuple):
         picture_times: a time for each view, s.
         time_offset: stated difference of the clocks, robot's minus camera's, s.
         times_path: the table of the pictures' times, for messages.
-        notes: sentences on what was recognised and mended in the tables.
-        table: of the pictures' times.
+        notes: sentences on what was recognised and repaired in the tables.
+        table: the table of the pictures' times.
     """
 
     trajectory: Trajectory
@@ -54,10 +54,10 @@ class PoseLog(NamedTuple):
     table: Table | None = None
 
     def poses(self) -> SE3:
-        """Return where the robot was when the pictures were taken.
+        """Return the robot's poses when the pictures were taken.
 
         Raises:
-            ValueError: a picture outside the logged times, by its view.
+            ValueError: a picture was taken outside the logged times; the message names its view.
         """
         times = self.picture_times + self.time_offset
         outside = self.trajectory.outside(times)
@@ -67,9 +67,9 @@ class PoseLog(NamedTuple):
         if outside.any():
             k = int(np.argmax(outside))
             raise ValueError(
-                f"{self.times_path}: view {self.view_ids[k]}: its time, "
-                f"{times[k] - logged[0]:.6g} s after the first of the robot's log, is not within "
-                f"the log, which has {logged[-1] - logged[0]:.6g} s"
+                f"{self.times_path}: view {self.view_ids[k]}: taken "
+                f"{times[k] - logged[0]:.6g} s after the robot's log began, which is outside the "
+                f"log (0 to {logged[-1] - logged[0]:.6g} s)"
             )
         return as_se3(self.trajectory.at(times))
 
@@ -81,8 +81,8 @@ class PoseLog(NamedTuple):
             after = int(np.searchsorted(logged, times[k]))
             begin, end = logged[after - 1 : after + 1] - logged[0]
             reasons[self.view_ids[k]] = (
-                f"taken {times[k] - logged[0]:.6g} s after the first of the robot's log, which has "
-                f"no pose from {begin:.6g} to {end:.6g} s: a pose in between would be invented"
+                f"taken {times[k] - logged[0]:.6g} s after the robot's log began, in a gap of the "
+                f"log from {begin:.6g} to {end:.6g} s: too long to interpolate"
             )
         return reasons
 
@@ -115,7 +115,7 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
     try:
         trajectory = Trajectory.of(numbers[:, 0], decoded_poses(path, form, numbers[:, 1:], labels))
     except ValueError as error:
-        # What is wrong with a pose names the file already.
+        # Errors about a pose name the file already.
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
     times_table = read_table(times_path, ("view", "time"))
     rows = times_table.rows
@@ -133,37 +133,37 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
 def _in_order(
     path: Path, numbers: Float[np.ndarray, "rows columns"]
 ) -> tuple[Float[np.ndarray, "times columns"], tuple[str, ...]]:
-    """Return the rows in the order of their times, equal ones once, and what was changed.
+    """Return the rows sorted by time, without duplicates, and notes on what was changed.
 
     Recorders that merge several topics write rows late and repeat them.
 
     Args:
         path: of the log, for messages.
-        numbers: of each row, the time first.
+        numbers: rows of numbers, the time first.
 
     Raises:
         ValueError: two poses at one time.
     """
     notes = []
     if (np.diff(numbers[:, 0]) < 0.0).any():
-        notes.append(f"{path.name}: rows that were not in the order of their times were sorted")
+        notes.append(f"{path.name}: rows were not sorted by time; sorted them")
         numbers = numbers[np.argsort(numbers[:, 0], kind="stable")]
     repeated = np.concatenate([[False], (np.diff(numbers, axis=0) == 0.0).all(axis=1)])
     if repeated.any():
-        notes.append(f"{path.name}: {int(repeated.sum())} rows equal another and count once")
+        notes.append(f"{path.name}: {int(repeated.sum())} repeated rows were dropped")
         numbers = numbers[~repeated]
     if (clash := np.diff(numbers[:, 0]) == 0.0).any():
         time = numbers[int(np.argmax(clash)), 0]
         raise ValueError(
             f"{path}: two different poses at time {time:.15g}, {time - numbers[0, 0]:.6g} s after "
-            "the first: are there two robots or tools in the log, or times of few digits?"
+            "the first: does the log mix two robots or tools, or are the times rounded?"
         )
     return numbers, tuple(notes)
 
 
 def _apart(times: Float[np.ndarray, "views"], logged: Float[np.ndarray, "logged"]) -> str:
-    """Return what is said where no picture was taken within the log."""
-    said = (
+    """Return the error message for a log during which no picture was taken."""
+    text = (
         f"no picture was taken within the robot's log: relative to the log's first time the "
         f"pictures are from {times.min() - logged[0]:.6g} to {times.max() - logged[0]:.6g} s, the "
         f"log from 0 to {logged[-1] - logged[0]:.6g} s"
@@ -171,11 +171,14 @@ def _apart(times: Float[np.ndarray, "views"], logged: Float[np.ndarray, "logged"
     # Any offset between these two puts all pictures within the log.
     low, high = logged[0] - times.min(), logged[-1] - times.max()
     if low > high:
-        return f"{said}: the pictures take longer than the log; is it of another recording?"
+        return f"{text}: the pictures span more time than the log; do they belong together?"
     hours = np.round(0.5 * (low + high) / _TIME_ZONE_STEP) * _TIME_ZONE_STEP
     if low <= hours <= high and hours:
         unit = "hour" if abs(hours) == 3600.0 else "hours"
-        text = f"{abs(hours) / 3600.0:g} {unit} apart, as time zones and summer time are"
+        difference = f"{abs(hours) / 3600.0:g} {unit} apart, as by a time zone or summer time"
     else:
-        text = f"{0.5 * abs(low + high):.6g} s apart"
-    return f"{said}: the clocks are {text}? Add {low:.9g} to {high:.9g} s to the pictures' times"
+        difference = f"{0.5 * abs(low + high):.6g} s apart"
+    return (
+        f"{text}: are the clocks {difference}? Then add {low:.9g} to {high:.9g} s to the pictures' "
+        "times"
+    )

@@ -34,7 +34,7 @@ POSES_FILE = "poses.csv"
 
 
 class ReadPoses(NamedTuple):
-    """The poses of a file by view.
+    """The poses of a file, by view.
 
     Attributes:
         view_ids: view ids.
@@ -50,15 +50,15 @@ class ReadPoses(NamedTuple):
 
 
 def read_poses(folder: Path, content: dict[str, Any], bad_views: str) -> ReadPoses:
-    """Read view ids and poses, and the reasons by view id of those that are masked.
+    """Read view ids and poses, and the reasons of masked views by view id.
 
     Args:
         folder: of the data set.
         content: the entry `poses`, as `schemas.dataset` defines it.
-        bad_views: `"mask"` to mask views whose row is no valid pose, `"raise"` to raise for them.
+        bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
 
     Raises:
-        ValueError: naming the file and the view that is wrong.
+        ValueError: a wrong value; the message names the file and the view.
         FileNotFoundError: the table is missing.
     """
     path = folder / content["file"]
@@ -73,17 +73,17 @@ def read_poses(folder: Path, content: dict[str, Any], bad_views: str) -> ReadPos
         raise ValueError(f"{path}: no poses")
     form = table_format(path, table.rows, content)
     table, codec = table.requiring(("view", *form.columns), form.units), form.codec
-    # NaN passes here: `bad_views` decides below whether it is an error or a masked view.
+    # NaN passes here: `bad_views` decides below.
     rows = np.stack(
         [parse_numbers(path, row, form.columns, row["view"], False) for row in table.rows]
     )
     positions = rows[:, list(codec.length_columns)] * LENGTH_UNITS[form.length_unit]
-    # Infinity becomes NaN, which passes: the message about units would be misleading for it.
+    # Infinity is replaced by NaN, which passes, because a message about units would mislead.
     refuse_out_of_range(path, np.where(np.isfinite(positions), positions, np.nan), view_ids)
     masked_views = _decoding_errors(form, rows, view_ids) if bad_views == "mask" else {}
     is_valid = [view not in masked_views for view in view_ids]
-    # Decoding needs a valid row for every view. A masked view's pose is never used, so the first
-    # valid row takes its place.
+    # Decoding needs a valid row for every view: masked views, whose pose is never used, get the
+    # first valid row.
     rows = np.where(
         np.array(is_valid)[:, None], rows, rows[is_valid.index(True) if any(is_valid) else 0]
     )
@@ -99,11 +99,10 @@ def write_poses(
         folder: of the data set.
         view_ids: one id for each pose.
         base_from_tool: reported poses, `(views)`.
-        pose_format: one of `POSE_CODECS`, written in its manufacturer's units; matrices need no
-            convention of angles, whatever the robot reports.
+        pose_format: one of `POSE_CODECS`, written in its manufacturer's units.
 
     Raises:
-        ValueError: an unknown format, or a name or a position with which the file could not be read
+        ValueError: an unknown format, or a name or position with which the file could not be read
             back.
     """
     codec = pose_codec(pose_format)
@@ -119,7 +118,7 @@ def write_poses(
 def refuse_unreadable_poses(folder: Path, view_ids: Sequence[str], base_from_tool: SE3) -> None:
     """Raise a ValueError for names or positions with which `poses.csv` could not be read back.
 
-    For a writer of several files, which has to know before it writes the first.
+    Called before the first of several files is written.
     """
     path = folder / POSES_FILE
     require_readable(f"{path}: view", view_ids)
@@ -127,7 +126,7 @@ def refuse_unreadable_poses(folder: Path, view_ids: Sequence[str], base_from_too
 
 
 def poses_entry(count: int, pose_format: str = "matrix") -> dict[str, Any]:
-    """Return the entry `poses` of a description, for a table of so many rows.
+    """Return the entry `poses` of a description, for a table with a number of rows.
 
     Raises:
         ValueError: an unknown format.
@@ -144,8 +143,8 @@ def poses_entry(count: int, pose_format: str = "matrix") -> dict[str, Any]:
 
 
 def _read_commands(path: Path, content: dict[str, Any]) -> ReadPoses:
-    """Read view ids and poses from a JSON file of commands; none of them is masked."""
-    # Read and checked as a robot's commands are: none of them can be invalid.
+    """Read view ids and poses from a JSON file of commands."""
+    # `read_viewpoints` refuses invalid poses, so none is masked.
     commands = read_viewpoints(path)
     codec = pose_codec(commands.pose_format)
     stated_format(PoseFormat(codec, *codec.units, codec.columns), content, path)

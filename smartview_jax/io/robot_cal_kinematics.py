@@ -19,7 +19,7 @@ def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "view
     """Read the positioner's joint readings (rad) and `camera_from_target`, in the file's order.
 
     Raises:
-        ValueError: an entry that lacks a number, or a camera that moves.
+        ValueError: an entry lacks a number, or the camera has joints.
         FileNotFoundError: the file is missing.
     """
     from ..schemas.external_formats import KINEMATIC_MEASUREMENTS_SCHEMA
@@ -32,7 +32,7 @@ def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "view
             raise ValueError(f"{path}: entry {name}: the camera has joints; only the target may")
     joints = [entry.target_joints for entry in measurements.values()]
     if len({len(row) for row in joints}) != 1:
-        raise ValueError(f"{path}: target_joints: expected entries with equally many joints")
+        raise ValueError(f"{path}: target_joints: entries have different numbers of joints")
     rows = [[getattr(entry.pose, key) for key in _POSE_KEYS] for entry in measurements.values()]
     try:
         poses = pose_codec("quaternion_wxyz").decode(

@@ -28,11 +28,11 @@ def import_robot_cal_tools(
 ) -> Dataset:
     """Import a data set with pictures of a modified circle grid.
 
-    The name of a view is that of its picture's file, not its index in `cal_data.yaml`, whose order
-    is alphabetical (0, 1, 10, ...).
+    Views are named by their picture files, not by their index in `cal_data.yaml`, whose order is
+    alphabetical (0, 1, 10, ...).
 
     Args:
-        folder: that has `cal_data.yaml`, `target.yaml`, and the files that they name.
+        folder: folder with `cal_data.yaml`, `target.yaml`, and the files that they name.
         mount: `"eye_in_hand"` or `"eye_to_hand"`; the folder does not contain it.
         bad_views: as in `load_dataset`.
         progress: called with a line of text for each step of the work.
@@ -87,7 +87,7 @@ def _read_pose(path: Path) -> np.ndarray:
 
 
 def _read_target(path: Path) -> AbstractTarget:
-    """Read `target.yaml`; raise a ValueError where it is not a modified circle grid."""
+    """Read `target.yaml`; raise a ValueError unless it is a modified circle grid."""
     from ..schemas.external_formats import TARGET_SCHEMA
     from ..schemas.validation import validate_content
 

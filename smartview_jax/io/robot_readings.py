@@ -18,7 +18,7 @@ from .poses import ReadPoses, read_poses
 
 
 class RobotReadings(NamedTuple):
-    """The robot's reported poses by view, with the joint readings where the folder has them.
+    """The robot's reported poses by view, with joint readings if the folder has them.
 
     Attributes:
         view_ids: view ids.
@@ -26,8 +26,8 @@ class RobotReadings(NamedTuple):
         masked_views: reason by view id, for the views whose row is not a valid pose.
         joints: joint readings, rad (m for a prismatic joint); None where the folder has none.
         arm: the arm that the readings belong to; None where there are no readings.
-        notes: sentences on what was recognised or mended in the tables.
-        name_suffix: with which the tables' names of views end beyond `view_ids`.
+        notes: sentences on what was recognised or repaired in the tables.
+        name_suffix: suffix of the view names in the tables that `view_ids` do not have.
         table: the table that has a row for each view; None if the poses are in a file in JSON.
     """
 
@@ -42,13 +42,13 @@ class RobotReadings(NamedTuple):
 
     @property
     def command(self) -> Command:
-        """The reported poses with the joint readings, where they are known."""
+        """The reported poses, with joint readings if they are known."""
         return Command(self.poses, None if self.joints is None else to_device(self.joints))
 
     def refuse_masked(self, path: Path) -> None:
         """Raise a ValueError that names the first view without a valid pose, if there is any."""
         for view, reason in self.masked_views.items():
-            raise ValueError(f"{path}: view {view}: {reason}: leave this view out")
+            raise ValueError(f"{path}: view {view}: {reason}: remove this view")
 
     def with_joints(self, data: Dataset) -> Dataset:
         """Return the data set with the joint readings added, if there are any."""
@@ -69,7 +69,7 @@ def read_robot_readings(
     """Read the tables that the entries `poses` and `joints` of a description name.
 
     Raises:
-        ValueError: naming the file and the entry or view that is wrong.
+        ValueError: a wrong entry or view; the message names it and the file.
         FileNotFoundError: a table is missing.
     """
     readings = _read_tables(folder, content, description_path, bad_views)
@@ -90,15 +90,16 @@ def read_robot_readings(
 
 
 def suffix_in_names(folder: Path, content: Mapping[str, Any], view_ids: Sequence[str]) -> str:
-    """Return the suffix of pictures that all views' names have, while the pattern adds it again.
+    """Return the picture suffix that all view names end in although the pattern adds it too.
 
     Args:
         folder: of the data set.
-        content: of its description.
+        content: content of its description.
         view_ids: names of the views as the table has them.
 
     Returns:
-        A suffix such as `".png"`; empty where the names have none, or name existing pictures.
+        A suffix such as `".png"`; empty if the names do not have it, or if the pattern with the
+        full names gives existing pictures.
     """
     pattern = (content.get("pictures") or {}).get("pattern", "")
     suffix = Path(pattern).suffix
@@ -116,7 +117,7 @@ def suffix_in_names(folder: Path, content: Mapping[str, Any], view_ids: Sequence
 def _read_tables(
     folder: Path, content: dict[str, Any], description_path: Path, bad_views: str
 ) -> RobotReadings:
-    """Read the tables with the views' names as they are."""
+    """Read the tables with the view names as written."""
     poses: ReadPoses | None = None
     notes: tuple[str, ...] = ()
     if "poses" in content:
@@ -130,7 +131,7 @@ def _read_tables(
         if "joints" not in content:
             view_ids, reported, masked_views, table = poses
             return RobotReadings(view_ids, reported, masked_views, notes=notes, table=table)
-    # Reported poses have precedence; without them the arm's forward kinematics gives them.
+    # Without reported poses the arm's forward kinematics gives them.
     joints = read_joints(
         folder, content["joints"], description_path, None if poses is None else poses.view_ids
     )

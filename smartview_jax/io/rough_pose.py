@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def rough_pose(description: "DatasetFile") -> SE3 | None:
-    """Return the approximate `holder_from_world` of a description; None where it has none."""
+    """Return the approximate `holder_from_world` of a description, or None."""
     entry = description.base_from_world or description.tool_from_world
     if entry is None:
         return None

@@ -11,7 +11,7 @@ OBJECT_SAMPLE_NAME = "stepped_block"
 
 
 def sample_folder() -> Path:
-    """Return the sample's folder: 15 pictures of a 10 x 10 circle grid, by a camera on a robot."""
+    """Return the sample's folder: 15 pictures of a 10 x 10 circle grid by a camera on a robot."""
     return Path(str(files("smartview_jax") / "samples" / SAMPLE_NAME))
 
 

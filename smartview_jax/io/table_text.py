@@ -1,8 +1,8 @@
-"""Split the text of a CSV table into fields, whichever program and country wrote it.
+"""Split the text of a CSV table into fields, for any spreadsheet program and locale.
 
 Spreadsheets write tables with the separator, the decimal sign and the encoding of the user's
-settings. Each of them is recognised where only one reading is possible, and listed in `seen`, so
-that the user is told; where two readings are possible, the table is refused with the cure.
+settings. An unambiguous format is recognised and listed in `seen`, for the user; an ambiguous table
+is refused, with advice how to write it.
 """
 
 import codecs
@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-"""The separators that are recognised, with their names; the first is the usual one."""
+"""The separators that are recognised, with their names; the first is the default."""
 
 _NUMBER_SEPARATORS = (r"[ \t]*;[ \t]*", r" *\t *", r"[ \t,]+", r"[ \t]+", r"[ \t,;]+")
-"""Between numbers of rows without a header; a comma is a decimal comma where others separate."""
+"""Separators of numbers in rows without a header, best first; else a comma is a decimal comma."""
 
 VIEW_COLUMN = "view"
-"""The column of names, in which a comma is no decimal comma."""
+"""The column of names, in which a comma is not a decimal comma."""
 
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
@@ -34,13 +34,13 @@ _THOUSANDS = re.compile(r"[-+]?[1-9][0-9]{0,2}(?:,[0-9]{3})+")
 _MANY_COMMAS = re.compile(r"[-+]?[0-9]+(?:,[0-9]+){2,}")
 _THOUSANDS_OF_POINTS = re.compile(r"[-+]?[1-9][0-9]{0,2}(?:\.[0-9]{3})+,[0-9]+")
 _THOUSANDS_OF_COMMAS = re.compile(r"[-+]?[1-9][0-9]{0,2}(?:,[0-9]{3})+\.[0-9]+")
-# Blanks that do not break a line, and the apostrophes of Switzerland. A plain space may as well
-# stand between two numbers.
+# Non-breaking spaces and Swiss apostrophes. A plain space is not among them, because it may also
+# separate two numbers.
 _THOUSANDS_OF_BLANKS = re.compile(
     "[-+]?[1-9][0-9]{0,2}([\u00a0\u2009\u202f'\u2019])[0-9]{3}(?:\\1[0-9]{3})*(?:[.,][0-9]+)?"
 )
 _MINUS_SIGNS = {0x2212: "-", 0x2013: "-"}
-"""The minus sign, and the dash that word processors put in its place, as a hyphen."""
+"""Map the Unicode minus sign and the en dash to a hyphen."""
 
 _WITH_MINUS_SIGN = re.compile(
     "[-+\u2212\u2013]?[0-9.,\u00a0\u2009\u202f'\u2019]+(?:[eE][-+\u2212\u2013]?[0-9]+)?"
@@ -59,9 +59,9 @@ class TableText(NamedTuple):
 
     Attributes:
         header: names of the columns.
-        rows: fields of each row, as many as the header has unless the table is wrong.
-        seen: what differs from a table of commas and decimal points in UTF-8, for the user.
-        comments: lines that begin with "#", which are no rows.
+        rows: fields of each row, as many as the header has.
+        seen: differences from a UTF-8 table with commas and decimal points, for the user.
+        comments: lines that begin with "#".
     """
 
     header: list[str]
@@ -74,8 +74,8 @@ class NumberRows(NamedTuple):
     """Rows of numbers without a header, and what was recognised in their text.
 
     Attributes:
-        fields: of each row, equally many in all.
-        lines: number of each row's line, from 1.
+        fields: fields of each row, equally many in all rows.
+        lines: line number of each row, from 1.
         seen: as in `TableText`.
     """
 
@@ -85,17 +85,17 @@ class NumberRows(NamedTuple):
 
 
 def decoded_lines(path: Path) -> tuple[list[str], str]:
-    """Return the lines of a table's file, and the name of its encoding where it is not UTF-8.
+    """Return the lines of a table's file, and the name of its encoding unless it is UTF-8.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it is no text; the message says how to save it.
+        ValueError: it is not a text; the message says how to save it.
     """
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
     content = path.read_bytes()
     marked = next((e for mark, e in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), None)
-    # Bytes of a Windows code page are hardly ever valid UTF-8, so that UTF-8 is tried first.
+    # UTF-8 is tried first, because text in a Windows code page is hardly ever valid UTF-8.
     for encoding in (marked,) if marked else ("utf-8", "cp1252"):
         try:
             text = content.decode(encoding)
@@ -103,11 +103,9 @@ def decoded_lines(path: Path) -> tuple[list[str], str]:
             continue
         if "\0" in text:
             break
-        # Not `splitlines`, which also splits at rarer characters, such as U+2028 within a name.
+        # `splitlines` would also split at rarer characters, such as U+2028 within a name.
         return _LINE_END.split(text), "" if encoding.startswith("utf-8") else encoding.upper()
-    raise ValueError(
-        f"{path}: not readable as a text in UTF-8, UTF-16 or cp1252: save it as 'CSV UTF-8'"
-    )
+    raise ValueError(f"{path}: not a text in UTF-8, UTF-16 or cp1252: save it as 'CSV UTF-8'")
 
 
 def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> TableText:
@@ -115,19 +113,18 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
 
     Args:
         path: of the table.
-        is_header: whether the names of columns are those that the caller needs; decides between
-            separators.
+        is_header: function that returns whether the column names are those that the caller
+            needs; it decides between separators.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: it is no table, or has two readings; the message names the cure.
+        ValueError: it is not a table, or is ambiguous; the message says what to change.
     """
     lines, encoding = decoded_lines(path)
     seen = [f"in the encoding {encoding}"] if encoding else []
-    # Empty lines are ignored, and comments, which begin with "#".
     comments = tuple(line for line in lines if line.startswith("#"))
     lines = [line for line in lines if line.strip() and line[0] != "#"]
-    # Excel's own first line, which names the separator; the header shows it as well.
+    # Excel's first line names the separator, which is recognised from the header anyway.
     if lines and _SEPARATOR_LINE.fullmatch(lines[0].strip()):
         lines = lines[1:]
     try:
@@ -151,7 +148,7 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
     for number, fields in enumerate(trimmed, start=1):
         if len(fields) != len(header):
             raise ValueError(f"{path}: row {number} has {_wrong_count(fields, header, delimiter)}")
-    # Names are no numbers, whatever they look like.
+    # View names are never numbers, even if they look like numbers.
     numeric = [k for k, name in enumerate(header) if name.lower() != VIEW_COLUMN]
     columns, recognised = _plain_numbers(path, [[row[k] for k in numeric] for row in trimmed])
     if recognised:
@@ -162,17 +159,16 @@ def read_table_text(path: Path, is_header: Callable[[Sequence[str]], bool]) -> T
 
 
 def read_number_rows(path: Path, count: int) -> NumberRows:
-    """Read rows of so many numbers each, separated by blanks, tabs, commas or semicolons.
+    """Read rows of `count` numbers each, separated by blanks, tabs, commas or semicolons.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: a row with another count of fields, named by its line, or numbers that have two
-            readings.
+        ValueError: a row with a wrong number of fields, named by its line, or ambiguous numbers.
     """
     lines, encoding = decoded_lines(path)
     texts = {number: line.split("#")[0].strip() for number, line in enumerate(lines, start=1)}
     texts = {number: text for number, text in texts.items() if text}
-    # Of the separators that give as many numbers as there have to be, the first.
+    # The first separator that gives the right number of fields in all rows.
     for separator in _NUMBER_SEPARATORS:
         rows = [re.split(separator, text.rstrip(",;")) for text in texts.values()]
         if all(len(row) == count for row in rows):
@@ -184,33 +180,33 @@ def read_number_rows(path: Path, count: int) -> NumberRows:
                 raise ValueError(f"{path}: line {number} is not a row of numbers")
             if len(fields) != count:
                 raise ValueError(f"{path}: line {number} has {len(fields)} numbers, not {count}")
-        raise ValueError(f"{path}: its lines have different separators between the numbers")
+        raise ValueError(f"{path}: lines have different separators between the numbers")
     rows, recognised = _plain_numbers(path, rows)
     seen = (*((f"in the encoding {encoding}",) if encoding else ()), *recognised)
     return NumberRows(rows, list(texts), seen)
 
 
 def _plain_numbers(path: Path, rows: list[list[str]]) -> tuple[list[list[str]], tuple[str, ...]]:
-    """Return fields with numbers as Python writes them, and what was changed in them.
+    """Return fields with numbers as Python writes them, and notes on what was changed.
 
     Raises:
-        ValueError: a comma or point has two readings; the message names the cure.
+        ValueError: a comma or point is ambiguous; the message says what to change.
     """
     seen: list[str] = []
     given = [field for row in rows for field in row]
 
     def changed(pattern: re.Pattern[str], change: Callable[[str], str], note: str) -> None:
-        """Change every field that fits a pattern, and note that there was one."""
+        """Change every field that fits a pattern, and add a note if there was any."""
         nonlocal rows
         before = rows
         rows = [[change(f) if pattern.fullmatch(f) else f for f in row] for row in rows]
         if rows != before:
             seen.append(note)
 
-    # Most tables have none of these characters: they are not worth four looks at every field.
+    # Most tables have none of these characters; checking first saves passes over all fields.
     text = "\n".join(given)
     if not text.isascii():
-        note = "with a minus sign that is no hyphen"
+        note = "with Unicode minus signs"
         changed(_WITH_MINUS_SIGN, lambda field: field.translate(_MINUS_SIGNS), note)
     if not text.isascii() or "'" in text:
         note = "with blanks or apostrophes between thousands"
@@ -248,18 +244,18 @@ def _split(
 
     def fields(delimiter: str, some: Sequence[str]) -> list[list[str]]:
         """Return the fields of some lines."""
-        # With their ends, so that one within quotes stays a part of the field, and is refused.
+        # With line ends, so that an unclosed quote makes a field with a line end, which is refused.
         rows = csv.reader(
             [f"{line}\n" for line in some], delimiter=delimiter, skipinitialspace=True
         )
         return [[text.strip() for text in row] for row in rows]
 
     def quality(delimiter: str) -> tuple[bool, int]:
-        """Return whether the needed columns are found, and how many columns there are."""
+        """Return whether the header has the needed columns, and its number of columns."""
         header = next(iter(fields(delimiter, lines[:1])), [])
         return is_header(header), len(header)
 
-    # Of equal separators the first is taken, the comma.
+    # `max` takes the first of equals, the comma.
     delimiter = max(DELIMITERS, key=quality)
     return fields(delimiter, lines), delimiter
 
@@ -277,7 +273,7 @@ def _without_empty_ends(rows: list[list[str]], count: int) -> list[list[str]]:
 
 
 def _wrong_count(fields: Sequence[str], header: Sequence[str], delimiter: str) -> str:
-    """Return what is said of a row with another number of fields than the header."""
+    """Return the error text for a row whose number of fields differs from the header's."""
     text = f"{len(fields)} fields, the header {len(header)}"
     if delimiter == "," and len(fields) == 2 * len(header) - (VIEW_COLUMN in header):
         text += (
@@ -286,8 +282,8 @@ def _wrong_count(fields: Sequence[str], header: Sequence[str], delimiter: str) -
         )
     elif delimiter == "," and len(fields) > len(header):
         text += (
-            ": a comma within a name or a number? Put the name in quotes, and write numbers "
-            "without separators of thousands"
+            ": a comma within a name or a number? Quote the name, and write numbers without "
+            "thousands separators"
         )
     return text
 
@@ -305,34 +301,34 @@ def _has_decimal_commas(path: Path, fields: Sequence[tuple[str, str]]) -> bool:
 
     Args:
         path: of the table, for messages.
-        fields: each without separators of thousands that have one reading, and as it was given.
+        fields: each field without unambiguous thousands separators, and as given.
 
     Raises:
-        ValueError: a comma may separate thousands, or some numbers have points.
+        ValueError: a comma may separate thousands, or some numbers have decimal points.
     """
 
     def fitting(pattern: re.Pattern[str], mark: str) -> list[tuple[str, str]]:
-        """Return the fields with a mark that fit a pattern."""
+        """Return the fields that contain a mark and fit a pattern."""
         return [pair for pair in fields if mark in pair[0] and pattern.fullmatch(pair[0])]
 
     with_comma = fitting(_DECIMAL_COMMA, ",")
     many = next((given for _, given in fitting(_MANY_COMMAS, ",")), None)
-    cure = "write numbers with a decimal point and without separators of thousands"
+    advice = "write numbers with a decimal point and without thousands separators"
     if many is not None:
-        raise ValueError(f"{path}: {many!r} has several commas: {cure}")
+        raise ValueError(f"{path}: {many!r} has several commas: {advice}")
     if not with_comma:
         return False
     pointed = next((given for _, given in fitting(_DECIMAL_POINT, ".")), None)
     if pointed is not None:
         raise ValueError(
-            f"{path}: {with_comma[0][1]!r} has a comma and {pointed!r} a decimal point: {cure}"
+            f"{path}: {with_comma[0][1]!r} has a comma and {pointed!r} a decimal point: {advice}"
         )
-    # Three digits after every comma may be thousands, if numbers below a thousand have none.
+    # Three digits after every comma may mean thousands, if smaller numbers have no comma.
     grouped = all(_THOUSANDS.fullmatch(field) for field, _ in with_comma)
     if grouped and any(_INTEGER.fullmatch(field) for field, _ in fields):
         raise ValueError(
             f"{path}: the comma in {with_comma[0][1]!r} may be a decimal comma or separate "
-            f"thousands: {cure}"
+            f"thousands: {advice}"
         )
     return True
 

@@ -1,7 +1,7 @@
-"""Read the target that a description states itself, or that stands in a file of Kalibr's.
+"""Read the target from a description, or from Kalibr's file that the description names.
 
 Kalibr's `target.yaml` has `target_type: 'aprilgrid'`, `tagCols`, `tagRows`, `tagSize` in m, and
-`tagSpacing`, the gap between two tags in parts of a tag's side.
+`tagSpacing`, the gap between two tags relative to the tag's side.
 """
 
 from pathlib import Path
@@ -15,12 +15,12 @@ def read_target(folder: Path, content: dict[str, Any]) -> AbstractTarget:
     """Return the target of a data set.
 
     Args:
-        folder: of the data set, to which the name of a file is relative.
+        folder: folder of the data set, to which a file name is relative.
         content: the entry `target`, as `schemas.target` defines it.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: an entry is wrong; the message names it, and Kalibr's file if it is there.
+        ValueError: a wrong entry; the message names it, and the file if it is in Kalibr's file.
     """
     if content.get("kind") != "aprilgrid" or content.get("file") is None:
         return target_from_dict({key: value for key, value in content.items() if value is not None})
@@ -35,7 +35,7 @@ def read_april_grid(path: str | Path) -> AprilGrid:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: another kind of target, or an entry is missing or wrong.
+        ValueError: a different kind of target, or a missing or wrong entry.
     """
     from ..schemas.external_formats import KALIBR_TARGET_SCHEMA
     from ..schemas.validation import validate_content

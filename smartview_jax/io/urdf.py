@@ -1,8 +1,8 @@
 """Read an arm from a URDF file: the chain between two links, as Denavit-Hartenberg parameters.
 
-The conversion is exact: the parameters describe the same joint axes in space, whatever frames the
-file attaches to them. Only joints are read; shapes and meshes are ignored. The optional
-`urdf-parser-py` is needed: `pip install smartview-jax[urdf]`.
+The conversion is exact: the parameters describe the same joint axes in space. Only joints are read;
+shapes and meshes are ignored. The optional `urdf-parser-py` is needed:
+`pip install smartview-jax[urdf]`.
 """
 
 import contextlib
@@ -46,8 +46,8 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         raise ValueError(f"{path}: entity declarations are not accepted")
     robot = _parse_urdf(text.encode("utf-8"), path)
     chain = _joint_chain(robot, base, tip, path)
-    # At zero readings a joint adds no motion of its own, so the product of the origins is the pose
-    # of the joint's frame in the base. The axis is the line through its origin, along its axis.
+    # At zero readings joints add no motion, so the product of the origins is the pose of the
+    # joint's frame in the base. The joint axis passes through the origin of this frame.
     pose, points, directions, prismatic, limits = np.eye(4), [], [], [], []
     for joint in chain:
         pose = pose @ _origin(joint, path)
@@ -78,7 +78,7 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
 
 def _parse_urdf(content: bytes, path: Path) -> Any:
     urdf = import_extra("urdf_parser_py.urdf", "urdf", "reading URDF")
-    # The parser prints every tag that it does not know, such as those of simulators.
+    # The parser prints every unknown tag, such as a simulator's.
     with open(os.devnull, "w") as devnull, contextlib.redirect_stderr(devnull):
         # The parser raises errors of many unrelated types for a malformed file.
         try:
@@ -97,9 +97,9 @@ def _joint_chain(robot: Any, base: str | None, tip: str | None, path: Path) -> l
     leaves = sorted(links - {joint.parent for joint in robot.joints})
     for name, link in (("base", base), ("tip", tip)):
         if link is not None and link not in links:
-            raise ValueError(f"{path}: no link is called {link!r}, as {name}")
+            raise ValueError(f"{path}: {name}={link!r}: no such link")
     if base is None and len(roots) != 1:
-        raise ValueError(f"{path}: not one root but {len(roots)}: give base=, one of {roots}")
+        raise ValueError(f"{path}: {len(roots)} root links: give base=, one of {roots}")
     base_link = roots[0] if base is None else base
     if tip is None:
         leaves = [
@@ -110,7 +110,7 @@ def _joint_chain(robot: Any, base: str | None, tip: str | None, path: Path) -> l
     tip_link = leaves[0] if tip is None else tip
     chain = _joints_between(joint_by_child, base_link, tip_link)
     if chain is None:
-        raise ValueError(f"{path}: link {tip_link} does not hang on link {base_link}")
+        raise ValueError(f"{path}: no chain from link {base_link} to link {tip_link}")
     return chain
 
 
@@ -139,7 +139,7 @@ def _origin(joint: Any, path: Path) -> Float[np.ndarray, "4 4"]:
 
 
 def _parse_vector(values: Any, joint: Any, label: str, path: Path) -> np.ndarray:
-    """Return three numbers, m or rad; raise a ValueError where one is over `MAX_MAGNITUDE`."""
+    """Return three numbers, m or rad; raise a ValueError for one over `MAX_MAGNITUDE`."""
     try:
         numbers = np.array([float(value) for value in values])
     except (TypeError, ValueError):

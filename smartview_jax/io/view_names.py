@@ -1,7 +1,7 @@
 """Match the names of views in several tables of one folder.
 
-Some programs name a view by its picture's file, `0001.png`, and others by the file's name without
-its suffix. Where two tables differ by this only, the views are the same, and the user is told.
+Some programs name a view by its picture file, `0001.png`, others by the file name without suffix.
+If two tables differ only by this, their views are matched, and the user gets a note.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".
 
 
 def without_picture_suffix(name: str) -> str:
-    """Return a name without the suffix of a picture's file; the name itself where it has none."""
+    """Return a name without the suffix of a picture file, if it has one."""
     stem, point, suffix = name.rpartition(".")
     return stem if stem and f"{point}{suffix}".lower() in PICTURE_SUFFIXES else name
 
@@ -22,22 +22,24 @@ def without_picture_suffix(name: str) -> str:
 def with_names_of(
     table: Table, view_ids: Sequence[str]
 ) -> tuple[list[dict[str, str]], tuple[str, ...]]:
-    """Return a table's rows with the names that another table has, and a note if they differ.
+    """Return a table's rows with view names as in another table, and a note if any was changed.
 
     Args:
-        table: with a column of views.
-        view_ids: names of the other table. Names of this one that are not among them are changed
-            if all of them differ from one of these by a picture's suffix only.
+        table: a table with a column of views.
+        view_ids: names in the other table. Unknown names are changed if each differs from one of
+            these only by a picture suffix.
     """
-    found = {row[VIEW_COLUMN] for row in table.rows}
+    table_views = {row[VIEW_COLUMN] for row in table.rows}
     stems = {without_picture_suffix(view): view for view in view_ids}
-    renamed = {view: stems.get(without_picture_suffix(view)) for view in found - set(view_ids)}
+    renamed = {
+        view: stems.get(without_picture_suffix(view)) for view in table_views - set(view_ids)
+    }
     names = {view: name for view, name in renamed.items() if name is not None}
-    # Two names that become one, or two views that have one stem, are other names.
+    # No change if two names would become equal, or if two views have the same stem.
     unambiguous = (
         len(names) == len(renamed) > 0
         and len(stems) == len(view_ids)
-        and len({*names.values(), *(found & set(view_ids))}) == len(found)
+        and len({*names.values(), *(table_views & set(view_ids))}) == len(table_views)
     )
     if not unambiguous:
         return table.rows, ()
@@ -46,6 +48,6 @@ def with_names_of(
     ]
     old, new = min(names.items())
     return rows, (
-        f"{table.path.name}: its views are those of the other table but for the pictures' suffix, "
-        f"such as {old} and {new}",
+        f"{table.path.name}: view names differ from the other table by the picture suffix and were "
+        f"matched, such as {old} and {new}",
     )

@@ -17,13 +17,12 @@ from .target_file import read_target
 
 
 class ViewPictures(NamedTuple):
-    """Pictures with the poses from which they were taken.
+    """Pictures with the robot's poses.
 
     Attributes:
         view_ids: names of the views.
         pictures: a file for each view.
-        command: what the robot reported in each view, with joint readings where the folder has
-            them.
+        command: reported pose of each view, with joint readings if the folder has them.
         notes: sentences on what was recognised in the tables.
     """
 
@@ -39,9 +38,9 @@ class ViewPictures(NamedTuple):
 
 
 def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
-    """Read which pictures a data-set folder has, and from where they were taken.
+    """Read the picture files and the reported poses of a data-set folder.
 
-    The folder's `dataset.yaml` is that of `load_dataset`; its target need not be in the pictures.
+    The folder has a `dataset.yaml` as for `load_dataset`; the pictures need not show its target.
 
     Raises:
         FileNotFoundError: the folder or its description is missing.
@@ -56,12 +55,14 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
     validate_content(raw, DATASET_SCHEMA, path)
     content = {key: value for key, value in raw.items() if value is not None}
     if "pictures" not in content:
-        raise ValueError(f"{path}: entry 'pictures' is missing: an object is modelled in pictures")
+        raise ValueError(
+            f"{path}: entry 'pictures' is missing: a model needs pictures of the object"
+        )
     readings = read_robot_readings(folder, content, path, "raise")
     table = table_of_views(folder, content)
     readings.refuse_masked(table)
     target = read_target(folder, content["target"])
-    # A board at several heights has several pictures of a view; an object has one.
+    # A board at several heights has several pictures in a view; the first one is taken.
     heights = read_board_heights(readings.table, target, readings.view_ids, readings.name_suffix)
     files = picture_files(
         folder, content["pictures"], readings.view_ids, target, table, path, heights

@@ -1,10 +1,10 @@
-"""Write viewpoints for robot controllers as VAL II programs, CSV or JSON, and read the latter two.
+"""Write viewpoints for robot controllers as VAL II programs, CSV or JSON; read CSV and JSON.
 
 VAL uses mm and degrees; CSV states its units in the header, JSON in an entry `units`. CSV and JSON
 contain the poses in the format and the units of the robot's manufacturer (`POSE_CODECS`). A command
 that no robot can execute is refused when it is written, before any robot moves.
 
-A grasp is written likewise, with the `HandSteps` that its poses alone do not say.
+A grasp is written in the same formats, with its `HandSteps`.
 """
 
 import re
@@ -65,13 +65,13 @@ def write_viewpoints(
 
     Args:
         path: file name that ends in `.val` (or `.v2`), `.csv` or `.json`.
-        base_from_tool: commanded poses, `(views)`, or a single one.
+        base_from_tool: commanded poses, `(views)`, or a single pose.
         names: one name for each view; by default v1, v2, ...
         joints: `(views, joints)` rad (m for a prismatic joint); VAL's `TRANS` has no joints.
         pose_format: pose format of CSV and JSON, in the manufacturer's units: one of
             `POSE_CODECS`, such as `"kuka_abc"`, `"ur"`, `"fanuc_wpr"`, `"abb"`.
-        hand: what the tool does on its way to each pose, of a grasp; CSV and JSON then have
-            `motion` and `opening_m` for each pose. None for a camera's viewpoints.
+        hand: motions and openings of the tool, for a grasp; CSV and JSON then have `motion` and
+            `opening_m` for each pose. None for a camera's viewpoints.
 
     Raises:
         ValueError: an unknown ending or format, or a command that no robot can execute; the
@@ -106,7 +106,7 @@ def write_viewpoints(
         write_validated(path, _json_content(viewpoints, codec, hand), VIEWPOINTS_SCHEMA)
     elif pose_format != VAL_CODEC:
         raise ValueError(
-            f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: .csv or .json"
+            f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: write .csv or .json"
         )
     else:
         write_atomically(path, val_program(base_from_tool, names, hand))
@@ -117,7 +117,7 @@ def read_viewpoints(path: str | Path) -> Viewpoints:
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: another format, or a wrong value; the message names the file and the view.
+        ValueError: an unknown format, or a wrong value; the message names the file and the view.
     """
     path = Path(path)
     if path.suffix == ".csv":
@@ -132,8 +132,8 @@ def val_program(
 ) -> str:
     """Return a VAL II program that moves to the viewpoints in order; mm and degrees.
 
-    The number after OPENI, mm, is for a hand with a servo. V+ takes none, and a hand that only
-    knows open and closed opens as far as it goes: its grasps must be checked for that opening.
+    The number after OPENI, mm, is for a servo hand. V+ takes no number, and a pneumatic hand opens
+    as far as it goes: its grasps must be checked for the full opening.
 
     Raises:
         ValueError: as in `write_viewpoints`; also a name that VAL does not accept.
@@ -162,7 +162,7 @@ def val_program(
 def _validated_viewpoints(
     base_from_tool: SE3, names: Sequence[str] | None, joints: np.ndarray | None
 ) -> Viewpoints:
-    """Return the commands as arrays; raise a ValueError for one that no robot can execute."""
+    """Return the commands as arrays; raise a ValueError for an impossible command."""
     poses = np.atleast_2d(np.asarray(base_from_tool.wxyz_xyz))
     joints = None if joints is None else np.atleast_2d(joints)
     if poses.ndim != 2:
@@ -176,7 +176,7 @@ def _validated_viewpoints(
     if repeated:
         raise ValueError(f"view {', '.join(repeated)}: named more than once")
     require_readable("view", view_names)
-    # The components of a unit quaternion are at most 1, so that one limit serves all seven numbers.
+    # Components of a unit quaternion are at most 1, so the limit serves all seven numbers.
     for name, pose in zip(view_names, poses, strict=True):
         for component, value in zip(("qw", "qx", "qy", "qz", "x", "y", "z"), pose, strict=True):
             if not np.isfinite(value):
@@ -280,11 +280,11 @@ def _read_json(path: Path) -> Viewpoints:
         if row is None or len(row) != len(codec.columns):
             raise ValueError(
                 f"{path}: view {entry.name}: {key}: expected {len(codec.columns)} numbers "
-                f"({', '.join(codec.columns)}), as the format {codec.name} has them"
+                f"({', '.join(codec.columns)}) in the format {codec.name}"
             )
     joints = [entry.joints for entry in entries if entry.joints is not None]
     if joints and {len(row) for row in joints} != {len(joints[0])}:
-        raise ValueError(f"{path}: joints: expected equally many in every view")
+        raise ValueError(f"{path}: joints: views have different numbers of joint readings")
     names = [entry.name for entry in entries]
     poses = np.array(rows).reshape(-1, len(codec.columns))
     return _decode_viewpoints(path, codec, poses, names, np.array(joints) if joints else None)

@@ -31,7 +31,7 @@ def import_visp(
     """Import a data set from a folder of ViSP's hand-eye calibration.
 
     Args:
-        folder: that has a pose file (base_from_tool, m and rad) and a picture for each view.
+        folder: folder with a pose file (base_from_tool, m and rad) and a picture for each view.
         target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         poses, pictures: patterns of the file names; `{view}` is the number that pairs them.

@@ -1,7 +1,7 @@
 """Fit the camera alone, with a free pose per view: Step 2 as one batch least squares problem.
 
-It is the joint problem with both transforms held, each view's initial pose instead of the robot's
-report, and pose corrections without a prior. The robot's poses are not used.
+It is the joint problem with both transforms held, initial poses of the views instead of reported
+poses, and pose corrections without a prior. The robot's poses are not used.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from ..staged import pixel_residuals, robust_sigma
 from .fit import fit_joint
 
 MAX_REJECTION_ITERATIONS = 10
-"""The largest number of fits, each without the outliers of the one before."""
+"""The largest number of fits, each without the outliers of the fit before."""
 
 
 class CameraFit(eqx.Module):
@@ -33,9 +33,9 @@ class CameraFit(eqx.Module):
 
     Attributes:
         camera: intrinsics and lens.
-        camera_from_world: one pose per view; the start's where a view shows too few points.
+        camera_from_world: one pose per view; the start's if a view shows too few points.
         covariance: covariance of the camera's free parameters, in the order of `parameter_names`.
-        std: their standard deviations by name, and those of every view's pose
+        std: standard deviations by name, of the camera's parameters and of every view's pose
             (`pose_corrections.<view>...`).
         parameter_names: `camera.alpha_u` and so on.
         residuals: measured minus predicted, px; zero where not seen.
@@ -89,12 +89,12 @@ def fit_camera(
 
     Args:
         data: at least three views with four visible points each.
-        camera, camera_from_world: initial values, one pose per view, as Step 1 finds them.
-        lens: another lens model than the camera's own.
+        camera, camera_from_world: initial values, one pose per view, as from Step 1.
+        lens: a different lens model.
         loss, fixed, priors, solver, progress: as in `fit_joint`.
 
     Raises:
-        ValueError: as `fit_joint` does.
+        ValueError: as for `fit_joint`.
     """
     free_pose_data, identity_start = with_free_camera_poses(data, camera, camera_from_world)
     fit = fit_joint(
@@ -139,7 +139,7 @@ def _corrected_poses_and_residuals(
         calibration: the fitted camera, with both transforms held at the identity.
         observations: points, pixels, visibility; the robot's poses are not used.
         corrections: tangents of the fit, one per view.
-        camera_from_world: poses that the fit started from.
+        camera_from_world: initial poses of the fit.
     """
     # camera_from_world <- exp(c) camera_from_world.
     poses = SE3.exp(corrections) @ camera_from_world
@@ -157,9 +157,9 @@ def batch_least_squares(
     hold_camera: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> CameraFit:
-    """Fit a camera to all views in batches: fit, remove outliers, repeat until they stay the same.
+    """Fit a camera to all views in a batch: fit, remove outliers, repeat until these do not change.
 
-    It replaces `kalman_filter`, with the same arguments and, in its result, the same `camera`,
+    It can replace `kalman_filter`: it has the same arguments, and its result the same `camera`,
     `camera_from_world`, `inliers`, `pixel_sigma`, `rms`, `converged` and `message`. It is twice
     as fast on 1000 points, and nine times on 50 000, where the filter takes half a second.
     """
@@ -168,7 +168,7 @@ def batch_least_squares(
     gate = -2.0 * np.log1p(-gate_probability)
     visible = np.asarray(observations.visible)
     inliers = visible if start_inliers is None else visible & np.asarray(start_inliers)
-    # A data set of the fit needs view names; the robot's poses in it are not used.
+    # `fit_camera` takes a data set, but does not use its robot poses.
     ids = tuple(map(str, range(len(visible))))
     data = Dataset(
         observations.points,
@@ -188,13 +188,13 @@ def batch_least_squares(
         estimate = (fit.camera, fit.camera_from_world)
         residuals = np.asarray(pixel_residuals(observations, *estimate))
         sigma = robust_sigma(residuals, inliers, pixel_sigma)
-        # Every visible point is tested again, so that a point can return once the camera is better.
+        # All visible points are tested again, so that points can return with a better camera.
         within_gate = visible & (np.sum(residuals**2, axis=-1) <= gate * sigma**2)
         converged = bool((within_gate == inliers).all())
         if progress is not None:
             progress(
                 f"batch {iteration}: sigma {sigma:.3f} px, "
-                f"{np.sum(visible & ~within_gate)} set aside"
+                f"{np.sum(visible & ~within_gate)} points left out"
             )
         if converged or iteration == MAX_REJECTION_ITERATIONS:
             break

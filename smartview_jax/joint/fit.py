@@ -61,7 +61,7 @@ from .view_rejection import inconsistent_view, inflation_reason, suspect_view
 _log = logging.getLogger(__name__)
 
 MAX_INLIER_CHI_SQUARE = 2.0 * np.log(1e4)
-"""The squared whitened residual that one good point in ten thousand exceeds (chi-square, 2 dof)."""
+"""Squared whitened residual that one good point in ten thousand exceeds (chi-square, 2 dof)."""
 
 GROSS_ERRORS_OPTIONS = ("auto", "keep", "leave_out")
 """The accepted values of `gross_errors`."""
@@ -95,36 +95,36 @@ def fit_joint(
 
     Args:
         data: at least three views with four visible points each, unless priors determine the rest.
-        start: any calibration near enough, such as the staged fit's.
-        lens: another lens model than the start's own.
+        start: a calibration near the solution, such as the staged fit's.
+        lens: a lens model that differs from the start's.
         noise: `"estimated"` estimates the variance components, and chooses a robot error field, by
             restricted likelihood; a `Noise` states the standard deviations and gives every view a
             pose correction with a prior; `"trusted"` takes the reported poses as exact.
-        field: the robot error field: one of `robot_errors`, or your own; None for none. `"auto"`
-            chooses and averages by likelihood where the noise is estimated, and otherwise keeps
-            the start's own fixed.
+        field: the robot error field: one of `robot_errors`, or a custom one; None for none.
+            `"auto"` averages over models by likelihood if the noise is estimated, and otherwise
+            keeps the start's field fixed.
         loss: robust loss on the points: a name or an `AbstractLoss`. Its scale, and the weight of
-            priors, are in standard deviations of a pixel: the noise model's, or with a trusted
-            robot those estimated from the residuals.
+            priors, are relative to the pixel sigma: the noise model's or, with a trusted robot,
+            estimated from the residuals.
         fixed: paths of parameters that keep the start's value.
         free: paths to free that are held by default: `"target_scale"`.
         priors: a `Prior` by path.
         solver: any optimistix least-squares solver; by default `StructuredLM`.
-        devices: devices over which the views are distributed, such as `jax.devices()`, also those
-            of other processes; by default the fit runs on one.
-        gross_errors: `"leave_out"` leaves out points that are too far off to be noise and views
-            whose pose contradicts the others', and lists them in `rejected`; `"keep"` takes the
-            data as they are; `"auto"` leaves out where the noise is estimated.
-        inliers: mask of the visible observations to fit, where an earlier step has rejected some;
-            by default all. Residuals are reported for the others too.
+        devices: devices over which the views are distributed, such as `jax.devices()`, also of
+            other processes; by default the fit runs on one.
+        gross_errors: `"leave_out"` leaves out gross outliers and views whose pose contradicts the
+            others, and lists them in `rejected`; `"keep"` uses all data; `"auto"` leaves out if
+            the noise is estimated.
+        inliers: mask of the visible observations to fit, such as the inliers of an earlier step; by
+            default all. Residuals are reported for all observations.
         progress: called with a line of text for each stage.
-        robot_prior: prior on the standard deviations of the robot's errors where the noise is
-            estimated; by default that of good industrial arms.
+        robot_prior: prior on the standard deviations of the robot's errors, for estimated noise; by
+            default for good industrial arms.
 
     Raises:
-        TypeError: an argument of another kind than stated.
-        ValueError: an unknown path or name, too few views, or a start from which a view's points
-            cannot be projected at all.
+        TypeError: an argument of a wrong type.
+        ValueError: an unknown path or name, too few views, or a start at which no point of a view
+            can be projected.
     """
     if gross_errors not in GROSS_ERRORS_OPTIONS:
         raise ValueError(
@@ -145,8 +145,8 @@ def fit_joint(
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     require_moving_robot(data, start, fixed, priors)
     data = without_views(data, repeated_views(data))
-    say, start = progress or (lambda _: None), with_lens(start, lens)
-    # The engine is given the points where they truly are; the shape is estimated with the noise.
+    report, start = progress or (lambda _: None), with_lens(start, lens)
+    # The engine works with true points; the shape is estimated with the noise.
     stated_shape = None if noise == "estimated" else start.target_shape
     start = dataclasses.replace(start, target_shape=None)
 
@@ -171,7 +171,7 @@ def fit_joint(
             initial, noise_model, error_field, held_paths = _embedded(noise_estimate)
             if noise_estimate.target_shape is not None:
                 shape = noise_estimate.target_shape.shape
-            # The target's size is averaged if the views may favour another one than stated.
+            # The target's size is averaged over models if the views may contradict the stated size.
             free_paths += noise_estimate.free
             all_priors = {**(priors or {}), **noise_estimate.priors(start)}
         if shape is not None:
@@ -185,12 +185,12 @@ def fit_joint(
             free=free_paths,
             priors=all_priors,
             field=error_field,
-            # What is estimated moves the start, but not what was known before any picture.
+            # The estimate of the noise moves the start, but not the centre of the priors.
             prior_centre=start,
             noise_corrections=None if noise_estimate is None else noise_estimate.noise_corrections,
         )
         parameter_count = len(built.shared_names) + len(built.per_view_names)
-        say(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
+        report(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
 
         # Levenberg-Marquardt on whitened residuals, with C a 6 x 6 block C_v per view:
         #     (H + lambda I) step = -g,  H = [[A, B^T], [B, C]]
@@ -216,21 +216,19 @@ def fit_joint(
 
     if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
         return _finish_fit(fit_once(data, ())[0], data, all_data)
-    # Gross errors first, then one view at a time: the view rejected by its posterior pose
-    # correction, or, where all poses look poor, the view without which the pose standard deviations
-    # collapse. The noise is estimated anew after each, since one wrong pose inflates it for all
-    # views.
+    # Gross errors first, then one view at a time: a view rejected by its posterior pose correction
+    # or, if all poses look poor, the view without which the pose standard deviations collapse.
+    # After each view the noise is estimated again, since one wrong pose inflates it for all views.
     used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
     accepted, matrix = fit_once(used_data, rejected_points)
     while True:
-        # The data of the view are hidden, not weighted down: a pose from another picture holds no
-        # information.
+        # The view is left out, not down-weighted: a pose of another picture has no information.
         if (inconsistent := inconsistent_view(used_data, accepted, matrix)) is not None:
             used_data = without_views(used_data, dict([inconsistent]))
             accepted, matrix = fit_once(used_data, rejected_points)
         elif (suspect := suspect_view(used_data, accepted, matrix)) is not None:
-            # One wrong pose inflates the pose standard deviations of all views, so no view exceeds
-            # the test. Compare the fits with and without the suspect instead.
+            # One wrong pose inflates the pose standard deviations of all views, so that no view
+            # fails the test. Compare the fits with and without the suspect instead.
             data_without_suspect = without_views(used_data, {suspect: ""})
             refitted, matrix = fit_once(data_without_suspect, rejected_points)
             if (reason := inflation_reason(accepted, refitted)) is None:
@@ -245,9 +243,9 @@ def fit_joint(
 def _embedded(
     estimate: NoiseEstimate,
 ) -> tuple[Calibration, Noise, AbstractField | None, tuple[str, ...]]:
-    """Return an estimate as one with the field that contains those of all models.
+    """Expand the estimate to the largest field, with unused groups held at zero.
 
-    All fits of a calibration are then solved by one compiled program.
+    So all fits of a calibration share one compiled program.
 
     Returns:
         The calibration, the noise, the field, and the paths of the groups to hold at zero.
@@ -262,7 +260,7 @@ def _embedded(
     groups = [name for name, _ in field.groups]
     return (
         dataclasses.replace(calibration, robot_error=embedded),
-        # The standard deviation of a group that is held has no effect.
+        # The standard deviation of a held group has no effect.
         dataclasses.replace(estimate.noise, field=tuple(sigmas.get(name, 1.0) for name in groups)),
         field,
         tuple(f"{ROBOT_ERROR}.{name}" for name in groups if name not in sigmas),
@@ -271,8 +269,8 @@ def _embedded(
 
 def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFit:
     """Return the fit with the residuals of all data, its region of viewpoints and its warnings."""
-    # Residuals are reported for rejected observations too. The region is added afterwards: without
-    # it the calibration has the structure of the one that was fitted, and needs no new program.
+    # Residuals include rejected observations. The region is added after they are computed, because
+    # it changes the structure of the calibration, and so would need a new program.
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
     fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
@@ -295,15 +293,15 @@ def _assemble_fit(
     factor = 1.0 if built.sigma_known else float(variance_factor(problem, squares))
     reduced = reduced_equations(equations.matrix)
 
-    # Covariance f R^-1, with R the Schur complement of the corrections, f the variance factor. Unit
-    # columns keep pixels and radians apart in the singular values.
+    # Covariance f R^-1, with R the Schur complement of the corrections, f the variance factor.
+    # Scaling to unit columns makes the singular values independent of units.
     column_norms = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     scaled_jacobian = ScaledJacobian(reduced.schur_complement, column_norms)
     common_covariance, std = covariance(scaled_jacobian, factor)
     degrees_of_freedom = np.full(len(std), np.inf)
     if noise_estimate is not None:
-        # Estimated variance components add the Kenward-Roger term and finite degrees of freedom.
-        # So do models between which the data do not decide.
+        # Estimated variance components add the Kenward-Roger term and finite degrees of freedom;
+        # uncertainty between models adds a covariance.
         small_sample = noise_estimate.correction_of(built.shared_names)
         added = small_sample.added_covariance
         added = added + noise_estimate.covariance_of_choices(built.shared_names)
@@ -314,14 +312,14 @@ def _assemble_fit(
     correction_std = per_view_std(reduced, common_covariance, factor)
     correction_std = correction_std[np.asarray(problem.per_view_free)]
 
-    # The robust variance widens the gate where residuals are larger than the noise model states.
+    # The robust variance widens the gate if residuals are larger than the noise model states.
     residual_variance = float(robust_variance(squares, visible))
     gate = MAX_INLIER_CHI_SQUARE * (
         max(1.0, residual_variance) if built.sigma_known else residual_variance
     )
     names = (*built.shared_names, *built.per_view_names)
     shape_std, shape_freedom = _shape_uncertainty(noise_estimate)
-    # The robot error of the result has the groups that were fitted, and no others.
+    # The robot error of the result has only the groups that were fitted.
     calibration, error = chain.calibration, chain.calibration.robot_error
     if noise_estimate is not None and error is not None:
         field = noise_estimate.field
@@ -374,7 +372,7 @@ def _shape_uncertainty(
 def _all_rejections(
     data: Dataset, rejected_points: tuple[Rejection, ...], unprojectable: np.ndarray
 ) -> tuple[Rejection, ...]:
-    """Return all rejections: whole views, single points, and points outside the start's domain."""
+    """Return all rejections: whole views, single points, and points that cannot be projected."""
     view_rejections = [Rejection(view, None, reason) for view, reason in data.masked_views]
     unprojectable_rejections = [
         Rejection(data.view_ids[view], int(point), "cannot be projected from the start")
@@ -385,7 +383,7 @@ def _all_rejections(
 
 def _solver_result(solution: Solution) -> FitResult:
     """Return whether the solver converged, with a message."""
-    # The solution only is checked: a calibration may hold infinite joint limits of an arm.
+    # Only the solution is checked: a calibration may contain infinite joint limits of an arm.
     finite = all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(solution.z))
     if not finite:
         return FitResult(FitCode.DIVERGED, "the fit diverged: its parameters are not finite")
@@ -393,6 +391,7 @@ def _solver_result(solution: Solution) -> FitResult:
         return FitResult(FitCode.CONVERGED, f"converged in {solution.steps} steps")
     return FitResult(
         FitCode.STOPPED_EARLY,
-        f"not converged after {solution.steps} steps: one more would still lower the cost by "
-        f"{solution.relative_decrease:.1g} of it; look at observability, free less or add a prior",
+        f"not converged after {solution.steps} steps: one more would still lower the cost by a "
+        f"fraction of {solution.relative_decrease:.1g}; see `observability`, hold more parameters, "
+        "or add a prior",
     )

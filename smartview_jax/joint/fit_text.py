@@ -1,4 +1,4 @@
-"""Say in words and figures what a joint fit found, for `print(fit)` and for notebooks."""
+"""Format the result of a joint fit as text, for `print(fit)` and for notebooks."""
 
 import html
 from collections.abc import Sequence
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 
 def fit_line(fit: "JointFit") -> str:
     """Return the outcome of a fit in one line."""
-    seen = np.asarray(fit.problem.observations.visible)
-    squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)[seen]
+    visible = np.asarray(fit.problem.observations.visible)
+    squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)[visible]
     rms = float(np.sqrt(squares.mean())) if squares.size else float("nan")
     outcome = "converged" if fit.result.converged else f"not converged: {fit.result.message}"
     return (
-        f"joint fit of {seen.sum()} points in {seen.any(axis=1).sum()} views, {rms:.3g} px RMS, "
-        f"{outcome}"
+        f"joint fit of {visible.sum()} points in {visible.any(axis=1).sum()} views, "
+        f"{rms:.3g} px RMS, {outcome}"
     )
 
 
 def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
-    """Return camera, transforms and target with their 95 % intervals, the noise and the doubts.
+    """Return camera, transforms and target with their 95 % intervals, the noise and the warnings.
 
     Args:
         fit: the fit.
-        warnings: the doubts, a sentence each.
+        warnings: reasons to doubt the result, a sentence each.
     """
     lines = [fit_line(fit)]
     for heading, rows in estimate_groups(fit):
@@ -65,18 +65,22 @@ def estimate_groups(fit: "JointFit") -> list[tuple[str, list[tuple[str, str]]]]:
     """
     estimates = parameter_estimates(fit)
     groups = [
-        (heading, [one for one in estimates if one.name.startswith(f"{prefix}.")])
+        (heading, [estimate for estimate in estimates if estimate.name.startswith(f"{prefix}.")])
         for prefix, heading in _headings(fit.calibration)
     ]
-    arm = [one for one in estimates if one.name.startswith("robot_error.")]
-    scale = [one for one in estimates if one.name == "target_scale" and one.std is not None]
-    # Most targets are flat to what the views can tell: only what is not is worth a line.
+    arm = [estimate for estimate in estimates if estimate.name.startswith("robot_error.")]
+    scale = [
+        estimate
+        for estimate in estimates
+        if estimate.name == "target_scale" and estimate.std is not None
+    ]
+    # Only significant coefficients of the shape are listed.
     shape = [
-        one
-        for one in estimates
-        if one.name.startswith("target_shape.")
-        and one.half_width is not None
-        and abs(one.value) > one.half_width
+        estimate
+        for estimate in estimates
+        if estimate.name.startswith("target_shape.")
+        and estimate.half_width is not None
+        and abs(estimate.value) > estimate.half_width
     ]
     groups += [("arm (+- 95 %)", arm), ("target (+- 95 %)", scale + shape)]
     return [(heading, list(map(_label_and_text, group))) for heading, group in groups if group]
@@ -93,7 +97,7 @@ def _headings(calibration: Calibration) -> list[tuple[str, str]]:
 
 def _label_and_text(estimate: ParameterEstimate) -> tuple[str, str]:
     """Return the last part of a parameter's name, and its value with unit and interval."""
-    # A rotation vector has the same axes as the translation: its name says which it is.
+    # Rotation vector and translation have the same axes, so the label distinguishes them.
     parts = estimate.name.split(".")
     label = f"turn {parts[-1]}" if parts[-2:-1] == ["rotation"] else parts[-1]
     if parts[0] == "robot_error":
@@ -104,7 +108,7 @@ def _label_and_text(estimate: ParameterEstimate) -> tuple[str, str]:
         return label, f"{_rounded(estimate.value, None)} {estimate.unit} (held)".replace("  ", " ")
     if not np.isfinite(estimate.half_width):
         return label, f"{_rounded(estimate.value, None)} {estimate.unit} (not determined)"
-    # Both with the digits that the interval leaves meaningful.
+    # Both with the significant digits of the interval.
     digits = estimate.half_width
     text = f"{_rounded(estimate.value, digits)} +- {_rounded(digits, digits)} {estimate.unit}"
     return label, text.rstrip()

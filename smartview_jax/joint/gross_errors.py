@@ -1,10 +1,9 @@
 """Find gross errors before the joint fit, using a free pose for every view instead of the robot's.
 
-With a free pose, an outlying point stands out by itself, because the view's other points hold its
-pose, whatever the robot reported. The poses are fitted with a robust loss, and points beyond a
-chi-square gate around them are left out; then views whose pose is inconsistent with one hand-eye
-transform for all. Smaller disagreement can only be judged with the variance components
-(`influence.py`).
+With a free pose, an outlying point stands out, because the view's other points determine the pose,
+whatever the robot reported. The poses are fitted with a robust loss, and points beyond a chi-square
+gate are left out; then views whose pose is inconsistent with a common hand-eye transform. Smaller
+disagreement can only be judged with the variance components (`influence.py`).
 """
 
 import dataclasses
@@ -46,21 +45,21 @@ from ..variance import encompassing_field
 MAX_SQUARED_RESIDUAL = 144.0
 """The squared whitened residual from a view's own best pose beyond which a point is left out.
 
-It is far above the gate of the fit itself. With that gate one corner in sixty of a good real data
-set would be rejected; with half of this value, corners of an image whose lens is slightly more
-complex than its model.
+It is far above the gate of the fit itself, by which one corner in sixty of a good real data set
+would be rejected; half of this value would reject corners in pictures of a lens that is slightly
+more complex than its model.
 """
 
 MAX_SIGMA_FITS = 8
-"""The largest number of fits, each with the pixel sigma estimated from the one before."""
+"""The largest number of fits, each with the pixel sigma estimated in the fit before."""
 
 SIGMA_TOLERANCE = 0.1
-"""The relative change of the pixel sigma below which further fits are not worth while."""
+"""The relative change of the pixel sigma below which the fits have converged."""
 
 MAX_MEDIAN_RATIO, MAX_MEDIAN_RESIDUAL = 10.0, 20.0
-"""The median residual of a view under the start's chain above which its pose is found anew.
+"""The median residual of a view under the start's chain above which its pose is estimated.
 
-The first is relative to the median view's, the second in px; both must be exceeded.
+The first is relative to the median view, the second in px; both must be exceeded.
 """
 
 MAX_OUTLIER_FRACTION = 0.5
@@ -69,7 +68,7 @@ MAX_OUTLIER_FRACTION = 0.5
 LOOSE_SOLVER = StructuredLM(rtol=1e-3)
 """The solver of the fits with free poses, with a loose tolerance.
 
-Poses at which the cost changes by a thousandth identify outlying points just as well.
+Poses accurate to a thousandth of the cost identify outlying points just as well.
 """
 
 
@@ -84,12 +83,13 @@ def remove_gross_errors(
     """Return the data without gross outliers and without views that contradict the others.
 
     Args:
-        data: the data; what is left out is hidden, not deleted, and a whole view's reason is in
-            `masked_views`.
-        start: as for `fit_joint`; views whose chain is far off get a pose from their points.
-        fixed: as for `fit_joint`; paths outside the camera are ignored here.
-        priors: as for `fit_joint`; paths outside the camera are ignored here.
-        progress: called with a line of text on what is left out.
+        data: the data; rejected points are hidden, not deleted, and reasons of whole views are in
+        `masked_views`.
+        start: as for `fit_joint`; views for which its chain is far off get a pose from their
+        points.
+        fixed: as for `fit_joint`; only paths of the camera are used.
+        priors: as for `fit_joint`; only paths of the camera are used.
+        progress: called with a line of text on rejections.
 
     Returns:
         The data, and view id, point and reason of the points left out one by one.
@@ -107,10 +107,10 @@ def remove_gross_errors(
     outside = checked & (residual_norms > np.sqrt(MAX_SQUARED_RESIDUAL) * sigma)
     outlier_count = outside.sum(axis=1)
     rejected_views = {
-        int(k): f"no pose fits it: {outlier_count[k]} of its {count[k]} points lie apart"
+        int(k): f"no pose fits: {outlier_count[k]} of {count[k]} points are outliers"
         for k in np.flatnonzero(outlier_count > MAX_OUTLIER_FRACTION * count)
     }
-    # Four points are the fewest that determine a pose.
+    # A pose needs four points.
     trusted = (count >= 4) & ~np.isin(np.arange(len(count)), list(rejected_views))
     robot_poses = host_mount_from_holder(data.mount, data.base_from_tool)
     rejected_views |= find_consistent_views(
@@ -143,7 +143,7 @@ def remove_gross_errors(
 
 
 def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
-    """Return the data with these views hidden, by index, with the reason for each."""
+    """Return the data with some views hidden, given their reasons by index."""
     masked = [(data.view_ids[view], text) for view, text in reasons.items()]
     return dataclasses.replace(
         data.mask_views(list(reasons)), masked_views=(*data.masked_views, *masked)
@@ -153,7 +153,7 @@ def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
 def _outlier_reason(residual_norm: float, sigma: float) -> str:
     """Return the reason for rejecting a point, with its residual."""
     return (
-        f"{residual_norm:.1f} px from where its view's own best pose puts it, "
+        f"{residual_norm:.1f} px from the prediction by its view's best pose, "
         f"{residual_norm / sigma:.0f} standard deviations"
     )
 
@@ -161,14 +161,14 @@ def _outlier_reason(residual_norm: float, sigma: float) -> str:
 def _start_poses(
     data: Dataset, start: Calibration, usable: Bool[np.ndarray, "views"]
 ) -> tuple[SE3, dict[int, str]]:
-    """Return `camera_from_world` of every view, and reasons for views of which no pose was found.
+    """Return `camera_from_world` of every view, and reasons for views without a pose.
 
-    The pose comes from the chain where that is close, otherwise from the view's points.
+    The pose is from the chain if that is close, otherwise from the view's points.
     """
     chain = np.asarray(start.camera_from_world_matrices(data.command))
     residual_norms = _residual_norms(start, chain, data.observations)
     visible = np.asarray(data.visible)
-    # The median residual of a view, so that a few outlying points do not make its pose look wrong.
+    # The median is robust against a few outlying points.
     medians = medians_by_view(residual_norms, visible)
     median_residual = np.where(visible.any(axis=1), medians, 0.0)
     limit = max(MAX_MEDIAN_RATIO * float(np.median(median_residual[usable])), MAX_MEDIAN_RESIDUAL)
@@ -178,7 +178,7 @@ def _start_poses(
     misplaced_data = data.with_visible(visible & misplaced[:, None])
     located = host_matrices(estimate_view_poses(misplaced_data.observations, start.camera)[0])
     has_pose = np.isfinite(located).all(axis=(1, 2))
-    unlocated = {int(k): "no pose was found for it" for k in np.flatnonzero(misplaced & ~has_pose)}
+    unlocated = {int(k): "no pose was found" for k in np.flatnonzero(misplaced & ~has_pose)}
     relocated = (misplaced & has_pose)[:, None, None]
     return host_transforms(np.where(relocated, located, chain)), unlocated
 
@@ -195,12 +195,11 @@ def _robust_poses(
     Returns:
         The pixel sigma, px; the norm of every point's residual, px; every view's best pose.
     """
-    # Priors and held parameters that concern the robot have no meaning here; those of the camera
-    # stay.
-    # The field has no effect, but with it the fit is compiled together with those that follow.
+    # Only priors and held parameters of the camera are used. The field has no effect, but with it
+    # the fit shares the compiled program of later fits.
     field = encompassing_field(data, len(data.usable_views())) if data.arm is None else None
     free_pose_data, identity_start = with_free_camera_poses(data, start.camera, poses, field)
-    # Without enough points in a view there is no robust fit of its pose.
+    # A robust fit of a pose needs enough points in the view.
     count = np.asarray(data.visible).sum(axis=1)
     is_checked = 2 * np.sum(count[count > MAX_UNCHECKED_POINTS]) > np.sum(count)
     camera_priors = {path: prior for path, prior in (priors or {}).items() if _is_camera_path(path)}
@@ -214,7 +213,7 @@ def _robust_poses(
     ).problem
     residual_norms = _residual_norms(identity_start, host_matrices(poses), problem.observations)
     first_factor = robust_variance(residual_norms**2, np.asarray(problem.observations.visible))
-    # Cauchy's loss has the scale sigma, and sigma is estimated from the residuals under it.
+    # Cauchy's loss has the scale sigma, which is estimated from the residuals of the fit.
     problem, solution, _, sigma = solve_with_estimated_sigma(
         with_pixel_sigma(problem, updated_sigma(1.0, first_factor)),
         lambda problem, step: solve(problem, LOOSE_SOLVER, start=step),
@@ -231,7 +230,7 @@ def _robust_poses(
 
 
 def _is_camera_path(path: str) -> bool:
-    """Return whether a path is one of the camera's."""
+    """Return whether a path names parameters of the camera."""
     return path.split(".")[0] == "camera"
 
 

@@ -1,9 +1,9 @@
-"""Ask the pictures about what they were not asked: parameters that were held, or had a prior.
+"""Test held parameters and priors against the pictures.
 
-A camera that was given without its distortion, or a prior on the wrong principal point, leaves a
-fit that converges, and a mount that is wrong by many of its standard deviations. So what was held
-is made free once the fit is done, and what had a prior loses it. Where the pictures then contradict
-what was said, a sentence names the value that they want.
+With a camera that was held without its distortion, or a wrong prior on the principal point, a fit
+converges, but its mount may be wrong by many standard deviations. So after the fit held parameters
+are freed, and priors removed. If the result contradicts the given values, a warning states the
+estimate.
 """
 
 import dataclasses
@@ -30,30 +30,30 @@ from .joint_fit import JointFit
 from .parameter_estimates import display_unit, displayed_values
 
 MAX_P_VALUE = 1e-6
-"""Probability of so much smaller residuals by chance, below which a held value is contradicted.
+"""P-value of the decrease of the residuals below which a held value is contradicted.
 
 It is far below the usual level because residuals of one view are not independent.
 """
 
 MIN_DIFFERENCE_SIGMAS = 4.0
-"""Difference of a value from what the pictures want, in standard deviations, that is named."""
+"""Smallest difference of a value from its free estimate that is reported, standard deviations."""
 
 MAX_NAMED_VALUES = 3
-"""Largest number of values in a sentence."""
+"""Largest number of values in a warning."""
 
 RICHER_LENS = "opencv4"
-"""Lens that is tried where a camera without any distortion was held."""
+"""Lens that is tried if a camera without distortion was held."""
 
 PINHOLE_COUNT = 4
-"""Number of a camera's parameters without its lens, which come first."""
+"""Number of pinhole parameters of a camera, which come before the lens's."""
 
 
 class _Refit(NamedTuple):
-    """A fit with more freedom than the one in question.
+    """A fit with more free parameters than the fit under test.
 
     Attributes:
         calibration: its calibration.
-        difference: difference of every free shared parameter from the fit in question, by name.
+        difference: difference of every free shared parameter from the fit under test, by name.
         std: standard deviations of these parameters.
         cost: half the sum of squared whitened residuals, with the residuals of the priors.
         rms: RMS residual, px.
@@ -75,21 +75,20 @@ class _Refit(NamedTuple):
 
 
 def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
-    """Return a sentence for each statement on camera and transforms that the pictures contradict.
+    """Return a warning for each held value or prior that the pictures contradict.
 
-    The target's size and shape and the robot's errors are not asked about: the models of the noise
-    do that.
+    The target's size and shape and the robot's errors are not tested here but by the noise models.
 
     Args:
         fit: the fit.
     """
     problem, layout = fit.problem, fit.problem.parameters.layout
-    # Where every view has a free pose, nothing is known of the transforms.
+    # With a free pose for every view, the transforms are meaningless.
     weights = np.asarray(problem.prior_weight.per_view)
     poses_are_free = len(problem.per_view_free) and not weights.any()
     stated = np.arange(layout.camera.stop if poses_are_free else layout.target_scale.start)
     free, weight = np.asarray(problem.free), np.asarray(problem.prior_weight.shared)
-    # What the robot's motion leaves open is held as well, but by nobody's word.
+    # Directions that the robot's motion leaves open are held too, but not by the user.
     names = parameter_names(problem.parameters.start)
     held = np.array([k for k in np.setdiff1d(stated, free) if names[k] not in fit.std], dtype=int)
     with_prior = np.intersect1d(stated[weight[stated] > 0.0], free)
@@ -100,7 +99,7 @@ def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
 
 
 def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[str]:
-    """Return a sentence on held parameters that the pictures want elsewhere, if there are any."""
+    """Return a warning about held parameters that the pictures contradict, if there are any."""
     problem, z = fit.problem, fit.solution.z
     before, rms = fit.solution.costs[-1], _rms(problem, fit.solution.chain)
     if (
@@ -109,34 +108,36 @@ def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[s
         and isinstance(problem.parameters.start.camera.lens, Pinhole)
     ):
         problem, count = _with_richer_lens(problem)
-        behind = np.where(held >= PINHOLE_COUNT, held + count, held)
-        held = np.union1d(behind, PINHOLE_COUNT + np.arange(count))
-    # The target's shape may have been bent to make up for what was held.
+        shifted = np.where(held >= PINHOLE_COUNT, held + count, held)
+        held = np.union1d(shifted, PINHOLE_COUNT + np.arange(count))
+    # The estimated target shape may compensate for wrong held values, so both shapes are tried.
     free = np.union1d(np.asarray(problem.free), held)
-    refits = (_refit(one, z, free) for one in (problem, _with_stated_shape(problem, fit)))
+    refits = (_refit(shaped, z, free) for shaped in (problem, _with_stated_shape(problem, fit)))
     determined = [refit for refit in refits if refit is not None]
     if not determined:
         return []
-    refit = min(determined, key=lambda one: one.cost)
+    refit = min(determined, key=lambda candidate: candidate.cost)
     gain = (before - refit.cost) / len(held) / (refit.cost / refit.freedom)
     if not (gain > 0.0 and fdtrc(len(held), refit.freedom, gain) < MAX_P_VALUE):
         return []
     names = [parameter_names(problem.parameters.start)[k] for k in held]
     sigmas = {name: abs(refit.difference[name]) / refit.std[name] for name in names}
-    wanted = sorted(sigmas, key=lambda name: -sigmas[name])[:MAX_NAMED_VALUES]
-    wanted = [name for name in wanted if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
-    if not wanted:
+    contradicted = sorted(sigmas, key=lambda name: -sigmas[name])[:MAX_NAMED_VALUES]
+    contradicted = [name for name in contradicted if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
+    if not contradicted:
         return []
-    at = displayed_values(problem.parameters.start)
-    listed = ", ".join(f"{name} {refit.text(name)} (held at {at[name][0]:.6g})" for name in wanted)
+    values = displayed_values(problem.parameters.start)
+    listed = ", ".join(
+        f"{name} {refit.text(name)} (held at {values[name][0]:.6g})" for name in contradicted
+    )
     return [
-        f"the pictures contradict what is held: they want {listed}; the residual falls from "
-        f"{rms:.3g} to {refit.rms:.3g} px RMS with it free: correct or free it"
+        f"the pictures contradict held parameters: estimated {listed}; freed, the residual falls "
+        f"from {rms:.3g} to {refit.rms:.3g} px RMS: correct or free them"
     ]
 
 
 def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -> list[str]:
-    """Return a sentence for each prior that the pictures contradict."""
+    """Return a warning for each prior that the pictures contradict."""
     problem, z = fit.problem, fit.solution.z
     weight = np.array(problem.prior_weight.shared)
     stds = 1.0 / weight[with_prior]
@@ -151,25 +152,25 @@ def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -
     names = parameter_names(problem.parameters.start)
     sentences = []
     for name, std, offset in zip((names[k] for k in with_prior), stds, offsets, strict=True):
-        off = refit.difference[name] + offset
-        if not abs(off) > MIN_DIFFERENCE_SIGMAS * np.hypot(std, refit.std[name]):
+        difference = refit.difference[name] + offset
+        if not abs(difference) > MIN_DIFFERENCE_SIGMAS * np.hypot(std, refit.std[name]):
             continue
         factor, _ = display_unit(name)
-        mean = displayed_values(refit.calibration)[name][0] - factor * off
+        mean = displayed_values(refit.calibration)[name][0] - factor * difference
         sentences.append(
-            f"the pictures contradict the prior on {name}, {mean:.6g} +- {factor * std:.2g}: they "
-            f"want {refit.text(name)}; correct it or leave it out"
+            f"the pictures contradict the prior on {name}, {mean:.6g} +- {factor * std:.2g}: "
+            f"estimated {refit.text(name)} without it; correct or remove it"
         )
     return sentences
 
 
 def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Refit | None:
-    """Fit again with other free parameters; None where that leaves some undetermined.
+    """Fit again with other free parameters; None if a parameter is then undetermined.
 
     Args:
         problem: the problem, in the parameters' own units.
-        z: step at which the fit in question ended.
-        free: indices of the parameters that are free now.
+        z: final step of the fit under test.
+        free: indices of the parameters to free.
     """
     start = np.zeros(problem.parameters.layout.size)
     start[np.asarray(problem.free)] = np.asarray(z.shared)
@@ -180,8 +181,8 @@ def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Re
     )
     solution, equations = solve(released, start=Step(to_device(start[free]), z.per_view))
     matrix = np.asarray(reduced_equations(equations.matrix).schur_complement)
-    found = np.asarray(solution.z.shared)
-    if not (np.isfinite(found).all() and np.isfinite(matrix).all()):
+    estimate = np.asarray(solution.z.shared)
+    if not (np.isfinite(estimate).all() and np.isfinite(matrix).all()):
         return None
     if not (np.diagonal(matrix) > 0.0).all():
         return None
@@ -195,7 +196,7 @@ def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Re
     names = [parameter_names(problem.parameters.start)[k] for k in free]
     return _Refit(
         solution.chain.calibration,
-        dict(zip(names, map(float, found - start[free]), strict=True)),
+        dict(zip(names, map(float, estimate - start[free]), strict=True)),
         dict(zip(names, map(float, np.sqrt(variance)), strict=True)),
         cost,
         _rms(released, solution.chain),
@@ -204,7 +205,7 @@ def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Re
 
 
 def _with_stated_shape(problem: JointProblem, fit: JointFit) -> JointProblem:
-    """Return the problem with the points of the target where they are stated."""
+    """Return the problem with the target's points as stated, without its estimated shape."""
     shape = fit.calibration.target_shape
     if shape is None:
         return problem
@@ -213,7 +214,7 @@ def _with_stated_shape(problem: JointProblem, fit: JointFit) -> JointProblem:
 
 
 def _with_richer_lens(problem: JointProblem) -> tuple[JointProblem, int]:
-    """Return the problem with a lens that can distort, held at none, and its parameter count."""
+    """Return the problem with a lens that can distort, held at zero, and its parameter count."""
     start = with_lens(problem.parameters.start, RICHER_LENS)
     parameters = dataclasses.replace(problem.parameters, start=start)
     count = parameters.layout.camera.stop - PINHOLE_COUNT
@@ -241,5 +242,5 @@ def _rms(problem: JointProblem, chain: FittedChain) -> float:
 
 
 def _visible_count(problem: JointProblem) -> int:
-    """Return the number of points that are seen."""
+    """Return the number of visible points."""
     return int(np.asarray(problem.observations.visible).sum())

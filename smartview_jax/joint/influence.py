@@ -46,7 +46,7 @@ class Influence(NamedTuple):
         std: standard deviations of the parameters in the fit with all views.
         parameter_names: names of the columns.
         view_ids: names of the rows.
-        mount_path: path of the transform that describes where the camera is mounted.
+        mount_path: path of the hand-eye transform.
     """
 
     deletion_changes: Float[np.ndarray, "views free"]
@@ -105,10 +105,9 @@ class PoseOutlierTest(NamedTuple):
     """The distance of each view's free pose from the pose that the other views predict.
 
     Attributes:
-        distance: Mahalanobis distance, in standard deviations; where the variance components were
-            estimated from these same views, in those estimated without the view, which made them
-            larger.
-        p_value: probability of a distance at least as large, under the components as estimated.
+        distance: Mahalanobis distance. If the variance components were estimated from these views,
+        it uses the components estimated without the view, which inflated them.
+        p_value: probability of a distance at least as large, under the estimated components.
     """
 
     distance: Float[np.ndarray, "views"]
@@ -125,7 +124,7 @@ def pose_outlier_test(
     Args:
         problem: the problem with priors on the corrections, in the parameters' own units.
         z: its optimum.
-        matrix: of the normal equations there.
+        matrix: matrix of the normal equations there.
         sigmas_known: whether the priors' standard deviations are given, not estimated from these
             views.
     """
@@ -139,11 +138,11 @@ def pose_outlier_test(
     covariance = reduced.per_view_covariance(shared_covariance)
 
     weight, per_view_free = map(np.asarray, (problem.prior_weight.per_view, problem.per_view_free))
-    # Whitened by W = S^-1/2, the `weight`:
-    #     whitened_correction = W (c - mean),  explained_covariance = I - W V W,
-    #     squared_distance = whitened_correction^T explained_covariance^-1 whitened_correction
-    # in the eigenvectors of explained_covariance. Directions about which the view says nothing have
-    # an eigenvalue of zero and are left out.
+    # Whitened by W = S^-1/2, the `weight`:     whitened_correction = W (c - mean),
+    # explained_covariance = I - W V W,     squared_distance = whitened_correction^T
+    # explained_covariance^-1 whitened_correction in the eigenvectors of explained_covariance.
+    # Directions about which the view has no information have an eigenvalue of zero and are left
+    # out.
     correction = np.where(per_view_free, np.asarray(z.per_view), 0.0)
     whitened_correction = weight * (correction - np.nan_to_num(problem.prior_mean.per_view))
     explained_covariance = np.eye(6) - weight[..., None] * covariance * weight[:, None]

@@ -1,4 +1,4 @@
-"""The result of a joint fit: estimates, their covariance, and what they rest on."""
+"""Define the result of a joint fit: estimates, their covariance, and the underlying problem."""
 
 import os
 from collections.abc import Sequence
@@ -32,34 +32,32 @@ class JointFit(eqx.Module):
     Attributes:
         calibration: camera, hand-eye transform, target pose (and target scale, if free).
         covariance: covariance of the free parameters that all views have in common, in the order of
-            `parameter_names`, own units.
-        std: standard deviation by name, of pose corrections too; infinite for parameters that the
-            data do not determine.
+        `parameter_names`, in their own units.
+        std: standard deviation by name, also of pose corrections; infinite for undetermined
+        parameters.
         degrees_of_freedom: degrees of freedom of each common parameter's standard deviation, by
-            name; infinite where the variance components were not estimated.
-        noise: the noise model, given or estimated; None with `noise="trusted"`. Where the
-            likelihood finds the robot exact, the standard deviations of its errors are close to
-            zero.
-        noise_estimate: the estimate of the noise model and its candidates; None where it was not
-            estimated.
+        name; infinite if the variance components were not estimated.
+        noise: the noise model, given or estimated; None with `noise="trusted"`. For an exact robot
+        the estimated standard deviations of its errors are close to zero.
+        noise_estimate: the estimate of the noise model and its candidates; None if it was not
+        estimated.
         pixel_sigma: standard deviation of u and of v, px: as given, or from the residuals and their
             degrees of freedom.
         residuals: measured minus predicted through the chain *without* pose corrections, px.
-        inliers: observations within the chi-square gate around the fit; those outside it were still
-            used.
+        inliers: observations within the chi-square gate around the fit; the others were used too.
         rejected: observations left out: view id, point index (None for a whole view), reason.
         pose_corrections: one twist per view, translation (m) then rotation (rad), at the tool.
-        field_corrections: one twist per view at the tool, from the reported pose to the one that
-            the robot error field gives; zero without a field.
+        field_corrections: one twist per view at the tool, from the reported pose to the pose
+            corrected by the robot error field; zero without a field.
         observability: the directions that the data do not determine.
         parameter_names: names of the free parameters that all views have in common.
         view_ids: names of the data's views.
-        start: the calibration from which the fit started; with estimated noise, where the estimate
-            ended.
+        start: the calibration from which the fit started; with estimated noise, the final
+            calibration of this estimation.
         problem: the least squares problem that was solved.
         solution: the final step, with iterations and costs.
         result: whether the fit converged.
-        warnings: the reasons to doubt the answer, a sentence each; empty where there are none.
+        warnings: reasons to doubt the result, a sentence each.
     """
 
     calibration: Calibration
@@ -107,15 +105,15 @@ class JointFit(eqx.Module):
     ) -> None:
         """Write the calibration with its covariance, noise and warnings, as YAML or JSON.
 
-        `Calibration.load` reads the calibration back, `load_estimate` the covariance too. Nothing
-        is said of the uncertainty where the data leave something undetermined.
+        `Calibration.load` reads the calibration back, `load_estimate` the covariance too. If a
+        parameter is undetermined, the file has no covariance.
 
         Args:
-            path: of the file; a name that ends in `.json` makes it JSON.
+            path: path of the file; JSON if it ends in `.json`.
             run: name of the run, written to all its files.
-            source: where the calibration is from, such as the data set's name.
-            warnings: the doubts, a sentence each; by default those of the fit.
-            pictures: digests of the fitted pictures, by `dataset.picture_digests`, by which
+            source: origin of the calibration, such as the data set's name.
+            warnings: reasons to doubt the result, a sentence each; by default the fit's.
+            pictures: digests of the fitted pictures (`dataset.picture_digests`), by which
                 `smartview evaluate` recognises them.
         """
         doubts = self.warnings if warnings is None else warnings
@@ -139,35 +137,37 @@ class JointFit(eqx.Module):
         return half_width(self.std[name], self.degrees_of_freedom[name], level)
 
     def p_value(self, truth: Calibration, paths: Sequence[str] | None = None) -> float:
-        """Return the p-value of the hypothesis that some of the parameters are those of `truth`.
+        """Return the p-value of the hypothesis that some parameters have the values in `truth`.
 
-        It is the probability of a fit at least as far from `truth` as this one if `truth` were
-        true. A small value, say below 0.05, means that the pictures contradict `truth`, for
-        instance a mount taken from a drawing, or one measured before a collision.
+        It is the probability of a fit at least this far from `truth` if `truth` were true. A small
+        value, say below 0.05, means that the pictures contradict `truth`, for instance a mount from
+        a drawing, or measured before a collision.
 
         Args:
-            truth: a calibration with the same lens, mount and field; only the parameters that the
-                paths name are compared.
+            truth: a calibration with the same lens, mount and field; only the named parameters are
+                compared.
             paths: paths of fitted parameters, tested jointly; by default the hand-eye transform.
 
         Raises:
-            ValueError: calibrations of different parameters, an unknown path or one that was not
-                fitted, or parameters that the data do not determine.
+            ValueError: calibrations with different parameters, a path that is unknown or was not
+                fitted, or undetermined parameters.
         """
         paths = self.calibration.transform_names[:1] if paths is None else paths
         indices = np.flatnonzero(parameter_mask(self.parameter_names, paths))
         names = [self.parameter_names[k] for k in indices]
         undetermined = [name for name in names if not np.isfinite(self.std[name])]
         if undetermined:
-            raise ValueError(f"the data leave {', '.join(undetermined)} open: see `observability`")
+            raise ValueError(
+                f"the data do not determine {', '.join(undetermined)}: see `observability`"
+            )
         fit_names, truth_names = (parameter_names(c) for c in (self.calibration, truth))
         if fit_names != truth_names:
             raise ValueError(
-                f"truth: its parameters are {', '.join(truth_names)}; those of the fit "
-                f"{', '.join(fit_names)}"
+                f"truth: expected the parameters {', '.join(fit_names)} of the fit, found "
+                f"{', '.join(truth_names)}"
             )
-        # d^T P^-1 d for the difference d under its covariance P: chi-square where the variance
-        # components are known, otherwise F with the Kenward-Roger correction.
+        # d^T P^-1 d for the difference d with covariance P: chi-square if the variance components
+        # are known, otherwise F with the Kenward-Roger correction.
         difference = np.asarray(Parameters(truth).step_to(self.calibration))
         return p_value(
             difference[[fit_names.index(name) for name in names]],
@@ -177,7 +177,7 @@ class JointFit(eqx.Module):
 
 
 def half_width(std: float, degrees_of_freedom: float, level: float = 0.95) -> float:
-    """Return the half width of the confidence interval of a parameter with a standard deviation."""
+    """Return the half width of the confidence interval for a standard deviation."""
     p = 0.5 + 0.5 * level
     return std * float(
         stdtrit(degrees_of_freedom, p) if np.isfinite(degrees_of_freedom) else ndtri(p)
@@ -185,7 +185,7 @@ def half_width(std: float, degrees_of_freedom: float, level: float = 0.95) -> fl
 
 
 def view_influence(fit: JointFit) -> Influence:
-    """Return how far each view moves the fit: its change without that view, to first order."""
+    """Return the influence of each view: the change of the fit without it, to first order."""
     changes = np.asarray(deletion_changes(fit.problem, fit.solution.z))
     std = np.array([fit.std[name] for name in fit.parameter_names])
     mount_path = fit.calibration.transform_names[0]

@@ -1,7 +1,7 @@
-"""Tell what is open in a mount only because the last joint's errors are the mount's by nature.
+"""Compute the uncertainty of the mount for known errors of the last joint.
 
-The last joint's zero turns everything behind it, just as the hand-eye transform does: no view tells
-the two apart, and more views do not either. What both do together is what moves the camera.
+An error of the last joint's zero rotates everything after it, as the hand-eye transform does: no
+view can separate the two. Only their combination moves the camera.
 """
 
 import numpy as np
@@ -26,16 +26,16 @@ def half_widths_with_last_joint_held(fit: JointFit) -> dict[str, float]:
         for k, name in enumerate(names)
         if name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[-1] == last
     ]
-    asked = [k for k, name in enumerate(names) if name.startswith(mount)]
-    if not known or not asked:
+    wanted = [k for k, name in enumerate(names) if name.startswith(mount)]
+    if not known or not wanted:
         return {}
     covariance = np.asarray(fit.covariance)
     # Cov(a | b) = P_aa - P_ab P_bb^-1 P_ba
-    across = covariance[np.ix_(asked, known)]
+    across = covariance[np.ix_(wanted, known)]
     explained = across @ np.linalg.pinv(covariance[np.ix_(known, known)], hermitian=True) @ across.T
-    left = np.diagonal(covariance[np.ix_(asked, asked)] - explained).clip(0.0)
+    conditional = np.diagonal(covariance[np.ix_(wanted, wanted)] - explained).clip(0.0)
     freedom = fit.degrees_of_freedom
     return {
         names[k]: half_width(float(np.sqrt(variance)), freedom[names[k]])
-        for k, variance in zip(asked, left, strict=True)
+        for k, variance in zip(wanted, conditional, strict=True)
     }

@@ -1,8 +1,8 @@
 """Fit many data sets of the same shape at once: simulations, bootstraps, a fleet of robots.
 
 The fits run one after the other in one compiled loop, which on a CPU is several times faster than
-`vmap` over small matrices, and in parallel on as many devices as there are. The program takes some
-at a time, while the host puts the next ones together, so that it serves any number of fits.
+`vmap` over small matrices, and in parallel on several devices. The program takes a batch at a time,
+while the host prepares the next one, so that it serves any number of fits.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -58,11 +58,11 @@ PerFitInputs = tuple[Calibration, Observations, Any]
 SIGMA_ITERATIONS = 6
 """The number of refits with the pixel sigma re-estimated from the residuals.
 
-The last ones change it very little; the number is fixed so that one compiled loop serves all fits.
+The last refits change it very little; the number is fixed so that all fits share a compiled loop.
 """
 
 FITS_AT_A_TIME = 128
-"""The largest number of fits, on each device, for which the compiled program has room."""
+"""The largest batch of fits of the compiled program, on each device."""
 
 FITS_AXIS = "fits"
 """The name of the mesh axis along which fits are distributed over devices."""
@@ -75,7 +75,7 @@ class ManyFits(eqx.Module):
         calibrations: one `Calibration` whose arrays are stacked; `fits[k]` is the k-th.
         pose_corrections: as in `JointFit`.
         covariance: covariance of the free common parameters, in the order of `parameter_names`;
-            infinite where the data do not determine them all.
+            infinite if the data do not determine all of them.
         cost: half the sum of squared residuals in pixel sigmas, at the end.
         steps: number of solver steps.
         converged: whether a further step would lower the cost by a negligible amount.
@@ -119,16 +119,15 @@ def fit_many(
     """Fit many data sets, each as `fit_joint` does.
 
     Args:
-        data: data sets with the same numbers of views and points; what is not visible does not
-            count.
-        start: one for all, or one each, with the same lens and mount.
+        data: data sets with the same numbers of views and points, padded with invisible ones.
+        start: one start for all, or one for each, with the same lens and mount.
         lens, noise, loss, fixed, free, priors, field: as in `fit_joint`, the same for all.
         devices: devices over which the fits are distributed, such as `jax.devices()`; by default
             they run on one.
 
     Raises:
-        ValueError: as `fit_joint` does, also for robots that did not move or turn, and where
-            shapes, lenses, mounts or what the motions leave undetermined differ.
+        ValueError: as for `fit_joint`, also for robots that did not move or rotate, and if shapes,
+            lenses, mounts or the directions that the motions leave undetermined differ.
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
     _require_same_structure(data, starts)
@@ -139,8 +138,8 @@ def fit_many(
     data, held, warnings = _with_checked_poses(data, starts, fixed, priors)
     # The free pose corrections depend only on which views are usable, so problems with the same
     # usable views are built once.
-    # Called as a function: Equinox copies a module for each call of one of its methods.
-    usable = [tuple(Dataset.usable_views(one).tolist()) for one in data]
+    # Called as a function, because Equinox copies a module for each call of a method.
+    usable = [tuple(Dataset.usable_views(item).tolist()) for item in data]
     built_by_views: dict[tuple[int, ...], BuiltProblem] = {}
     for k, views in enumerate(usable):
         if views not in built_by_views:
@@ -164,10 +163,10 @@ def fit_many(
     def inputs(k: int) -> PerFitInputs:
         return starts[k], data[k].observations, built_by_views[usable[k]].problem.per_view_free
 
-    *results, unprojectable = _in_turns(
+    *results, unprojectable = _in_batches(
         inputs,
         len(data),
-        _room(len(data), 1 if mesh is None else mesh.size),
+        _batch_size(len(data), 1 if mesh is None else mesh.size),
         lambda stacked, count: _solve_all(
             eqx.tree_at(_per_fit_inputs, built.problem, stacked),
             count,
@@ -214,7 +213,7 @@ def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibratio
     structure = jax.tree.structure(starts[0])
     for k, item in enumerate(starts):
         if jax.tree.structure(item) != structure:
-            raise ValueError(f"start[{k}]: its lens, picture size or mount is not start[0]'s")
+            raise ValueError(f"start[{k}]: lens, picture size or mount differs from start[0]")
 
 
 def _with_checked_poses(
@@ -229,8 +228,8 @@ def _with_checked_poses(
     warnings name the views that are left out.
 
     Raises:
-        ValueError: a robot that did not move or turn, or robots of which some leave other
-            parameters undetermined than others: one program solves for the same parameters.
+        ValueError: a robot that did not move or rotate, or robots whose motions leave different
+            parameters undetermined: one program solves for the same parameters.
     """
     checked: list[Dataset] = []
     held: tuple[str, ...] = ()
@@ -248,48 +247,48 @@ def _with_checked_poses(
         if k > 0 and undetermined != held:
             described = [", ".join(names) or "nothing" for names in (held, undetermined)]
             raise ValueError(
-                f"data[{k}]: its motion leaves {described[1]} undetermined, data[0]'s "
-                f"{described[0]}; fit them apart, or hold these parameters by fixed="
+                f"data[{k}]: its motion leaves {described[1]} undetermined, but data[0]'s leaves "
+                f"{described[0]}; fit them separately, or hold these parameters by fixed="
             )
         held = undetermined
         checked.append(used)
     return checked, held, tuple(warnings)
 
 
-def _room(count: int, devices: int) -> int:
-    """Return for how many fits a program has room: numbers of them share programs."""
+def _batch_size(count: int, devices: int) -> int:
+    """Return the batch size of the program, rounded up so that many counts share a program."""
     on_each = power_of_two_from(-(-count // devices))
     return devices * min(on_each, FITS_AT_A_TIME)
 
 
-def _in_turns(
-    inputs: Callable[[int], Any], count: int, room: int, solve: Callable[[Any, np.ndarray], Any]
+def _in_batches(
+    inputs: Callable[[int], Any], count: int, size: int, solve: Callable[[Any, np.ndarray], Any]
 ) -> Any:
-    """Return what a program makes of many inputs, some at a time.
+    """Return the results of a program for many inputs, computed in batches.
 
     Args:
-        inputs: those of one fit, by its index.
+        inputs: function from the index of a fit to its inputs.
         count: number of fits.
-        room: number of fits for which the program has room.
-        solve: the program, from stacked inputs and the number of those that count.
+        size: batch size of the program.
+        solve: the program, a function of stacked inputs and of the number of valid ones.
 
     Returns:
-        Stacked results of all fits, of NumPy.
+        Stacked results of all fits, as NumPy arrays.
     """
 
     def stacked(first: int) -> tuple[Any, np.ndarray]:
-        some = [inputs(k) for k in range(first, min(first + room, count))]
-        whole = jax.tree.map(lambda *x: np.stack([np.asarray(one) for one in x]), *some)
-        return repeat_last(whole, room), np.array(len(some))
+        batch = [inputs(k) for k in range(first, min(first + size, count))]
+        whole = jax.tree.map(lambda *x: np.stack([np.asarray(leaf) for leaf in x]), *batch)
+        return repeat_last(whole, size), np.array(len(batch))
 
     results = []
-    # The host puts the next ones together while the device works.
-    with ThreadPoolExecutor(1) as beside:
-        waiting = beside.submit(stacked, 0)
-        for first in range(room, count + room, room):
-            arguments = waiting.result()
+    # The host prepares the next batch while the device works.
+    with ThreadPoolExecutor(1) as executor:
+        pending = executor.submit(stacked, 0)
+        for first in range(size, count + size, size):
+            arguments = pending.result()
             if first < count:
-                waiting = beside.submit(stacked, first)
+                pending = executor.submit(stacked, first)
             results.append(jax.tree.map(np.asarray, solve(*arguments)))
     return jax.tree.map(lambda *x: np.concatenate(x)[:count], *results)
 
@@ -302,7 +301,7 @@ def _solve_all(
     sigma_iterations: int,
     mesh: Mesh | None,
 ) -> tuple:
-    """Return the answers of the first fits, so many of them, distributed over a mesh's devices."""
+    """Solve the first `count` fits, distributed over the devices of a mesh."""
     inputs = _per_fit_inputs(problems)
 
     def solve_inputs(fit_inputs: PerFitInputs) -> tuple:
@@ -313,10 +312,10 @@ def _solve_all(
     if mesh is None:
         return _one_after_the_other(solve_inputs, inputs, count)
 
-    def solve_on_device(some: PerFitInputs) -> tuple:
-        room = len(some[1].visible)
-        own = jnp.clip(count - room * jax.lax.axis_index(FITS_AXIS), 0, room)
-        return _one_after_the_other(solve_inputs, some, own)
+    def solve_on_device(batch: PerFitInputs) -> tuple:
+        size = len(batch[1].visible)
+        count_here = jnp.clip(count - size * jax.lax.axis_index(FITS_AXIS), 0, size)
+        return _one_after_the_other(solve_inputs, batch, count_here)
 
     solve_sharded = jax.shard_map(
         solve_on_device,
@@ -331,17 +330,17 @@ def _solve_all(
 def _one_after_the_other(
     solve: Callable[[PerFitInputs], tuple], inputs: PerFitInputs, count: Int[AnyArray, ""]
 ) -> tuple:
-    """Return the answers of the first fits, so many of them; the others are zero."""
+    """Solve the first `count` fits; the results of the others are zero."""
 
     # `vmap` over small matrices was several times slower, and `lax.map` would solve all.
-    def with_answer(k: Int[Array, ""], answers: tuple) -> tuple:
-        answer = solve(jax.tree.map(lambda x: x[k], inputs))
-        return jax.tree.map(lambda all_, own: all_.at[k].set(own), answers, answer)
+    def with_result(k: Int[Array, ""], results: tuple) -> tuple:
+        result = solve(jax.tree.map(lambda x: x[k], inputs))
+        return jax.tree.map(lambda stacked, leaf: stacked.at[k].set(leaf), results, result)
 
-    one = jax.eval_shape(solve, jax.tree.map(lambda x: x[0], inputs))
-    room = len(inputs[1].visible)
-    zeros = jax.tree.map(lambda x: jnp.zeros((room, *x.shape), x.dtype), one)
-    return jax.lax.fori_loop(0, count, with_answer, zeros)
+    shapes = jax.eval_shape(solve, jax.tree.map(lambda x: x[0], inputs))
+    size = len(inputs[1].visible)
+    zeros = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), shapes)
+    return jax.lax.fori_loop(0, count, with_result, zeros)
 
 
 def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) -> tuple:
@@ -349,12 +348,12 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
 
     Returns:
         Calibration, corrections, covariance, cost, steps, whether it converged, and which views
-        have points of which none can be projected.
+        have points but none that can be projected.
     """
-    # The prepared poses are those of the fit from which all problems were made.
+    # The prepared poses belong to the fit for which the problem was built.
     problem = problem.with_observations(problem.observations)
     visible = problem.observations.visible
-    # All views at once: a loop over them takes longer to run than a small fit's view.
+    # All views at once, because a loop over views is slower for small fits.
     start, observations = problem.parameters.start, problem.observations
     _, valid = start.project(observations.command, observations.points)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible & valid)
@@ -362,7 +361,7 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
 
     def refine_sigma(state: tuple[Array, Step], _: None) -> tuple[tuple[Array, Step], None]:
         reweighted = with_pixel_sigma(problem, state[0])
-        # Each fit starts at the last one's solution.
+        # Each fit starts at the solution of the fit before.
         outputs = minimise(reweighted, StructuredLM(), MAXIMUM_STEPS, state[1])
         z, equations = outputs[0], outputs[3]
         factor = _variance_factor(reweighted, z, equations)
@@ -394,15 +393,15 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
 
 
 def _variance_factor(problem: JointProblem, z: Step, equations: NormalEquations) -> AnyScalar:
-    """Return the `variance_factor` of a fit, whose normal equations are known."""
+    """Return the `variance_factor` of a fit from its normal equations."""
     if problem.loss is not None:
         return variance_factor(problem, problem.squared_residuals(z))
-    # Twice the cost is the sum of the squared residuals, of the observations and of the priors.
+    # Twice the cost is the sum of squared residuals, priors included.
     return variance_of_sum(problem, 2.0 * (equations.cost - problem.prior_cost(z)))
 
 
 def _inverse(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Return the inverse of a positive definite matrix; infinite where it is close to singular."""
+    """Return the inverse of a positive definite matrix; infinite if it is close to singular."""
     # Scale to a unit diagonal first: px, m and rad differ by orders of magnitude.
     column_norms = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 0.0))
     inverse_norms = 1.0 / jnp.where(column_norms > 0.0, column_norms, 1.0)

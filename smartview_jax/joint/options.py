@@ -1,4 +1,4 @@
-"""Name the options of a joint fit, with their types, for functions that pass them on."""
+"""Define the types of a joint fit's options, for functions that pass them on."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict

@@ -1,4 +1,4 @@
-"""List the parameters of a joint fit with their uncertainty, in the units that people use."""
+"""List the parameters of a joint fit with their uncertainty, in mm, degrees and px."""
 
 from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,15 +15,14 @@ if TYPE_CHECKING:
 
 
 class ParameterEstimate(NamedTuple):
-    """The estimate of one parameter, in the unit in which it is shown.
+    """The estimate of one parameter, in the unit for printing.
 
     Attributes:
         name: as in `JointFit.std`.
         value: the estimate.
         unit: mm, deg, px, or empty for a plain number.
-        std: standard deviation; None for a parameter that was held, infinite for one that the data
-            do not determine.
-        half_width: half width of the 95 % confidence interval, likewise.
+        std: standard deviation; None for a held parameter, infinite for an undetermined one.
+        half_width: half width of the 95 % confidence interval; None or infinite as `std`.
     """
 
     name: str
@@ -36,8 +35,8 @@ class ParameterEstimate(NamedTuple):
 def parameter_estimates(fit: "JointFit") -> tuple[ParameterEstimate, ...]:
     """Return the parameters of camera, transforms, target and arm, with their uncertainty.
 
-    The coefficients of a robot error field are included only if they are parameters of a known arm,
-    because those of other fields have no meaning one by one.
+    Coefficients of a robot error field are included only for a known arm, because in other fields
+    single coefficients have no meaning.
     """
     estimates = []
     for name, (value, factor, unit) in _values_with_units(fit.calibration).items():
@@ -60,7 +59,7 @@ def displayed_values(calibration: Calibration) -> dict[str, tuple[float, str]]:
 
 
 def _values_with_units(calibration: Calibration) -> dict[str, tuple[float, float, str]]:
-    """Return the value in SI units, the factor to the unit that is shown, and this unit."""
+    """Return the value in SI units, the factor to the unit for printing, and this unit."""
     prismatic_offsets = _prismatic_offset_names(calibration)
     values = _parameter_values(calibration) | _arm_error_coefficients(calibration)
     return {name: (value, *display_unit(name, prismatic_offsets)) for name, value in values.items()}

@@ -1,9 +1,9 @@
-"""Check whether a joint fit's answer is physically plausible, and state the warnings in words.
+"""Check whether the result of a joint fit is physically plausible, and return warnings.
 
-A fit that converged with small residuals can still be wrong: residuals show how well a model can
-follow the data, not whether arms, targets and mounts have such values. The answer is compared with
-typical errors of arms, with the fit without a smooth robot error, and with the accuracy that
-hand-eye calibration needs.
+A fit that converged with small residuals can still be wrong: residuals show how well the model
+follows the data, not whether its parameters are realistic. The result is compared with typical
+errors of arms, with the fit without a smooth robot error, and with the accuracy that hand-eye
+calibration needs.
 """
 
 import numpy as np
@@ -22,26 +22,26 @@ MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5
 """The largest plausible smooth correction of a reported pose, m and rad."""
 
 MAX_PRIOR_SIGMAS = 3.0
-"""The number of prior standard deviations of its logarithm beyond which a sigma is implausible."""
+"""Distance of log(sigma) from its prior, in standard deviations, that is implausible."""
 
 MAX_TRANSLATION_HALF_WIDTH, MAX_ROTATION_HALF_WIDTH = 5e-3, float(np.deg2rad(0.5))
-"""The half width of the hand-eye transform's 95 % intervals that is too coarse, m and rad."""
+"""The largest acceptable half width of the hand-eye transform's 95 % intervals, m and rad."""
 
 MAX_MOUNT_SHIFT_SIGMAS = 2.0
-"""The change of the mount by the robot correction that gives a warning, in standard deviations."""
+"""The largest shift of the mount by the robot correction without warning, standard deviations."""
 
 MAX_EFFECTIVE_TO_WHITE_SIGMA = 5.0
 """The ratio of effective to white pixel sigma above which the camera or target model is wrong."""
 
 MAX_CHAIN_RMS = 20.0
-"""The RMS residual of the chain, px, that no lens and no arm explains."""
+"""The RMS residual of the chain, px, above which poses and pictures do not belong together."""
 
 MIN_BOW_SIGMAS = 3.0
-"""The bow of the target that a warning mentions, in its standard deviations."""
+"""The smallest bow of the target for a warning, in standard deviations."""
 
 MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
-"""The probability of another target size from which a warning mentions it, and from which only it
-is an answer."""
+"""Probabilities of a wrong target size above which a warning mentions the estimated size, and above
+which it mentions only this size."""
 
 RICHER_LENSES = {
     "pinhole": "opencv4",
@@ -50,15 +50,15 @@ RICHER_LENSES = {
     "opencv4": "opencv5",
     "opencv5": "opencv8",
 }
-"""The lens to try next, by the kind of the one that was fitted."""
+"""The lens to try next, by the fitted lens."""
 
 OWN_VARIANCE_SHARE = 0.5
-"""The share of a variance above which most of it has that cause: the last joint's zero, or a lens
-that the model does not know."""
+"""The fraction of a variance above which a warning names its cause: the last joint's zero, or
+distortion that the lens model does not describe."""
 
 
 def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
-    """Return the reasons to doubt a joint fit's answer, a sentence each; empty if there are none.
+    """Return the reasons to doubt the result of a joint fit, a sentence each.
 
     Args:
         fit: the fit to judge.
@@ -70,11 +70,11 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     warnings += _robot_warnings(fit)
     warnings += _mount_warnings(fit)
     warnings += [
-        f"the data do not tell: {direction.description}; {_way_out(direction, fit.calibration)}"
+        f"the data do not determine: {direction.description}; {_advice(direction, fit.calibration)}"
         for direction in fit.observability.null_directions
     ]
     warnings += repetition_warnings(fit.rejected)
-    # Several pictures from one pose tell no more of the robot than one.
+    # Several pictures from one pose have no more information on the robot than one.
     poses = host_matrices(fit.problem.observations.base_from_tool)
     used_views = len(distinct_poses(poses[np.asarray(fit.inliers).any(axis=1)]))
     if used_views < MINIMUM_RELIABLE_VIEWS:
@@ -85,37 +85,37 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _way_out(direction: Direction, calibration: Calibration) -> str:
-    """Return where an undetermined direction is left, and what determines it, in words."""
+def _advice(direction: Direction, calibration: Calibration) -> str:
+    """Return advice on how to determine an undetermined direction."""
     mount = calibration.transform_names[0]
     names = [name for name, _ in direction.components]
     name = next((name for name in names if name.startswith(f"{mount}.")), names[0])
-    path, place = name.split("."), ""
+    path, start = name.split("."), ""
     if path[0] in calibration.transform_names:
-        place = f"start={{'{path[0]}': ...}} and "
+        start = f"start={{'{path[0]}': ...}} and "
     prior = (
         f"priors={{'{name}': Prior(std=...)}}"
         if "rotation" in path
         else f"priors={{'{name}': Prior(mean=..., std=...)}}"
     )
     return (
-        "it is left where the fit started. Turn the robot about another axis, or give it: "
-        f"{place}fixed=('{name}',), or {prior}"
+        "it keeps the value of the start. Rotate the robot about another axis, or state the value: "
+        f"{start}fixed=('{name}',), or {prior}"
     )
 
 
 def _residual_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the residuals: a chain that does not fit, or views that disagree."""
+    """Return warnings about the residuals: a bad fit, or views that disagree."""
     inliers = np.asarray(fit.inliers)
     # NumPy's sum over an axis of two entries takes four times as long.
     squares = np.einsum("vpk,vpk->vp", fit.residuals, fit.residuals)
     rms = float(np.sqrt(np.mean(squares[inliers]))) if inliers.any() else np.nan
     warnings = []
-    # A negated comparison, so that NaN gives a warning too.
+    # Negated, so that NaN gives a warning too.
     if not rms <= MAX_CHAIN_RMS:
         warnings.append(
             f"the chain leaves {rms:.0f} px RMS: poses and pictures do not belong together; "
-            f"mirrored pictures, another convention of the poses, or mispaired views?"
+            f"mirrored pictures, a wrong pose convention, or mispaired views?"
         )
     noise = fit.noise
     if (
@@ -124,19 +124,19 @@ def _residual_warnings(fit: JointFit) -> list[str]:
         and noise.pixel > MAX_EFFECTIVE_TO_WHITE_SIGMA * noise.white_pixel
     ):
         warnings.append(
-            f"views disagree by {noise.pixel / noise.white_pixel:.0f} times what pixels scatter "
-            f"within a view: the lens, or the target's points, are not as modelled"
+            f"views disagree by {noise.pixel / noise.white_pixel:.0f} times the pixel noise within "
+            f"a view: the model of the lens, or of the target, is wrong"
         )
     return warnings
 
 
 def _lens_warnings(fit: JointFit) -> list[str]:
-    """Return a warning where what the lens model lacks would change the answer most."""
+    """Return a warning if unmodelled distortion dominates the uncertainty of the result."""
     estimate = fit.noise_estimate
     if estimate is None or estimate.lens is None:
         return []
     calibration, lens = fit.calibration, estimate.lens
-    # A term that the model lacks is always at odds with the terms that it has.
+    # The lens's own coefficients do not count: they always change with an additional term.
     names = ("camera.alpha", "camera.u0", "camera.v0", f"{calibration.transform_names[0]}.")
     variances = zip(estimate.parameter_names, np.diagonal(lens.covariance), strict=True)
     changes = any(
@@ -148,10 +148,10 @@ def _lens_warnings(fit: JointFit) -> list[str]:
         return []
     kind = lens_name(calibration.camera.lens)
     richer = RICHER_LENSES.get(kind)
-    advice = f"compare lens='{richer}', and look" if richer else "look"
+    advice = f"try lens='{richer}', and check" if richer else "check"
     return [
-        f"the pictures are bent by {lens.rms:.2g} px RMS in a way that no {kind} lens is: {advice} "
-        "at the target and the detections"
+        f"distortion of {lens.rms:.2g} px RMS is not described by the {kind} lens: {advice} "
+        "the target and the detections"
     ]
 
 
@@ -161,7 +161,7 @@ def _target_warnings(fit: JointFit) -> list[str]:
 
 
 def _shape_warnings(fit: JointFit) -> list[str]:
-    """Return a sentence on the bow of the target, where it matters for the mount."""
+    """Return a warning about the bow of the target, if it matters for the mount."""
     noise_estimate = fit.noise_estimate
     if noise_estimate is None or noise_estimate.target_shape is None:
         return []
@@ -176,8 +176,8 @@ def _shape_warnings(fit: JointFit) -> list[str]:
     if not bow > MIN_BOW_SIGMAS * std or not (np.abs(shift) > stds).any():
         return []
     return [
-        f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected: taken for "
-        f"flat it would move {mount[:-1]} by {1e3 * np.linalg.norm(shift[:3]):.2f} mm"
+        f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected; taken as "
+        f"flat, it would shift {mount[:-1]} by {1e3 * np.linalg.norm(shift[:3]):.2f} mm"
     ]
 
 
@@ -206,7 +206,7 @@ def _size_advice(scale: float, std: float) -> str:
 
 
 def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:
-    """Return where the mount is for both sizes of the target; empty where it is held."""
+    """Return the position of the mount for both sizes of the target; empty if it is held."""
     mount = fit.calibration.transform_names[0]
     names = [f"{mount}.translation.{axis}" for axis in "xyz"]
     if not {TARGET_SCALE, *names} <= set(fit.parameter_names):
@@ -215,17 +215,17 @@ def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:
     size = fit.parameter_names.index(TARGET_SCALE)
     # Given the size, all other parameters follow by regression.
     by_log_size = fit.covariance[rows, size] / fit.covariance[size, size]
-    answer = host_matrices(fit.calibration.camera_from_mount)[:3, 3]
-    of_answer = np.log(float(fit.calibration.target_scale))
+    position = host_matrices(fit.calibration.camera_from_mount)[:3, 3]
+    fitted_log_size = np.log(float(fit.calibration.target_scale))
     stated, other = (
-        ", ".join(f"{1e3 * x:.2f}" for x in answer + by_log_size * (of_log_size - of_answer))
-        for of_log_size in (0.0, np.log(scale.scale))
+        ", ".join(f"{1e3 * x:.2f}" for x in position + by_log_size * (log_size - fitted_log_size))
+        for log_size in (0.0, np.log(scale.scale))
     )
     return f"; {mount} is ({stated}) mm for the stated size, ({other}) mm for this one"
 
 
 def _robot_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the robot's errors: implausibly large components or corrections."""
+    """Return warnings about the robot's errors: implausibly large sigmas or corrections."""
     if fit.noise_estimate is None or fit.noise is None:
         return []
     noise, prior, field = fit.noise, fit.noise_estimate.robot_prior, fit.calibration.field
@@ -237,29 +237,28 @@ def _robot_warnings(fit: JointFit) -> list[str]:
     # Log-normal prior: implausible is log(sigma / median) > MAX_PRIOR_SIGMAS log_std.
     implausible = np.log(sigmas / medians) > MAX_PRIOR_SIGMAS * log_stds
     warnings = [
-        f"errors of the robot are larger than arms have: {names[k]} {sigmas[k]:.2g}, "
-        f"usually {medians[k]:.1g}"
+        f"implausibly large error of the robot: {names[k]} {sigmas[k]:.2g}, usually "
+        f"{medians[k]:.1g}"
         for k in np.flatnonzero(implausible)
     ]
     if fit.calibration.robot_error is not None:
         twists = np.asarray(fit.field_corrections)
         used_views = np.asarray(fit.inliers).any(axis=1)
-        # The mean correction is removed: it cannot be separated from the mount, and is no error of
-        # the arm.
+        # The mean correction is removed, because it cannot be separated from the mount.
         centred = twists[used_views] - twists[used_views].mean(axis=0)
         translation, rotation = (
             np.linalg.norm(part, axis=1).max() for part in (centred[:, :3], centred[:, 3:])
         )
         if translation > MAX_CORRECTION_TRANSLATION or rotation > MAX_CORRECTION_ROTATION:
             warnings.append(
-                f"the robot is corrected by up to {1e3 * translation:.1f} mm and "
-                f"{np.rad2deg(rotation):.2f} degrees, which is more than arms err"
+                f"implausibly large correction of the robot: up to {1e3 * translation:.1f} mm and "
+                f"{np.rad2deg(rotation):.2f} degrees"
             )
     return warnings
 
 
 def _mount_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the hand-eye transform: wide intervals, or a shift by correction."""
+    """Return warnings about the hand-eye transform: wide intervals, or a large shift."""
     mount = fit.calibration.transform_names[0]
     warnings, coarse_names = [], set()
     undetermined = {
@@ -272,28 +271,29 @@ def _mount_warnings(fit: JointFit) -> list[str]:
         ("rotation", MAX_ROTATION_HALF_WIDTH, "degrees", float(np.rad2deg(1.0))),
     ):
         names = [n for n in fit.parameter_names if n.startswith(f"{mount}.{part}.")]
-        # Not by the fit's own method: Equinox copies a module, corrections and all, for each call.
+        # Not by the fit's method, because Equinox copies a module for each call of a method.
         half_widths = {name: half_width(stds[name], freedoms[name]) for name in names}
-        # What is not determined at all is named with its direction.
+        # Undetermined parameters are reported with their direction.
         coarse = {
             name: width
             for name, width in half_widths.items()
             if not width <= limit and name not in undetermined
         }
-        # No view tells the last joint's zero from the mount's turn.
-        by_nature = {
+        # An error of the last joint's zero is equivalent to a rotation of the mount.
+        by_last_joint = {
             name
             for name in coarse
             if last_joint_held.get(name, np.inf) ** 2 < OWN_VARIANCE_SHARE * coarse[name] ** 2
         }
-        if by_nature:
-            worst = max(by_nature, key=lambda name: coarse[name])
+        if by_last_joint:
+            worst = max(by_last_joint, key=lambda name: coarse[name])
             warnings.append(
                 f"{worst} is known to +- {scale * coarse[worst]:.3g} {unit} only, because the zero "
-                "of the last joint is a turn of the mount by nature: no view tells them apart, and "
-                f"both together are known to +- {scale * last_joint_held[worst]:.3g} {unit}"
+                "of the last joint is equivalent to a rotation of the mount: no view can separate "
+                "them, but both together are known to "
+                f"+- {scale * last_joint_held[worst]:.3g} {unit}"
             )
-            coarse = {name: width for name, width in coarse.items() if name not in by_nature}
+            coarse = {name: width for name, width in coarse.items() if name not in by_last_joint}
         coarse_names |= set(coarse)
         if coarse:
             worst = max(coarse, key=lambda name: coarse[name])
@@ -301,17 +301,17 @@ def _mount_warnings(fit: JointFit) -> list[str]:
                 f"{worst} is known to +- {scale * coarse[worst]:.3g} {unit} only (95 %): "
                 f"take more views, turned about more axes"
             )
-    # A direction that is weak relative to others may be determined well enough in absolute terms:
-    # report it only where it contains a coarse component.
+    # A direction that is weak relative to others may still be determined well enough, so it is
+    # reported only if it contains a coarse component.
     warnings += [
-        f"the data hardly tell: {direction.description}"
+        f"the data hardly determine: {direction.description}"
         for direction in fit.observability.weak_directions
         if coarse_names & {name for name, _ in direction.components}
     ]
     if fit.noise_estimate is not None and fit.noise_estimate.mount_displacement is not None:
         shift = np.array(fit.noise_estimate.mount_displacement)
         names = [f"{mount}.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]
-        # Only of parameters that are free and determined: the others have no finite std.
+        # Only parameters that are free and determined have a finite std.
         determined = [k for k, name in enumerate(names) if np.isfinite(fit.std.get(name, np.inf))]
         shift_in_stds = np.array([abs(shift[k]) / fit.std[names[k]] for k in determined])
         if len(shift_in_stds) and shift_in_stds.max() > MAX_MOUNT_SHIFT_SIGMAS:

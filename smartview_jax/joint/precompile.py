@@ -23,11 +23,11 @@ def precompile(
     noise: str | Noise = "estimated",
     field: FieldChoice = "auto",
 ) -> None:
-    """Compile what `fit_joint` runs on data of this shape; a second call takes milliseconds.
+    """Compile the programs of `fit_joint` for data of this shape; a second call takes milliseconds.
 
     Args:
-        data: data set of the same number of views and points, and of the same kind of robot, as the
-            one to be fitted; it need not be the same.
+        data: a data set with the same number of views and points, and the same kind of robot, as
+            the data to be fitted.
         lens: lens model of the fit.
         camera: a known camera, with its own lens.
         noise, field: as for `fit_joint`.
@@ -43,8 +43,7 @@ def precompile(
         group_count = 0 if field is None else len(field.groups)
         noise_model = Noise(1.0, 1.0, 1.0, field=(1.0,) * group_count)
     identity = host_transforms(np.eye(4))
-    # The fit of data in which nothing is visible ends at once, at the start that its priors ask
-    # for; only the shapes of the arrays matter.
+    # A fit without visible points ends at once, at the priors; only the array shapes matter.
     problem = build_problem(
         data.with_visible(np.zeros(data.visible.shape, dtype=bool)),
         Calibration(camera, identity, identity, data.mount),

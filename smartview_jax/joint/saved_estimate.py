@@ -1,7 +1,6 @@
-"""Keep a calibration with its covariance in a file, and read both back.
+"""Write a calibration with its covariance to a file, and read both back.
 
-Whoever uses a calibration later, to model objects, to localise or to grasp, needs to know how well
-it is known.
+Modelling, localisation and grasping need the covariance of the calibration that they use.
 """
 
 import os
@@ -27,7 +26,7 @@ class SavedEstimate(NamedTuple):
         parameter_names: names of these parameters.
         noise: standard deviations of pixels and reported poses; None if the robot was trusted.
         pixel_sigma: standard deviation of u and of v, px.
-        observability: the rank of the fit: everything is determined.
+        observability: the rank of the fit; all parameters are determined.
     """
 
     calibration: Calibration
@@ -39,7 +38,7 @@ class SavedEstimate(NamedTuple):
 
 
 def uncertainty_to_dict(fit: "JointFit") -> dict[str, Any] | None:
-    """Return the uncertainty of a fit as plain numbers; None where something is undetermined."""
+    """Return the uncertainty of a fit as plain numbers; None if a parameter is undetermined."""
     if fit.observability.null_directions or not np.isfinite(fit.covariance).all():
         return None
     noise = fit.noise
@@ -50,7 +49,7 @@ def uncertainty_to_dict(fit: "JointFit") -> dict[str, Any] | None:
         if noise is None
         else {
             "pixel": float(noise.pixel),
-            # YAML and JSON have no common word for infinity.
+            # YAML and JSON have no common notation for infinity.
             "translation": _finite(noise.translation),
             "rotation": _finite(noise.rotation),
             "field": [float(sigma) for sigma in noise.field],
@@ -66,14 +65,13 @@ def load_estimate(path: str | os.PathLike[str]) -> SavedEstimate:
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: naming the file and the entry that is wrong, or that the file says nothing of
-            the uncertainty.
+        ValueError: a wrong entry, or a file without uncertainty; the message names the file.
     """
     estimate = load_with_uncertainty(path)[1]
     if estimate is None:
         raise ValueError(
-            f"{path}: uncertainty: the file has none; `fit.save` and `smartview calibrate` write "
-            "it, where the data determine everything"
+            f"{path}: uncertainty: missing; `fit.save` and `smartview calibrate` write it if all "
+            "parameters are determined"
         )
     return estimate
 
@@ -81,11 +79,11 @@ def load_estimate(path: str | os.PathLike[str]) -> SavedEstimate:
 def load_with_uncertainty(
     path: str | os.PathLike[str],
 ) -> tuple[Calibration, SavedEstimate | None]:
-    """Read a calibration, with its covariance where the file has one.
+    """Read a calibration, with its covariance if the file has one.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: naming the file and the entry that is wrong.
+        ValueError: a wrong entry; the message names it and the file.
     """
     try:
         content = read_yaml(path)
@@ -100,7 +98,7 @@ def _estimate_from_dict(calibration: Calibration, entry: dict[str, Any]) -> Save
     """Return the estimate of a file's calibration and its entry `uncertainty`.
 
     Raises:
-        ValueError: a parameter that the calibration does not have.
+        ValueError: the calibration does not have a parameter of the entry.
     """
     names, known = tuple(entry["parameters"]), parameter_names(calibration)
     if unknown := [name for name in names if name not in known]:

@@ -1,12 +1,12 @@
-"""Hold what the robot's motion cannot tell of hand-eye and world transform, and name it.
+"""Hold and report the directions of both transforms that the robot's motion does not determine.
 
-Where the robot turns about one axis only, camera and target can be moved along that axis together
-without a change in any picture. Priors on the robot's errors would still choose a place on this
-line, hundreds of metres away, because a long lever lets tiny rotations explain every error. The
-poses alone say which directions these are, so one parameter of each is held at the start: the fit
-does not move along it, and everything else is judged at that place.
+If the robot rotates about a single axis, camera and target can be moved along this axis together
+without a change of any picture. Priors on the robot's errors would still choose a position on this
+line, hundreds of metres away, because with a long lever tiny rotations explain every error. The
+poses alone determine these directions, so one parameter of each is held at the start: the fit does
+not move along it, and all other uncertainties are for this position.
 
-A parameter that is fixed or has a prior determines the directions that it is part of.
+A parameter that is fixed or has a prior determines the directions that contain it.
 """
 
 import dataclasses
@@ -23,22 +23,24 @@ from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
 
 DETERMINED_PART = 1e-6
-"""The part of a unit direction, above rounding, that a fixed parameter determines."""
+"""The smallest component of a unit direction, above rounding, that counts."""
 
 NEGLIGIBLE_PART = float(np.sin(np.deg2rad(10.0)))
-"""The part of a direction below which a parameter is not called undetermined, but judged where the
-direction is held: an axis within ten degrees of a coordinate's is called by its letter, too."""
+"""The component of a direction below which a parameter is not reported as undetermined.
+
+It corresponds to ten degrees, within which an axis is also called by the letter of a coordinate.
+"""
 
 
 MENTIONED_PART = 5e-3
-"""The part of a direction above which a parameter that is not called undetermined is mentioned."""
+"""The component of a direction above which a parameter not called undetermined is mentioned."""
 
 
 class UndeterminedMotion(NamedTuple):
-    """The directions of both transforms that neither motion nor knowledge determines.
+    """The directions of both transforms that neither motion nor given values determine.
 
     Attributes:
-        names: of the twelve parameters of the two transforms.
+        names: names of the twelve parameters of the two transforms.
         directions: change of these parameters along each direction.
         held: the parameters to hold at the start, one for each direction.
     """
@@ -53,7 +55,7 @@ def require_moving_robot(
 ) -> None:
     """Raise a ValueError if the usable views' poses cannot determine a calibration.
 
-    They are all equal, or never turn while neither place is fixed or has a prior.
+    They are all equal, or never rotate while neither translation is fixed or has a prior.
     """
     place_is_given = given_places(start.transform_names, fixed, priors or {})
     poses = host_matrices(data.base_from_tool)[data.usable_views()]
@@ -63,7 +65,7 @@ def require_moving_robot(
 def undetermined_motion(
     data: Dataset, start: Calibration, fixed: Collection[str], priors: Mapping[str, Prior] | None
 ) -> UndeterminedMotion:
-    """Find the directions that the usable views, fixed parameters and priors leave open.
+    """Find the directions that usable views, fixed parameters and priors do not determine.
 
     Args:
         data: the views to fit.
@@ -78,9 +80,9 @@ def undetermined_motion(
     )
     robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     robot = robot[data.usable_views()]
-    nothing = UndeterminedMotion(names, np.zeros((0, 12)), ())
+    empty = UndeterminedMotion(names, np.zeros((0, 12)), ())
     if len(robot) < 2 or not np.isfinite(robot).all():
-        return nothing
+        return empty
     directions = _parameter_directions(undetermined_twists(robot), robot, start)
     known = np.array([_is_selected(name, (*fixed, *(priors or ()))) for name in names])
     # Combinations of the directions without any change of a known parameter.
@@ -89,8 +91,8 @@ def undetermined_motion(
         part = np.append(part, np.zeros(len(directions) - len(part)))
         directions = combinations.T[part <= DETERMINED_PART] @ directions
     if not len(directions):
-        return nothing
-    # The pivots of the columns of the holder, or of the mount where the holder is known.
+        return empty
+    # The pivots of the holder's columns, or of the mount's if the holder is known.
     free = [k for k in (*range(6, 12), *range(6)) if not known[k]]
     first = [k for k in free if k >= 6] if not known[6:].all() else free
     held = _pivots(directions, first) or _pivots(directions, free)
@@ -127,18 +129,18 @@ def _parameter_directions(
 
 
 def _pivots(directions: Float[np.ndarray, "directions 12"], columns: list[int]) -> list[int]:
-    """Return one of the columns for each direction, which together fix all; empty if none do."""
+    """Return one column for each direction that together fix all; empty if there are none."""
     if len(columns) < len(directions):
         return []
-    held, left = [], directions.copy()
+    held, remaining = [], directions.copy()
     for _ in directions:
-        lengths = np.linalg.norm(left[:, columns], axis=0)
+        lengths = np.linalg.norm(remaining[:, columns], axis=0)
         if lengths.max() <= DETERMINED_PART:
             return []
         held.append(columns[int(np.argmax(lengths))])
-        # What the parameters held so far leave open of all others.
-        part = left[:, held[-1]] / np.linalg.norm(left[:, held[-1]])
-        left = left - np.outer(part, part @ left)
+        # Project out the direction that the new held parameter fixes.
+        part = remaining[:, held[-1]] / np.linalg.norm(remaining[:, held[-1]])
+        remaining = remaining - np.outer(part, part @ remaining)
     return held
 
 
@@ -148,11 +150,11 @@ def _is_selected(name: str, paths: Collection[str]) -> bool:
 
 
 def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
-    """Return the fit with the directions that were held named, and their parameters' std infinite.
+    """Return the fit with the undetermined directions reported, and infinite stds along them.
 
     Args:
         fit: the fit in which `motion.held` was fixed.
-        motion: what its data left open.
+        motion: the directions that its data do not determine.
     """
     if not motion.held:
         return fit
@@ -178,16 +180,16 @@ def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
 
 
 def _sparse(motion: UndeterminedMotion) -> Float[np.ndarray, "directions 12"]:
-    """Return the directions combined such that each moves one of the held parameters only."""
+    """Return combinations of the directions that each move a single held parameter."""
     held = [motion.names.index(name) for name in motion.held]
     directions = np.linalg.solve(motion.directions[:, held], motion.directions)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def _small_parts(names: tuple[str, ...], direction: Float[np.ndarray, "12"]) -> str:
-    """Return in words which other parameters move a little along a direction.
+    """Return in words which other parameters change a little along a direction.
 
-    Their own intervals hold where the direction is held.
+    Their intervals are for the held value of the direction.
     """
     largest = int(np.argmax(np.abs(direction)))
     part = names[largest].split(".")[1]

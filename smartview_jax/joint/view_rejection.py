@@ -1,8 +1,8 @@
-"""Decide which view's reported pose contradicts the other views', after a joint fit.
+"""Find the view whose reported pose contradicts the other views, after a joint fit.
 
-A view is rejected by its posterior pose correction. One wrong pose, however, inflates the estimated
-pose standard deviations of all views, until no view exceeds the test: then the fits with and
-without the most suspect view are compared.
+A view is rejected by its posterior pose correction. But one wrong pose may inflate the estimated
+pose standard deviations so much that no view fails the test: then the fits with and without the
+most suspect view are compared.
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ from .joint_fit import JointFit
 from .plausibility import MAX_PRIOR_SIGMAS
 
 FALSE_ALARM_PROBABILITY = 1e-6
-"""The probability, over all views, of a pose error as large as that of a view that is left out.
+"""The family-wise significance level, over all views, at which a view is left out.
 
-It is far below the usual significance level because real robots' errors have longer tails than the
-normal distribution.
+It is far below the usual level because real robots' errors have longer tails than the normal
+distribution.
 """
 
 MAX_POSE_SIGMA_RATIO = 3.0
@@ -25,10 +25,10 @@ MAX_POSE_SIGMA_RATIO = 3.0
 
 
 def inconsistent_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple[int, str] | None:
-    """Return the view whose pose is least compatible with the others', and why.
+    """Return the view whose pose is least compatible with the others, and why.
 
-    None where even that one is not significant, where poses have no prior, or with too few views to
-    decide which of them is wrong.
+    None if the incompatibility is not significant, if poses have no prior, or with too few views to
+    decide which is wrong.
     """
     if fit.noise is None or len(data.usable_views()) <= MINIMUM_RELIABLE_VIEWS:
         return None
@@ -45,9 +45,9 @@ def inconsistent_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> tuple
 
 
 def suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None:
-    """Return the view whose pose is least compatible with the others', if poses err too much.
+    """Return the view whose pose is least compatible with the others, if pose errors are too large.
 
-    None where the pose standard deviations are within what robots usually have.
+    None if the pose standard deviations are plausible for robots.
     """
     noise_estimate, noise = fit.noise_estimate, fit.noise
     if (
@@ -67,9 +67,9 @@ def suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None
 
 
 def inflation_reason(fit: JointFit, refitted: JointFit) -> str | None:
-    """Return why a view is left out, from the other views' pose errors with it and without it.
+    """Return why to leave out a view, from the other views' pose errors with and without it.
 
-    None where the view is to be kept.
+    None to keep the view.
     """
     assert fit.noise is not None
     assert refitted.noise is not None
@@ -80,7 +80,7 @@ def inflation_reason(fit: JointFit, refitted: JointFit) -> str | None:
         before, after = (unit_scale * getattr(f.noise, name) for f in (fit, refitted))
         if before > MAX_POSE_SIGMA_RATIO * after:
             return (
-                f"its pose contradicts the others': with it reported poses err by {before:.3g} "
+                f"its pose contradicts the others: with it reported poses err by {before:.3g} "
                 f"{unit}, without it by {after:.3g}: mispaired or moved?"
             )
     return None

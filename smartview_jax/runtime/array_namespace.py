@@ -1,7 +1,6 @@
-"""Run the same formulas on NumPy arrays at once, and on JAX arrays where they are differentiated.
+"""Evaluate the same formulas with NumPy directly, or with JAX to differentiate and batch them.
 
-NumPy evaluates a formula on small arrays in less time than it takes to compile a program for it.
-The same functions remain differentiable and batchable with JAX.
+NumPy evaluates a formula on small arrays in less time than JAX needs to compile a program for it.
 """
 
 from collections.abc import Sequence
@@ -16,20 +15,20 @@ from jaxtyping import Array, ArrayLike, Float
 from .double_precision import require_double_precision
 
 AnyArray: TypeAlias = Array | np.ndarray
-"""An array of JAX or of NumPy."""
+"""A JAX or NumPy array."""
 
 AnyScalar: TypeAlias = Float[AnyArray, ""] | float
-"""A number: an array of JAX or NumPy without axes, or a `float`, which NumPy's scalars are."""
+"""A number: a JAX or NumPy array without axes, or a `float`, which includes NumPy's scalars."""
 
 
 def array_namespace(*trees: Any) -> ModuleType:
-    """Return `jax.numpy` if any array in the arguments is one of JAX, otherwise `numpy`."""
+    """Return `jax.numpy` if any array in the arguments is a JAX array, otherwise `numpy`."""
     is_jax = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees))
     return jnp if is_jax else np
 
 
 def to_device(array: AnyArray | float | list[float]) -> Array:
-    """Return a NumPy array as one of JAX; `jnp.asarray` compiles a program for every new shape."""
+    """Return a NumPy array as a JAX array; `jnp.asarray` would compile a program for each shape."""
     require_double_precision()
     return jax.device_put(np.asarray(array))
 

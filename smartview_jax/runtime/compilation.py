@@ -19,13 +19,13 @@ from .double_precision import require_double_precision
 try:
     from .program_store import ProgramStore
 except ImportError:
-    # That room can be deleted whole, and rests on parts of JAX that may change.
+    # `program_store` is optional: it uses parts of JAX that may change, and can be deleted.
     ProgramStore = None
 
 MIN_OPTIMISED_ELEMENTS = 30_000
-"""Smallest number of array elements in the arguments for which a program is compiled optimised.
+"""Smallest number of array elements in the arguments for which the optimised program is used.
 
-It corresponds to some five thousand observations.
+It corresponds to about five thousand observations.
 """
 
 _P = ParamSpec("_P")
@@ -53,10 +53,10 @@ def refuse_traced(function: str, *trees: Any) -> None:
 
 
 def one_program(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Run a function as one program where it is called on arrays outside of a transformation.
+    """Run a function as one program when it is called outside of a transformation.
 
-    Operation by operation it would be dozens of programs, for each shape of its arguments. Within
-    `jit`, `grad` or `vmap` the function is as it was written.
+    Without this, JAX compiles dozens of small programs for each shape of the arguments. Within
+    `jit`, `grad` or `vmap` the function itself is called.
     """
     program = eqx.filter_jit(function)
 
@@ -80,8 +80,8 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         element_count = sum(x.size for x in jax.tree.leaves((args, kwargs)) if hasattr(x, "size"))
-        # The cost and benefit of optimisation were measured on CPUs only, so other backends always
-        # get it.
+        # Cost and benefit of optimisation were measured on CPUs only, so other backends always
+        # optimise.
         is_small = element_count < MIN_OPTIMISED_ELEMENTS and jax.default_backend() == "cpu"
         return (fast_compiling if is_small else fully_optimised)(*args, **kwargs)
 
@@ -100,7 +100,7 @@ def compiled_optimised(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> Callable[_P, _R]:
     """Compile a function with `eqx.filter_jit` at an LLVM level, without fusion emitters."""
-    # What JAX was told for all programs applies to these, too.
+    # A user's setting of JAX for all programs applies here too.
     if jax.config.values["jax_disable_most_optimizations"]:
         optimisation_level = 0
     # Level 0 takes the least time to compile; the emitters are left out for the same reason (see
@@ -108,7 +108,7 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
     options = {
         "xla_backend_optimization_level": optimisation_level,
         "xla_cpu_use_fusion_emitters": False,
-        # In parts, LLVM would compile in threads; splitting costs more time than they save.
+        # LLVM could compile parts in threads, but splitting costs more time than the threads save.
         "xla_cpu_parallel_codegen_split_count": 1,
     }
     store = ProgramStore and ProgramStore(function, options)

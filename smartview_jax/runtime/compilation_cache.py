@@ -1,20 +1,21 @@
 """Keep compiled programs on disk, so that later processes read them instead of compiling again.
 
-JAX's persistent compilation cache is switched on when this library first compiles a program, for
-the command, a script and a notebook alike. Only settings that the user left alone are changed:
+JAX's persistent compilation cache is switched on when this library first compiles a program, in
+the command, a script or a notebook. Only settings that the user has not set are changed:
 
 - the folder, which is `smartview_jax` in $XDG_CACHE_HOME or else in ~/.cache, unless
   JAX_COMPILATION_CACHE_DIR or JAX's own configuration names another;
 - the shortest compile time of a program that is kept, which becomes zero, unless
-  JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS or JAX's own configuration says otherwise: a fit has
+  JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS or JAX's own configuration sets another: a fit has
   many programs that compile in less than JAX's default of one second.
 
-What `program_store` keeps, so that programs need not even be traced again, is in the same folder
-and under the same settings.
+The files of `program_store`, which save the tracing as well, are in the same folder and follow the
+same settings.
 
-Whoever can write a compiled program there runs it as the user. The default folder is used only if
-it belongs to the user and nobody else can write it, or exchange a folder above it; in a folder that
-the user names, `program_store` keeps nothing otherwise. A warning says so once.
+Anyone who can write a compiled program into the folder can run code as the user. The default folder
+is therefore used only if it belongs to the user and nobody else can write to it or replace a folder
+above it. In an unsafe folder that the user names, `program_store` keeps nothing. A warning is given
+once in both cases.
 
 JAX_ENABLE_COMPILATION_CACHE=0, or `jax.config.update("jax_enable_compilation_cache", False)` before
 the first fit, turns it off. Programs of other libraries in the same process are kept, too.
@@ -37,7 +38,7 @@ JAX can limit the size by itself, but only where the package filelock is install
 """
 
 CACHE_SUFFIX, PROGRAM_SUFFIX, TRACE_SUFFIX = "-cache", "-program", "-trace"
-"""The ends of the names of files: of JAX's cache, and of the two kinds of `program_store`."""
+"""The suffixes of file names: JAX's cache, and the two kinds of files of `program_store`."""
 
 _JAX_MIN_COMPILE_TIME = 1.0
 """JAX's own default of the shortest compile time of a program that is kept, s."""
@@ -47,18 +48,18 @@ _JAX_MIN_COMPILE_TIME = 1.0
 def keep_compiled_programs() -> None:
     """Switch on JAX's persistent compilation cache, once per process, unless the user forbids it.
 
-    Where no file can be written, programs that are already there are read, and none is added.
+    If the folder is not writable, existing programs are read and none is added.
     """
     settings = jax.config.values
     if not settings["jax_enable_compilation_cache"]:
         return
     chosen = settings["jax_compilation_cache_dir"]
     folder = _default_folder() if chosen is None else chosen
-    # Text that is empty is how a user names no folder.
+    # An empty text means that the user wants no folder.
     if not folder:
         return
     writable = _is_writable(folder)
-    # Storage on a network has owners of its own kind.
+    # Network storage has its own kind of owners.
     if "://" not in folder and Path(folder).is_dir() and not is_safe_folder(folder):
         warnings.warn(_why_unsafe(folder), stacklevel=2)
         if chosen is None:
@@ -71,7 +72,7 @@ def keep_compiled_programs() -> None:
             _remove_least_recently_used(Path(folder), MAX_BYTES)
     is_default = settings["jax_persistent_cache_min_compile_time_secs"] == _JAX_MIN_COMPILE_TIME
     if is_default and "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        # JAX would warn once for every program that it fails to write.
+        # Otherwise JAX warns for every program that it fails to write.
         shortest = 0.0 if writable else float("inf")
         jax.config.update("jax_persistent_cache_min_compile_time_secs", shortest)
 
@@ -87,11 +88,11 @@ def _default_folder() -> str | None:
 
 def _is_writable(folder: str) -> bool:
     """Return whether a file can be written to a folder, which is created if it is missing."""
-    # Storage on a network is written by JAX with a library of its own.
+    # JAX writes to network storage with its own library.
     if "://" in folder:
         return True
     try:
-        # Compiled programs are run unchecked, so that nobody else may be able to put some there.
+        # Compiled programs are run unchecked, so nobody else may write to the folder.
         Path(folder).mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return True
@@ -100,7 +101,7 @@ def _is_writable(folder: str) -> bool:
 
 
 def is_safe_folder(folder: str | os.PathLike[str]) -> bool:
-    """Return whether a folder exists where nobody but the user, or root, can put a program."""
+    """Return whether a folder exists and only the user or root can put a program there."""
     try:
         path = Path(folder).resolve(strict=True)
         return (
@@ -113,16 +114,16 @@ def is_safe_folder(folder: str | os.PathLike[str]) -> bool:
 
 
 def only_user_can_write(path: Path) -> bool:
-    """Return whether a file or folder belongs to the user or root, and nobody else may write it."""
+    """Return whether a file or folder is the user's or root's and nobody else may write to it."""
     if not hasattr(os, "geteuid"):
-        return True  # Windows keeps what is in a user's profile from others.
+        return True  # Windows protects a user's profile from other users.
     status = path.stat()
     by_others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     return status.st_uid in (0, os.geteuid()) and not by_others
 
 
 def _can_be_exchanged_in(parent: os.stat_result) -> bool:
-    """Return whether another user could exchange an entry of a folder."""
+    """Return whether another user could replace an entry of a folder."""
     if not hasattr(os, "geteuid"):
         return False
     is_others = parent.st_uid not in (0, os.geteuid())
@@ -132,24 +133,24 @@ def _can_be_exchanged_in(parent: os.stat_result) -> bool:
 
 
 def _why_unsafe(folder: str) -> str:
-    """Return what is wrong with a folder, and what ends it."""
+    """Return the warning about an unsafe folder, with the remedy."""
     return (
-        f"compiled programs are not kept in {folder}: another user could write there what would "
-        "then run as you. Expected a folder that belongs to you, which nobody else can write, "
-        "within folders that nobody else can rename: chmod go-w it, or name another one by "
-        "JAX_COMPILATION_CACHE_DIR"
+        f"compiled programs are not kept in {folder}: another user could put programs there that "
+        "would run as you. Expected a folder that belongs to you and that nobody else can write "
+        "to, within folders that nobody else can rename: run chmod go-w on it, or name another "
+        "folder in JAX_COMPILATION_CACHE_DIR"
     )
 
 
 def _remove_least_recently_used(folder: Path, max_bytes: int) -> None:
-    """Remove the programs that were last read longest ago, until the rest is small enough."""
+    """Remove the least recently read programs until the rest is small enough."""
     sizes_by_time: list[tuple[float, int, Path]] = []
     suffixes = (CACHE_SUFFIX, PROGRAM_SUFFIX, TRACE_SUFFIX)
     for path in (p for p in folder.iterdir() if p.name.endswith(suffixes)):
         # Another process may be removing the same files.
         with suppress(OSError):
             status = path.stat()
-            # Many file systems record at most one reading a day, and some none.
+            # Many file systems record at most one read per day, and some record none.
             sizes_by_time.append((max(status.st_atime, status.st_mtime), status.st_size, path))
     total = 0
     for _, size, path in sorted(sizes_by_time, reverse=True):

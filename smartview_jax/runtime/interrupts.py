@@ -2,8 +2,8 @@
 
 Python handles an interrupt only between two of its own instructions, and a single call into a
 library (the compiler, the circle detection) may take minutes. Therefore a second thread listens for
-interrupts: if the main thread has not ended within `GRACE_PERIOD`, it ends the process, as soon as
-no file is being written.
+interrupts: if the main thread has not ended within `GRACE_PERIOD`, the second thread ends the
+process, as soon as no file is being written.
 """
 
 import os
@@ -38,7 +38,7 @@ message_printed = threading.Event()
 def interrupt_listener() -> Iterator[None]:
     """Listen for interrupts while a command runs; do nothing outside the main thread."""
     is_default_handler = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    # A program that handles interrupts by itself must not be ended behind its back.
+    # A program that handles interrupts itself must not be ended here.
     if threading.current_thread() is not threading.main_thread() or not is_default_handler:
         yield
         return

@@ -1,8 +1,8 @@
 """Pad small data sets to a few sizes, so that data sets of about the same size share programs.
 
-XLA compiles a program for the shapes of its arguments. For a small data set that takes seconds,
-and running the program milliseconds: a second data set, with one view more, should not be compiled
-for again. Padding repeats the last view and the last point; no padded point is visible.
+XLA compiles a program for the shapes of its arguments. For a small data set compiling takes seconds
+and running takes milliseconds, so a second data set with one more view should reuse the program.
+Padding repeats the last view and the last point; no padded point is visible.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,10 @@ import numpy as np
 from .array_namespace import to_device
 
 MAX_PADDED_OBSERVATIONS = 5_000
-"""Largest number of observations, padding included, of a data set that is padded.
+"""Largest number of observations, including padding, up to which a data set is padded.
 
-Larger ones are compiled optimised (`compilation.MIN_OPTIMISED_ELEMENTS`) and run long enough for
-padding to show.
+Larger data sets use optimised programs (`compilation.MIN_OPTIMISED_ELEMENTS`) and run so long that
+padding would cost noticeable time.
 """
 
 MIN_PADDED_COUNT = 8
@@ -32,14 +32,14 @@ _Tree = TypeVar("_Tree")
 def padded_counts(views: int, points: int = 1) -> tuple[int, int]:
     """Return the numbers of views and of points to pad a data set to.
 
-    They are powers of two, from 8 on; for a large data set they are those given.
+    They are powers of two, at least 8; for a large data set the given numbers are returned.
     """
     padded = _next_power_of_two(views), _next_power_of_two(points)
     return padded if padded[0] * padded[1] <= MAX_PADDED_OBSERVATIONS else (views, points)
 
 
 def _next_power_of_two(count: int) -> int:
-    """Return the smallest power of two that is not below a count, nor below the smallest count."""
+    """Return the smallest power of two that is at least a count and `MIN_PADDED_COUNT`."""
     return max(power_of_two_from(count), MIN_PADDED_COUNT)
 
 
@@ -49,11 +49,11 @@ def power_of_two_from(count: int) -> int:
 
 
 def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:
-    """Append copies of the last entry to arrays, on the host, until they have a number of entries.
+    """Append copies of the last entry to arrays, on the host, until they have `count` entries.
 
     Args:
-        arrays: pytree of arrays; one without entries stays as it is, and one of NumPy one of NumPy.
-        count: number of entries wanted; arrays with as many are returned as they are.
+        arrays: pytree of arrays; empty arrays are unchanged, and NumPy arrays stay NumPy arrays.
+        count: number of entries wanted; arrays with as many or more are returned unchanged.
         axis: axis of the entries.
     """
     return jax.tree.map(lambda x: _repeat_last(x, count, axis), arrays)
@@ -71,11 +71,11 @@ def _repeat_last(array: Any, count: int, axis: int) -> Any:
 
 
 def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
-    """Return what a program makes of arrays by views, run with the padded number of views.
+    """Run a program on arrays by views, padded in the number of views, and return its result.
 
     Args:
-        program: from arrays whose first axis is the views to such arrays; of little work for each.
-        by_view: pytree of its arguments, one array at least.
+        program: maps arrays whose first axis is the views to such arrays; does little per view.
+        by_view: pytree of its arguments with at least one array.
     """
     views = len(jax.tree.leaves(by_view)[0])
     padded = repeat_last(by_view, padded_counts(max(views, MIN_PADDED_VIEWS))[0])
@@ -83,7 +83,7 @@ def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
 
 
 def without_padding(arrays: _Tree, *counts: int) -> _Tree:
-    """Return the first entries of arrays along their first axes, copied by NumPy if there are more.
+    """Return the first entries of arrays along their first axes, copied only if there are more.
 
     Args:
         arrays: pytree of arrays.

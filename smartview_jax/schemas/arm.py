@@ -26,7 +26,7 @@ _Angles = Annotated[
 _JointLimits = Annotated[
     list[FiniteNumber | None],
     Field(min_length=2, max_length=2),
-    Expected("the least and the largest reading of a joint, rad or m, or null"),
+    Expected("the smallest and the largest reading of a joint, rad or m, or null"),
 ]
 
 
@@ -60,9 +60,9 @@ class ArmEntry(Entry):
 
     @model_validator(mode="after")
     def _check_row_lengths(self) -> "ArmEntry":
-        # `prismatic` and `limits` may be absent: then no joint is prismatic, or has limits.
+        # Without `prismatic` or `limits` no joint is prismatic, or has limits.
         names = ("theta", "d", "a", "alpha", "prismatic", "limits")
         sizes = {name: len(row) for name in names if (row := getattr(self, name)) is not None}
         if len(set(sizes.values())) > 1:
-            raise ValueError(f"expected one number a joint in every row, found {sizes}")
+            raise ValueError(f"expected a number for each joint in every row, found {sizes}")
         return self

@@ -17,7 +17,7 @@ END_MARK = "smartview_calibration"
 ROUNDING = 1e-9
 """Largest negative eigenvalue of a correlation matrix for each parameter, by rounding alone.
 
-Covariances are written with all digits; the solver's own rounding is below the symmetry's 1e-9.
+Covariances are written with all digits; the solver's rounding is below the 1e-9 for symmetry.
 """
 
 _PrincipalPoint = Annotated[
@@ -68,7 +68,7 @@ class TargetShapeEntry(Entry):
 
 
 class UnitsEntry(Entry):
-    """The units of a calibration; there are no others, so that no file is read in a wrong one."""
+    """The units of a calibration, stated although fixed, so that no file has wrong ones."""
 
     length: Literal["m"]
     angle: Literal["rad"]
@@ -76,7 +76,7 @@ class UnitsEntry(Entry):
 
 
 class LensEntry(Entry):
-    """A lens: its model's name and numbers, which `cameras` knows."""
+    """A lens: the name and numbers of its model, which `cameras` checks."""
 
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "allow"}
     __pydantic_extra__: dict[str, FiniteNumber]  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -117,15 +117,15 @@ _Distance = Annotated[float, Field(gt=0.0, le=1e4), Expected("a distance in m, a
 
 def _field_value_tag(value: Any) -> str:
     """Return the tag of a part of a robot error field: a nested field, an arm, or numbers."""
-    # By the tag pydantic tries one type only. Without it, a wrong number inside a nested field
-    # would be reported once for every type that the part could have had.
+    # With a tag pydantic tries one type only. Without it, a wrong number inside a nested field
+    # would be reported once for every possible type.
     if isinstance(value, dict):
         return "field" if "model" in value else "arm"
     return "numbers" if isinstance(value, list) else "number"
 
 
 class ErrorFieldEntry(Entry):
-    """A smooth error of the robot: its model's name and parts, which `robot_errors` knows."""
+    """A smooth error of the robot: its model's name and parts, which `robot_errors` checks."""
 
     model_config: ClassVar[Any] = Entry.model_config | {"extra": "allow"}
     __pydantic_extra__: dict[  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -154,7 +154,7 @@ _Coordinate = Annotated[float, Field(ge=-1e4, le=1e4), Expected("m, from -10000 
 
 
 class RegionEntry(Entry):
-    """The region of camera positions that the views were from; see `geometry.ViewedRegion`."""
+    """The region of the views' camera positions; see `geometry.ViewedRegion`."""
 
     side: Literal["+z", "-z", "both"]
     plane: _Coordinate
@@ -165,7 +165,7 @@ class RegionEntry(Entry):
     distance: Annotated[
         list[_Distance],
         Field(min_length=2, max_length=2),
-        Expected("the least and the greatest distance in m: 2 numbers"),
+        Expected("the smallest and the largest distance in m: 2 numbers"),
     ]
     lowest_tool: _Coordinate | None = None
 
@@ -173,7 +173,7 @@ class RegionEntry(Entry):
     def _check_distance_order(self) -> "RegionEntry":
         minimum, maximum = self.distance
         if minimum > maximum:
-            raise ValueError(f"distance: expected the least before the greatest: {self.distance}")
+            raise ValueError(f"distance: expected the smallest first, found {self.distance}")
         return self
 
 
@@ -183,7 +183,7 @@ _Sigma = Annotated[
 
 
 class NoiseEntry(Entry):
-    """Standard deviations of pixels (px) and reported poses (m, rad); null where it is infinite."""
+    """Standard deviations of pixels (px) and reported poses (m, rad); null if infinite."""
 
     pixel: _Sigma
     translation: _Sigma | None
@@ -205,7 +205,7 @@ class UncertaintyEntry(Entry):
 
     @model_validator(mode="after")
     def _check_covariance(self) -> "UncertaintyEntry":
-        """Raise a ValueError for a matrix that is no covariance of the parameters."""
+        """Raise a ValueError for a matrix that is not a covariance of the parameters."""
         count = len(self.parameters)
         if len(self.covariance) != count or any(len(row) != count for row in self.covariance):
             raise ValueError(f"covariance: expected {count} rows of {count} numbers")
@@ -218,12 +218,12 @@ class UncertaintyEntry(Entry):
                     raise ValueError(f"covariance: not symmetric in row {i + 1}, column {j + 1}")
         if len(set(self.parameters)) != count:
             twice = next(name for name in self.parameters if self.parameters.count(name) > 1)
-            raise ValueError(f"parameters: {twice} comes twice")
+            raise ValueError(f"parameters: {twice} occurs twice")
         # As correlations, because variances in m and px differ by many powers of ten.
         matrix = np.array(self.covariance, float).reshape(count, count)
         sigmas = np.sqrt(np.diag(matrix))
         smallest = np.linalg.eigvalsh(matrix / sigmas / sigmas[:, None]).min(initial=0.0)
-        # Eigenvalues of a computed covariance are wrong by rounding in the size of the largest.
+        # The rounding error of a computed covariance's eigenvalues scales with the largest.
         if smallest < -ROUNDING * count:
             raise ValueError(
                 "covariance: not positive semidefinite: some combination of the parameters has a "
@@ -251,21 +251,21 @@ class _CalibrationFile(Entry):
     def _check_not_truncated(self) -> "_CalibrationFile":
         """Raise a ValueError for a file that may be truncated.
 
-        The correction of the robot stands last in a file, so its loss would not be noticed.
+        The robot's correction comes last in a file, so its loss would not be noticed.
         """
         if self.smartview_calibration == 2 and self.end != END_MARK:
-            raise ValueError(f"the last line, 'end: {END_MARK}', is missing: the file was cut")
-        # Version 1 had no end mark; its last entry, robot_error, may be null but must be there.
+            raise ValueError(f"the last line, 'end: {END_MARK}', is missing: truncated file")
+        # Version 1 had no end mark, but always the last entry robot_error, which may be null.
         if self.smartview_calibration == 1 and "robot_error" not in self.model_fields_set:
             raise ValueError(
-                "a file of version 1 without robot_error looks like one that was cut before it: "
-                "if it is whole, add the line 'robot_error: null'"
+                "a file of version 1 without robot_error may be truncated: if it is complete, add "
+                "the line 'robot_error: null'"
             )
         return self
 
 
 class EyeInHandFile(_CalibrationFile):
-    """A camera on the tool and a target that stands in the base frame."""
+    """A camera on the tool and a target fixed in the base frame."""
 
     mount: Literal["eye_in_hand"]
     camera_from_tool: TransformEntry
@@ -273,7 +273,7 @@ class EyeInHandFile(_CalibrationFile):
 
 
 class EyeToHandFile(_CalibrationFile):
-    """A camera that stands in the base frame and a target on the tool."""
+    """A camera fixed in the base frame and a target on the tool."""
 
     mount: Literal["eye_to_hand"]
     camera_from_base: TransformEntry

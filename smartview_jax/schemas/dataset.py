@@ -65,7 +65,7 @@ CodecName = Literal[
     "euler_ZYZ_fixed",
     "euler_ZYZ_moving",
 ]
-_RowCount = Annotated[int, Field(ge=0, le=10**9), Expected("how many rows the file has")]
+_RowCount = Annotated[int, Field(ge=0, le=10**9), Expected("the file's number of rows")]
 
 
 class CameraSizeEntry(Entry):
@@ -80,9 +80,9 @@ _Seconds = Annotated[float, Field(ge=-60.0, le=60.0), Expected("seconds, from -6
 class PosesEntry(Entry):
     """A table of poses, one row per view: format, units and direction; none of them is guessed.
 
-    What the table's own header says, as that of a file of viewpoints does, need not be repeated.
-    With `picture_times`, a table of times, the poses are those that a moving robot logged;
-    `time_offset` is what its clock is later than the camera's.
+    Entries that the table's header states, as in a file of viewpoints, may be omitted. With
+    `picture_times`, a table of times, the poses are the log of a moving robot; `time_offset` is
+    added to the pictures' times to give times of the robot's clock.
     """
 
     file: PrintableText
@@ -97,9 +97,7 @@ class PosesEntry(Entry):
     @model_validator(mode="after")
     def _check_times(self) -> "PosesEntry":
         if self.time_offset is not None and self.picture_times is None:
-            raise ValueError(
-                "time_offset: it needs picture_times, the table of the pictures' times"
-            )
+            raise ValueError("time_offset: needs picture_times, the table of the pictures' times")
         return self
 
 
@@ -117,8 +115,8 @@ class JointsEntry(Entry):
 
 
 def _check_pattern(text: str) -> str:
-    """Return a pattern of picture names; raise a ValueError for other placeholders than allowed."""
-    # The pattern is passed to `str.format`, where other braces would have a meaning, too.
+    """Return a pattern of picture names; raise a ValueError for an unknown placeholder."""
+    # The pattern is passed to `str.format`, so other braces are refused.
     remainder = text.replace("{view}", "").replace("{height}", "")
     if "{view}" not in text or re.search("[{}]", remainder) or not remainder.isprintable():
         raise ValueError
@@ -133,7 +131,7 @@ class PicturesEntry(Entry):
         Field(max_length=200),
         AfterValidator(_check_pattern),
         Expected(
-            "a name with {view} in it, {height} too if there are several, and no other braces"
+            "a name with {view}, and {height} if there are several heights, and no other braces"
         ),
     ]
 
@@ -188,7 +186,7 @@ class DatasetFile(Entry):
     def _check_consistency(self) -> "DatasetFile":
         if self.end_mark and self.end != END_MARK:
             raise ValueError(f"the last line, 'end: {END_MARK}', is missing: the file was cut")
-        # A grid states rows x columns, a ChArUco board squares_x x squares_y; others count as 1.
+        # A grid has rows x columns, a ChArUco board squares_x x squares_y; absent sides count as 1.
         target = self.target
         sides = [
             getattr(target, name, None) or 1
@@ -198,11 +196,11 @@ class DatasetFile(Entry):
         if points > MAX_POINTS:
             raise ValueError(f"target: expected up to {MAX_POINTS} points, found {points}")
         if self.poses is None and self.joints is None:
-            raise ValueError("entry 'poses' is missing, and so is 'joints'")
+            raise ValueError("expected an entry 'poses', 'joints', or both")
         if self.base_from_world is not None and self.mount == "eye_to_hand":
-            raise ValueError("base_from_world: this target is on the tool: tool_from_world")
+            raise ValueError("base_from_world: the target is on the tool: give tool_from_world")
         if self.tool_from_world is not None and self.mount == "eye_in_hand":
-            raise ValueError("tool_from_world: this target stands in the base: base_from_world")
+            raise ValueError("tool_from_world: the target is fixed: give base_from_world")
         return self
 
 

@@ -31,8 +31,8 @@ class Entry(BaseModel):
     @classmethod
     def _refuse_unknown_keys(cls, content: Any) -> Any:
         """Raise an error for an unknown key that names the nearest known one."""
-        # pydantic's own error for an unknown key does not name the known ones. A misspelt key that
-        # was ignored would leave a default value in effect without notice.
+        # pydantic's error does not name the known keys. Ignoring a misspelt key would silently
+        # leave a default in effect.
         known = list(cls.model_fields)
         unknown = [key for key in content if key not in known] if isinstance(content, dict) else []
         if unknown and cls.model_config.get("extra") == "forbid":
@@ -61,7 +61,7 @@ class Expected:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Wrap the type's validation, so that its error message is replaced by the description."""
+        """Wrap the type's validation, replacing its error message by the description."""
         return core_schema.no_info_wrap_validator_function(self._validate, handler(source))
 
     def __get_pydantic_json_schema__(
@@ -74,7 +74,7 @@ class Expected:
         try:
             return handler(value)
         except ValidationError as error:
-            # An error inside a part of the value already has a message and a path of its own.
+            # An error inside a part of the value already has its own message and path.
             if any(problem["loc"] for problem in error.errors(include_url=False)):
                 raise
             raise PydanticCustomError(
@@ -92,14 +92,14 @@ def _check_printable(text: str) -> str:
 
 
 def _check_name(text: str) -> str:
-    """Return a name; raise a ValueError that says why a text is none."""
+    """Return a name; raise a ValueError with the reason if it is invalid."""
     if (reason := name_problem(text)) is not None:
         raise ValueError(no_name(text, reason))
     return text
 
 
 MAX_COORDINATE = 100.0
-"""Largest coordinate of a pose in a file, m: a larger one was given in another unit."""
+"""Largest coordinate of a pose in a file, m; a larger one must be in another unit."""
 
 Length = Annotated[float, Field(gt=0.0, le=100.0), Expected("a length in m, above 0 and up to 100")]
 Coordinate = Annotated[
@@ -121,8 +121,8 @@ PrintableText = Annotated[
     AfterValidator(_check_printable),
     Expected(f"a name of 1 to {MAX_NAME_LENGTH} printable characters"),
 ]
-"""A path, or a name that is given by the package or another program; `Name` is for a user's."""
-# The rule stands outside of the description, so that its reason is the message.
+"""A path, or a name given by the package or another program; user-given names are `Name`."""
+# Checked outside of `Expected`, so that the message gives the reason.
 Name = Annotated[PrintableText, AfterValidator(_check_name)]
 FocalLength = Annotated[
     float,
@@ -131,14 +131,14 @@ FocalLength = Annotated[
 ]
 
 MAX_PIXEL_RATIO = 10.0
-"""Largest ratio of a pixel's sides: sensors have up to 2, every other line left out doubles it."""
+"""Largest ratio of a pixel's sides: up to 2 on sensors, twice as much with interlaced lines."""
 
 
 def check_pixel_shape(alpha_u: float, alpha_v: float) -> None:
-    """Raise a ValueError for focal lengths in px whose pixels are of no sensor's shape."""
+    """Raise a ValueError for focal lengths in px that imply an impossible pixel shape."""
     ratio = max(alpha_u / alpha_v, alpha_v / alpha_u)
     if ratio > MAX_PIXEL_RATIO:
         raise ValueError(
             f"focal lengths {alpha_u:g} and {alpha_v:g} px: pixels {ratio:.3g} times as long as "
-            f"wide; at most {MAX_PIXEL_RATIO:g} is a sensor's"
+            f"wide; expected at most {MAX_PIXEL_RATIO:g} times"
         )

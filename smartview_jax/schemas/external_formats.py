@@ -38,7 +38,7 @@ class KalibrTargetFile(ForeignEntry):
     tagRows: _TagCount
     tagSize: _Spacing
     tagSpacing: Annotated[
-        float, Field(gt=0.0, lt=1.0), Expected("the gap in parts of a tag's side, 0 to 1")
+        float, Field(gt=0.0, lt=1.0), Expected("the gap relative to a tag's side, 0 to 1")
     ]
 
 
@@ -185,14 +185,14 @@ _XyzOat = Annotated[
 _FormatNumbers = Annotated[
     list[FiniteNumber],
     Field(min_length=6, max_length=16),
-    Expected("the numbers that the file's format has, 6 to 16, in the file's units"),
+    Expected("the 6 to 16 numbers of the file's pose format, in the file's units"),
 ]
 
 
 class ViewpointEntry(Entry):
     """A command: a pose in a manufacturer's format, and joint readings in rad or m.
 
-    A pose of a grasp also has the way to it, and the distance between the fingers on that way.
+    A pose of a grasp also has the motion to it, and the distance between the fingers on the way.
     """
 
     name: Name
@@ -205,7 +205,7 @@ class ViewpointEntry(Entry):
     @model_validator(mode="after")
     def _check_single_pose(self) -> "ViewpointEntry":
         if (self.xyzoat is None) == (self.pose is None):
-            raise ValueError("expected either xyzoat, of the format val_oat, or pose")
+            raise ValueError("expected either xyzoat (for the format val_oat) or pose")
         return self
 
 

@@ -38,7 +38,7 @@ def _check_label(text: str) -> str:
     """Return a name, which may be empty; raise a ValueError for unprintable characters."""
     if not text.isprintable():
         raise ValueError
-    # Earlier versions wrote names such as "#1" and " top", which are none now.
+    # Earlier versions wrote names such as "#1" and " top", which are invalid now.
     return nearest_name(text)
 
 
@@ -101,7 +101,7 @@ class CovarianceEntry(Entry):
     @model_validator(mode="after")
     def _check_one_form(self) -> "CovarianceEntry":
         if (self.per_vertex is None) == (self.full is None):
-            raise ValueError("expected either per_vertex or full, and not both")
+            raise ValueError("expected either per_vertex or full")
         return self
 
 
@@ -113,7 +113,7 @@ class ObjectModelFile(Entry):
     name: _Label = ""
     provenance: list[Annotated[str, Field(max_length=10_000)]] = Field(default_factory=list)
     planar_tolerance: Annotated[
-        float, Field(gt=0.0, le=1.0), Expected("a part of a face's extent, above 0 up to 1")
+        float, Field(gt=0.0, le=1.0), Expected("a fraction of a face's extent, above 0 up to 1")
     ] = 0.01
     vertices: Annotated[
         list[_Point], Field(max_length=MAX_VERTICES), Expected(f"up to {MAX_VERTICES} points")
@@ -128,15 +128,15 @@ class ObjectModelFile(Entry):
     calibration_factor: _SquareMatrix | None = None
     end: Literal["smartview_object"]
 
-    # Before the entries: of another kind of file every single entry would be reported.
+    # Checked first, because for another kind of file every single entry would be reported.
     @model_validator(mode="before")
     @classmethod
     def _check_kind(cls, content: Any) -> Any:
-        """Raise an error for a file of another kind, and for one that was cut."""
+        """Raise an error for a file of another kind, and for a truncated one."""
         if isinstance(content, dict) and "smartview_object" not in content:
             raise ValueError("not an object model: the entry 'smartview_object' is missing")
         if isinstance(content, dict) and "end" not in content:
-            raise ValueError(f"the last entry, 'end': '{END_MARK}', is missing: the file was cut")
+            raise ValueError(f"the last entry, 'end': '{END_MARK}', is missing: truncated file")
         return content
 
 

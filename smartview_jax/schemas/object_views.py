@@ -21,7 +21,7 @@ class ObjectViewsFile(Entry):
     @model_validator(mode="after")
     def _check_consistency(self) -> "ObjectViewsFile":
         if self.poses is None and self.joints is None:
-            raise ValueError("entry 'poses' is missing, and so is 'joints'")
+            raise ValueError("expected an entry 'poses', 'joints', or both")
         return self
 
 

@@ -77,7 +77,7 @@ class TagGridEntry(Entry):
 class AprilGridEntry(Entry):
     """An AprilGrid of Kalibr; see `targets.AprilGrid`.
 
-    Its numbers stand here, or in Kalibr's own file: `{kind: aprilgrid, file: target.yaml}`.
+    Its numbers are given here, or in Kalibr's own file: `{kind: aprilgrid, file: target.yaml}`.
     """
 
     kind: Literal["aprilgrid"]
@@ -86,7 +86,8 @@ class AprilGridEntry(Entry):
     columns: _Count | None = None
     size: Length | None = None
     spacing: (
-        Annotated[float, Field(gt=0.0, lt=1.0), Expected("a part of a tag's side, 0 to 1")] | None
+        Annotated[float, Field(gt=0.0, lt=1.0), Expected("a fraction of a tag's side, 0 to 1")]
+        | None
     ) = None
     dictionary: PrintableText = "DICT_APRILTAG_36h11"
     first_id: _TagNumber = 0
@@ -98,10 +99,10 @@ class AprilGridEntry(Entry):
         numbers = ("rows", "columns", "size", "spacing")
         given = [name for name in numbers if getattr(self, name) is not None]
         if self.file is not None and given:
-            raise ValueError(f"{', '.join(given)}: the file {self.file} states the same already")
+            raise ValueError(f"{', '.join(given)}: already stated in the file {self.file}")
         if self.file is None and len(given) < len(numbers):
             missing = [name for name in numbers if name not in given]
-            raise ValueError(f"an aprilgrid needs {', '.join(missing)}, or Kalibr's file")
+            raise ValueError(f"an aprilgrid needs {', '.join(missing)}, or the entry file")
         return self
 
 

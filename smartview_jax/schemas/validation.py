@@ -20,7 +20,8 @@ Content = TypeVar("Content", covariant=True)
 class Schema(Protocol[Content]):
     """A schema that validates content, as `pydantic.TypeAdapter` does.
 
-    The protocol stands for that class, which the type checker of the tests cannot check.
+    The protocol stands in for that class, which the run-time type checker of the tests cannot
+    check.
     """
 
     def validate_python(self, found: Any, /) -> Content:
@@ -58,7 +59,7 @@ def refuse_unreadable(content: Any, schema: Schema[object], source: str | os.Pat
 
     Args:
         content: mappings, lists and values, as they would be read from YAML or JSON.
-        schema: through which the reader of such a file validates it.
+        schema: schema by which a reader validates the file.
         source: the file that would be written, for the message.
     """
     try:
@@ -70,12 +71,12 @@ def refuse_unreadable(content: Any, schema: Schema[object], source: str | os.Pat
 def write_validated(
     path: str | os.PathLike[str], content: Mapping[str, Any], schema: Schema[object]
 ) -> Path:
-    """Write a mapping as YAML, or as JSON where the name ends in `.json`, completely or not at all.
+    """Write a mapping as YAML, or as JSON if the name ends in `.json`, completely or not at all.
 
     Args:
         path: of the file.
         content: mappings, lists and values.
-        schema: through which the reader of such a file validates it.
+        schema: schema by which a reader validates the file.
 
     Raises:
         ValueError: the file would be refused when it is read; nothing is written.
@@ -87,7 +88,7 @@ def write_validated(
 
 def _error_message(problem: Any, content: Any) -> str:
     """Return one problem of a `ValidationError` as a sentence that names the entry."""
-    # pydantic's own messages name Python types and tags; a reader of YAML knows only entries.
+    # pydantic's messages name Python types and tags, which mean nothing to an author of YAML.
     kind, context, value = problem["type"], problem.get("ctx", {}), problem["input"]
     path = entry_path(problem["loc"], content, keep_last=kind == "missing")
     prefix = f"{path}: " if path else ""
@@ -112,7 +113,7 @@ def _error_message(problem: Any, content: Any) -> str:
 
 
 def _choice_message(path: str, expected: str, found: object) -> str:
-    """Return the sentence for an entry with a fixed set of values, with the nearest one."""
+    """Return the message for an entry with a fixed set of values, suggesting the nearest."""
     # pydantic lists the values as text, such as "'a', 'b' or 'c'".
     known = [word.strip("' ") for part in expected.split(",") for word in part.split(" or ")]
     start = f"{path} is one of" if len(known) > 1 else f"{path}: expected"
@@ -131,11 +132,11 @@ def entry_path(location: Sequence[str | int], content: Any, keep_last: bool = Fa
     Args:
         location: steps of the problem's location, from pydantic.
         content: content of the file.
-        keep_last: whether to keep the last step although the file does not have it, for an entry
-            that is missing.
+        keep_last: whether to keep the last step although the file does not have it, for a missing
+            entry.
     """
-    # A step that leads further into the content is part of the path; any other is the tag of a
-    # union or the name of a type, which pydantic has inserted.
+    # A step that is found in the content is part of the path; pydantic inserted the others, tags
+    # of unions and names of types.
     steps: list[str] = []
     for number, step in enumerate(location, start=1):
         if isinstance(step, str) and isinstance(content, dict) and step in content:

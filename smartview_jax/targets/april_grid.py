@@ -22,8 +22,8 @@ class AprilGrid(AbstractTarget):
     Attributes:
         rows, columns: number of tags up and across (Kalibr's `tagRows`, `tagCols`).
         size: side of a tag's black square, m (`tagSize`).
-        spacing: distance between the black squares of neighbouring tags in parts of their side, as
-            Kalibr states it (`tagSpacing`).
+        spacing: distance between the black squares of neighbouring tags as a fraction of their
+            side (`tagSpacing`).
         dictionary: name of an OpenCV dictionary; Kalibr's is `"DICT_APRILTAG_36h11"`.
         first_id: number of the bottom left tag.
         border_bits: width of a tag's black border in cells of its code; Kalibr's is 2.
@@ -42,7 +42,7 @@ class AprilGrid(AbstractTarget):
     corner_order: ClassVar[tuple[int, int, int, int]] = (1, 0, 3, 2)
     """Index in this class of the corners of a tag in OpenCV's order.
 
-    Kalibr prints every tag turned by half a turn against OpenCV's drawing of it.
+    Kalibr prints every tag rotated by 180 degrees relative to OpenCV's drawing.
     """
 
     def __post_init__(self) -> None:
@@ -52,8 +52,8 @@ class AprilGrid(AbstractTarget):
         require_positive(size=self.size)
         if not 0.0 < self.spacing < 1.0:
             raise ValueError(
-                "spacing: expected the gap between tags in parts of their side, between 0 and 1, "
-                f"found {self.spacing!r}"
+                "spacing: expected the gap between tags as a fraction of their side, between 0 and "
+                f"1; found {self.spacing!r}"
             )
         require_markers(self.dictionary, self.ids[-1])
 
@@ -66,7 +66,7 @@ class AprilGrid(AbstractTarget):
     def points(self) -> Float[np.ndarray, "points 3"]:
         """The four corners of every tag, tags row by row from the bottom left, m."""
         i, j = np.mgrid[0 : self.rows, 0 : self.columns]
-        places = np.stack([j, i], axis=-1).reshape(-1, 1, 2) * (1.0 + self.spacing)
-        corners = places + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+        origins = np.stack([j, i], axis=-1).reshape(-1, 1, 2) * (1.0 + self.spacing)
+        corners = origins + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
         flat = self.size * corners.reshape(-1, 2)
         return np.column_stack([flat, np.zeros(len(flat))])

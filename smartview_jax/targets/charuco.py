@@ -1,4 +1,4 @@
-"""Define ChArUco boards, chessboards whose white squares carry markers."""
+"""Define ChArUco boards: chessboards with markers in their white squares."""
 
 import dataclasses
 from typing import ClassVar
@@ -40,10 +40,10 @@ class Charuco(AbstractTarget):
         require_positive(square=self.square, marker=self.marker)
         if self.marker >= self.square:
             raise ValueError(
-                f"marker: expected less than the square's {self.square} m, found {self.marker}"
+                f"marker: expected a length below the square's {self.square} m, found {self.marker}"
             )
         require_flag(legacy=self.legacy)
-        # Every second square, a white one, carries a marker; the numbers begin at zero.
+        # Every second square (the white ones) has a marker; the numbers begin at zero.
         require_markers(self.dictionary, self.squares_x * self.squares_y // 2 - 1)
 
     @property

@@ -13,9 +13,9 @@ MARKER_COUNTS: dict[str, int] = {
     "DICT_APRILTAG_36h10": 2320,
     "DICT_APRILTAG_36h11": 587,
 }
-"""Number of markers in each dictionary, by OpenCV's name for it.
+"""Number of markers in each dictionary, by OpenCV's name for the dictionary.
 
-The pictures of the markers are OpenCV's, too.
+OpenCV also has the pictures of the markers.
 """
 
 
@@ -27,5 +27,5 @@ def require_markers(dictionary: str, last_id: int) -> None:
     if last_id >= count:
         raise ValueError(
             f"dictionary: {dictionary} has {count} markers, 0 to {count - 1}; "
-            f"the target needs one with number {last_id}"
+            f"the target needs marker {last_id}"
         )

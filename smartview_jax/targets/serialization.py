@@ -29,7 +29,7 @@ def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
             that was used at several heights.
 
     Raises:
-        ValueError: naming the entry that is unknown, missing or wrong.
+        ValueError: an entry is unknown, missing or wrong; the message names it.
     """
     attributes = dict(content)
     kind = attributes.pop("kind", None)
@@ -63,13 +63,13 @@ def target_to_dict(target: AbstractTarget) -> dict[str, Any]:
     """Return a target as a mapping of plain values, the inverse of `target_from_dict`.
 
     Raises:
-        ValueError: a kind of target that files have no name for.
+        ValueError: a kind of target without a name in files.
     """
     if isinstance(target, StackedTarget):
         return {**target_to_dict(target.board), "heights": list(target.heights)}
     for kind, cls in TARGET_CLASSES.items():
         if type(target) is cls:
-            # None is the default of every attribute that may be None, so such an entry is omitted.
+            # Attributes that may be None have None as their default, so they are omitted.
             known = {k: v for k, v in dataclasses.asdict(target).items() if v is not None}
             return {"kind": kind, **known}
     raise ValueError(f"{type(target).__name__} has no name in a file")

@@ -16,8 +16,8 @@ class StackedTarget(AbstractTarget):
     One picture is taken at each height while the robot does not move, and the points of all heights
     form one view. Together they are not coplanar, as the linear start of Step 1 requires.
 
-    A greater height is nearer to the camera, so that z points out of the board here. Boards whose
-    own frame has y down are rotated to y up (180 degrees about x), or z would be mirrored.
+    A greater height is nearer to the camera, so z points out of the board here. Boards whose own
+    frame has y down are rotated to y up (180 degrees about x); otherwise z would be mirrored.
 
     Attributes:
         board: the flat target.
@@ -30,9 +30,9 @@ class StackedTarget(AbstractTarget):
     y_up: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise a ValueError if the board is stacked itself or the heights are not distinct."""
+        """Raise a ValueError if the board is itself stacked or the heights are not distinct."""
         if isinstance(self.board, StackedTarget):
-            raise ValueError("board: expected a flat target, found one that has heights itself")
+            raise ValueError("board: expected a flat target, found a target with heights")
         require_lengths(heights=self.heights)
         object.__setattr__(self, "heights", tuple(float(z) for z in self.heights))
         if len(set(self.heights)) != len(self.heights):

@@ -21,8 +21,8 @@ class TagGrid(AbstractTarget):
     Attributes:
         rows, columns: number of tags down and across.
         size: side of a tag's black square, m.
-        gap: distance between the black squares of neighbouring tags, m; None for a single tag,
-            while a grid needs it, because a tag is only found with white around it.
+        gap: distance between the black squares of neighbouring tags, m; None for a single tag. A
+            grid needs a gap, because a tag is only found with white around it.
         dictionary: name of an OpenCV dictionary, such as `"DICT_APRILTAG_36h11"`.
         first_id: number of the first tag; the others follow row by row from the left.
         border_bits: width of a tag's black border in cells of its code.
@@ -52,7 +52,7 @@ class TagGrid(AbstractTarget):
             if not self.gap:
                 raise ValueError(
                     f"gap: a grid of {self.rows} x {self.columns} tags needs the distance between "
-                    "the black squares of neighbouring tags, in metres: tags that touch are not "
+                    "the black squares of neighbouring tags, in metres; tags that touch are not "
                     "found"
                 )
             require_positive(gap=self.gap)
@@ -69,7 +69,7 @@ class TagGrid(AbstractTarget):
 
     @property
     def pitch(self) -> float:
-        """The distance between the centres of neighbouring tags, m; of a single tag, its side."""
+        """The distance between the centres of neighbouring tags, m; the side for a single tag."""
         return self.size + (self.gap or 0.0)
 
     @property

@@ -22,7 +22,7 @@ class AbstractTarget(abc.ABC):
 
     y_up: ClassVar[bool] = False
     lengths: ClassVar[tuple[str, ...]] = ()
-    """Names of the attributes that are lengths on the board, the one that scales it first."""
+    """Names of the attributes that are lengths on the board; the first one scales it."""
 
     @property
     @abc.abstractmethod
@@ -33,8 +33,8 @@ class AbstractTarget(abc.ABC):
     def symmetries(self) -> Int[np.ndarray, "symmetries points"]:
         """The orders of the points that look the same in a picture, the original order first.
 
-        Every row is a permutation. With more than one row, the order in a picture is ambiguous, and
-        the robot's motion decides.
+        Every row is a permutation. With more than one row, the order in a picture is ambiguous and
+        is determined from the robot's motion.
         """
         return np.arange(len(self.points))[None]
 
@@ -56,14 +56,14 @@ def require_count(minimum: int, **counts: int) -> None:
 
 
 def require_flag(**flags: bool) -> None:
-    """Raise a ValueError that names the first value that is not a truth value."""
+    """Raise a ValueError that names the first value that is not a `bool`."""
     for name, value in flags.items():
         if not isinstance(value, bool):
             raise ValueError(f"{name}: expected true or false, found {value!r}")
 
 
 def require_lengths(**lists: Sequence[float]) -> None:
-    """Raise a ValueError that names the first list that is empty or has a number not finite."""
+    """Raise a ValueError that names the first list that is empty or not all finite."""
     for name, values in lists.items():
         is_list = isinstance(values, tuple | list) and len(values) > 0
         if not (is_list and all(_is_number(v) and math.isfinite(v) for v in values)):
@@ -78,7 +78,7 @@ def _is_number(value: object) -> bool:
 def grid_points(rows: int, columns: int, spacing: float) -> Float[np.ndarray, "points 3"]:
     """Return the points of a flat grid, row by row from the origin.
 
-    Within a row x increases by `spacing`, and from row to row y does.
+    Within a row x increases by `spacing`; from row to row y increases by `spacing`.
     """
     y, x = np.mgrid[0:rows, 0:columns]
     return spacing * np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(float)
@@ -94,7 +94,7 @@ def grid_symmetries(
         quarter_rotations: rotations to consider, in multiples of 90 degrees. Odd multiples are left
             out unless the grid is square.
     """
-    # Rotating the table of indices gives, for each cell, the index of the point that comes to it.
+    # Rotating the table of indices gives, for each cell, the index of the point that moves to it.
     index = np.arange(rows * columns).reshape(rows, columns)
     return np.stack(
         [np.rot90(index, k).ravel() for k in quarter_rotations if rows == columns or k % 2 == 0]

@@ -134,7 +134,7 @@ def fisher_information(
     ) @ shared_precisions.T
     # Over all pairs of views, tr((sum_v K_v^T P_j K_v C_ss) (sum_w K_w^T P_k K_w C_ss)), where only
     # three rows of a view belong to a kind. The second line corrects the pairs of a view with
-    # itself, which have D_v^-1 besides: (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S), entry by entry.
+    # itself, which also contain D_v^-1: (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S), entry by entry.
     weighted_gain = marginal.gain * per_view_precision[..., None]
     products = [
         rows_of_views(weighted_gain[:, rows]).T @ rows_of_views(gain_covariance[:, rows])
@@ -174,7 +174,7 @@ def _arranged(
     lower_right: Float[AnyArray, "n n"],
 ) -> Float[AnyArray, "both both"]:
     """Return the symmetric matrix with these blocks."""
-    # Twice as fast as `block`, which counts where an evaluation takes less than a millisecond.
+    # Twice as fast as `block`, which matters in evaluations that take less than a millisecond.
     xp = array_namespace(lower_right)
     return xp.concatenate(
         [
@@ -238,8 +238,8 @@ def maximise(
 class _Point(NamedTuple):
     """The objective at a point x of the search.
 
-    `log_sigma_by_x` is the derivative of each log standard deviation by its own coordinate, and
-    `prior_gradient` that of the prior's negative logarithm by the log standard deviations.
+    `log_sigma_by_x` is the derivative of each log standard deviation by its coordinate,
+    `prior_gradient` the gradient of the prior's negative logarithm by the log standard deviations.
     """
 
     x: Float[np.ndarray, "kinds"]
@@ -287,7 +287,7 @@ class _Objective:
         """Evaluate the objective at a point of the search."""
         # sigma = sqrt(bound^2 + excess^2) with
         #     log(excess) = initial_log_excess + MAX_LOG_CHANGE tanh(x / MAX_LOG_CHANGE):
-        # x is unbounded, and no constraint is needed where a sigma goes to its lower bound.
+        # x is unbounded, and no constraint is needed if a sigma goes to its lower bound.
         saturation = np.tanh(x / MAX_LOG_CHANGE)
         excess = np.exp(self.initial_log_excess + MAX_LOG_CHANGE * saturation)
         excess = np.where(self.is_active, excess, 0.0)
@@ -308,7 +308,7 @@ class _Objective:
         groups = len(sigmas.field)
         information = np.asarray(fisher_information(self.views, point.marginal, groups))
         information = information + np.diag(self.prior_precision)
-        # The chain rule from log(sigma) to the coordinates x, each of which acts on one sigma.
+        # The chain rule from log(sigma) to x; each coordinate acts on one sigma.
         return _Slopes(
             information,
             log_sigma_by_x * log_gradient,

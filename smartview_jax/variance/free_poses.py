@@ -1,6 +1,6 @@
 """Fit the camera, a free pose for every view, and the target's shape to the pixels alone.
 
-No robot is needed for that. What is left over is noise within the views.
+No robot poses are used. The remaining residuals are the noise within the views.
 """
 
 from typing import NamedTuple
@@ -14,15 +14,15 @@ from .likelihood import LinearisedViews
 from .view_statistics import ViewStatistics, with_free_poses
 
 MAX_SHAPE_FITS = 4
-"""Largest number of fits, each with the target's shape that the one before calls for."""
+"""Largest number of fits, each with the target's shape estimated at the fit before."""
 
 SHAPE_TOLERANCE = 0.1
-"""Change of every coefficient of the shape, in its standard deviations, that is small enough."""
+"""Change of the shape's coefficients, in standard deviations, at which the fits have converged."""
 
 VAGUE_SHAPE_STD = 1e-2
 """Prior standard deviation of the shape's coefficients, in half sizes of the target.
 
-It holds what the views do not determine, and nothing else: sheets bow by a tenth of it.
+Vague, so that it holds only undetermined coefficients: sheets bow by a tenth of it.
 """
 
 
@@ -34,7 +34,7 @@ class FreePoseFit(NamedTuple):
         z: its solution.
         equations: its normal equations there.
         sum_of_squares: sum of its squared residuals, px^2.
-        shape: the target's shape; None where it is held as stated.
+        shape: the target's shape; None if it is held as stated.
     """
 
     problem: JointProblem
@@ -90,8 +90,8 @@ def _shape_step(
     if not np.isfinite(linearised.matrix.shared).all():
         return np.full(len(views.shape_names), np.nan), np.ones(len(views.shape_names))
     names, camera = len(views.shape_names), views.problem.parameters.layout.camera.stop
-    # The chain is held, the camera and the poses are free: of the shared parameters only the
-    # camera's and the shape's remain.
+    # The chain is held, camera and poses are free, so only the shared parameters of camera and
+    # shape remain.
     shared = np.arange(len(linearised.gradient.shared))
     kept = np.append(np.flatnonzero(views.free < camera), shared[-names:])
     matrix, gradient = _without_poses(linearised, kept)
@@ -112,13 +112,13 @@ def _without_poses(
     """Return the equations of some shared parameters, with free poses eliminated."""
     matrix, gradient = linearised.matrix, linearised.gradient
     border, free = matrix.border[:, :, kept], linearised.per_view_free
-    # A number that is held has an empty row; the one keeps its equation solvable.
+    # A held parameter has an empty row; 1 on its diagonal keeps the equations solvable.
     per_view = matrix.per_view + np.eye(6)[None] * np.where(free, 0.0, 1.0)[:, None]
     finite = np.isfinite(per_view).all(axis=(1, 2)) & np.isfinite(border).all(axis=(1, 2))
-    seen = np.flatnonzero(finite)
-    seen = seen[np.linalg.matrix_rank(per_view[seen], hermitian=True) == 6]
-    gains = np.linalg.solve(per_view[seen], border[seen])
+    determined = np.flatnonzero(finite)
+    determined = determined[np.linalg.matrix_rank(per_view[determined], hermitian=True) == 6]
+    gains = np.linalg.solve(per_view[determined], border[determined])
     return (
-        matrix.shared[np.ix_(kept, kept)] - np.einsum("vki,vkj->ij", border[seen], gains),
-        gradient.shared[kept] - np.einsum("vki,vk->i", gains, gradient.per_view[seen]),
+        matrix.shared[np.ix_(kept, kept)] - np.einsum("vki,vkj->ij", border[determined], gains),
+        gradient.shared[kept] - np.einsum("vki,vk->i", gains, gradient.per_view[determined]),
     )

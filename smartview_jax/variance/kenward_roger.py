@@ -27,7 +27,7 @@ from .likelihood import (
 VAGUE_PRIOR_LOG_STD = 3.0
 """Prior standard deviation of the logarithm of a standard deviation.
 
-It is the result where the views give no information.
+Without information from the views it is the result.
 """
 
 
@@ -38,7 +38,7 @@ class SmallSampleCorrection(NamedTuple):
         relative_std: standard deviations of the logarithms of the errors' standard deviations.
         added_covariance: covariance of the parameters due to the estimated standard deviations.
         degrees_of_freedom: degrees of freedom of each parameter's estimated variance; infinite
-            where no standard deviation affects it.
+            if no estimated standard deviation affects it.
         log_excess_covariance: covariance of the logarithms of the standard deviations' excess over
             their lower bounds.
         covariance_derivatives: derivative of the parameters' covariance by each of these
@@ -70,11 +70,11 @@ def small_sample_correction(
 ) -> SmallSampleCorrection:
     """Propagate the uncertainty of the errors' standard deviations to the parameters.
 
-    The propagation is of first order in the logarithms of the standard deviations. A standard
-    deviation at its lower bound has no effect: it can only grow, and half of the time it is there
-    because its true value is. The added covariance is twice that of Kackar and Harville, because
-    the covariance at estimated standard deviations is too small by the same amount on average
-    (Kenward and Roger).
+    The propagation is to first order in the logarithms of the standard deviations. A standard
+    deviation at its lower bound has no effect: it can only grow, and half of the time its true
+    value is at the bound. The added covariance is twice Kackar and Harville's, because the
+    covariance at estimated standard deviations is too small by the same amount on average (Kenward
+    and Roger).
 
     Args:
         views: the linearised views.
@@ -132,7 +132,7 @@ def _derivatives_by_log_sigma(
     # In the notation of `marginalise`, with C = A^-1 and W_j the prior precisions of kind j,
     # dW_j / d log sigma_j = -2 W_j gives, because A s = -h,
     #     ds / d log sigma_j = 2 C W_j (o + s),   dC / d log sigma_j = 2 C W_j C,
-    # and for the pixels, whose information is A - W with W that of all priors,
+    # and for the pixels, whose information is A - W with W the precision of all priors,
     #     ds / d log sigma = -2 C W (o + s),      dC / d log sigma = 2 (C - C W C).
     # Only rows and columns of the shared parameters are needed: C_ss, and C_vs = -K_v C_ss.
     prior_precision, step, offset = marginal.prior_precision, marginal.step, views.offset_from_prior
@@ -163,14 +163,14 @@ def p_value(
 ) -> float:
     """Compute the probability of estimates at least as far from the truth as `offset`, jointly.
 
-    It is from the chi-square distribution or, where the standard deviations of errors were
-    estimated, from an F distribution scaled according to Kenward and Roger.
+    From the chi-square distribution or, if the standard deviations of errors were estimated, from
+    an F distribution scaled according to Kenward and Roger.
 
     Args:
         offset: difference of the estimates from the hypothetical true values.
         covariance: covariance of these estimates, as reported.
-        correction: their uncertainty due to estimated standard deviations of errors; None where
-            these are known.
+        correction: their uncertainty due to estimated standard deviations of errors; None if these
+            are known.
     """
     count, square = len(offset), float(offset @ np.linalg.solve(covariance, offset))
     scale, degrees_of_freedom = (

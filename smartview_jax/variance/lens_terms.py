@@ -1,13 +1,12 @@
-"""Ask of the pictures whether the lens bends in a way that its model does not know.
+"""Test whether the lens has distortion that its model does not describe.
 
-Radial terms of higher order than most lens models have are added to the linearised fit, in pixels
-RMS over the points. Whatever camera, poses
-and target can make up for is left to them. A lens that the model describes needs none of the terms;
-otherwise they have a normal prior about zero whose standard deviation may be anything between a
-hardly measurable error and a gross one. The more probable it is that the terms are needed, the more
-the covariance of the transforms covers what they would change. Given the transforms, all other
-parameters have the distribution that they have without the terms, so that the calibration, which
-has none, predicts pixels as surely as before.
+Radial terms of higher order than in most lens models are added to the linearised fit, in pixels RMS
+over the points; camera, poses and target adapt to them. If the model is right, the terms are zero;
+otherwise they have a normal prior about zero whose standard deviation is between a hardly
+measurable error and a gross one. The covariance of the transforms is widened by the change that the
+terms would make, weighted by the probability that they are needed. Given the transforms, all other
+parameters keep their distribution without the terms, so that the predicted pixels of the
+calibration, which has no terms, are as certain as before.
 """
 
 import copy
@@ -27,28 +26,28 @@ from .likelihood import LinearisedViews, StandardDeviations, marginalise
 from .view_statistics import ViewStatistics
 
 STANDARD_DEVIATIONS = np.geomspace(0.01, 10.0, 16)
-"""Equally probable standard deviations of the terms, px RMS over the points: from what detection
-blurs to what no model of a lens leaves."""
+"""Equally probable standard deviations of the terms, px RMS over the points: from below the
+detection noise to above the misfit of any lens model."""
 
 SAME_FUNCTION = 1e-6
-"""Part of a term's information that other parameters leave, below which they can make the same
-pictures: the term is then one of the lens model's own."""
+"""Fraction of a term's information that remains after all other parameters have adapted, below
+which the term is taken as part of the lens model."""
 
 RADIAL_POWERS = (2, 3, 4)
 """Powers of the squared distance from the picture's centre by which the radial terms grow.
 
-Decentring is left out: a turn of the camera makes up for it so well that pictures do not tell, and
-the makers of lenses see to it.
+Decentring is left out: a rotation of the camera compensates for it almost completely, and makers of
+lenses keep it small.
 """
 
 
 class LensEvidence(NamedTuple):
-    """The evidence of the pictures that the lens bends otherwise than its model describes.
+    """The evidence for distortion that the lens model does not describe.
 
     Attributes:
-        probability: probability that it does.
-        rms: RMS misfit over the points, px, that is left after all other parameters have adapted.
-        covariance: covariance of the shared parameters that a fit without the terms lacks.
+        probability: probability that there is such distortion.
+        rms: RMS misfit over the points, px, after all other parameters have adapted.
+        covariance: covariance of the shared parameters to add to a fit without the terms.
     """
 
     probability: float
@@ -65,7 +64,7 @@ def lens_evidence(
     names: Sequence[str],
     wrong_lens_probability: float,
 ) -> LensEvidence | None:
-    """Return the evidence on the lens; None where no point is away from the picture's centre.
+    """Return the evidence on the lens; None if all points are at the picture's centre.
 
     Args:
         views: statistics of the views.
@@ -85,14 +84,14 @@ def lens_evidence(
     covariance, step = np.asarray(marginal.shared_covariance), np.asarray(marginal.step.shared)
     if not (np.isfinite(covariance).all() and np.isfinite(step).all()):
         return None
-    own = covariance[-count:, -count:]
-    by_terms = covariance[:-count, -count:] @ np.linalg.inv(own)
+    of_terms = covariance[-count:, -count:]
+    by_terms = covariance[:-count, -count:] @ np.linalg.inv(of_terms)
     # Without the widest prior: information matrix S and its product with the best step, S e = h.
-    precision = np.linalg.inv(own)
+    precision = np.linalg.inv(of_terms)
     information = precision - np.eye(count) / STANDARD_DEVIATIONS[-1] ** 2
     values, axes = np.linalg.eigh(0.5 * (information + information.T))
-    seen = int(np.asarray(views.problem.observations.visible).sum())
-    new = values > SAME_FUNCTION * seen / float(sigmas.pixel) ** 2
+    visible_count = int(np.asarray(views.problem.observations.visible).sum())
+    new = values > SAME_FUNCTION * visible_count / float(sigmas.pixel) ** 2
     if not new.any():
         return None
     values, axes = values[new], axes[:, new]
@@ -116,7 +115,7 @@ def lens_evidence(
     changes = _with_transforms(without_terms, transforms, (by_terms @ axes)[transforms])
     return LensEvidence(
         probability,
-        float(np.sqrt(max(explained, 0.0) / max(seen, 1))),
+        float(np.sqrt(max(explained, 0.0) / max(visible_count, 1))),
         probability * (changes @ moment @ changes.T),
     )
 
@@ -126,14 +125,14 @@ def _with_transforms(
     transforms: Sequence[int],
     changes: Float[np.ndarray, "transforms changes"],
 ) -> Float[np.ndarray, "shared changes"]:
-    """Return changes of the transforms' parameters with what they entail for all others.
+    """Return the changes of all parameters that go with changes of the transforms' parameters.
 
     Args:
         covariance: covariance of the shared parameters.
         transforms: indices of the transforms' parameters.
         changes: changes of the transforms' parameters.
     """
-    # E(x | t) = C_xt C_tt^-1 t, with t in its standard deviations: metres and radians differ.
+    # E(x | t) = C_xt C_tt^-1 t, with t in units of its standard deviations (metres and radians).
     columns = covariance[:, transforms]
     scale = np.sqrt(np.diagonal(columns[transforms]))
     correlation = columns[transforms] / np.outer(scale, scale)
@@ -144,16 +143,16 @@ def _with_transforms(
 def _terms(
     views: ViewStatistics, chain: FittedChain
 ) -> Float[np.ndarray, "terms views points 2"] | None:
-    """Return how each term moves the predicted pixels, by one pixel RMS; each without the last.
+    """Return the pixel displacements by each term, 1 px RMS over the points, mutually orthogonal.
 
-    None where too few points are away from the picture's centre, or one cannot be projected.
+    None if too few points are away from the picture's centre, or a point cannot be projected.
     """
     observations, camera = views.problem.observations, chain.calibration.camera
     visible = np.asarray(observations.visible)[..., None]
     residuals = view_residuals(
         camera, chain.calibration.target_scale, chain.camera_from_world, observations
     )
-    # Functions of measured pixels would go together with these pixels' noise.
+    # At predicted pixels, because functions of measured pixels are correlated with their noise.
     predicted = np.asarray(observations.pixels) - np.asarray(residuals)
     centre = np.array([float(camera.u0), float(camera.v0)])
     away = np.where(visible, predicted - centre, 0.0)
@@ -163,7 +162,7 @@ def _terms(
     place = away / farthest
     square = (place**2).sum(axis=-1, keepdims=True)
     terms = np.stack([place * square**power for power in RADIAL_POWERS])
-    # Each without what the terms before it can do, so that all of them are independent.
+    # Orthogonalised, so that the terms are independent.
     flat, triangle = np.linalg.qr(terms.reshape(len(terms), -1).T)
     if not (np.abs(np.diagonal(triangle)) > 1e-9 * np.abs(triangle).max()).all():
         return None
@@ -177,9 +176,9 @@ def _with_terms(
     terms: Float[np.ndarray, "terms views points 2"],
 ) -> LinearisedViews:
     """Return the linearised views with the terms as shared parameters after all others."""
-    # Where the pixels move by a term b, the gradient -J^T r becomes -J^T (r + b), and half the sum
-    # of squares |r|^2 / 2 grows by b^T r + |b|^2 / 2: the compiled program of the linearisation
-    # tells how the terms go together with all other parameters.
+    # If the pixels move by a term b, the gradient -J^T r becomes -J^T (r + b), and half the sum of
+    # squares |r|^2 / 2 grows by b^T r + |b|^2 / 2: so the compiled linearisation gives the products
+    # of the terms with all other parameters.
     products = np.einsum("ivpk,jvpk->ij", terms, terms)
     by_shared, by_view, by_residual = [], [], []
     for term, square in zip(terms, np.diagonal(products), strict=True):

@@ -1,12 +1,12 @@
 """Restricted likelihood (REML) of the standard deviations of pixels, poses and robot error field.
 
 The residuals of a view determine the white noise within the view, but give almost no information on
-errors that shift all of its points together. The likelihood is therefore that of statistics per
-view: the best free pose of each view, and the camera of the fit with free poses, with the
-information that their pixels give. These statistics scatter by an *effective* pixel sigma, which is
-not smaller than the white one, and about the poses predicted by the chain by the robot's random and
-smooth errors. Everything that is fitted without a prior is marginalised with a flat prior
-(restricted likelihood), so that a few views are not rated more precise than they are.
+errors that shift all of its points together. Therefore the likelihood is of statistics per view:
+the best free pose of each view, and the camera of the fit with free poses, with the information of
+their pixels. These statistics scatter by an *effective* pixel sigma, which is at least the white
+one, and deviate from the poses predicted by the chain by the robot's random and smooth errors. All
+parameters without a prior are marginalised with a flat prior (restricted likelihood), so that the
+precision of a few views is not overrated.
 
 After the chain is linearised once, the model is linear and Gaussian, and the likelihood is
 evaluated without another pass over the pixels.
@@ -30,14 +30,14 @@ from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace
 ROBOT_SIGMA_FLOOR = 1e-8
 """Standard deviation, m or rad, at which an error of the robot counts as zero.
 
-It is not smaller because its inverse square, times the square of centimetres by which poses may be
-wrong, must not cost the deviance its significant digits.
+It is not smaller, so that its inverse square, times the square of a pose error of centimetres, does
+not swamp the significant digits of the deviance.
 """
 
 RELATIVE_RIDGE = 1e-13
-"""Fraction of its own information added to that of every shared parameter.
+"""Fraction by which the information of every shared parameter is increased.
 
-The variance of a parameter that no view determines then stays finite.
+It keeps the variance of an undetermined parameter finite.
 """
 
 
@@ -47,8 +47,8 @@ class LinearisedViews(eqx.Module):
     Attributes:
         matrix: normal equations of the free shared parameters and each view's own, without priors.
         gradient: gradient of half the sum of squared residuals.
-        residual_sum_of_squares: sum of squared residuals at the linearisation, px^2, minus that of
-            the fit with free poses and a free camera.
+        residual_sum_of_squares: sum of squared residuals at the linearisation minus the sum at the
+            fit with free poses and a free camera, px^2.
         offset_from_prior: difference of the parameters from their prior means at the linearisation.
         known_weight: one over the standard deviation of the priors with known standard deviations.
         group_index: index of the group of unknown standard deviation of each shared parameter, -1
@@ -189,7 +189,7 @@ def posterior_mode_step(views: LinearisedViews, sigmas: StandardDeviations) -> S
 class Marginalisation:
     """The result of marginalising all fitted parameters, with the parts that its derivatives need.
 
-    The covariances are computed where they are first asked for: a deviance alone needs none.
+    The covariances are computed on first use, because a deviance alone does not need them.
 
     Attributes:
         deviance: -2 log of the restricted likelihood, up to a constant; see `deviance`.
@@ -259,7 +259,7 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
 
     shared = pixel_precision * matrix.shared
     shared = shared + xp.diag(prior_precision.shared + RELATIVE_RIDGE * xp.diagonal(shared))
-    # A fixed correction has a zero column; the one keeps its equation solvable.
+    # A fixed correction has a zero column; 1 on the diagonal keeps the equations solvable.
     diagonal = xp.where(views.per_view_free, prior_precision.per_view, 1.0)
     per_view = pixel_precision * matrix.per_view + xp.eye(6)[None] * diagonal[:, None]
     shared_gradient = (

@@ -1,9 +1,9 @@
-"""Average over models of the robot's error and of the target's size, and cover their disagreement.
+"""Average over models of the robot's error and of the target's size, and add their disagreement.
 
-Where the data do not decide between two models, the answer lies between theirs, and its covariance
-has to cover both. The parameters' covariance over all models is the average of the covariances
-within the models, plus the covariance between the models: the weighted squares of their distances
-from the answer.
+If the data do not decide between two models, the estimate lies between theirs, and its covariance
+has to cover both. The covariance over all models is the average of the covariances within the
+models plus the covariance between the models: the weighted squares of their distances from the
+estimate.
 """
 
 from collections.abc import Mapping
@@ -23,12 +23,12 @@ def averaged_models(
 ) -> StandardDeviations:
     """Return the standard deviations of the averaged model.
 
-    The target's size is estimated from the data in some models, and as stated in the others: its
-    prior standard deviation is that with which the most probable size is their average.
+    The target's size is estimated in some models, and as stated in the others. Its prior standard
+    deviation is chosen so that the most probable size is the models' average.
 
     Args:
         views: the linearised views.
-        groups: names of the groups, with `TARGET_SCALE` last where the scale is a parameter.
+        groups: names of the groups, with `TARGET_SCALE` last if the scale is a parameter.
         fitted: the models.
         probabilities: their probabilities.
     """
@@ -40,8 +40,8 @@ def averaged_models(
     if not 0.0 < probability < 1.0:
         prior_std = ROBOT_SIGMA_FLOOR if probability == 0.0 else _prior_std(fitted, group)
         return _with_group(sigmas, group, prior_std)
-    # Data alone give the logarithm x +- s, the stated size is a logarithm of 0. With a prior
-    # 0 +- t the mode is x t^2 / (s^2 + t^2), which is the average p x for t^2 = s^2 p / (1 - p).
+    # Data alone give the logarithm x +- s; the stated size has the logarithm 0. With a prior 0 +- t
+    # the mode is x t^2 / (s^2 + t^2), which is the average p x for t^2 = s^2 p / (1 - p).
     prior_std = _prior_std(fitted, group)
     free = marginalise(views, _with_group(sigmas, group, prior_std))
     variance = float(free.shared_covariance.diagonal()[views.group_index == group][0])
@@ -55,7 +55,7 @@ def between_models_covariance(
     probabilities: Mapping[ModelName, float],
     averaged: StandardDeviations,
 ) -> Float[np.ndarray, "shared shared"]:
-    """Return the covariance of the parameters between the models, about the averaged answer.
+    """Return the covariance of the parameters between the models, about the averaged estimate.
 
     Args:
         views: the linearised views.
@@ -63,24 +63,24 @@ def between_models_covariance(
         probabilities: their probabilities.
         averaged: result of `averaged_models`.
     """
-    answer = marginalise(views, averaged).step.shared
+    estimate = marginalise(views, averaged).step.shared
     if not probabilities:
-        return np.zeros((len(answer), len(answer)))
+        return np.zeros((len(estimate), len(estimate)))
     differences = np.array(
         [marginalise(views, fitted[name].maximum.sigmas).step.shared for name in probabilities]
     )
-    differences = differences - answer
+    differences = differences - estimate
     weights = np.array(list(probabilities.values()))
     return differences.T @ (weights[:, None] * differences)
 
 
 def _prior_std(fitted: Mapping[ModelName, FittedCandidate], group: int) -> float:
     """Return the prior standard deviation of the target's size in the models that estimate it."""
-    return max(float(one.maximum.sigmas.field[group]) for one in fitted.values())
+    return max(float(candidate.maximum.sigmas.field[group]) for candidate in fitted.values())
 
 
 def _with_group(sigmas: StandardDeviations, group: int, value: float) -> StandardDeviations:
-    """Return the standard deviations with another one of one group."""
+    """Return the standard deviations with a new value for one group."""
     field = np.array(sigmas.field)
     field[group] = value
     return sigmas._replace(field=field)

@@ -32,10 +32,10 @@ from .possible_models import TARGET_SCALE_LIMITS
 from .view_statistics import ViewStatistics, with_prior_sigmas
 
 MAX_FREE_FITS = 3
-"""Largest number of fits with free poses, each from the poses that robot and pictures agree on."""
+"""Largest number of fits with free poses, each started from the fit of robot and pictures."""
 
 FREE_FIT_TOLERANCE = 1e-3
-"""Relative decrease of the sum of squares below which a fit with free poses is as good as any."""
+"""Relative decrease of the sum of squares below which a fit with free poses is accepted."""
 
 
 class ModelComparison(NamedTuple):
@@ -51,7 +51,7 @@ class ModelComparison(NamedTuple):
         fitted: the models, each with the standard deviations that maximise its posterior.
         probabilities: posterior probabilities of the models.
         candidates: the same for the result.
-        target_scale: evidence on the target's size; None where it is not in question.
+        target_scale: evidence on the target's size; None if it is not estimated.
     """
 
     basis: AbstractField | None
@@ -81,8 +81,8 @@ def compare_models(
 
     Args:
         data: data set.
-        start: any calibration near enough, with the lens that is to be fitted.
-        field: field that the user asked for, `"auto"`, or None for white noise alone.
+        start: a calibration near the solution, with the lens to fit.
+        field: the requested field, `"auto"`, or None for white noise alone.
         fixed: paths of parameters to hold.
         free: paths of parameters to make free.
         priors: priors on parameters.
@@ -125,8 +125,8 @@ def compare_models(
         views, z, linearised = _linearised_at_mode(
             views, built.shared_names, free_fit.z, free_poses, white
         )
-        # No fit explains the pixels better than free poses do, unless a pose that the robot
-        # reported far from the true one went astray: that fit is made again from this one.
+        # No fit can explain the pixels better than free poses, unless a free pose converged to a
+        # wrong minimum from a grossly wrong reported pose: then it is repeated from this fit.
         excess = float(linearised.residual_sum_of_squares)
         if excess >= -FREE_FIT_TOLERANCE * within_sum_of_squares or fits == MAX_FREE_FITS:
             break
@@ -141,10 +141,10 @@ def compare_models(
     )
     if not fitted:
         raise ValueError(
-            "no model explains the views: their own best poses cannot be linearised; "
-            "start nearer to the truth (fit_staged), or check the poses"
+            "no error model could be fitted, because the chain cannot be linearised: start nearer "
+            "to the solution (fit_staged), or check the poses"
         )
-    # A field that was asked for is used whatever the probability of white noise.
+    # A requested field is used whatever the probability of white noise.
     requested = list(models)[-1] if isinstance(field, AbstractField) else None
     probabilities = posterior_probabilities(
         {model: fit for model, fit in fitted.items() if requested in (None, model.field)}
@@ -170,7 +170,7 @@ def _likeliest_white_noise(
     sigma_prior: StandardDeviationPrior,
     prior: RobotPrior,
 ) -> StandardDeviations:
-    """Return the likelier standard deviations of white noise: target as stated, or of any size."""
+    """Return the more likely white noise: with the target's size as stated, or free."""
     white = {WHITE_NOISE: Candidate(frozenset(), 0.0)}
     fitted = fit_candidates(
         views, white, groups, initial, sigma_prior, prior.wrong_target_probability
@@ -189,14 +189,14 @@ def _linearised_at_mode(
 ) -> tuple[ViewStatistics, Step, LinearisedViews]:
     """Linearise the views at the most probable parameters for given standard deviations.
 
-    The pose of a view is then the best that robot and pictures say together. At poses from
-    the pictures alone, their noise would enter the derivatives, and many views of an accurate
-    robot would shrink the target.
+    The pose of a view is then the best estimate from robot and pictures together. At poses from the
+    pictures alone their noise would enter the derivatives, and bias the target's size with many
+    views of an accurate robot.
 
     Args:
         views: statistics of the views.
         names: names of the free shared parameters.
-        z: step at which they have been linearised.
+        z: step at which the views were linearised.
         linearised: the views linearised there.
         sigmas: standard deviations of all errors.
 

@@ -1,17 +1,16 @@
 """Compare models of the robot error on a set of views, and average them by their probability.
 
-Every model is a set of groups of one basis that contains them all, so that all are compared on the
-same statistics. The standard deviations of a model's errors are those that
-maximise their posterior; the integral of the posterior about the maximum, by Laplace's method, is
-the evidence of the model,
+Every model is a set of groups of a common basis, so that all are compared on the same statistics.
+The standard deviations of a model's errors maximise their posterior; the integral of the posterior
+about the maximum, by Laplace's method, is the evidence of the model,
 
     log Z = -D / 2 - log det(I / 2 pi) / 2 - sum_k log(s_k sqrt(2 pi))
 
 with `D` the deviance including the prior, `I` the information matrix of the logarithms of the
 standard deviations and `s_k` the standard deviations of their priors. Evidence times prior
 probability is the weight of a model. Few views often cannot decide between models, so none is
-selected: the fit uses the priors of the weighted average, whose variances are the averages of the
-models' own (a model without a group counts as zero there).
+selected: the variances of the fit's priors are weighted averages of the models' variances (zero for
+a model without the group).
 
 Reference: Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging: a tutorial, 1999.
 """
@@ -43,8 +42,8 @@ MIN_GENERIC_ARM_VIEWS = 10
 """Smallest number of views for which an arm of unknown geometry is a candidate.
 
 With fewer views, its guessed proportions fit almost anything: in one of ten sets of eight simulated
-views of a robot with white noise alone, the result was twice as far off with it; and random sets of
-six views of koide_charuco 20231006, an arm with seven joints, are wrong by 2 to 3 times as much.
+views of a robot with white noise alone, the error was twice as large with it; and with random sets
+of six views of koide_charuco 20231006, an arm with seven joints, 2 to 3 times as large.
 """
 
 WHITE_NOISE_ODDS, LINEAR_IN_POSITION_ODDS, LINEAR_IN_POSE_ODDS, GENERIC_ARM_ODDS = np.exp(
@@ -52,13 +51,13 @@ WHITE_NOISE_ODDS, LINEAR_IN_POSITION_ODDS, LINEAR_IN_POSE_ODDS, GENERIC_ARM_ODDS
 )
 """Prior odds of the models of the robot error: white noise alone, and with it a field.
 
-The fields are linear in position, linear in the pose, and that of an arm of unknown geometry.
+The fields are linear in position, linear in the pose, and an arm of unknown geometry.
 
-An error model that is not needed costs more than a small error that is missed. At odds of 7 instead
-of 20 for white noise, sets of five and six simulated views without a smooth error were 2 to 6 %
-farther off than with white noise alone; for arms that do have errors the evidence outweighs either
-odds many times over. The errors of an arm are in its joints, so that the arm is more probable than
-an error linear in the pose, which a few views cannot constrain.
+An unneeded error model costs more than missing a small error. At odds of 7 instead of 20 for white
+noise, errors with five and six simulated views without a smooth error were 2 to 6 % larger than
+with white noise alone; for arms with errors the evidence outweighs either odds many times over. The
+errors of an arm are in its joints, so the arm is more probable than an error linear in the pose,
+which a few views cannot constrain.
 """
 
 PIXEL_SIGMA_PRIOR_RATE = 0.7
@@ -80,7 +79,7 @@ TARGET_GROUPS = (*SHAPE_GROUPS, TARGET_SCALE)
 """Groups of the target's parameters; they come after the groups of the robot's error."""
 
 MIN_WEAK_ROBOT_EXCESS = 2.0
-"""Standard deviations of the good robot's prior above its median from which a robot may be weak."""
+"""Standard deviations above the median of the good robot's prior at which a robot may be weak."""
 
 MIN_MODEL_PROBABILITY = 0.01
 """Probability below which a model is left out of the average."""
@@ -133,7 +132,7 @@ def encompassing_field(data: Dataset, view_count: int) -> AbstractField:
         data: data set, with an arm if the joints are known.
         view_count: number of views with enough points to determine their pose.
     """
-    # A known arm leaves nothing to be guessed by a generic one.
+    # With a known arm no generic arm is needed.
     if data.arm is not None:
         return DHErrors(data.arm)
     poses = readable_poses(data)
@@ -156,7 +155,7 @@ def candidate_models(requested: FieldChoice, basis: AbstractField | None) -> dic
     """Return the models to be tried, by name.
 
     Args:
-        requested: field that the user asked for; `"auto"` for a choice, None for none.
+        requested: the requested field; `"auto"` for a choice, None for none.
         basis: field that contains all models.
     """
     white = {WHITE_NOISE: Candidate(frozenset(), float(np.log(WHITE_NOISE_ODDS)))}
@@ -195,7 +194,7 @@ def fit_candidates(
         prior: prior of the standard deviations of all groups.
         wrong_target_probability: prior probability that the target does not have its stated size.
     """
-    # Every model is a mask of one set of statistics, so that no model is linearised by itself.
+    # Every model is a mask on the same statistics, so the views are linearised once.
     fitted: dict[ModelName, FittedCandidate] = {}
     for free_scale in (False, True) if TARGET_SCALE in groups else (False,):
         scale_log_odds = (
@@ -204,7 +203,7 @@ def fit_candidates(
             else 0.0
         )
         for name, model in models.items():
-            # Every target has a shape: how much of one is estimated, not chosen.
+            # The target's shape is in all models: its size is estimated, not selected.
             model_groups = model.groups | set(SHAPE_GROUPS)
             model_groups |= {TARGET_SCALE} if free_scale else set()
             active = np.array([True, True, *(group in model_groups for group in groups)])
@@ -228,13 +227,13 @@ def fit_good_or_weak_robot(
     """
     good = maximise(views, initial, active, prior)
     good_evidence = log_evidence(good, active, prior)
-    # A good robot's noise leaves no doubt that it is not a weak one.
+    # With the noise of a good robot, a weak one need not be considered.
     log_excess = np.log(good.sigmas.vector[1:3] / prior.median[:2]) / prior.log_std[:2]
     if not (prior.weak_probability > 0.0 and log_excess.max() > MIN_WEAK_ROBOT_EXCESS):
         return good, good_evidence
     of_weak = prior.of_weak_robot
-    # From the good robot's noise the search can end where only positions are wrong, and pixels by
-    # a hundred times what they scatter within a view: it begins at what weak robots usually do.
+    # From the good robot's noise the search can end in a local maximum with wrong positions only
+    # and a hundredfold pixel noise, so it starts at the typical noise of weak robots.
     start = initial._replace(
         translation=np.asarray(of_weak.median[0]), rotation=np.asarray(of_weak.median[1])
     )
@@ -322,8 +321,8 @@ def standard_deviation_prior(
     Args:
         prior: prior of the robot's errors.
         field: field that has the groups.
-        group_names: names of the groups, with `TARGET_SCALE` last where the scale is one of them.
-        shape: shape of the target, where it has groups; they come before that.
+        group_names: names of the groups, with `TARGET_SCALE` last if the scale is among them.
+        shape: shape of the target, if it has groups; they come before the scale.
     """
     field_names = [] if field is None else [name for name, _ in field.groups]
     indices = [0, 1, *(2 + field_names.index(name) for name in group_names if name in field_names)]

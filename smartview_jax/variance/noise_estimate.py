@@ -20,9 +20,9 @@ class CandidateResult(NamedTuple):
 
     Attributes:
         model: its robot error field by name, and whether the target's scale was free as well.
-        probability: posterior probability of the model; zero where another field was asked for.
-        log_likelihood_ratio: twice the logarithm of the ratio of its penalised likelihood to that
-            of white noise of the poses alone.
+        probability: posterior probability of the model; zero if another field was requested.
+        log_likelihood_ratio: twice the logarithm of its penalised likelihood relative to white
+            noise of the poses alone.
         noise: the standard deviations that maximise its posterior.
     """
 
@@ -33,7 +33,7 @@ class CandidateResult(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The name of the model, for people to read."""
+        """The name of the model, for printing."""
         return str(self.model)
 
 
@@ -57,8 +57,8 @@ class TargetShapeEstimate(NamedTuple):
     Attributes:
         shape: the shape.
         covariance: covariance of its coefficients, m^2.
-        by_shape: change of each of the fit's shared parameters with each coefficient; after them,
-            of the coefficients themselves.
+        by_shape: derivative of each of the fit's shared parameters, and then of the coefficients
+            themselves, by each coefficient.
     """
 
     shape: TargetShape
@@ -66,7 +66,7 @@ class TargetShapeEstimate(NamedTuple):
     by_shape: Float[np.ndarray, "shared 5"]
 
     def bow(self, points: Float[np.ndarray, "points 3"]) -> tuple[float, float]:
-        """Return the height of the highest over the lowest point, and its standard deviation, m.
+        """Return the height of the highest above the lowest point, and its standard deviation, m.
 
         Args:
             points: the target's points as stated, m.
@@ -85,22 +85,21 @@ class NoiseEstimate(NamedTuple):
     Attributes:
         name: name of the most probable model.
         noise: standard deviations of all errors in the averaged model.
-        field: robot error field; None where the views do not call for one.
-        encompassing_field: field that contains those of all models; the fit is made with it, with
-            the groups held at zero that `field` does not have.
+        field: robot error field; None if the views need none.
+        encompassing_field: field that contains the fields of all models; the fit uses it, holding
+            the groups that are not in `field` at zero.
         calibration: the calibration at the end of the estimation.
         candidates: all models of the robot error that were tried.
-        target_scale: evidence on the target's size; None where its scale was not in question.
+        target_scale: evidence on the target's size; None if it was not estimated.
         target_scale_std: prior standard deviation of the logarithm of the target's size in the
-            averaged model, about the stated size; None where the size is held.
-        target_shape: the target's shape; None where the target is not flat, or held as stated.
-        mount_displacement: translation (m) and rotation (rad) of the camera's mount with the robot
-            error field, relative to that with white noise alone; None where there is no field, or
-            the mount is held.
+            averaged model, about the stated size; None if the size is held.
+        target_shape: the target's shape; None if the target is not flat, or held as stated.
+        mount_displacement: displacement of the camera's mount by the robot error field, relative to
+            white noise alone: translation (m) and rotation (rad); None without a field, or if the
+            mount is held.
         converged: whether the standard deviations converged.
         relative_std: relative standard errors of the estimated standard deviations of pixel,
-            translation, rotation and field; large for one near zero, which the data do not
-            determine.
+        translation, rotation and field; large for undetermined ones near zero.
         parameter_names: names of the fit's shared parameters, then of the target's shape.
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
@@ -109,7 +108,7 @@ class NoiseEstimate(NamedTuple):
         robot_prior: prior of the robot's errors.
         noise_corrections: twists at the tool that correct the reported poses for noise; the robot
             error field is evaluated at the corrected poses. None evaluates it at the reported ones.
-        lens: evidence that the lens bends otherwise than its model describes.
+        lens: evidence for distortion that the lens model does not describe.
     """
 
     name: str
@@ -133,7 +132,7 @@ class NoiseEstimate(NamedTuple):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The paths of the parameters that are made free because the views call for it."""
+        """The paths of the parameters that the estimation made free."""
         return () if self.target_scale_std is None else (TARGET_SCALE,)
 
     def priors(self, start: Calibration) -> dict[str, Prior]:
@@ -149,8 +148,8 @@ class NoiseEstimate(NamedTuple):
     def covariance_of_choices(self, names: Sequence[str]) -> Float[np.ndarray, "subset subset"]:
         """Return the covariance of some parameters that a fit of the averaged model lacks.
 
-        It is due to the disagreement between the models, to a lens that may bend otherwise than its
-        model, and to the target's uncertain shape.
+        It is due to the disagreement between the models, to possible distortion that the lens model
+        does not describe, and to the target's uncertain shape.
         """
         indices = self._indices(names)
         covariance = self.between_models_covariance[np.ix_(indices, indices)]

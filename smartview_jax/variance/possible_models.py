@@ -1,8 +1,8 @@
-"""Leave out models that no robot and no target can be, before they enter an average.
+"""Leave out impossible models, with a wildly wrong robot or target, before averaging.
 
-Target, camera distance and motion can all shrink together, and pictures cannot tell. A model that
-has cancelled the motion of the robot, or taken the target for a fraction of itself, has found
-nothing out: its residuals are small because nothing is left that could disagree.
+Target, camera distance and motion can all shrink together without a change of the pictures. A model
+that cancels the motion of the robot, or shrinks the target to a fraction, is degenerate: its
+residuals are small because nothing is left to fit.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ MOTION_RATIO_LIMITS = (0.5, 2.0)
 
 
 def is_possible(chain: FittedChain, data: Dataset) -> bool:
-    """Return whether a fitted chain has a possible target and robot, and projects every view.
+    """Return whether a fitted chain has a plausible target and robot, and projects every view.
 
     Args:
         chain: the chain of every view.
@@ -43,7 +43,7 @@ def is_possible(chain: FittedChain, data: Dataset) -> bool:
 def motion_ratio(
     reported: Float[np.ndarray, "views 4 4"], field_corrections: Float[np.ndarray, "views 6"]
 ) -> float:
-    """Return the ratio of actual to reported motion; 1 for a robot that only turned.
+    """Return the ratio of actual to reported motion; 1 for a robot that only rotated.
 
     Args:
         reported: reported poses of the tool.

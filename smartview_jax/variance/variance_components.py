@@ -75,13 +75,13 @@ def estimate_noise(
     """Estimate the standard deviations of all errors by restricted likelihood and priors on arms.
 
     Args:
-        data: data set; below about eight views nothing is reliable, and more are better.
-        start: any calibration near enough, with the lens that is to be fitted.
+        data: data set; unreliable below about eight views.
+        start: a calibration near the solution, with the lens to fit.
         field: model of the robot error. `"auto"` averages over a robot with white noise alone, and
-            with a field in addition: linear in position or in the pose, or that of an arm of
-            unknown geometry, or, where an arm's joints are known, of their zeros or of all its
-            Denavit-Hartenberg parameters. None is white noise alone. A field of `robot_errors`, or
-            one of your own, is used as it is.
+            with an additional field: linear in position, linear in the pose, or an arm of unknown
+            geometry; with known joints, errors of joint zeros or of all Denavit-Hartenberg
+            parameters. None is white noise alone. A field of `robot_errors`, or a custom field, is
+            used as given.
         fixed: paths of parameters to hold, as in `fit_joint`.
         free: paths of parameters to make free, as in `fit_joint`.
         priors: priors on parameters, as in `fit_joint`.
@@ -89,7 +89,7 @@ def estimate_noise(
         robot_prior: prior of the standard deviations of an arm's errors.
 
     Raises:
-        ValueError: as in `fit_joint`, and for a prior on what is estimated here.
+        ValueError: as in `fit_joint`, and for a prior on the robot's errors, which are estimated.
     """
     report_progress = progress or (lambda _: None)
     prior, field = robot_prior or RobotPrior(), checked_field_choice(field)
@@ -98,7 +98,7 @@ def estimate_noise(
     for path in priors or ():
         if path.split(".")[0] in (ROBOT_ERROR, POSE_CORRECTIONS):
             raise ValueError(
-                f"prior on {path!r}: its size is what noise='estimated' finds; give a Noise instead"
+                f"prior on {path!r}: noise='estimated' estimates its size; give a Noise instead"
             )
 
     # First pass: all models on the basis that contains them, linearised at the fit with free poses.
@@ -116,8 +116,8 @@ def estimate_noise(
         if ROBOT_ERROR in fixed
         else smallest_sufficient_field(first.basis, first.models, set(field_probabilities))
     )
-    # The problem keeps the field that contains all models, and holds the rest of it at zero: all
-    # fits of a calibration are then solved by one compiled program.
+    # The problem keeps the field that contains all models, with unused groups held at zero, so that
+    # all fits of a calibration share one compiled program.
     built = first.built.holding(_held_names(first, fitted_field, free_scale))
     scale_is_group = free_scale and first.target_scale is not None
     within = first.views.within_sum_of_squares
@@ -137,7 +137,7 @@ def estimate_noise(
     )
     chain, linearised, maximum = average.chain, average.views, average.maximum
     if (free_scale or field == "auto") and not is_possible(chain, data):
-        report_progress("the fit leaves nothing of the target or of the motion: without this model")
+        report_progress("degenerate fit (target or motion shrunk): refit without this model")
         return estimate_noise(
             data,
             start,
@@ -215,22 +215,23 @@ def _target_shape_estimate(
         return None
     covariance = np.asarray(marginalise(average.views, sigmas).shared_covariance)
     if not np.isfinite(covariance).all():
-        # Poses and pictures do not belong together: the fit says so, and the shape stays as stated.
+        # Poses and pictures do not belong together, which the fit reports; the shape stays as
+        # stated.
         return None
     columns = covariance[:, -len(shape.coefficients) :]
-    own = columns[-len(shape.coefficients) :]
-    # The covariance can be singular to rounding where the standard deviations are at their floor.
-    scale = np.sqrt(np.diagonal(own))
-    correlation = own / np.outer(scale, scale)
+    of_shape = columns[-len(shape.coefficients) :]
+    # The covariance can be singular to rounding if standard deviations are at their floor.
+    scale = np.sqrt(np.diagonal(of_shape))
+    correlation = of_shape / np.outer(scale, scale)
     by_shape = np.asarray((columns / scale) @ np.linalg.pinv(correlation, hermitian=True))
-    return TargetShapeEstimate(shape, own, by_shape / scale)
+    return TargetShapeEstimate(shape, of_shape, by_shape / scale)
 
 
 class _Average(NamedTuple):
     """The fit of the averaged model.
 
     Attributes:
-        shape: the target's shape; None where it is held as stated.
+        shape: the target's shape; None if it is held as stated.
         chain: the chain of the fit.
         z: the step of the fit.
         views: the views linearised there.
@@ -295,13 +296,13 @@ def _iterate_to_convergence(
         iterations += 1
         search_start = sigmas
         if TARGET_SCALE in views.group_names:
-            # Its prior in the average is another one than in the models.
+            # Its prior differs between the average and the models.
             search_start = sigmas._replace(field=np.append(sigmas.field[:-1], prior.median[-1]))
         fitted = fit_candidates(
             linearised, models, views.group_names, search_start, prior, wrong_target_probability
         )
         if not fitted:
-            # No model has a finite weight, for example where pictures and poses do not belong
+            # No model has a finite weight, for example if pictures and poses do not belong
             # together: return the last good result.
             if last is not None:
                 return last._replace(maximum=_maximum_at(last.views, sigmas, prior))
@@ -344,7 +345,7 @@ def _mount_displacement(
     views: LinearisedViews,
     sigmas: StandardDeviations,
 ) -> tuple[float, ...] | None:
-    """Compute how far the robot error field displaces the mount, to first order."""
+    """Compute the displacement of the mount by the robot error field, to first order."""
     mount = f"{built.problem.parameters.start.transform_names[0]}."
     indices = [k for k, name in enumerate(built.shared_names) if name.startswith(mount)]
     if len(indices) != 6:
@@ -361,7 +362,7 @@ def _mount_displacement(
 def _maximum_at(
     views: LinearisedViews, sigmas: StandardDeviations, prior: StandardDeviationPrior
 ) -> LikelihoodMaximum:
-    """Return the result of a search for the maximum that ends at these standard deviations."""
+    """Return these standard deviations as the result of a search for the maximum."""
     marginal = marginalise(views, sigmas)
     information = np.asarray(fisher_information(views, marginal, len(sigmas.field)))
     information = information + np.diag(np.pad(prior.log_std**-2, (1, 0)))
@@ -374,7 +375,7 @@ def _averaged_noise(
     field: AbstractField | None,
     prior: RobotPrior,
 ) -> Noise:
-    """Return the noise of the averaged model; of groups that are held, the prior's medians."""
+    """Return the noise of the averaged model, with the prior's medians for held groups."""
     noise = noise_from_sigmas(sigmas, views.white_sigma)
     fitted = dict(zip(views.group_names, noise.field, strict=True))
     names = () if field is None else tuple(name for name, _ in field.groups)

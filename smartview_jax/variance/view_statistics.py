@@ -35,8 +35,8 @@ from .model_selection import SHAPE_GROUPS, TARGET_SCALE, TARGET_SHAPE
 HOLDING_SIGMA = 1e-6
 """Prior standard deviation, in m, rad or no unit, that holds the chain while all poses are free.
 
-Any would do, since free poses explain whatever the chain leaves, and no view pulls on it. But the
-prior is subtracted again from the normal equations, and must not cost these significant digits.
+The value hardly matters, since with free poses no view acts on the chain. But the prior is
+subtracted again from the normal equations, which must keep their significant digits.
 """
 
 
@@ -54,8 +54,8 @@ class ViewStatistics:
             poses.
         white_sigma: standard deviation of the noise within views, px.
         known_weight: one over the standard deviation of the priors with known standard deviations.
-        shape: shape of the target, to which the points of the problem belong; None where it is
-            held as stated.
+        shape: shape of the target, with which the points of the problem were computed; None if it
+            is held as stated.
         shape_names: names of the shape's parameters.
     """
 
@@ -97,7 +97,7 @@ class ViewStatistics:
             self._set_shape(shape)
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "ViewStatistics":
-        """Return the statistics with the robot error field evaluated at poses less their noise."""
+        """Return the statistics with the robot error field at poses corrected for noise."""
         views = copy.copy(self)
         views.problem = self.problem.with_noise_corrections(corrections)
         return views
@@ -110,7 +110,7 @@ class ViewStatistics:
         )
 
     def with_shape(self, shape: TargetShape) -> "ViewStatistics":
-        """Return the statistics for a target of another shape, where they have one already."""
+        """Return the statistics for a different shape of the target."""
         views = copy.copy(self)
         views._set_shape(shape)
         return views
@@ -118,7 +118,7 @@ class ViewStatistics:
     def at(
         self, shape: TargetShape | None, corrections: Float[np.ndarray, "views 6"]
     ) -> "ViewStatistics":
-        """Return the statistics at a fit: for its target's shape and its poses less their noise."""
+        """Return the statistics at a fit: with its target shape and noise corrections."""
         views = self.with_noise_corrections(corrections)
         return views if shape is None else views.with_shape(shape)
 
@@ -157,12 +157,12 @@ class ViewStatistics:
             equations: its normal equations, with these priors.
         """
         if self.shape is not None:
-            # The fit holds the shape: its derivatives take another pass.
+            # The fit holds the shape, whose derivatives need another pass.
             return self.linearise(z)
         equations, weight = jax.tree.map(np.asarray, (equations, fitted.prior_weight))
         offset = self._offset_from_prior(z)
-        # A prior adds w^2 o^2 / 2 to the cost, w^2 o to the gradient and w^2 to the diagonal; to
-        # that of a correction that is held the fit adds a one, which keeps its equation solvable.
+        # A prior adds w^2 o^2 / 2 to the cost, w^2 o to the gradient and w^2 to the diagonal. To
+        # the diagonal of a held correction the fit adds 1, which keeps the equations solvable.
         shared = weight.shared[self.free] ** 2
         per_view = np.where(self.per_view_free, weight.per_view**2, 0.0)
         diagonal = np.where(self.per_view_free, per_view, 1.0)
@@ -179,7 +179,7 @@ class ViewStatistics:
                 matrix.per_view - np.eye(6) * diagonal[:, None],
             ),
         )
-        # From the pixel sigma of the fit to one of 1 px.
+        # From the pixel sigma of the fit to 1 px.
         pixel_variance = np.square(fitted.pixel_sigma)
         return self._with_equations(jax.tree.map(lambda x: pixel_variance * x, without_priors), z)
 
@@ -234,7 +234,7 @@ class ViewStatistics:
 def with_free_poses(problem: JointProblem) -> JointProblem:
     """Return the problem with a free pose for every view, by changing only the priors.
 
-    Only arrays differ, so that the same compiled program is used.
+    Only arrays change, so that the same compiled program is used.
     """
     # The shared parameters except the camera's get priors that hold them, and the corrections of
     # the views get none.
@@ -250,7 +250,7 @@ def with_prior_sigmas(
 ) -> JointProblem:
     """Return the problem with priors of the given standard deviations."""
     shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
-    # The shape of the target is no parameter of the problem, which it comes after in the index.
+    # The index ends with the target's shape, which is not a parameter of the problem.
     weights = sigmas.prior_weights(group_index[: len(free)], shared[free])
     shared[free] = weights.shared
     per_view = np.tile(weights.per_view, (len(problem.per_view_free), 1))
@@ -275,7 +275,7 @@ def chain_at(problem: JointProblem, z: Step) -> FittedChain:
 
 @compiled
 def _chain_at(problem: JointProblem, z: Step) -> FittedChain:
-    """Return the chain of every view at a step, compiled for the shapes that are given."""
+    """Return the chain of every view at a step, compiled for the given array shapes."""
     return problem.chain(z)
 
 
@@ -299,8 +299,8 @@ def _group_names(
 
     Args:
         built: problem with the names of its parameters.
-        scale_is_group: whether the target's scale is a group of its own, the last one.
-        shape: shape of the target, whose groups come before that; None where it is held.
+        scale_is_group: whether the target's scale is a group, the last one.
+        shape: shape of the target, whose groups come before the scale; None if it is held.
     """
     error = built.problem.parameters.start.robot_error
     groups = () if error is None else error.field.groups

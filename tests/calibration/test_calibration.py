@@ -244,7 +244,9 @@ def test_files_of_version_1_load_where_nothing_can_be_missing(tmp_path, eye_in_h
     assert eqx.tree_equal(Calibration.load(path), corrected(eye_in_hand))
     cut = old[: old.index("robot_error")]
     path.write_text(cut)
-    with pytest.raises(ValueError, match=r"cut before it: if it is whole, add .*robot_error: null"):
+    with pytest.raises(
+        ValueError, match=r"may be truncated: if it is complete, add .*robot_error: null"
+    ):
         Calibration.load(path)
     path.write_text(cut + "robot_error: null\n")
     assert Calibration.load(path).robot_error is None

@@ -73,7 +73,7 @@ def test_two_calibrations_stand_side_by_side(evaluated):
     """The first one says what error it expected; the truth says nothing of its own."""
     lines = evaluated[0].splitlines()
     assert lines[0].split() == ["calibration", "truth"]
-    found, _ = next(x for x in lines if "1 is honest" in x).split()[-2:]
+    found, _ = next(x for x in lines if "ideal: 1" in x).split()[-2:]
     assert 0.5 < float(found) < 2.0
 
 
@@ -108,8 +108,8 @@ def test_the_calibrations_own_pictures_are_recognised(board, evaluated, truth, p
     """All of them, and one of them among new ones under another name."""
     own = run("evaluate", board.calibration, board.data)
     assert own.exit_code == 0, own.output
-    assert f"{VIEWS} of {VIEWS} pictures are the calibration's own" in own.stdout
-    assert "the calibration's own" not in evaluated[0]
+    assert f"{VIEWS} of {VIEWS} pictures were used to fit this calibration" in own.stdout
+    assert "used to fit this calibration" not in evaluated[0]
     mixed = unseen(truth, poses)
     fitted, _ = load_named(board.data, BadViews.MASK, print)
     pixels = np.asarray(mixed.pixels).copy()

@@ -84,7 +84,7 @@ def test_a_found_object_is_said_shown_and_can_be_grasped(folder, search):
     said = done.stdout.splitlines()
     assert said[1].startswith("block   accepted  ")
     assert "Found for certain in 2 pictures: block." in said
-    assert f"{folder / 'calibration.yaml'} says nothing of its uncertainty: taken as exact" in said
+    assert f"{folder / 'calibration.yaml'} has no covariance: taken as exact" in said
     # The columns are two blanks apart; the third is the pose.
     text = said[1].split("  ")[2].strip()
     numbers = np.array([float(word) for word in text.split(",")])

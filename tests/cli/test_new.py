@@ -75,7 +75,7 @@ def test_pictures_that_are_there_already_are_described(tmp_path, suffix):
     run = CliRunner().invoke(app, ["new", str(tmp_path / "mine")])
     assert run.exit_code == 0
     assert f"2 pictures named *{suffix}, 64 x 48 px" in run.output.replace("\n", " ")
-    assert "not among them: screen.bmp" in run.output.replace("\n", " ")
+    assert "other files: screen.bmp" in run.output.replace("\n", " ")
     content = read_yaml(tmp_path / "mine" / "dataset.yaml")
     assert content["camera"]["image_size"] == [64, 48]
     assert content["pictures"]["pattern"] == "images/{view}" + suffix

@@ -95,8 +95,8 @@ def test_the_words_say_from_what_to_what_and_why_to_stop(board):
     ended = run("plan", *given, "--gain", "1")
     assert ended.exit_code == 0, ended.output
     said = re.search(
-        r"two more views bring a point 0\.\d+ m before the camera, seen from the tool, from "
-        r"([\d.]+) to ([\d.]+) mm \(standard deviation\); more would still gain: plan again",
+        r"two more views bring the error of a point 0\.\d+ m in front of the camera \(in the tool "
+        r"frame\) from ([\d.]+) to ([\d.]+) mm \(standard deviation\); more views would still help",
         ended.stdout,
     )
     assert said is not None
@@ -119,7 +119,9 @@ def test_first_views_come_from_rough_transforms_alone(tmp_path):
     ended = run("plan", *given, "--out", out)
     assert ended.exit_code == 0, ended.output
     assert "a focal length of 1536 px is assumed" in ended.stdout
-    assert re.search(r"six views will place a point 0\.\d+ m before the camera", ended.stdout)
+    assert re.search(
+        r"six views will determine a point 0\.\d+ m in front of the camera", ended.stdout
+    )
     poses = host_matrices(read_viewpoints(out).base_from_tool)
     assert len(poses) == 6
     camera_from_tool = np.eye(4)
@@ -151,7 +153,7 @@ def test_first_views_come_from_rough_transforms_alone(tmp_path):
     ("words", "message"),
     [
         (("{out}",), "expected calibration.yaml and its data-set folder"),
-        (("truth.yaml", "."), "uncertainty: the file has none"),
+        (("truth.yaml", "."), "uncertainty: missing"),
         (("{out}", ".", "--camera", "truth.yaml"), "--camera: only with --start"),
         (("nowhere.yaml", "."), "nowhere.yaml"),
         ((".", "--start", TABLE), "--start camera_from_tool=x,y,z,yaw,pitch,roll"),

@@ -31,7 +31,7 @@ def test_the_tip_is_on_the_point(tmp_path):
     words = (*WORDS, "--above", "--at", *map(str, point), "--out", str(out))
     ended = touched(path, *words)
     assert ended.exit_code == 0, ended.output
-    assert "says nothing of its uncertainty" in ended.stdout
+    assert "has no covariance" in ended.stdout
     world_from_base = np.linalg.inv(host_matrices(truth.base_from_world))
     tools = world_from_base @ host_matrices(read_viewpoints(out).base_from_tool)
     assert len(tools) == 5
@@ -69,14 +69,14 @@ def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     assert ended.exit_code == 0, ended.output
     assert f"5 touches miss by {1e3 * std[0, 0]:.2f} mm RMS" in ended.stdout
     assert "5 of 5 are inside" in ended.stdout
-    assert "): as the calibration expects" in ended.stdout
+    assert "): as the calibration predicts" in ended.stdout
     assert max(map(len, ended.stdout.splitlines())) <= 80
     misses.write_text("\n".join(["view;x_mm;y_mm", *(f"v{k};9,0;-7,0" for k in range(1, 6))]))
     worse = touched(fitted, *WORDS, "--misses", str(misses))
     seen = "misses.csv was read separated by semicolons; with a decimal comma"
     assert f"note: {seen}" in worse.stdout
     assert "0 of 5 are inside" in worse.stdout
-    assert "): more than the calibration expects" in worse.stdout
+    assert "): more than the calibration predicts" in worse.stdout
     assert "the tip's position in the tool frame" in worse.stdout
     found = json.loads(touched(fitted, *WORDS, "--misses", str(misses), "--json").stdout)
     assert found["notes"] == [seen]

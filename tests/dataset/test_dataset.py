@@ -234,7 +234,9 @@ def test_poses_beside_joints_must_be_the_arms(by_joints):
     poses[1, 0, 3] += 4e-4
     Dataset.from_arrays(**{**by_joints, "base_from_tool": poses})
     poses[2, 0, 3] += 0.02
-    with pytest.raises(ValueError, match=r"view 2: the reported pose is .*another tool frame"):
+    with pytest.raises(
+        ValueError, match=r"view 2: the reported pose differs by .*check the tool frame"
+    ):
         Dataset.from_arrays(**{**by_joints, "base_from_tool": poses})
 
 

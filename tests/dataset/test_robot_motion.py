@@ -56,7 +56,7 @@ def test_equal_poses_are_refused_before_any_fit(data):
 def test_a_robot_that_never_turns_is_refused_before_any_fit(data):
     for fit in every_fit(unturned(data)):
         with pytest.raises(
-            ValueError, match=r"never turns: .* its translation not at all. .*start="
+            ValueError, match=r"never rotates: .* but not its translation\. .*start="
         ):
             fit()
 
@@ -78,7 +78,7 @@ def test_poses_that_were_not_read_again_are_named_and_set_aside(data):
     fit, good = fit_staged(stale), fit_staged(data)
     named = {view: text for view, point, text in fit.rejected if point is None}
     assert set(named) == {"1", "4", "7", "10", "13"}
-    assert "repeats view 3's though the picture moved" in named["4"]
+    assert "repeats view 3's although the picture moved" in named["4"]
     shift = (fit.calibration.camera_from_tool.inverse() @ good.calibration.camera_from_tool).log()
     assert np.linalg.norm(shift[:3]) < 2e-3
 

@@ -56,7 +56,10 @@ def test_the_target_is_turned_least_whatever_the_first_view_says(count, z_into_b
     answer, words = ordered(grid, pixels, mounts, first)
     assert answer == [0]
     assert f"looks the same in {count} orders" in words
-    assert "nearest to that of the base (30 degrees off; the next" in words
+    assert (
+        "with the target's x axis nearest to the base's was chosen (30 degrees off; the next"
+        in words
+    )
     assert "give a rough base_from_world" in words
     assert "origin_mark" in words
 
@@ -79,7 +82,10 @@ def test_on_the_tool_its_frame_decides():
     pixels, mounts = seen(grid, stands)
     answer, words = ordered(grid, pixels, mounts, 0, holder="tool")
     assert answer == [1]
-    assert "nearest to that of the tool (10 degrees off; the next 170)" in words
+    assert (
+        "with the target's x axis nearest to the tool's was chosen (10 degrees off; the next 170)"
+        in words
+    )
     answer, _ = ordered(grid, pixels, mounts, 0, holder="tool", rough_rotation=stands.as_matrix())
     assert answer == [0]
 

@@ -173,4 +173,4 @@ def test_imported_views_are_tested_one_by_one():
     assert np.isnan(tested[1]).all()
     assert np.flatnonzero(np.isnan(tested[0, :, 0])).tolist() == [11]
     np.testing.assert_array_equal(tested[2], pixels[2])
-    assert notes[0].endswith("put them: 1 (views a)")
+    assert notes[0].endswith("other points: 1 (views a)")

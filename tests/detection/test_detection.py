@@ -171,7 +171,7 @@ def test_views_that_do_not_turn_the_camera_keep_their_order():
         (400, 300),
     )
     assert chosen.symmetry.tolist() == [0, 0, 0]
-    assert "the robot's turns do not tell which was taken" in chosen.message
+    assert "the robot's rotations do not determine the right one" in chosen.message
 
 
 @pytest.mark.parametrize("hidden", [0, 30])

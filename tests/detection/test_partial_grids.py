@@ -84,8 +84,8 @@ def test_a_hidden_mark_is_where_a_corner_is_missing():
 @pytest.mark.parametrize(
     ("target", "why"),
     [
-        (PLAIN, "the grid has no larger corner circle that would tell which"),
-        (MARKED, "the larger corner circle is not among them"),
+        (PLAIN, "the grid has no larger corner circle to show which"),
+        (MARKED, "the larger corner circle was not found"),
     ],
     ids=["plain", "marked"],
 )
@@ -95,7 +95,8 @@ def test_a_missing_row_that_nothing_tells_is_named(target, why):
     found = detect(image, target)
     assert not found.visible.any()
     assert (
-        "70 circles seen, on 7 x 10 places of 8 x 10: rows or columns are missing" in found.reason
+        "70 circles found, on 7 x 10 positions of 8 x 10: rows or columns are missing"
+        in found.reason
     )
     assert why in found.reason
 
@@ -103,7 +104,7 @@ def test_a_missing_row_that_nothing_tells_is_named(target, why):
 def test_another_grid_is_not_taken_for_this_one():
     image, _ = drawn(PLAIN)
     larger = detect(image, CircleGrid(6, 9, 0.006)).reason
-    assert "goes on beyond 6 x 9" in larger
+    assert "is larger than 6 x 9" in larger
     assert "at least half of 400 are needed" in detect(image, CircleGrid(20, 20, 0.006)).reason
 
 
@@ -123,7 +124,7 @@ def test_a_picture_of_noise_is_not_searched_for_long(monkeypatch):
 
     monkeypatch.setattr(cv2, "findCirclesGrid", spied)
     found = detect(noise_picture(), CircleGrid(5, 5, 0.01))
-    assert "25 expected: there is noise or texture" in found.reason
+    assert "25 expected; the picture has noise or texture" in found.reason
     assert max(handed, default=0) <= MAX_BLOBS_PER_CIRCLE * 25
 
 

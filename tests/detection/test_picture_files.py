@@ -161,7 +161,7 @@ def test_a_huge_file_is_not_read(tmp_path, monkeypatch):
     with open(path, "wb") as file:
         file.truncate(3_000_000_000)
     monkeypatch.setattr(type(path), "read_bytes", lambda _: pytest.fail("it was read"))
-    with pytest.raises(ValueError, match=r"video\.png: 3 GB, more than 0\.5: not one picture"):
+    with pytest.raises(ValueError, match=r"video\.png: 3 GB; a picture has at most 0\.5 GB"):
         read_picture(path)
 
 

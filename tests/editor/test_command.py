@@ -58,7 +58,7 @@ def test_the_sample_is_opened_and_ends_by_ctrl_c(folder):
     ("words", "said"),
     [
         (["nowhere"], "nowhere"),
-        (["{folder}"], "calibration.yaml: no such file; name the camera's calibration"),
+        (["{folder}"], "calibration.yaml: no such file; give a calibration by --calibration"),
         (["{folder}", "--calibration", "{folder}/truth.json"], "truth.json"),
     ],
 )

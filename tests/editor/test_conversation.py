@@ -90,8 +90,8 @@ def test_grasps_are_placed_and_turned_by_the_mouse(session, scene):
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ({"do": "fly"}, "nobody knows"),
-        ({}, "nobody knows"),
+        ({"do": "fly"}, "unknown command"),
+        ({}, "unknown command"),
         ({"do": "hover", "view": "v7", "pixel": [1, 1]}, "no view 'v7'"),
         ({"do": "hover", "view": "v1", "pixel": "here"}, "two numbers"),
         ({"do": "hover", "view": "v1"}, "missing"),

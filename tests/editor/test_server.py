@@ -75,7 +75,7 @@ def test_the_socket_needs_the_token_and_the_pages_origin(client):
         socket.send_json({"do": "add_point", "clicks": {"v1": [1e9, 0.0]}, "message": 8})
         answer = socket.receive_json()
         assert (answer["type"], answer["reply_to"]) == ("error", 8)
-        assert "outside of the picture" in answer["text"]
+        assert "outside the picture" in answer["text"]
         socket.send_json({"do": "hover", "view": "v1", "pixel": [100.0, 100.0], "message": 9})
         assert set(socket.receive_json()["curves"]) == {"v2", "v3", "v4", "v5"}
 

@@ -101,12 +101,12 @@ def test_what_is_wrong_is_said_and_changes_nothing(session, scene):
     lone = session.click("v1", (3.0, 4.0))
     before, lines = session.document, session._journal.path.read_bytes()
     wrong = [
-        (lambda: session.click("v9", (1.0, 1.0)), "there is no view 'v9'; the views are v1"),
+        (lambda: session.click("v9", (1.0, 1.0)), "no view 'v9'; the views are v1"),
         (lambda: session.click("v1", (700.0, 1.0)), r"view v1: the click \(700, 1\) is outside"),
         (lambda: session.click("v1", (np.nan, 1.0)), "outside"),
-        (lambda: session.click("v1", (1.0, 1.0), 999), "there is no point 999"),
-        (lambda: session.add_edge(ids[0], ids[0]), "joins two points"),
-        (lambda: session.add_edge(ids[0], 999), "there is no point 999"),
+        (lambda: session.click("v1", (1.0, 1.0), 999), "no point 999"),
+        (lambda: session.add_edge(ids[0], ids[0]), "joins two different points"),
+        (lambda: session.add_edge(ids[0], 999), "no point 999"),
         (lambda: session.add_face([ids[0], ids[1]]), "3 or more"),
         (lambda: session.add_face([ids[0], ids[1], lone]), f"point {lone} has no position"),
         (lambda: session.add_face([ids[0], ids[1], ids[2], ids[8]]), "not planar: vertex"),
@@ -116,7 +116,7 @@ def test_what_is_wrong_is_said_and_changes_nothing(session, scene):
             lambda: session.change({"do": "rename", "nam": "x"}),
             "rename: missing a required argument|unexpected",
         ),
-        (lambda: session.add_grasp(0), "there is no face 0"),
+        (lambda: session.add_grasp(0), "no face 0"),
         (lambda: session.delete("walls", 1), "expected one of points, edges"),
     ]
     for call, said in wrong:
@@ -130,7 +130,9 @@ def test_a_point_of_one_view_has_no_distance_and_makes_no_file(session, scene):
     one, other = (session.click("v1", scene.click(0, vertex)) for vertex in (0, 3))
     with pytest.raises(ValueError, match=f"point {one} has no position: fewer than two views"):
         session.distance(one, other)
-    with pytest.raises(ValueError, match="no point has a position yet; click each in two views"):
+    with pytest.raises(
+        ValueError, match="no point has a position yet; click each point in two views"
+    ):
         session.save()
     assert not session.path.exists()
     # A view in which the person clicked nothing changes nothing.

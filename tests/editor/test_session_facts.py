@@ -45,8 +45,8 @@ def test_what_a_person_knows_moves_the_points(session, scene):
         ({"kind": "round", "items": [[0, 1]]}, "expected one of the facts same_plane"),
         ({"kind": "same_plane", "items": [[0, 1, 2]]}, "expected 4 or more points"),
         ({"kind": "parallel", "items": [[0, 1]]}, "expected 2 or more edges"),
-        ({"kind": "known_length", "items": [[0, 1]]}, "needs its length"),
-        ({"kind": "known_length", "items": [[0, 1]], "value": -1.0}, "above 0 m"),
+        ({"kind": "known_length", "items": [[0, 1]]}, "the length is missing"),
+        ({"kind": "known_length", "items": [[0, 1]], "value": -1.0}, "a known length is positive"),
         ({"kind": "known_length", "items": [[0, 77]], "value": 1.0}, "no point 77"),
     ],
 )
@@ -115,8 +115,8 @@ def test_an_edit_that_changes_the_symmetry_ends_what_was_said_of_it(session, sce
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"confirmed": "yes"}, "confirmed, refused or left open; found 'yes'"),
-        ({"confirmed": True, "order": 0}, "1 turn or more; found 0"),
+        ({"confirmed": "yes"}, "confirmed: expected true, false or null, found 'yes'"),
+        ({"confirmed": True, "order": 0}, "the order of a symmetry is 1 or more, found 0"),
         ({}, "confirm_symmetry: missing"),
     ],
 )

@@ -16,5 +16,5 @@ def test_another_function_is_refused():
         (lambda y, _: y - 1.0, jnp.zeros(3), None),
         (lambda y, _: y.shared, problem.zero_step(), problem),
     ):
-        with pytest.raises(ValueError, match="no other function"):
+        with pytest.raises(ValueError, match="for other functions use"):
             optx.least_squares(function, StructuredLM(), start, args=args)

@@ -238,6 +238,6 @@ def test_degrees_where_radians_are_stated_are_refused(name):
     """Once read as radians they are whatever is left of them after many turns."""
     codec = pose_codec(name)
     rows = np.array([[0.4, 0.1, 0.3, 12.0, -3.0, 178.0], [0.4, 0.1, 0.3, 10.0, -3.0, -170.0]])
-    with pytest.raises(ValueError, match=f"{name}: angles up to 178 where radians are stated"):
+    with pytest.raises(ValueError, match=f"{name}: angles up to 178 are too large for radians"):
         codec.decode(rows)
     assert codec.decode(rows, angle_unit="deg").get_batch_axes() == (2,)

@@ -80,7 +80,7 @@ CASES = {
     ),
     "which": ("joints.csv", "q3", "q8", "joints.csv: .*missing q3"),
     "number": ("joints.csv", "\n1,", "\n1,x", "view 1: q1 is 'x.*not a number"),
-    "view": ("joints.csv", "\n2,", "\n7,", "not of the same views: 2, 7"),
+    "view": ("joints.csv", "\n2,", "\n7,", "have different views: 2, 7"),
     "twice": ("joints.csv", "\n2,", "\n1,", "view 1 has more than one row"),
     "arm": (
         "dataset.yaml",

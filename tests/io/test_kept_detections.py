@@ -70,7 +70,7 @@ def test_another_pattern_is_looked_for(folder):
     edit(folder / "dataset.yaml", "origin_mark: true", "origin_mark: false")
     assert looked_at(folder)[1] == ["0", "1", "2"]
     edit(folder / "dataset.yaml", "rows: 10", "rows: 9")
-    with pytest.raises(ValueError, match=r"found in none of 3 views \(.*goes on beyond 9 x 10"):
+    with pytest.raises(ValueError, match=r"found in none of 3 views \(.*is larger than 9 x 10"):
         load_dataset(folder)
 
 
@@ -111,8 +111,8 @@ def test_imported_detections_are_tested(folder, tmp_path):
     save_dataset(data, tmp_path / "saved")
     saved = load_dataset(tmp_path / "saved")
     assert np.flatnonzero(~np.asarray(saved.visible)[0]).tolist() == [37]
-    assert saved.notes[0].endswith("put them: 1 (views 0)")
-    assert "what was found is not this target" in dict(saved.masked_views)["1"]
+    assert saved.notes[0].endswith("other points: 1 (views 0)")
+    assert "the points found do not match this target" in dict(saved.masked_views)["1"]
 
 
 def test_imported_pairs_are_tested(folder, tmp_path):
@@ -130,4 +130,4 @@ def test_imported_pairs_are_tested(folder, tmp_path):
     (tmp_path / "corners.csv").write_text("\n".join(["view,X,Y,Z,u,v", *rows]) + "\n")
     pairs = import_correspondences(tmp_path / "poses.csv", tmp_path / "corners.csv", (640, 480))
     assert np.asarray(pairs.visible)[0].all()
-    assert "what was found is not this target" in dict(pairs.masked_views)["1"]
+    assert "the points found do not match this target" in dict(pairs.masked_views)["1"]

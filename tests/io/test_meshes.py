@@ -102,7 +102,7 @@ def test_millimetres_are_said_not_guessed(tmp_path):
 
 
 def test_what_is_not_a_mesh_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="no faces, only a wireframe"):
+    with pytest.raises(ValueError, match="only a wireframe, no faces"):
         write_mesh(ObjectModel(np.eye(3), np.array([[0, 1]])), tmp_path / "wire.obj")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ValueError, match=r"expected a name ending in \.obj"):

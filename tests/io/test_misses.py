@@ -33,7 +33,7 @@ def test_height_need_not_be_measured(tmp_path):
     ("name", "text", "message"),
     [
         ("m.csv", "view,x,y\nv1,1,2\nv2,1,2\n", "columns view, x_mm, y_mm"),
-        ("m.csv", "view,x_mm,y_mm\nv1,1,2\n", "other are v2"),
+        ("m.csv", "view,x_mm,y_mm\nv1,1,2\n", "missing or unknown: v2"),
         ("m.csv", "view,x_mm,y_mm\nv1,1,2\nv1,1,2\n", "v1 has more than one row"),
         ("m.csv", "view,x_m,y_m\nv1,1,2\nv2,0,0\n", "millimetres given as metres"),
         ("m.csv", "view,x_mm,y_mm\nv1,1,nan\nv2,0,0\n", "y_mm is nan"),

@@ -154,7 +154,7 @@ def change(*path_and_value):
         (change("calibration_factor", [[0.1]]), "calibration_factor: expected 24"),
         (change("symmetry", "rotations", 0, [0.5, 0.0, 0.0, 0.0]), "unit quaternions"),
         (change("smartview_object", 2), "smartview_object: expected 1, found 2"),
-        (lambda content: content.pop("end"), "the file was cut"),
+        (lambda content: content.pop("end"), "truncated file"),
         (lambda content: content.pop("smartview_object"), "not an object model"),
         (lambda content: content.pop("vertices"), "entry 'vertices' is missing"),
     ],

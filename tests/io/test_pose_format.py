@@ -59,7 +59,9 @@ def test_a_description_that_contradicts_the_file_is_refused(folder, ending, entr
     name = f"views.{ending}"
     write_viewpoints(folder / name, DATA.base_from_tool, DATA.view_ids, pose_format="kuka_abc")
     ((key, value),) = entry.items()
-    with pytest.raises(ValueError, match=rf"{name}: .* says {key} .*, the description {value}"):
+    with pytest.raises(
+        ValueError, match=rf"{name}: .*{key} is .* in the file but {value} in the description"
+    ):
         load_dataset(with_poses(folder, file=name, **entry))
 
 
@@ -89,5 +91,7 @@ def test_two_makers_angles_of_the_same_name_are_not_guessed(folder):
 
 
 def test_a_header_without_units_says_nothing(folder):
-    with pytest.raises(ValueError, match=r"'poses\.codec' and .*poses\.csv does not say it; a tab"):
+    with pytest.raises(
+        ValueError, match=r"'poses\.codec' and .*poses\.csv does not state it; a tab"
+    ):
         load_dataset(with_poses(folder, file="poses.csv"))

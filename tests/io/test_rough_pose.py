@@ -58,7 +58,9 @@ def test_a_plain_grid_is_turned_as_the_folder_or_the_caller_says(plain_sample):
     path.write_text(f"{kept}\nbase_from_world: {ROUGH}\n")
     np.testing.assert_array_equal(load_dataset(plain_sample).pixels, turned.pixels)
     path.write_text(f"{kept}\ntool_from_world: {ROUGH}\n")
-    with pytest.raises(ValueError, match=r"dataset\.yaml: tool_from_world: .*: base_from_world"):
+    with pytest.raises(
+        ValueError, match=r"dataset\.yaml: tool_from_world: .*: give base_from_world"
+    ):
         load_dataset(plain_sample)
     path.write_text(kept)
 
@@ -107,7 +109,7 @@ def test_what_is_no_pose_is_named(entry):
     ],
 )
 def test_the_pose_of_the_other_mounts_target_is_named(mount, wrong, right):
-    with pytest.raises(ValueError, match=f"{wrong}: .*: {right}"):
+    with pytest.raises(ValueError, match=f"{wrong}: .*: give {right}"):
         described({"mount": mount, wrong: ROUGH})
 
 

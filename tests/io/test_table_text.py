@@ -56,7 +56,7 @@ WRITTEN = {
         ),
         "in the encoding CP1252; columns .*'A .°.' as a_deg",
     ),
-    "minus signs": (PLAIN.replace("-", "\u2212").encode(), "with a minus sign that is no hyphen"),
+    "minus signs": (PLAIN.replace("-", "\u2212").encode(), "with Unicode minus signs"),
     "some units": (PLAIN.replace("x,y,z", "X [mm],Y (mm),z").encode(), "'X .mm.' as x_mm"),
 }
 
@@ -88,11 +88,11 @@ def test_every_way_of_writing_a_table_gives_the_same_poses(tmp_path, form):
         ("view;x\n0;1,234,567\n", "'1,234,567' has several commas"),
         ("view;x;y\n0;1,25;2.5\n", "'1,25' has a comma and '2.5' a decimal point"),
         ("view,x\n0,1,25\n", "decimal commas in a table separated by commas"),
-        ("view,x [km]\n0,1\n", r"missing x \(found 'x \[km\]': a unit"),
+        ("view,x [km]\n0,1\n", r"missing x \(found 'x \[km\]', in an unexpected unit"),
         ("view;x;y\n0;1.234,5;2.5\n", "'1.234,5' has a comma and '2.5' a decimal point"),
         ("view;x;y\n0;1.234,5;1.234\n", "'1.234,5' has a comma and '1.234' a decimal point"),
         ("view;x;y\n0;1,234.5;1.234,5\n", "'1.234,5' has a comma and '1,234.5' a decimal point"),
-        ("view,x,y\n0,1,234.5,1\n", "write numbers without separators of thousands"),
+        ("view,x,y\n0,1,234.5,1\n", "write numbers without thousands separators"),
         ('view,x\n"a\nb",1\n', "row 1 has a view, 'a\\\\nb' is no name: .* not printable"),
         ("view,x\na\u2028b,1\n", "row 1 has a view, .* is no name: .* not printable"),
         ("view,x\n../a,1\n", "row 1 has a view, .* would lead out of its folder"),
@@ -117,8 +117,8 @@ def test_two_readings_are_refused_with_the_cure(tmp_path, content, message):
         ("1\u00a0234,5", 1234.5, "with blanks or apostrophes between thousands; with a decimal"),
         ("1\u202f234\u202f567", 1234567.0, "with blanks or apostrophes between thousands"),
         ("1'234.5", 1234.5, "with blanks or apostrophes between thousands"),
-        ("\u22121,5e\u22123", -0.0015, "with a minus sign that is no hyphen; with a decimal comma"),
-        ("\u22121.5", -1.5, "with a minus sign that is no hyphen"),
+        ("\u22121,5e\u22123", -0.0015, "with Unicode minus signs; with a decimal comma"),
+        ("\u22121.5", -1.5, "with Unicode minus signs"),
         ("1 234", None, None),
         ("1.234 567,5", None, None),
     ],
@@ -196,7 +196,7 @@ def test_tables_whose_names_differ_by_a_pictures_suffix_are_of_the_same_views(
     data = sv.load_dataset(saved_with_joints)
     np.testing.assert_array_equal(data.pixels, expected.pixels)
     np.testing.assert_array_equal(data.joints, expected.joints)
-    assert all("but for the pictures' suffix" in note for note in data.notes)
+    assert all("by the picture suffix" in note for note in data.notes)
     assert len(data.notes) == (2 if suffixed == "poses.csv" else 1)
     # Names that are other names are refused as before.
     path.write_text("\n".join([header, *(row.replace("0.png", "x.png") for row in renamed)]))

@@ -45,12 +45,15 @@ def test_the_file_of_kalibr_is_the_target(tmp_path):
 @pytest.mark.parametrize(
     ("target", "message"),
     [
-        ({"kind": "aprilgrid"}, "an aprilgrid needs rows, columns, size, spacing, or Kalibr's"),
-        ({"kind": "aprilgrid", "file": "target.yaml", "rows": 6}, "states the same already"),
+        (
+            {"kind": "aprilgrid"},
+            "an aprilgrid needs rows, columns, size, spacing, or the entry file",
+        ),
+        ({"kind": "aprilgrid", "file": "target.yaml", "rows": 6}, "already stated in the file"),
         ({"kind": "aprilgrid", "file": "nowhere.yaml"}, r"nowhere\.yaml: no such file"),
         (
             {"kind": "aprilgrid", "rows": 6, "columns": 6, "size": 0.03, "spacing": 9.0},
-            "a part of a tag's side, 0 to 1",
+            "a fraction of a tag's side, 0 to 1",
         ),
     ],
 )

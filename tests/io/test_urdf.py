@@ -124,11 +124,11 @@ def test_what_is_no_chain_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"branches: give tip=, such as one of \['l1', 'l2'\]"):
         load_urdf(urdf(tmp_path, *two))
     assert load_urdf(urdf(tmp_path, *two), tip="l2").joint_count == 1
-    with pytest.raises(ValueError, match="link l1 does not hang on link l2"):
+    with pytest.raises(ValueError, match="no chain from link l2 to link l1"):
         load_urdf(urdf(tmp_path, *two), base="l2", tip="l1")
-    with pytest.raises(ValueError, match="no link is called 'hand', as tip"):
+    with pytest.raises(ValueError, match="tip='hand': no such link"):
         load_urdf(urdf(tmp_path, *two), tip="hand")
-    with pytest.raises(ValueError, match="not one root but 2"):
+    with pytest.raises(ValueError, match="2 root links"):
         load_urdf(urdf(tmp_path, joint("a", "l0", "l1"), joint("b", "m0", "m1")))
     with pytest.raises(ValueError, match="no joint moves"):
         load_urdf(urdf(tmp_path, joint("a", "l0", "l1", "fixed")))

@@ -54,5 +54,5 @@ def test_the_arms_own_errors_are_what_the_likelihood_chooses(data, start):
     np.testing.assert_allclose(offsets[1:6], expected, atol=2e-3)
     # More views would not help: what the last zero does to the mount is not asked of them.
     (said,) = [text for text in found.warnings if "camera_from_tool.rotation.y" in text]
-    assert "the zero of the last joint is a turn of the mount by nature" in said
+    assert "the zero of the last joint is equivalent to a rotation of the mount" in said
     assert "take more views" not in said

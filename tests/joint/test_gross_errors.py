@@ -107,7 +107,7 @@ def test_a_view_that_sees_nothing_from_where_the_robot_says_is_left_out(spoilt):
         clean.data,
         clean.data.base_from_tool.wxyz_xyz.at[2].set(behind.wxyz_xyz),
     )
-    with pytest.raises(ValueError, match="every point of view 2 lies behind"):
+    with pytest.raises(ValueError, match="every point of view 2 is behind"):
         fit_joint(data, clean.calibration, noise="trusted")
     found = fit_joint(data, clean.calibration, gross_errors="leave_out", noise="trusted")
     ((view, _, reason),) = [entry for entry in found.rejected if entry[1] is None]

@@ -89,7 +89,7 @@ def test_a_prior_that_the_pictures_contradict_is_named(scene):
     start = start_with(scene)
     (sentence,) = contradictions(fit_joint(scene.data, start, priors={"camera.u0": prior}))
     assert f"prior on camera.u0, {true + 20.0:.6g} +- 2:" in sentence
-    wanted, std = value_and_std(sentence, "they want")
+    wanted, std = value_and_std(sentence, "estimated")
     assert abs(wanted - true) < 4.0 * std
 
 

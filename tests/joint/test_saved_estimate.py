@@ -52,7 +52,7 @@ def test_json_is_json(fit, tmp_path):
 def test_a_calibration_of_transforms_alone_can_be_json_too(fit, tmp_path):
     fit.calibration.save(tmp_path / "bare.json")
     assert json.loads((tmp_path / "bare.json").read_text())["mount"] == "eye_in_hand"
-    with pytest.raises(ValueError, match=r"bare.json: uncertainty: the file has none"):
+    with pytest.raises(ValueError, match=r"bare.json: uncertainty: missing"):
         load_estimate(tmp_path / "bare.json")
 
 
@@ -79,7 +79,7 @@ def test_what_is_undetermined_has_no_covariance(scene, fit, tmp_path):
     open_fit = fit_joint(scene.data, fit.calibration, noise=anywhere)
     assert open_fit.observability.null_directions
     open_fit.save(tmp_path / "open.yaml")
-    with pytest.raises(ValueError, match="the file has none"):
+    with pytest.raises(ValueError, match="uncertainty: missing"):
         load_estimate(tmp_path / "open.yaml")
 
 

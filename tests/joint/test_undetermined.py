@@ -58,7 +58,7 @@ def test_a_place_that_is_known_ends_it():
 
 def test_a_robot_that_never_turns_tells_the_rotation():
     data, truth = case("translation_only")
-    with pytest.raises(ValueError, match="never turns"):
+    with pytest.raises(ValueError, match="never rotates"):
         calibrate(data, fixed=("camera_from_tool.translation",))
     fit = calibrate(
         data, start={"camera_from_tool": truth}, fixed=("camera_from_tool.translation",)

@@ -113,7 +113,7 @@ def test_a_folder_that_others_can_write_is_refused(settings, tmp_path, chosen, m
     folder.mkdir(mode=0o755)
     assert compilation_cache.is_safe_folder(folder)
     make_unsafe(folder)
-    with pytest.warns(UserWarning, match="another user could write there"):
+    with pytest.warns(UserWarning, match="another user could put programs there"):
         found, _ = settings(jax_compilation_cache_dir=str(folder) if chosen else None)
     # What the user names for JAX is JAX's; this library's own programs are not kept there.
     assert found == (str(folder) if chosen else None)

@@ -95,7 +95,7 @@ def test_points_lie_where_they_should():
         ),
         (
             {"kind": "charuco", "squares_x": 5, "squares_y": 7, "square": 0.1, "marker": 0.2},
-            "marker: expected less than the square",
+            "marker: expected a length below the square",
         ),
         (
             {"kind": "tag_grid", "rows": 1, "columns": 1, "size": 0.1, "dictionary": "DICT_9X9"},
@@ -103,7 +103,7 @@ def test_points_lie_where_they_should():
         ),
         (
             {"kind": "tag_grid", "rows": 1, "columns": 1, "size": 0.1, "first_id": 587},
-            "has 587 markers, 0 to 586; the target needs one with number 587",
+            "has 587 markers, 0 to 586; the target needs marker 587",
         ),
     ],
 )

@@ -91,7 +91,7 @@ def test_what_cannot_be_compared_is_named(white):
     pinhole = dataclasses.replace(
         truth, camera=Camera(2e3, 2e3, 320.0, 240.0, Pinhole(), (640, 480))
     )
-    with pytest.raises(ValueError, match=r"truth: its parameters are .*; those of the fit .*lens"):
+    with pytest.raises(ValueError, match=r"truth: expected the parameters .* of the fit, found .*"):
         one.p_value(pinhole)
 
 

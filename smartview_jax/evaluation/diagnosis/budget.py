@@ -35,10 +35,10 @@ TOO_FEW_VIEWS = "too few views"
 """The name of the cause: uncertainty of the parameters."""
 
 MIN_FIELD_FRACTION = 0.5
-"""The fraction of a field's log-likelihood ratio from which a hypothesis explains as much."""
+"""The fraction of a field's log-likelihood ratio that an accepted hypothesis must reach."""
 
 MIN_LOG_LIKELIHOOD_RATIO = 10.0
-"""The decrease of the deviance from which a scale hypothesis is accepted."""
+"""The decrease of the deviance above which a scale hypothesis is accepted."""
 
 MIN_SECOND_CAUSE_FRACTION = 0.5
 """The fraction of the dominant cause's RMS above which the next cause gets its own sentence."""
@@ -55,8 +55,8 @@ class ErrorCause(NamedTuple):
 
     Attributes:
         name: name of the cause.
-        rms: RMS error, px, due to it alone in the uncorrected chain; causes add up in squares.
-        advice: recommended action; empty where that would gain little.
+        rms: RMS error, px, due to it alone in the uncorrected chain; squares of causes add up.
+        advice: recommended action; empty if it would gain little.
     """
 
     name: str
@@ -71,11 +71,11 @@ class ErrorBudget(NamedTuple):
         total_rms: RMS reprojection error of the uncorrected chain, px.
         causes: causes, the largest first.
         scale_hypotheses: hypotheses that explain the robot's smooth error by one number; empty
-            where there is no such error or too few views.
+            if there is no such error or too few views.
         dominant_cause: name of the cause to address first.
         summary: recommended action, in a sentence or two.
-        uses_fitted_chain: whether the uncorrected chain is the fit's own; otherwise it is that of a
-            field linear in the pose, used where the fit's field is a `GenericSixAxisArm`.
+        uses_fitted_chain: whether the uncorrected chain is the fit's own; if the fit's field is a
+            `GenericSixAxisArm`, the chain of a fit with a field linear in the pose is used instead.
     """
 
     total_rms: float
@@ -94,18 +94,18 @@ def error_budget(
 ) -> ErrorBudget:
     """Divide the error of the uncorrected chain among its causes.
 
-    Pixels, poses and parameters have the standard deviations that the fit states, propagated
-    through the projection; the systematic error is what the correction changes, and the lens misfit
-    is the smooth pattern left in the image when every view has its own pose. Views that the fit
-    left out do not count. Where the fit's field is a `GenericSixAxisArm`, the chain is that of a
-    field linear in the pose.
+    The errors of pixels, poses and parameters are the fit's standard deviations, propagated through
+    the projection; the systematic error is the displacement by the correction, and the lens misfit
+    is the smooth pattern of residuals when every view has a free pose. Views that the fit left out
+    do not count. If the fit's field is a `GenericSixAxisArm`, a fit with a field linear in the pose
+    gives the chain.
 
     Args:
         data: the data set that `fit` was fitted to.
-        fit: with `noise="estimated"`; what `calibrate` returns has it as `.joint`.
+        fit: a joint fit with `noise="estimated"`, such as the `.joint` of a `calibrate` result.
         progress: called with a line of text for each step.
-        held_out_by_region: also find how well each hypothesis predicts regions of the workspace
-            that it never used: five further fits for each.
+        held_out_by_region: also cross-validate each hypothesis by region of the workspace: five
+            further fits for each.
 
     Raises:
         ValueError: the fit's noise was not estimated, or its data leave a parameter undetermined.
@@ -124,10 +124,10 @@ def error_budget(
     accepted = _accepted_hypothesis(hypotheses, target_scale_differs(fit))
     chain = None
     if accepted is not None and not has_correction(fit):
-        # The fit has no field, but a hypothesis is more probable: the budget is of its fit instead.
+        # The fit has no field, but a hypothesis is more probable, so the budget is for its fit.
         fit = accepted.fit
     elif accepted is not None and target_scale_differs(fit):
-        # The chain has neither the target's size nor the robot's errors corrected.
+        # In this chain neither the target's size nor the robot's errors are corrected.
         chain = accepted.fit.calibration.uncorrected
     if _has_generic_arm(fit.calibration.field):
         # Link lengths of a generic arm are correlated with the mount: without the correction its
@@ -140,7 +140,7 @@ def error_budget(
     parameters, pixels, poses = (float(np.mean(square[visible])) for square in squares)
     lens_rms = lens_misfit(fit.calibration, data, np.asarray(fit.inliers))
     systematic_rms = rms_displacement(fit.calibration, data)
-    # As the only systematic error, it may displace points farther than the chosen field does.
+    # Alone, the hypothesis may displace points farther than the chosen field does.
     scale_rms = 0.0 if accepted is None else accepted.rms_displacement
     if chain is None:
         scale_rms = min(scale_rms, systematic_rms)
@@ -178,11 +178,11 @@ def error_budget(
 def _accepted_hypothesis(
     hypotheses: tuple[ScaleHypothesis, ...], scale_differs: bool
 ) -> ScaleHypothesis | None:
-    """Return the more probable hypothesis, if it explains most of what a field would.
+    """Return the more probable hypothesis, if it explains most of the smooth error.
 
     Args:
         hypotheses: both hypotheses; empty if they were not compared.
-        scale_differs: whether the fit has the target's size free: then it is not the robot's scale.
+        scale_differs: whether the fit estimated the target's size; this excludes a robot stretch.
     """
     if scale_differs:
         hypotheses = tuple(h for h in hypotheses if h.name == "target scale")
@@ -194,7 +194,7 @@ def _accepted_hypothesis(
 
 
 def _has_generic_arm(field: AbstractField | None) -> bool:
-    """Return whether the field is, or contains, that of a generic six-axis arm."""
+    """Return whether the field is, or contains, a generic six-axis arm's."""
     fields = (field.first, field.second) if isinstance(field, CombinedField) else (field,)
     return any(isinstance(component, GenericSixAxisArm) for component in fields)
 
@@ -206,7 +206,7 @@ def _summary(
     cause_by_name = {cause.name: cause for cause in causes}
     dominant = cause_by_name[dominant_cause]
     text = f"Of {total_rms:.3g} px RMS of the chain without correction"
-    text += ", " if uses_fitted_chain else " (of a field linear in the pose, in the arm's place), "
+    text += ", " if uses_fitted_chain else " (with a field linear in the pose instead of the arm), "
     text += f"{dominant.name} is {dominant.rms:.3g} px: {dominant.advice}."
     runner_up = next(cause for cause in causes if cause.name != dominant_cause)
     if runner_up.rms > MIN_SECOND_CAUSE_FRACTION * dominant.rms:
@@ -223,15 +223,14 @@ def _advice(name: str, fit: JointFit, views: int, hypotheses: tuple[ScaleHypothe
     more = "more" if views >= RECOMMENDED_VIEWS else f"{RECOMMENDED_VIEWS} at least"
     return {
         PIXEL_NOISE: "sharper pictures, steady light, a larger or better printed target",
-        LENS_MISFIT: "the lens bends in a way that its model does not know: try a richer model",
-        ROBOT_NOISE: f"poses are off by {millimetres:.3f} mm and {degrees:.4f} deg, each by "
-        "itself: wait until the arm stands still, approach from one side, check the clocks; more "
-        "views help",
+        LENS_MISFIT: "the lens model does not describe all of the distortion: try a richer model",
+        ROBOT_NOISE: f"independent pose errors of {millimetres:.3f} mm and {degrees:.4f} deg: wait "
+        "until the arm stands still, approach from one side, check the clocks; more views help",
         SCALE_ERROR: "measure the board",
         SYSTEMATIC_ROBOT_ERROR: "keep the correction when predicting and commanding, or have the "
         "robot calibrated; without either, work near the views",
-        TOO_FEW_VIEWS: f"{views} views leave the parameters open by so much: take {more}, that "
-        "differ in direction, distance and roll about the optical axis",
+        TOO_FEW_VIEWS: f"the parameters are uncertain with {views} views: take {more}, with "
+        "different directions, distances and rolls about the optical axis",
     }[name]
 
 
@@ -241,8 +240,8 @@ def _target_measurement_advice(hypotheses: tuple[ScaleHypothesis, ...]) -> str:
     target, robot = hypothesis_by_name["target scale"], hypothesis_by_name["robot stretch"]
     return (
         "measure the board: either the target is "
-        f"{target.scale:.4f} +- {target.std:.4f} of its stated size, or the robot goes "
-        f"{robot.scale:.4f} +- {robot.std:.4f} of the way that it reports; the likelihood cannot "
-        f"tell ({target.log_likelihood_ratio:.0f} and {robot.log_likelihood_ratio:.0f} better "
-        "than neither, twice its logarithm), but arms go their way to half a percent"
+        f"{target.scale:.4f} +- {target.std:.4f} times its stated size, or the robot moves "
+        f"{robot.scale:.4f} +- {robot.std:.4f} times as far as it reports; the likelihood cannot "
+        f"tell (deviance decreases by {target.log_likelihood_ratio:.0f} or "
+        f"{robot.log_likelihood_ratio:.0f}), but arms are usually right to half a percent"
     )

@@ -1,7 +1,7 @@
-"""Measure what a lens model does not describe: a pattern over the image, the same in all views.
+"""Measure the misfit of a lens model: a pattern of residuals that is the same in all views.
 
-With a pose of its own for every view, the chain's errors are gone. Noise of pixels has no pattern;
-if neighbouring points have similar errors in all views, the lens is not as its model says.
+With a free pose for every view, the errors of the chain vanish. Pixel noise has no pattern; similar
+residuals of neighbouring points in all views mean that the lens model is wrong.
 """
 
 import equinox as eqx
@@ -14,7 +14,7 @@ from ...dataset import Dataset
 from ..free_poses import free_pose_predictions
 
 POLYNOMIAL_DEGREE = 5
-"""The degree of the polynomials in u and v that describe the pattern: common lenses', plus one."""
+"""The degree of the polynomials in u and v of the pattern: one more than common lens models'."""
 
 
 def lens_misfit(
@@ -22,11 +22,11 @@ def lens_misfit(
 ) -> float:
     """Return the RMS over points of the smooth pattern of residuals over the image, px.
 
-    The contribution that noise alone would make to this many coefficients is subtracted; zero if
-    nothing remains, or if there are too few points to estimate the noise.
+    The expected contribution of noise is subtracted; zero if nothing remains, or if there are too
+    few points to estimate the noise.
 
     Args:
-        calibration: its camera and target scale matter, its chain does not.
+        calibration: its camera and target scale are used, its chain only for initial poses.
         data: points and pixels.
         used: which of the visible points to use; rejected points are excluded.
     """
@@ -36,7 +36,7 @@ def lens_misfit(
     residual = np.asarray(data.pixels - predicted)[used]
     design = _legendre_basis(np.asarray(predicted)[used], calibration.camera.image_size)
     count, term_count = design.shape
-    # Degrees of freedom: two residuals per point, less two per polynomial and six per view's pose.
+    # Degrees of freedom: two per point, less two per polynomial and six per view's pose.
     degrees_of_freedom = 2 * (count - term_count) - 6 * int(used.any(axis=1).sum())
     if degrees_of_freedom < count:
         return 0.0

@@ -1,7 +1,7 @@
 """Compare a wrong target size with a wrong scale of the robot's motion as causes of smooth error.
 
-Each is a single number, and the same data hardly distinguish them. So both are fitted, instead of
-the robot error field and in addition to it, and reported with their log-likelihood ratios. Here a
+Each is a single number, and data hardly distinguish them. So both are fitted, instead of the robot
+error field and in addition to it, and reported with their log-likelihood ratios. Here a
 log-likelihood ratio includes the factor of two: it is a decrease of the deviance.
 """
 
@@ -37,8 +37,7 @@ class ScaleHypothesis(NamedTuple):
 
     Attributes:
         name: "target scale" or "robot stretch".
-        scale: true size of the target over its stated one, or true motion of the robot over the
-            reported motion.
+        scale: true over stated size of the target, or true over reported motion of the robot.
         std: standard deviation of `scale`.
         log_likelihood_ratio: decrease of the deviance against a robot with white noise alone.
         field_log_likelihood_ratio: the same for a field linear in the pose (in the position, with
@@ -68,11 +67,11 @@ def scale_hypotheses(
 
     Args:
         data: the data set that `fit` was fitted to.
-        fit: with `noise="estimated"`. Held parameters stay held; priors are not known here. Nothing
-            is compared where no field was considered, or the target's scale was to be free.
+        fit: a joint fit with `noise="estimated"`. Held parameters stay held; priors are not used.
+            Empty if the fit considered no field, or if the user had freed the target's scale.
         progress: called with a line of text for each fit.
     """
-    say = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     noise_estimate = fit.noise_estimate
     if noise_estimate is None or (
         TARGET_SCALE in fit.parameter_names and not target_scale_differs(fit)
@@ -85,13 +84,13 @@ def scale_hypotheses(
         return ()
     # The hypotheses are compared with the field that the views support: by position, or by pose.
     field_group_count = 4 if "pose" in fields else 2
-    say("error budget: field")
+    report("error budget: field")
     # All ratios are against white noise on the same data and from the same start, so that they are
     # comparable.
     field_ratio = _log_likelihood_ratio(fit_scale_hypothesis(data, fit, None, field_group_count))
     hypotheses = []
     for name, group in HYPOTHESIS_GROUPS.items():
-        say(f"error budget: {name}")
+        report(f"error budget: {name}")
         alone = fit_scale_hypothesis(data, fit, group)
         with_field = fit_scale_hypothesis(data, fit, group, field_group_count)
         scale, std = _scale_and_std(alone, group)
@@ -111,7 +110,7 @@ def scale_hypotheses(
 
 
 def target_scale_differs(fit: JointFit) -> bool:
-    """Return whether a fit found that the target is not of its stated size."""
+    """Return whether a fit estimated a target size that differs from the stated one."""
     return fit.noise_estimate is not None and TARGET_SCALE in fit.noise_estimate.free
 
 
@@ -152,7 +151,7 @@ def fit_scale_hypothesis(
     )
     free_names = {TARGET_SCALE, *fit.parameter_names}
     fixed_names = tuple(name for name in parameter_names(start) if name not in free_names)
-    # A wrong size of the target is one of the hypotheses: `fit_joint` must not try one in addition.
+    # The target's size is one of the hypotheses, so `fit_joint` must not estimate it by itself.
     prior = RobotPrior(wrong_target_probability=0.0)
     return fit_joint(
         data,
@@ -202,9 +201,8 @@ def _scale_and_std(fit: JointFit, group: str) -> tuple[float, float]:
     name = f"{group}.0"
     relative_error = float(error.coefficients[error.field.names.index(name)]) / reach
     std = fit.std[f"robot_error.{name}"] / reach
-    # With s the relative error of the reported displacements, the robot travels 1 - s of what it
-    # reports. A target seen from too near looks too large by 1 / (1 - s), whose derivative is
-    # 1 / (1 - s)^2.
+    # With s the relative error of the reported displacements, the robot moves 1 - s times as far as
+    # reported. Then a target looks too large by 1 / (1 - s), whose derivative is 1 / (1 - s)^2.
     if group == LinearInPoseWithScales.TARGET_SCALE:
         return 1.0 / (1.0 - relative_error), std / (1.0 - relative_error) ** 2
     return 1.0 - relative_error, std

@@ -1,7 +1,8 @@
 """Test whether two halves of the data give the same hand-eye transform, within their uncertainty.
 
-A reprojection error can be small because a wrong mount, a wrong camera and a wrong target pose
-compensate for each other. No other check on real data says more about the mount itself.
+A reprojection error can be small because errors of the hand-eye transform, the camera and the
+target pose compensate for each other. On real data this is the best check of the hand-eye transform
+itself.
 """
 
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from ...joint import MAX_ROTATION_HALF_WIDTH, MAX_TRANSLATION_HALF_WIDTH
 from ..held_out import predictor_of
 
 MAX_STANDARDISED_DIFFERENCE = 3.0
-"""The largest of six standardised differences that halves exceed in one data set out of fifty."""
+"""Threshold that the largest of six standardised differences exceeds in 2 % of data sets."""
 
 
 class SplitHalfDifference(NamedTuple):
@@ -26,7 +27,7 @@ class SplitHalfDifference(NamedTuple):
         rotation: angle between them, rad.
         translation: distance between them, m.
         standardised_difference: absolute difference of each of translation x, y, z and rotation
-            x, y, z, over its stated standard deviation; None where the fits state none.
+            x, y, z, over its stated standard deviation; None if the fits state none.
         fits: fits of the even and of the odd views.
     """
 
@@ -48,32 +49,31 @@ class SplitHalfDifference(NamedTuple):
         """The reasons to doubt the fit to all views, a sentence each; empty if there are none."""
         if self.translation > MAX_TRANSLATION_HALF_WIDTH or self.rotation > MAX_ROTATION_HALF_WIDTH:
             return (
-                f"even and odd views put the camera {self.description}: more than most uses bear; "
-                "take more views, turned about more axes",
+                f"camera poses from even and odd views are {self.description}: too much for most "
+                "uses; take more views, rotated about more axes",
             )
         if (
             self.standardised_difference is not None
             and np.max(self.standardised_difference) > MAX_STANDARDISED_DIFFERENCE
         ):
             return (
-                f"even and odd views put the camera {self.description}: it is known less well than "
-                "stated",
+                f"camera poses from even and odd views are {self.description}: the stated "
+                "uncertainty is too small",
             )
         return ()
 
 
 def split_half_difference(data: Dataset, fitter: Callable[[Dataset], Any]) -> SplitHalfDifference:
-    """Fit even and odd usable views separately, and compare where they put the camera.
+    """Fit even and odd usable views separately, and compare their hand-eye transforms.
 
     Args:
-        data: all views, in the order in which they were taken: neighbours are put in different
-            halves.
-        fitter: function from a data set to a fit with a `.calibration`, or to a calibration. The
-            other half's views come to it with nothing visible.
+        data: all views, in the order in which they were taken.
+        fitter: function from a data set to a fit with a `.calibration`, or to a calibration. It is
+            called with the other half's views masked.
 
     Raises:
-        ValueError: fewer than six usable views, fits without a hand-eye transform, or as the fitter
-            does.
+        ValueError: fewer than six usable views, fits without a hand-eye transform, or an error of
+            the fitter.
     """
     views = data.usable_views()
     if len(views) < 6:
@@ -91,7 +91,7 @@ def split_half_difference(data: Dataset, fitter: Callable[[Dataset], Any]) -> Sp
     if stds[0] is not None and stds[1] is not None:
         # Independent halves: the variance of the difference is the sum of the variances.
         combined_std = np.hypot(stds[0], stds[1])
-        # Held parameters have no variance and are the same in both: their difference counts as 0.
+        # Held parameters have no variance and are equal in both halves: their difference is 0.
         standardised_difference = np.abs(difference) / np.where(
             combined_std > 0.0, combined_std, np.inf
         )

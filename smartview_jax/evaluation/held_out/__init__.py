@@ -1,4 +1,4 @@
-"""Estimate errors on views that no fit used, for one method or several side by side."""
+"""Cross-validate: estimate errors on views that no fit used, for one method or several."""
 
 from .bootstrap import Interval as Interval
 from .bootstrap import rms_interval as rms_interval

@@ -1,8 +1,7 @@
 """Estimate confidence intervals of a pooled error by the bootstrap over views.
 
-Errors of points in one view are correlated, so whole views are resampled, not points. The fits stay
-as they are: the interval reflects which views the error was measured on, not which it was fitted
-to.
+Errors of points in a view are correlated, so whole views are resampled, not points. Fits are not
+repeated: the interval reflects the choice of test views, not of fitted views.
 
 Reference: Efron and Tibshirani, An introduction to the bootstrap, 1993, chapter 13 (percentiles).
 """
@@ -32,7 +31,7 @@ def rms_interval(errors: ReprojectionErrors, level: float = 0.95) -> Interval:
 
     Args:
         errors: of any fit; views without a predicted point do not count.
-        level: fraction of the resampled figures that lies inside.
+        level: fraction of the resampled values inside the interval.
 
     Raises:
         ValueError: a level that is not between 0 and 1.

@@ -1,4 +1,4 @@
-"""Compare calibration methods: those of the paper, and the joint fit."""
+"""Compare calibration methods: the paper's methods, and the joint fit."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Unpack
@@ -34,7 +34,7 @@ class Method(NamedTuple):
 
     Attributes:
         fitter: function from a data set to a fit. Methods with the same fitter use the same fits.
-        choose: function from a fit and the data to the part of it that is this method.
+        choose: function from a fit and the data to the part of the fit that is scored.
         measure: function from a predictor and the data to reprojection errors.
     """
 
@@ -50,8 +50,7 @@ class MethodResult(NamedTuple):
         name: the method's name.
         fitted: reprojection errors on the views that were fitted; None where the fit failed.
         held_out: held-out errors; None where the fit failed.
-        rejected: observations that the method left out; None where it failed or does not report
-            them.
+        rejected: observations that the method left out; None if it failed or does not report them.
         failure: the reason of a failure.
     """
 
@@ -72,10 +71,10 @@ def standard_methods(
     """Return the paper's methods, the joint fit, and the lower bound of a free pose per view.
 
     Args:
-        lens: the lens model of all methods but the one without distortion.
-        camera: a known camera; methods that find one of their own are then left out.
-        start: where the joint fits start, as for `calibrate`.
-        joint_options: options of the joint fits; their noise is that of each method.
+        lens: lens model of all methods except the one without distortion.
+        camera: a known camera; methods about estimating the camera are then left out.
+        start: start of the joint fits, as for `calibrate`.
+        joint_options: options of the joint fits, except the noise model, which each method sets.
     """
 
     def calibrate_estimated(data: Dataset) -> Any:
@@ -97,7 +96,7 @@ def standard_methods(
         "free pose a view": Method(calibrate_trusted, measure=free_pose_errors),
     }
     if camera is not None:
-        # These two are about finding the camera, which is known.
+        # These two are about estimating the camera.
         del methods["staged, no distortion"], methods["one view's intrinsics"]
     return methods
 
@@ -111,20 +110,20 @@ def compare(
 ) -> list[MethodResult]:
     """Fit every method to all views and in every fold; the folds are the same for all methods.
 
-    A fit that corrects the robot's error has a second row without the correction: the error of a
-    program that uses its transforms alone. These transforms are the best estimate of the mount, but
-    not of the chain without a correction; for that, a fit that trusts the robot has transforms that
-    absorb the robot's error.
+    A fit that corrects the robot's error gets a second row without the correction, for programs
+    that use only its transforms. These are the best estimate of the mount, but do not predict best
+    without the correction: for this, use a fit that trusts the robot, whose transforms absorb its
+    error.
 
     Args:
         data: all views.
-        methods: by the name to report them under: a `Method`, or a fitter as `held_out` takes it;
-            by default `standard_methods()`.
+        methods: methods by name: a `Method`, or a fitter as for `held_out`; by default
+            `standard_methods()`.
         folds: number of folds; below eight views, as many as there are views.
         progress: called with a line of text for each fit.
-        by: `"view"` or `"region"`: which views are hidden together, as for `held_out`.
+        by: `"view"` or `"region"`, as for `held_out`.
     """
-    say = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     # By fitter: its fits, or the error of its fit to all views.
     fits: dict[Callable, _FoldedFits | ValueError] = {}
     results = []
@@ -134,9 +133,9 @@ def compare(
         )
         # Methods with the same fitter are parts of one fit: it runs once per fold for all of them.
         if method.fitter not in fits:
-            say(name)
+            report(name)
             fits[method.fitter] = _fit_folds(
-                data, method.fitter, folds, lambda s, n=name: say(f"{n}: {s}"), by
+                data, method.fitter, folds, lambda s, n=name: report(f"{n}: {s}"), by
             )
         method_fits = fits[method.fitter]
         results.append(_method_result(name, method, method_fits, data))
@@ -158,7 +157,7 @@ class _FoldedFits(NamedTuple):
 
     @property
     def all_fits(self) -> tuple[Any, ...]:
-        """The fit to all views, and those of the folds that did not fail."""
+        """The fit to all views, and the fits of all folds that did not fail."""
         return (self.fit, *(fold.fit for fold in self.refits if fold.failure is None))
 
 

@@ -1,7 +1,7 @@
 """Split views into folds: at random, or by region of the workspace.
 
 A view held out at random has neighbours among the fitted ones, so its error measures interpolation.
-A hidden region makes the fit extrapolate to where the robot has not been.
+With a hidden region, the fit has to extrapolate.
 """
 
 import numpy as np
@@ -51,9 +51,9 @@ def split_views(data: Dataset, folds: int, by: str = "view") -> tuple[tuple[int,
 def view_folds(views: Int[np.ndarray, "views"], folds: int) -> tuple[tuple[int, ...], ...]:
     """Return the views of each fold by a fixed random permutation.
 
-    Below `LEAVE_ONE_OUT_BELOW` views, each view is a fold of its own.
+    Below `LEAVE_ONE_OUT_BELOW` views, each view is its own fold.
     """
-    # A fixed seed: every method, and every run, has the same folds.
+    # A fixed seed, so that all methods and runs have the same folds.
     count = len(views)
     fold_count = count if count < LEAVE_ONE_OUT_BELOW else min(folds, count)
     order = np.random.default_rng(0).permutation(count)
@@ -90,8 +90,7 @@ def _bisect_regions(
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     ordered = view_indices[np.argsort(offset @ axis, kind="stable")]
     left_count = region_count // 2
-    # Split in proportion to the number of regions on either side, so that all regions are of equal
-    # size.
+    # In proportion to the number of regions on either side, so that all regions have equal size.
     split_index = len(view_indices) * left_count // region_count
     return [
         *_bisect_regions(positions, ordered[:split_index], left_count),

@@ -1,4 +1,4 @@
-"""Estimate the error on views that a fit never used, with everything refitted in each fold."""
+"""Cross-validate: estimate the error on views that a fit never used, refitting in each fold."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -32,13 +32,13 @@ class HeldOutErrors(NamedTuple):
     """The errors of fits on views that they never used.
 
     Attributes:
-        errors: pooled over all folds; NaN where not seen or the fold failed.
+        errors: errors pooled over all folds; NaN for points not seen or in failed folds.
         folds: indices of the views held out in each fold.
         failures: fold and reason, for folds whose fit failed.
         unconverged_folds: fold and message, for folds whose fit stopped early; their predictions
             count.
-        extrapolated_views: indices of the views for which their fold's predictor has `is_inside`
-            false; empty where it has no such method. Their predictions count.
+        extrapolated_views: indices of the views for which `is_inside` of their fold's predictor is
+            false; empty if it has no such method. Their predictions count.
     """
 
     errors: ReprojectionErrors
@@ -64,12 +64,11 @@ def held_out(
     Args:
         data: all views.
         fitter: function from a data set to a fit with a `.calibration`, or to anything with
-            `project`, `points_in_camera` and `camera`. Held-out views come to it with nothing
-            visible.
+        `project`, `points_in_camera` and `camera`. It is called with the held-out views masked.
         folds: number of folds; by view and below eight views, as many as there are views.
         progress: called with a line of text for each fold.
-        by: `"view"`, where hidden views have neighbours that are seen, or `"region"`, where views
-            with nearby tool positions are hidden together and the fit has to extrapolate.
+        by: `"view"` hides views at random; `"region"` hides views with nearby tool positions
+            together, so that the fit has to extrapolate.
 
     Raises:
         ValueError: fewer than two folds, or too few usable views: four, six by region.
@@ -86,7 +85,7 @@ def fit_folds(
 ) -> tuple[FoldFit, ...]:
     """Return the fits behind `held_out`, so that several parts of one fit can be scored.
 
-    The arguments are those of `held_out`.
+    The arguments are as for `held_out`.
     """
     split = split_views(data, folds, by)
     fits = []
@@ -96,13 +95,13 @@ def fit_folds(
         try:
             fits.append(FoldFit(hidden_views, fitter(data.mask_views(hidden_views))))
         except ValueError as error:
-            # Reported with the results, so that one failed fold does not cost the others.
+            # Reported with the results, so that the other folds still count.
             fits.append(FoldFit(hidden_views, None, str(error)))
     return tuple(fits)
 
 
 def predictor_of(fit: Any) -> Predictor:
-    """Return a fit's calibration, or the object itself where it predicts."""
+    """Return a fit's calibration, or the object itself if it is a predictor."""
     return getattr(fit, "calibration", fit)
 
 
@@ -140,7 +139,7 @@ def score(
     Args:
         fold_fits: from `fit_folds`, with the same data.
         data: all views.
-        choose: function from a fit and the data to the part of it to score: one of its fits, a
+        choose: function from a fit and the data to the part to score: one of its fits, or a
             predictor.
         measure: function from a predictor and the data to reprojection errors.
     """
@@ -151,7 +150,7 @@ def score(
     pooled_errors = pool_errors(chosen, data, lambda part: measure(predictor_of(part), data))
     unconverged = []
     for number, fold in enumerate(chosen):
-        # Predictors other than fits have no `result`: nothing is known of their convergence.
+        # Predictors that are not fits have no `result`.
         result = getattr(fold.fit, "result", None)
         if result is not None and not result.converged:
             unconverged.append((number, result.message))
@@ -182,7 +181,7 @@ def pool_errors(
         measure: function from a fit to errors of every point; a `ValueError` is that fold's
             failure.
     """
-    # Each view is hidden in one fold only, so the folds fill separate rows.
+    # Each view is hidden in a single fold, so the folds fill separate rows.
     px = np.full(data.visible.shape, np.nan)
     metres = px.copy()
     failures = []

@@ -20,8 +20,7 @@ class HeldOutReport(NamedTuple):
         by_region: by region of the workspace.
         free_pose: by view, with a free pose for every hidden view: the error of the camera alone.
         predicted_error: by view, with the errors that the fits predicted.
-        error_models: name of the robot error model of each fold by view; empty where it was not
-            estimated.
+        error_models: name of the robot error model of each fold by view; empty if not estimated.
     """
 
     held_out: HeldOutErrors
@@ -37,25 +36,25 @@ def held_out_reports(
     thorough: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, HeldOutReport]:
-    """Return the held-out errors of a calibration, by the report's name of each part.
+    """Return the held-out errors of the parts of a calibration, by the name of the part.
 
     Args:
         data: all views.
         fitter: such as `calibrate`.
-        thorough: also by region, where there are enough views, with the free-pose errors and the
-            errors that the joint fits predicted; twice the number of fits.
+        thorough: also compute errors by region (if there are enough views), free-pose errors and
+            the errors that the joint fits predicted; doubles the number of fits.
         progress: called with a line of text for each fit.
 
     Raises:
         ValueError: fewer than four usable views.
     """
-    say = progress or (lambda _: None)
-    by_view = fit_folds(data, fitter, progress=lambda text: say(f"held-out: {text}"))
+    report = progress or (lambda _: None)
+    by_view = fit_folds(data, fitter, progress=lambda text: report(f"held-out: {text}"))
     by_region = None
     # Hiding a region of few views leaves too few to fit.
     if thorough and len(data.usable_views()) >= MIN_VIEWS_BY_REGION:
         by_region = fit_folds(
-            data, fitter, progress=lambda text: say(f"held-out by region: {text}"), by="region"
+            data, fitter, progress=lambda text: report(f"held-out by region: {text}"), by="region"
         )
     reports = {
         name: _part_report(by_view, by_region, data, choose, thorough)

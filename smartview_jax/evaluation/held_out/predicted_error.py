@@ -1,8 +1,7 @@
-"""Compare the error that a fit predicts for unseen views with the error that it has there.
+"""Compare the error that a fit predicts for unseen views with its actual error on them.
 
-A fit states how well it knows its parameters, and how large the errors of pixels and poses are.
-Together these predict its error at any pose. If the actual error is larger, its standard deviations
-are too small, whatever the reason.
+The covariance of a fit and its noise model predict its error at any pose. If the actual error is
+larger, the stated standard deviations are too small, whatever the reason.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,12 +42,12 @@ class PredictedError(NamedTuple):
 
     @property
     def rms_ratio_per_view(self) -> Float[np.ndarray, "views"]:
-        """The same ratio for every view; NaN for one that was not held out."""
+        """The same ratio for every view; NaN for a view that was not held out."""
         return np.array([self._rms_ratio_of_views([k]) for k in range(len(self.actual.errors.px))])
 
     @property
     def rms_ratio_per_fold(self) -> Float[np.ndarray, "folds"]:
-        """The same ratio for every fold; NaN for one that failed."""
+        """The same ratio for every fold; NaN for a failed fold."""
         return np.array([self._rms_ratio_of_views(list(fold)) for fold in self.actual.folds])
 
     def _rms_ratio_of_views(self, views: list[int]) -> float:
@@ -89,14 +88,14 @@ def expected_reprojection_errors(
 ) -> ReprojectionErrors:
     """Return the root of the expected squared reprojection error of every point seen.
 
-    Under the model four independent errors add up: of the parameters, by the fit's covariance; of
-    pixels about their view's own best pose, by the white sigma; of that pose, by the excess of the
-    effective over the white sigma; and independent errors of the poses that the robot reports.
+    Four independent errors add up: the error of the parameters (the fit's covariance); of pixels
+    about the view's best pose (the white sigma); of this best pose (the excess of the effective
+    over the white sigma); and of the reported poses.
 
     Args:
-        fit: a joint fit, or one that was saved; the uncertainty of its parameters is that of views
-            it never used.
-        data: any views. Points that cannot be predicted are infinite, those not seen NaN.
+        fit: a joint fit, or a saved one; the prediction is for views that it never used.
+            data: any views. The result is infinite for unpredictable points, and NaN for points not
+        seen.
 
     Raises:
         ValueError: the fit's data leave a parameter undetermined, or its noise leaves the poses
@@ -130,7 +129,9 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
     pose_variance = np.zeros(data.visible.shape)
     if noise is not None:
         if not max(noise.translation, noise.rotation) < np.inf:
-            raise ValueError("a robot whose poses may be anywhere leaves nothing to predict")
+            raise ValueError(
+                "the noise model leaves the robot's poses free: nothing can be predicted"
+            )
         pose_sigmas = to_device(np.repeat([noise.translation, noise.rotation], 3))
         pose_variance = np.asarray(
             _pose_noise_variance(calibration, pose_sigmas, data.command, data.points)
@@ -141,7 +142,7 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
     # to the parameters and P their covariance. std_of^2 is the diagonal of J P J^T.
     parameter_std = np.asarray(std_of(fit, _PixelFunction(data.command, data.points)))
     point_counts = np.maximum(np.asarray(data.visible).sum(axis=1, keepdims=True), 1)
-    # A pose has six parameters, so of the 2 n residuals of a view with n points six have the
+    # A pose has six parameters, so six of the 2 n residuals of a view with n points have the
     # effective variance. On average over the points:
     #     2 white_sigma^2 + 6 (effective_sigma^2 - white_sigma^2) / n
     pixel_variance = (
@@ -155,7 +156,7 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
 
 
 class _PixelFunction(eqx.Module):
-    """A function from calibrations to pixels of given points, zero where there are none.
+    """A function from calibrations to pixels of given points, zero for invalid ones.
 
     It is a pytree, so that it is compiled once.
     """
@@ -178,7 +179,7 @@ def _pose_noise_variance(
 ) -> Float[Array, "views points"]:
     """Return the variance of pixels, u and v together, due to white noise of the reported poses."""
     error = calibration.robot_error
-    # The noise is on top of the smooth correction, so the corrected pose is perturbed.
+    # The noise is added to the smooth correction, so the corrected pose is perturbed.
     poses = command.base_from_tool if error is None else error.actual_pose(command)
 
     def pixels(correction: Float[Array, "6"]) -> Float[Array, "views points 2"]:

@@ -1,4 +1,4 @@
-"""Quantify how well a result is known: covariances, lower bounds, and tests of both."""
+"""Quantify the uncertainty of results: covariances, lower bounds, and tests of both."""
 
 from .consistency import ConsistencyStatistic as ConsistencyStatistic
 from .consistency import coverage as coverage

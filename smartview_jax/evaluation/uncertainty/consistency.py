@@ -1,8 +1,8 @@
-"""Test whether the uncertainty that a fit states is true, over many runs with a known truth.
+"""Test whether the uncertainty that a fit states is correct, over many runs with known truth.
 
-The normalised estimation error squared (NEES), `e^T P^-1 e`, is chi-square distributed with as many
-degrees of freedom as numbers if the stated covariance `P` is true; and a 95 % interval contains the
-truth in 95 runs of a hundred.
+If the stated covariance `P` is correct, the normalised estimation error squared (NEES),
+`e^T P^-1 e`, is chi-square distributed with as many degrees of freedom as numbers, and a 95 %
+interval contains the truth in 95 of 100 runs.
 
 Reference: Bar-Shalom, Li and Kirubarajan, Estimation with applications to tracking and navigation,
 2001, section 5.4.
@@ -21,7 +21,7 @@ CONFIDENCE_LEVEL = 0.95
 class ConsistencyStatistic(NamedTuple):
     """A mean over runs, with the band that contains it with probability `CONFIDENCE_LEVEL`.
 
-    The band holds if all uncertainty is as stated.
+    The band assumes that the stated uncertainty is correct.
     """
 
     value: float
@@ -42,7 +42,7 @@ def nees(
 
     Args:
         errors: estimates minus truth, in any units.
-        covariances: stated, in the same units.
+        covariances: stated covariances, in the same units.
 
     Raises:
         ValueError: a covariance is not positive definite; the message names the run.
@@ -50,14 +50,14 @@ def nees(
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     valid = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
     valid &= np.asarray((variances > 0.0).all(axis=1))
-    # Correlations instead of covariances: numbers of very different units keep their precision.
+    # Correlations instead of covariances, because units may differ by many orders of magnitude.
     stds = np.sqrt(np.where(valid[:, None], variances, 1.0))
     correlations = covariances / (stds[:, :, None] * stds[:, None])
     correlations = np.where(valid[:, None, None], correlations, np.eye(variances.shape[1]))
     valid &= np.linalg.eigvalsh(correlations)[:, 0] > 0.0
     if not valid.all():
         run = int(np.argmin(valid))
-        raise ValueError(f"covariances: that of run {run} is not finite and positive definite")
+        raise ValueError(f"covariances: run {run}: not finite and positive definite")
     # e^T P^-1 e = (L^-1 e)^T C^-1 (L^-1 e), with P = L C L, L the stds and C the correlations.
     standardised_errors = errors / stds
     return np.einsum(
@@ -70,7 +70,7 @@ def nees(
 def mean_nees(nees_values: Float[np.ndarray, "runs"], dimension: int) -> ConsistencyStatistic:
     """Return the mean of `nees` with its band.
 
-    The mean is near `dimension` if the covariances are true.
+    The mean is near `dimension` if the covariances are correct.
     """
     tail_probability, runs = 0.5 - 0.5 * CONFIDENCE_LEVEL, len(nees_values)
     # Over n runs the sum is chi-square with n times as many degrees of freedom.
@@ -92,7 +92,7 @@ def within_interval(
         errors: estimates minus truth.
         std: stated standard deviations.
         degrees_of_freedom: degrees of freedom of the standard deviations (Student's t); infinite
-            where they are known.
+            if they are known exactly.
     """
     nu, p = np.asarray(degrees_of_freedom, dtype=float), 0.5 + 0.5 * CONFIDENCE_LEVEL
     finite = np.isfinite(nu)
@@ -104,7 +104,7 @@ def within_interval(
 def coverage(is_within: Bool[np.ndarray, "runs"]) -> ConsistencyStatistic:
     """Return the fraction of runs whose interval contains the truth.
 
-    Its band is that of the normal approximation.
+    Its band is the normal approximation.
     """
     # The binomial standard deviation sqrt(p (1 - p) / n) at the stated probability p.
     half_width = float(

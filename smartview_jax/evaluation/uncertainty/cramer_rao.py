@@ -1,4 +1,4 @@
-"""Compute the Cramer-Rao bound of a set-up before any image is taken.
+"""Compute the Cramer-Rao bound of a set-up before any picture is taken.
 
 No unbiased estimator has a smaller covariance.
 """
@@ -27,14 +27,13 @@ from ...runtime.compilation import compiled
 
 
 class CramerRaoBound(eqx.Module):
-    """The Cramer-Rao bound of a set-up; `std_of` carries it to any function of a calibration.
+    """The Cramer-Rao bound of a set-up; `std_of` propagates it to any function of a calibration.
 
     Attributes:
         calibration: the calibration at which the bound holds.
         covariance: smallest possible covariance of the free parameters, in the order of
             `parameter_names`.
-        std: smallest possible standard deviation by name; infinite where the data do not determine
-            a parameter.
+        std: smallest possible standard deviation by name; infinite for an undetermined parameter.
         observability: the directions that the data do not determine.
         parameter_names: names of the free parameters that all views have in common.
     """
@@ -58,13 +57,13 @@ def cramer_rao(
 ) -> CramerRaoBound:
     """Return the Cramer-Rao bound of all parameters that a joint fit estimates.
 
-    Errors of reported poses, and the coefficients of a field, are marginalised under their priors,
-    so that for them it is the bound on average over robots (van Trees).
+    Errors of reported poses and coefficients of a field are marginalised under their priors: for
+    them it is the bound on average over robots (van Trees).
 
     Args:
-        calibration: the truth, as far as it is known.
-        data: poses, points, and which of them are seen. The pixels do not matter: planned poses
-            will do, through `simulation.simulate(calibration, poses, points, pixel_noise=0.0)`.
+        calibration: the truth, or the best guess.
+        data: poses, points and their visibility. The pixels do not matter: for planned poses use
+            `simulation.simulate(calibration, poses, points, pixel_noise=0.0)`.
         noise: the noise model; a number is the standard deviation of pixels, px, with an exact
             robot.
         field: the robot error field, with one standard deviation for each of its groups in the
@@ -74,13 +73,13 @@ def cramer_rao(
         priors: as for `fit_joint`.
 
     Raises:
-        ValueError: as `fit_joint` does.
+        ValueError: as for `fit_joint`.
     """
     noise_model = noise if isinstance(noise, Noise) else "trusted"
     built = build_problem(
         data, calibration, noise=noise_model, field=field, fixed=fixed, free=free, priors=priors
     )
-    # An exact robot has no noise model to hold the pixel sigma, so it is set in the problem.
+    # Without a noise model the pixel sigma is set in the problem.
     if not isinstance(noise, Noise):
         sigma = np.asarray(float(noise))
         built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, sigma)

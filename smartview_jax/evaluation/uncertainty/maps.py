@@ -1,7 +1,7 @@
-"""Say how well a calibration predicts at every place of the picture, and of the workspace.
+"""Map the uncertainty of a calibration's predictions over the picture and the workspace.
 
-After mrcal's projection uncertainty, but through the whole chain: camera, hand-eye transform,
-target and the robot's error as they were estimated together, with their correlations.
+Like mrcal's projection uncertainty, but for the whole chain: camera, hand-eye transform, target and
+the robot's error, with their correlations.
 """
 
 from typing import NamedTuple
@@ -19,15 +19,15 @@ from ...runtime.array_namespace import to_device
 from .propagation import CalibrationEstimate, covariance_root
 
 MARGIN = 0.02
-"""Margin around the picture that a map covers, over the picture's width."""
+"""Margin of a map around the picture, relative to the picture's width."""
 
 
 class PictureUncertainty(NamedTuple):
-    """The standard deviation of predicted pixels, at many places of one picture.
+    """The standard deviation of predicted pixels, at many positions in a picture.
 
     Attributes:
         view_id: name of the view.
-        pixels: where the points appear, px.
+        pixels: predicted pixels of the points, px.
         std: standard deviation of `pixels`, u and v together, px.
         depth: distance of the points from the camera along its axis, m.
         image_size: width and height of the picture, px.
@@ -43,26 +43,26 @@ class PictureUncertainty(NamedTuple):
 def picture_uncertainty(
     estimate: CalibrationEstimate, data: Dataset, view: int | None = None
 ) -> PictureUncertainty:
-    """Return how well an estimate predicts pixels of points that fill the picture of a view.
+    """Return the uncertainty of predicted pixels, for points that fill the picture of a view.
 
-    The points lie at the median depth of the target's points, in a plane parallel to the picture;
-    the robot's pose is taken as reported, without its own noise.
+    The points are in a plane parallel to the picture, at the median depth of the target's points;
+    the noise of the robot's pose is not included.
 
     Args:
         estimate: the result of `fit_joint` or `cramer_rao`, or a saved one.
-        data: views, of which one gives the robot's pose and the depth.
+        data: the data set of the view, which gives the robot's pose and the depth.
         view: index of the view; by default the one that shows the most points.
 
     Raises:
-        ValueError: the data leave something entirely undetermined, or the view shows no point.
+        ValueError: a parameter is undetermined, or the view shows no point.
     """
     calibration = estimate.calibration
     visible = np.asarray(data.visible)
     view = int(np.argmax(visible.sum(axis=1))) if view is None else view
     if not visible[view].any():
-        raise ValueError(f"view {data.view_ids[view]}: it shows no point of the target")
-    # As many points as the data have, all seen from the one pose: the programs that computed the
-    # residuals of the data then serve here too.
+        raise ValueError(f"view {data.view_ids[view]}: no point of the target is visible")
+    # Arrays of the data's shape, all with the same pose, so that the compiled programs of the
+    # data's residuals are used again.
     command = jax.tree.map(
         lambda leaf: to_device(np.broadcast_to(np.asarray(leaf)[view], np.shape(leaf)).copy()),
         data.command,
@@ -89,8 +89,8 @@ def _pixels_with_std(
 ) -> tuple[Float[np.ndarray, "views points 2"], Float[np.ndarray, "views points"]]:
     """Return the pixels of points and their standard deviation, u and v together.
 
-    NaN where a point has no pixel. Derivatives are central differences by the programs of every
-    fit, so that nothing is compiled.
+    NaN for a point without a pixel. Derivatives are central differences with the compiled programs
+    of the fits, so that nothing is compiled.
     """
     calibration = estimate.calibration
     everywhere = np.ones(points.shape[:2], dtype=bool)
@@ -102,13 +102,13 @@ def _pixels_with_std(
         command.joints,
     )
 
-    def pixels_of(one: Calibration) -> Float[np.ndarray, "views points 2"]:
-        """Return the pixels under a calibration: minus the residuals of pixels that are zero."""
-        residuals = np.asarray(chain_residuals(one, observations))
+    def pixels_of(changed: Calibration) -> Float[np.ndarray, "views points 2"]:
+        """Return the pixels for a calibration: minus the residuals of pixels at zero."""
+        residuals = np.asarray(chain_residuals(changed, observations))
         return np.where(np.isfinite(residuals), -residuals, np.nan)
 
-    # With P = sum_k d_k d_k^T: J P J^T = sum_k (J d_k)^2, and J d_k from steps of +- d_k, which is
-    # one standard deviation: the pixels are straight functions over such a step.
+    # With P = sum_k d_k d_k^T: J P J^T = sum_k (J d_k)^2, where J d_k follows from steps of +- d_k,
+    # one standard deviation, over which pixels are nearly linear functions.
     variance = np.zeros((*points.shape[:2], 2))
     for step in np.asarray(covariance_root(estimate)):
         if step.any():
@@ -119,15 +119,15 @@ def _pixels_with_std(
 
 
 def _rays_over_picture(calibration: Calibration, count: int) -> Float[np.ndarray, "count 3"]:
-    """Return directions whose points fill the picture and a margin, the last ones repeated."""
+    """Return `count` directions that fill the picture and a margin, the last one repeated."""
     camera = calibration.camera
     width, height = camera.image_size
-    # Squares of equal size over the picture, as many as there are points.
+    # A grid of square cells, with at most `count` points.
     columns = int(np.sqrt(count * width / height))
     rows = count // columns
     margin = MARGIN * width
-    # A straight line through the lens: distortion moves the points by some pixels, and they are
-    # drawn where they really appear.
+    # Distortion is ignored here: it moves the points by some pixels, but they are reported at
+    # their true pixels.
     u, v = np.meshgrid(
         np.linspace(-margin, width + margin, columns), np.linspace(-margin, height + margin, rows)
     )
@@ -138,11 +138,11 @@ def _rays_over_picture(calibration: Calibration, count: int) -> Float[np.ndarray
 
 
 class WorkspaceUncertainty(NamedTuple):
-    """The standard deviation of where a camera that is sent to look at a point really looks.
+    """The aiming error of a camera that is sent to look at points.
 
     Attributes:
         points: the points, in the target's frame, m.
-        std: standard deviation of the distance between each point and the one looked at, m.
+        std: standard deviation of the distance between each point and the point aimed at, m.
         distance: distance of the camera from the points, m.
     """
 
@@ -154,28 +154,28 @@ class WorkspaceUncertainty(NamedTuple):
 def workspace_uncertainty(
     estimate: CalibrationEstimate, data: Dataset, extent: float = 2.0, count: int = 15
 ) -> WorkspaceUncertainty:
-    """Return how well a camera is placed over the points of the target's plane and around it.
+    """Return the aiming error of a camera over points of the target's plane and around it.
 
-    For every point of a grid the robot is sent, by Eq. 19, to where the camera looks at the point
-    squarely from the median distance of the views. The pixel at which the point then appears has a
-    standard deviation; times distance over focal length it is a length at the point.
+    For every point of a grid the robot is commanded, by Eq. 19, so that the camera looks at the
+    point perpendicularly from the median distance of the views. The standard deviation of the
+    point's pixel, times distance over focal length, is the aiming error.
 
     Args:
         estimate: the result of `fit_joint` or `cramer_rao`, or a saved one.
         data: the views, for their distance and for the target's extent.
-        extent: size of the region over that of the target.
+        extent: size of the region relative to the target.
         count: number of points along each side.
 
     Raises:
-        ValueError: the data leave something entirely undetermined; or the robot's errors are those
-            of joints, which poses alone do not tell.
+        ValueError: a parameter is undetermined, or the calibration corrects errors of joints, for
+            which poses alone do not suffice.
     """
     calibration = estimate.calibration
     if calibration.robot_error is not None and data.command.joints is not None:
-        raise ValueError("data: with errors of joints there is no map by poses alone")
+        raise ValueError("data: a map needs a calibration without errors of joints")
     target = np.asarray(data.points)[np.asarray(data.visible)]
     centres = np.linalg.inv(calibration.camera_from_world_matrices(data.command))[:, :3, 3]
-    # About the target, and as high as its points are on average between lowest and highest.
+    # About the middle of the target, also in height.
     middle = 0.5 * (target.min(axis=0) + target.max(axis=0))
     distance = float(np.median(np.linalg.norm(centres - middle, axis=1)))
     half = 0.5 * extent * np.maximum(np.ptp(target, axis=0)[:2].max(), 1e-3)
@@ -184,7 +184,7 @@ def workspace_uncertainty(
     # From the side of the target on which the views were taken.
     downwards = np.array([0.0, 0.0, -1.0 if centres[:, 2].mean() > middle[2] else 1.0])
     camera_from_world = look_at(points.reshape(-1, 3), downwards, distance)
-    # Without the correction of the robot's error, which changes the pose by less than matters here.
+    # The correction of the robot's error is negligible here.
     command = as_command(calibration.command_for(camera_from_world, corrected=False))
     at_points = points.reshape(-1, 1, 3) / float(calibration.target_scale)
     _, std = _pixels_with_std(estimate, command, at_points)

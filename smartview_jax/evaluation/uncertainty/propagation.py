@@ -34,10 +34,9 @@ class CalibrationEstimate(Protocol):
 def std_of(
     estimate: CalibrationEstimate, function: Callable[[Calibration], Array]
 ) -> Float[Array, "*numbers"]:
-    """Return the standard deviation of every number that a function of the calibration gives.
+    """Return the standard deviation of every number in the value of a function of the calibration.
 
-    It is to first order. For instance, in pixels, where an eye-in-hand camera sees the target from
-    a new pose:
+    To first order. For instance, of the target's pixels for an eye-in-hand camera at a new pose:
 
         std_of(fit, lambda calibration: calibration.project(base_from_tool, points)[0])
 
@@ -46,7 +45,7 @@ def std_of(
         function: a differentiable function of one calibration. The same function is compiled once.
 
     Raises:
-        ValueError: the data leave something entirely undetermined; the message names it.
+        ValueError: a combination of parameters is undetermined; the message names it.
     """
     return _standard_deviation(estimate.calibration, function, covariance_root(estimate))
 
@@ -54,7 +53,7 @@ def std_of(
 def covariance_of(
     estimate: CalibrationEstimate, function: Callable[[Calibration], Float[Array, "numbers"]]
 ) -> Float[Array, "numbers numbers"]:
-    """Return the covariance of the numbers in a vector that a function gives; see `std_of`."""
+    """Return the covariance of the numbers in a function's value, a vector; see `std_of`."""
     # J P J^T = sum_k (J d_k) (J d_k)^T, with P = sum_k d_k d_k^T. The rows of `changes` are J d_k.
     changes = _directional_derivatives(estimate.calibration, function, covariance_root(estimate))
     return changes.T @ changes
@@ -63,22 +62,22 @@ def covariance_of(
 def covariance_root(estimate: CalibrationEstimate) -> Float[Array, "directions parameters"]:
     """Return steps of one standard deviation along independent directions of the covariance.
 
-    The columns are all parameters of the calibration, in the order of `engine.parameter_names`;
-    those that were not fitted are zero.
+    The columns are all parameters of the calibration, in the order of `engine.parameter_names`,
+    with zeros for parameters that were not fitted.
 
     Raises:
-        ValueError: the data leave something entirely undetermined; the message names it.
+        ValueError: a combination of parameters is undetermined; the message names it.
     """
     if estimate.observability.null_directions:
         descriptions = "; ".join(
             direction.description for direction in estimate.observability.null_directions
         )
-        raise ValueError(f"the data leave something open, add views or a prior: {descriptions}")
+        raise ValueError(f"the data do not determine: {descriptions}; add views or a prior")
     names = parameter_names(estimate.calibration)
     indices = np.array([names.index(name) for name in estimate.parameter_names], dtype=int)
     # P = R R^T = sum_k d_k d_k^T, with d_k the columns of R.
     roots = covariance_factor(np.asarray(estimate.covariance)).T
-    # Held parameters have no uncertainty: their entries of every step stay zero.
+    # Held parameters have no uncertainty: their entries stay zero.
     steps = np.zeros((len(roots), len(names)))
     steps[:, indices] = roots
     return to_device(steps)
@@ -91,7 +90,7 @@ def _standard_deviation(
     steps: Float[Array, "directions parameters"],
 ) -> Float[Array, "*numbers"]:
     """Return a function's standard deviations, from steps of one standard deviation each."""
-    # var(f) = sum_k (J d_k)^2, as P = sum_k d_k d_k^T. One tangent at a time: J is never stored.
+    # var(f) = sum_k (J d_k)^2, since P = sum_k d_k d_k^T. One tangent at a time, without storing J.
     return jnp.sqrt(sum_of_squared_derivatives(_function_of_step(calibration, function), steps))
 
 
@@ -112,7 +111,7 @@ def _function_of_step(
     """Return the function composed with a step of the calibration's common parameters."""
     parameters = Parameters(calibration)
 
-    # Without pose corrections: the function depends on the common parameters alone.
+    # No pose corrections: the function depends only on the common parameters.
     def composed(step: Float[Array, "parameters"]) -> Array:
         return function(parameters.retract(Step(step, jnp.zeros((0, 6))))[0])
 
@@ -124,7 +123,7 @@ def sum_of_squared_derivatives(
 ) -> Float[Array, "*numbers"]:
     """Return the sum of squares of a function's first-order changes along all steps from zero.
 
-    It takes one step at a time, so that memory does not grow with their number.
+    One step at a time, so that memory does not grow with their number.
     """
     value, jvp = jax.linearize(function, jnp.zeros(steps.shape[1]))
 

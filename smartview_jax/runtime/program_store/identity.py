@@ -1,9 +1,9 @@
-"""Say what decides a compiled program, so that a later process can tell that it needs the same one.
+"""Describe everything that determines a compiled program, as the key under which it is kept.
 
-A program is decided by its function, by the shapes of its arguments and everything in them that is
-no array, by the sources of this package, the versions of the libraries that it is written with, the
-processor, and the settings of JAX. Where classes or functions of a user take part, nothing can be
-said: their source may change.
+A program is determined by its function, the shapes of its arguments and everything in them that is
+not an array, the sources of this package, the versions of the libraries, the processor, and the
+settings of JAX. If classes or functions of a user are involved, there is no key, because their
+source may change.
 """
 
 import functools
@@ -25,44 +25,44 @@ import jax
 _PACKAGE = __name__.partition(".")[0]
 
 _LIBRARIES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxlie", "numpy")
-"""The libraries that take part in tracing; their versions stand for their sources."""
+"""The libraries involved in tracing; their versions stand for their sources."""
 
 _KNOWN_MODULES = {_PACKAGE, *_LIBRARIES, "jax_dataclasses", "builtins", "copyreg", "enum"}
-"""The top-level modules whose classes and functions may be in arguments."""
+"""The top-level modules whose classes and functions may occur in arguments."""
 
 
 def known_name(function: Any) -> str | None:
     """Return the full name of a function or class of a known library; None for any other."""
     module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
-    # A function within another may depend on that one's variables.
+    # A nested function may depend on variables of the enclosing one.
     if not module or module.partition(".")[0] not in _KNOWN_MODULES or "<" in name:
         return None
     return f"{module}.{name}"
 
 
 class _UnknownSourceError(Exception):
-    """A class or a function is not of the libraries whose sources are known."""
+    """A class or function does not belong to a library whose source is known."""
 
 
 class _Pickler(pickle.Pickler):
-    """Writes only what is of known libraries, and equal things alike."""
+    """Pickles only objects of known libraries, and equal objects to equal bytes."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file, protocol=5)
-        # Otherwise a string that occurs twice is written otherwise than two strings that are equal.
+        # Otherwise a string that occurs twice gives other bytes than two equal strings.
         self.fast = True
 
     def reducer_override(self, obj: Any) -> Any:
-        """Refuse what a user defined."""
+        """Refuse classes and functions that the user defined."""
         if isinstance(obj, type | FunctionType) and known_name(obj) is None:
             raise _UnknownSourceError(f"{obj!r} is of {obj.__module__}")
         return NotImplemented
 
 
 def pickled_if_known(tree: Any) -> bytes | None:
-    """Return a tree as bytes, equal trees alike; None where something in it is of a user."""
+    """Return a tree as bytes, the same for equal trees; None if it contains a user's definition."""
     file = io.BytesIO()
-    # Which exception a class raises that cannot be pickled, such as a local one, is up to it.
+    # A class that cannot be pickled, such as a local one, may raise any exception.
     with suppress(Exception):
         _Pickler(file).dump(tree)
         return file.getvalue()
@@ -70,7 +70,7 @@ def pickled_if_known(tree: Any) -> bytes | None:
 
 
 def compiler() -> bytes:
-    """Return what decides, apart from its text, how a program is compiled."""
+    """Return everything except the text that determines how a program is compiled."""
     irrelevant = ("cache", "log", "traceback")
     values = jax.config.values.items()
     settings = {k: v for k, v in values if not any(word in k for word in irrelevant)}
@@ -85,7 +85,7 @@ def _versions_and_processor() -> tuple[Any, ...]:
 
 
 def _processor() -> str:
-    """Return what Linux says of the processor's instructions; elsewhere the machine's name."""
+    """Return Linux's description of the processor's instructions; elsewhere the machine's name."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         described = ("model name", "flags", "Features", "CPU part")
@@ -111,11 +111,11 @@ def _stamps(folder: Path) -> Iterator[tuple[str, int, int]]:
 
 
 def constants() -> dict[str, int]:
-    """Return a checksum of the constants and functions of every module of the package, by its name.
+    """Return a checksum of the constants and functions of every module of the package, by name.
 
-    Whoever changes one in a running process, such as a limit, gets programs of their own.
+    A user who changes one of them in a running process, such as a limit, gets separate programs.
     """
-    # A package only shows what its modules define, and some import that when it is first used.
+    # Packages (`__init__`) are skipped: they define nothing, and some import names lazily.
     return {
         name: _checksum_of_module(name, vars(module).copy())
         for name, module in sys.modules.copy().items()
@@ -149,7 +149,7 @@ def _checksum(variables: dict[str, Any]) -> int:
 
 
 def _is_plain(value: Any) -> bool:
-    """Return whether a value prints alike in every process."""
+    """Return whether a value prints the same in every process."""
     if isinstance(value, tuple):
         return all(map(_is_plain, value))
     return value is None or isinstance(value, bool | int | float | str)

@@ -1,6 +1,6 @@
-"""Write and read traces and programs by pickle, restricted to the classes that may be in them.
+"""Write and read traces and programs by pickle, restricted to listed classes.
 
-Reading a pickle imports and calls whatever it names. Here a name that is not on a list is refused
+Unpickling imports and calls whatever the file names. Here a name that is not listed is refused
 before anything is imported.
 """
 
@@ -22,7 +22,7 @@ _LIBRARY_CLASSES = {
     ("jaxlie._so3", "SO3"),
     ("optimistix._solution", "RESULTS"),
 }
-"""Module and name of each class of a library that the result of a program may hold."""
+"""Module and name of each library class that the result of a program may contain."""
 
 _PROGRAM_CLASSES = {
     ("jax", "P"),
@@ -42,17 +42,17 @@ _PROGRAM_CLASSES = {
 }
 """Module and name of everything that JAX writes into an executable on one CPU.
 
-Another version of JAX may write other names: its programs are then compiled by every process, and
-a test says so.
+Another version of JAX may write other names: every process then compiles its programs again, and a
+test fails.
 """
 
 
 def pickled_trace(tree: Any) -> bytes | None:
-    """Return a tree as bytes; None where it holds what `unpickled_trace` would refuse."""
+    """Return a tree as bytes; None if `unpickled_trace` would refuse it."""
     try:
         content = pickle.dumps(tree, protocol=5)
         unpickled_trace(content)
-    # Which exception a class raises that cannot be pickled, such as a local one, is up to it.
+    # A class that cannot be pickled, such as a local one, may raise any exception.
     except Exception:
         return None
     return content
@@ -72,7 +72,7 @@ def unpickled_program(content: bytes, array_count: int, output_count: int) -> ja
     """Return the executable on the first CPU that JAX's `serialize` wrote.
 
     Args:
-        content: what was written.
+        content: the bytes that `serialize` wrote.
         array_count: number of arrays in the arguments.
         output_count: number of arrays in the result.
 
@@ -94,17 +94,17 @@ def unpickled_program(content: bytes, array_count: int, output_count: int) -> ja
 
 
 class _TraceReader(pickle.Unpickler):
-    """Reads data classes of this package, and listed ones of libraries."""
+    """Reads data classes of this package, and listed classes of libraries."""
 
     def find_class(self, module_name: str, global_name: str) -> Any:
         """Return a class that may be in a trace."""
         if (module_name, global_name) in _LIBRARY_CLASSES:
             return super().find_class(module_name, global_name)
-        # A name with a dot would reach what the module imported.
+        # A name with a dot could refer to something that the module imported.
         if module_name.partition(".")[0] == _PACKAGE and "." not in global_name:
-            found = super().find_class(module_name, global_name)
-            if _is_data_class(found) and found.__module__ == module_name:
-                return found
+            cls = super().find_class(module_name, global_name)
+            if _is_data_class(cls) and cls.__module__ == module_name:
+                return cls
         raise pickle.UnpicklingError(f"{module_name}.{global_name} may not be in a trace")
 
 
@@ -118,8 +118,10 @@ class _ProgramReader(_JaxPjrtUnpickler):
         raise pickle.UnpicklingError(f"{module_name}.{global_name} may not be in a program")
 
 
-def _is_data_class(found: Any) -> bool:
-    """Return whether something is a class that holds data and does nothing when it is made."""
-    if not isinstance(found, type):
+def _is_data_class(candidate: Any) -> bool:
+    """Return whether an object is a class that only holds data; constructing it runs no code."""
+    if not isinstance(candidate, type):
         return False
-    return issubclass(found, eqx.Module) or (issubclass(found, tuple) and hasattr(found, "_fields"))
+    return issubclass(candidate, eqx.Module) or (
+        issubclass(candidate, tuple) and hasattr(candidate, "_fields")
+    )

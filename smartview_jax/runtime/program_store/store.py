@@ -1,4 +1,4 @@
-"""The programs of a function: those in memory, and through them those on disk."""
+"""The compiled programs of a function, in memory and on disk."""
 
 import functools
 import hashlib
@@ -22,7 +22,7 @@ from .identity import compiler, constants, known_name, pickled_if_known, sources
 from .safe_pickle import pickled_trace, unpickled_program, unpickled_trace
 
 READ_EVENT = "/smartview_jax/program_read"
-"""The event, with its duration, that `jax.monitoring` reports for a program that was read."""
+"""The event that `jax.monitoring` reports, with its duration, when a program is read."""
 
 _PLAIN_SETTINGS = {
     "jax_enable_x64": True,
@@ -32,17 +32,17 @@ _PLAIN_SETTINGS = {
     "jax_default_device": None,
     "jax_default_matmul_precision": None,
 }
-"""Settings that a context of the user may change within a process, and what they must be."""
+"""Settings that a user's context may change within a process, and the values they must have."""
 
 _PROMOTION_SETTINGS = ("jax_numpy_rank_promotion", "jax_numpy_dtype_promotion")
-"""Settings of a context that refuse a function while it is traced, or change its types.
+"""Settings of a context that raise errors or change types while a function is traced.
 
-A trace is kept for the settings under which it was made.
+They are part of a trace's key.
 """
 
 
 class ArrayKind(NamedTuple):
-    """The shape and type of an array: a program is compiled for all arrays of one kind.
+    """The shape and type of an array; a program is compiled for all arrays of one kind.
 
     Attributes:
         shape: the shape.
@@ -58,12 +58,12 @@ class ArrayKind(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A compiled program, and how its result is put together.
+    """A compiled program, and the structure of its result.
 
     Attributes:
         run: from the arguments' arrays to the result's arrays.
         structure: the structure of the result.
-        leaves: its leaves, with an `ArrayKind` in the place of each array.
+        leaves: leaves of the result, with an `ArrayKind` in the place of each array.
     """
 
     run: jax.stages.Compiled
@@ -75,8 +75,10 @@ class Program(NamedTuple):
         outputs = self.run(*arrays)
         if outputs:
             outputs[0].block_until_ready()
-        found = iter(outputs)
-        return self.structure.unflatten([next(found) if _is_kind(x) else x for x in self.leaves])
+        arrays_of_result = iter(outputs)
+        return self.structure.unflatten(
+            [next(arrays_of_result) if _is_kind(x) else x for x in self.leaves]
+        )
 
 
 _stores: "weakref.WeakSet[ProgramStore]" = weakref.WeakSet()
@@ -84,13 +86,13 @@ _stores: "weakref.WeakSet[ProgramStore]" = weakref.WeakSet()
 
 
 def forget_programs() -> None:
-    """Let all programs in memory go; JAX holds none of them, and cannot."""
+    """Drop all programs that are in memory; JAX itself holds no reference to them."""
     for store in list(_stores):
         store._forget()
 
 
 class ProgramStore:
-    """The programs of one function: those in memory, and through them those on disk."""
+    """The programs of one function, in memory and on disk."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         self._function = function
@@ -100,9 +102,9 @@ class ProgramStore:
         _stores.add(self)
 
     def find(self, args: Any, kwargs: Any) -> tuple[Program | None, list[Any]]:
-        """Return the program for arguments, read or compiled if need be, and their arrays.
+        """Return the program for arguments, read or compiled if necessary, and their arrays.
 
-        There is none where not everything is known that decides the program.
+        The program is None if its key is unknown (see `identity`).
         """
         if any(getattr(jax.config, name) != value for name, value in _PLAIN_SETTINGS.items()):
             return None, []
@@ -110,11 +112,11 @@ class ProgramStore:
         kinds = [_kind_of(leaf) for leaf in leaves]
         arrays = [leaf for leaf, kind in zip(leaves, kinds, strict=True) if _is_kind(kind)]
         promotion = tuple(getattr(jax.config, name) for name in _PROMOTION_SETTINGS)
-        # One equals True, and zero False, but they are not the same argument.
+        # The types are in the key because 1 == True and 0 == False.
         key = structure, tuple(kinds), tuple(map(type, kinds)), promotion
         programs = self._programs
         if key not in programs:
-            # A program that two threads want at once is compiled once.
+            # The lock keeps two threads from compiling the same program.
             with self._lock:
                 if key not in programs:
                     arguments = structure.unflatten(kinds)
@@ -122,7 +124,7 @@ class ProgramStore:
         return programs[key], arrays
 
     def _forget(self) -> None:
-        """Let the programs in memory go; whoever is running one has it still."""
+        """Drop the programs in memory; a caller that is running one keeps it."""
         self._programs = {}
 
     def _new_program(
@@ -135,40 +137,40 @@ class ProgramStore:
         description = pickled_if_known((name, self._options, arguments, promotion))
         if description is None:
             return None
-        decided_by = hashlib.sha256(compiler() + sources() + description).hexdigest()
-        path = folder / f"{self._function.__name__}-{decided_by}{TRACE_SUFFIX}"
+        key = hashlib.sha256(compiler() + sources() + description).hexdigest()
+        path = folder / f"{self._function.__name__}-{key}{TRACE_SUFFIX}"
         return _read(path, len(arrays)) or self._newly_traced(path, arguments, arrays)
 
     def _newly_traced(self, path: Path, arguments: Any, arrays: list[Any]) -> Program:
-        """Trace the function, read or compile its program, and keep what took long enough."""
-        began = time.perf_counter()
+        """Trace the function, read or compile its program, and keep it if that took long enough."""
+        start_time = time.perf_counter()
         lowered, (structure, leaves) = _lowered(self._function, arguments, arrays)
-        # The text does not tell of arguments that have no effect.
+        # The text does not mention arguments that have no effect.
         described = repr((self._options, lowered.in_avals)) + lowered.as_text()
         text_digest = hashlib.sha256(compiler() + described.encode()).hexdigest()
         program_path = path.with_name(f"{self._function.__name__}-{text_digest}{PROGRAM_SUFFIX}")
         content = _content(program_path)
         run = _executable(content, len(arrays), sum(map(_is_kind, leaves)))
-        # JAX's settings say what is worth a file; where none can be written, that is nothing.
+        # JAX's setting of the time that is worth a file; infinite if no file can be written.
         shortest = jax.config.values["jax_persistent_cache_min_compile_time_secs"]
         if run is None:
-            # JAX need not write what is written here.
+            # JAX would write the program too; an infinite time prevents that.
             with jaxs_shortest_time(float("inf")):
                 run = lowered.compile(compiler_options=self._options)
-            is_worth_a_file = time.perf_counter() - began >= shortest
+            is_worth_a_file = time.perf_counter() - start_time >= shortest
             content = _write_program(program_path, run) if is_worth_a_file else None
-        if content is not None and time.perf_counter() - began >= shortest:
+        if content is not None and time.perf_counter() - start_time >= shortest:
             _write_trace(path, structure.unflatten(leaves), program_path.name, content)
         return Program(run, structure, leaves)
 
 
 def _is_kind(x: Any) -> bool:
-    """Return whether something stands for an array."""
+    """Return whether an object stands for an array."""
     return type(x) is ArrayKind
 
 
 def _kind_of(leaf: Any) -> Any:
-    """Return the kind of an array; anything else as it is."""
+    """Return the kind of an array; anything else unchanged."""
     if isinstance(leaf, jax.Array):
         sharding = None if leaf.sharding == _first_device() else leaf.sharding
         return ArrayKind(leaf.shape, leaf.dtype.name, leaf.weak_type, sharding)
@@ -179,12 +181,12 @@ def _kind_of(leaf: Any) -> Any:
 
 @functools.cache
 def _first_device() -> jax.sharding.Sharding:
-    """Return the place of arrays that nobody put elsewhere."""
+    """Return the sharding of arrays on the default device."""
     return jax.sharding.SingleDeviceSharding(jax.local_devices()[0])
 
 
 def _are_on_first_cpu(arguments: Any) -> bool:
-    """Return whether all arrays are on the first CPU, where programs that are read run."""
+    """Return whether all arrays are on the first CPU, where stored programs run."""
     if jax.default_backend() != "cpu" or jax.process_count() > 1:
         return False
     leaves = jax.tree.leaves(arguments, is_leaf=_is_kind)
@@ -192,7 +194,7 @@ def _are_on_first_cpu(arguments: Any) -> bool:
 
 
 def _folder() -> Path | None:
-    """Return the folder of JAX's cache; None where it is off, or not safe."""
+    """Return the folder of JAX's cache; None if the cache is off or the folder is not safe."""
     settings = jax.config.values
     folder = settings["jax_compilation_cache_dir"]
     if not settings["jax_enable_compilation_cache"] or not folder or "://" in folder:
@@ -206,14 +208,14 @@ def _lowered(
     """Lower a function for arguments whose arrays are replaced by their kinds.
 
     Returns:
-        The function from arrays to arrays; and the structure of its result with the leaves, arrays
-        of the result being replaced by their kinds.
+        The lowered function from arrays to arrays; and the structure and the leaves of its result,
+        with arrays replaced by their kinds.
     """
     leaves, structure = jax.tree.flatten(arguments, is_leaf=_is_kind)
     result: list[Any] = []
 
     def on_arrays(*traced: Any) -> list[Any]:
-        """Call the function, and note what in its result is no array."""
+        """Call the function on arrays, and record the structure of its result."""
         given = iter(traced)
         args, kwargs = structure.unflatten([next(given) if _is_kind(x) else x for x in leaves])
         outputs, result_structure = jax.tree.flatten(function(*args, **kwargs))
@@ -221,22 +223,22 @@ def _lowered(
         result[:] = result_structure, kinds
         return [x for x, kind in zip(outputs, kinds, strict=True) if _is_kind(kind)]
 
-    # JAX names the program, in its profiles and in its cache, as the function.
+    # JAX uses the function's name for the program in profiles and in its cache.
     on_arrays.__name__ = f"{function.__name__}_kept"
     lowered = jax.jit(on_arrays).lower(*arrays)
     return lowered, (result[0], result[1])
 
 
 def _kind_of_result(leaf: Any) -> Any:
-    """Return shape and type of an array that may be traced; anything else as it is."""
+    """Return the kind of an array, which may be traced; anything else unchanged."""
     is_array = isinstance(leaf, jax.Array | np.ndarray | np.generic)
     return ArrayKind(leaf.shape, leaf.dtype.name) if is_array else leaf
 
 
 def _write_program(path: Path, run: jax.stages.Compiled) -> bytes | None:
-    """Write a program, and return the bytes; None for one that lives only in this process."""
-    # A program that calls Python cannot be written, and says so by one exception or another; and
-    # a full disk is no reason to end a fit.
+    """Write a program, and return the bytes; None if it cannot be written."""
+    # A program that calls Python cannot be written and may raise any exception; and a full disk
+    # must not end a fit.
     with suppress(Exception):
         content = zlib.compress(serialize(run)[0], 1)
         write_atomically(path, content)
@@ -245,7 +247,7 @@ def _write_program(path: Path, run: jax.stages.Compiled) -> bytes | None:
 
 
 def _write_trace(path: Path, result: Any, program_name: str, program: bytes) -> None:
-    """Write how a result is put together, and the name and digest of the file with the program."""
+    """Write the structure of a result, and the name and digest of the program's file."""
     digest = hashlib.sha256(program).hexdigest()
     content = pickled_trace((constants(), result, program_name, digest))
     if content is not None:
@@ -254,14 +256,14 @@ def _write_trace(path: Path, result: Any, program_name: str, program: bytes) -> 
 
 
 def _read(path: Path, array_count: int) -> Program | None:
-    """Return the program of a trace; None where there is none that this process can run."""
+    """Return the program of a trace; None if there is none that this process can run."""
     content = _content(path)
     if content is None:
         return None
-    # A file that is broken, or of a library that has changed since, is written again.
+    # A file that is damaged or from another version of a library is written again.
     with suppress(Exception):
-        then, result, name, digest = unpickled_trace(content)
-        if any(then.get(module, now) != now for module, now in constants().items()):
+        stored_constants, result, name, digest = unpickled_trace(content)
+        if any(stored_constants.get(module, now) != now for module, now in constants().items()):
             return None
         program = _content(path.with_name(Path(name).name))
         if program is None or hashlib.sha256(program).hexdigest() != digest:
@@ -273,7 +275,7 @@ def _read(path: Path, array_count: int) -> Program | None:
 
 
 def _content(path: Path) -> bytes | None:
-    """Return what a file holds; None where there is none, or others could have written it."""
+    """Return the content of a file; None if it is missing or others could have written it."""
     with suppress(OSError):
         return path.read_bytes() if only_user_can_write(path) else None
     return None
@@ -282,22 +284,22 @@ def _content(path: Path) -> bytes | None:
 def _executable(
     content: bytes | None, array_count: int, output_count: int
 ) -> jax.stages.Compiled | None:
-    """Return the program in a file's content; None where there is none that can be read."""
+    """Return the program in a file's content; None if it cannot be read."""
     if content is None:
         return None
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     with suppress(Exception):
         _prepare_lapack()
         run = unpickled_program(zlib.decompress(content), array_count, output_count)
-        jax.monitoring.record_event_duration_secs(READ_EVENT, time.perf_counter() - began)
+        jax.monitoring.record_event_duration_secs(READ_EVENT, time.perf_counter() - start_time)
         return run
     return None
 
 
 @functools.cache
 def _prepare_lapack() -> None:
-    """Have JAX find the functions of LAPACK, as it does when it lowers the first call of one.
+    """Make JAX load the functions of LAPACK, as it does when it lowers the first call of one.
 
-    A program that is only read would call what was never found, and crash.
+    A program that is only read would call functions that were never loaded, and crash.
     """
     jax.jit(jax.lax.linalg.cholesky).lower(np.eye(1))

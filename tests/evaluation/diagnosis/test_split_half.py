@@ -53,12 +53,14 @@ def test_the_difference_is_that_of_the_halves_and_in_what_they_state(scene):
     )
     assert found.description == "0.573 deg and 5.00 mm apart, 2.8 stated std at most"
     # Half a degree is more than a hand-eye transform may be off by.
-    assert found.warnings[0].startswith("even and odd views put the camera 0.573 deg and 5.00 mm")
+    assert found.warnings[0].startswith(
+        "camera poses from even and odd views are 0.573 deg and 5.00 mm"
+    )
     assert found._replace(rotation=0.001, translation=1e-3).warnings == ()
     close = found._replace(
         rotation=0.001, translation=1e-3, standardised_difference=np.full(6, 3.5)
     )
-    assert "less well than stated" in close.warnings[0]
+    assert "stated uncertainty is too small" in close.warnings[0]
 
 
 def test_fits_without_stated_std_are_compared_all_the_same(scene):

@@ -60,7 +60,7 @@ def test_few_degrees_of_freedom_widen_them():
 
 def test_a_covariance_that_is_none_is_named():
     covariances = np.stack([np.eye(2), 2.0 * np.ones((2, 2)) - np.eye(2)])
-    with pytest.raises(ValueError, match="that of run 1 is not finite and positive"):
+    with pytest.raises(ValueError, match="run 1: not finite and positive"):
         nees(np.zeros((2, 2)), covariances)
-    with pytest.raises(ValueError, match="that of run 0 is not finite"):
+    with pytest.raises(ValueError, match="run 0: not finite"):
         nees(np.zeros((1, 2)), np.full((1, 2, 2), np.inf))

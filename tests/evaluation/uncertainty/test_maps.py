@@ -74,5 +74,5 @@ def test_a_view_without_points_is_named(fit, scene):
     empty = type(scene.data).from_arrays(
         scene.data.points, scene.data.pixels, scene.data.base_from_tool, (640, 480), visible
     )
-    with pytest.raises(ValueError, match="view 5: it shows no point"):
+    with pytest.raises(ValueError, match="view 5: no point"):
         evaluation.picture_uncertainty(fit, empty, view=5)
