@@ -35,9 +35,15 @@ from ..robots import Command, CommandLike, JointsLike, as_command
 from ..runtime.array_namespace import AnyArray, as_float_array
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import over_padded_views, padded_counts, repeat_last, without_padding
-from .chain import chain_matrices, chain_of_transforms
+from .chain import (
+    chain_matrices,
+    chain_of_transforms,
+    host_mount_from_holder,
+    mount_frames,
+    mount_from_holder,
+    transform_names,
+)
 from .file_content import content_of, parts_of
-from .mount import host_mount_from_holder, mount_frames, mount_from_holder, transform_names
 from .target_shape import TargetShape
 
 _MIN_PROJECTED = 16, 128

@@ -1,12 +1,60 @@
-"""Compute the chain of transforms from the target to the camera (Eq. 10), compiled."""
+"""Compute the chain of transforms from the target to the camera (Eq. 10), and name its frames.
 
+The camera is on the hand, or on the base next to the arm.
+"""
+
+import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..geometry import host_matrices, host_transforms
 from ..robot_errors import RobotError
 from ..robots import Command
 from ..runtime.compilation import compiled
-from .mount import mount_from_holder
+
+_FRAMES: dict[str, tuple[str, str]] = {
+    "eye_in_hand": ("tool", "base"),
+    "eye_to_hand": ("base", "tool"),
+}
+"""Frames of the camera's mount and of the target's holder, by mount."""
+
+
+def mount_frames(mount: str) -> tuple[str, str]:
+    """Return the frame of the camera's mount and the frame of the target's holder.
+
+    Raises:
+        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+    """
+    if mount not in _FRAMES:
+        raise ValueError(f"mount is one of {', '.join(_FRAMES)}; found {mount!r}")
+    return _FRAMES[mount]
+
+
+def transform_names(mount: str) -> tuple[str, str]:
+    """Return the names of `camera_from_mount` and `holder_from_world` for a mount.
+
+    Raises:
+        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+    """
+    mount_frame, holder_frame = mount_frames(mount)
+    return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
+
+
+def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
+    """Return the robot's part of the chain, from the target's holder to the camera's mount.
+
+    The function is its own inverse: applied to its result it returns `base_from_tool`.
+    """
+    # Eye-in-hand: tool_from_base, the inverse of the reported pose. Eye-to-hand: the camera is
+    # on the base and the target on the tool, so the reported pose itself is the link between them.
+    return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
+
+
+def host_mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
+    """Return what `mount_from_holder` returns, computed with NumPy."""
+    if mount != "eye_in_hand":
+        return base_from_tool
+    return host_transforms(np.linalg.inv(host_matrices(base_from_tool)))
 
 
 @compiled

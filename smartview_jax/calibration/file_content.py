@@ -10,7 +10,7 @@ from ..argument_checks import require_readable
 from ..cameras import AbstractLens, camera_from_dict, camera_to_dict
 from ..geometry import region_from_dict, region_to_dict, transform_from_dict, transform_to_dict
 from ..robot_errors import AbstractField, robot_error_from_dict, robot_error_to_dict
-from .mount import transform_names
+from .chain import transform_names
 from .target_shape import shape_from_dict, shape_to_dict
 
 if TYPE_CHECKING:

@@ -99,3 +99,13 @@ class Camera(eqx.Module):
     def _principal_point(self, rank: int) -> Float[Array, "*ones 2"]:
         """Return u0 and v0, px, with as many leading axes of size one as a rank needs."""
         return jnp.stack([self.u0, self.v0]).reshape((1,) * (rank - 1) + (2,))
+
+
+def in_picture(
+    pixels: Float[np.ndarray, "*pixels 2"], image_size: tuple[int, int]
+) -> Bool[np.ndarray, "*pixels"]:
+    """Return which pixels are within a picture of some width and height; False for NaN."""
+    # The centre of the first pixel is (0, 0), so that the picture's border is half a pixel out.
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= -0.5) & (pixels <= np.array(image_size) - 0.5)
+    return np.asarray(inside.all(axis=-1))

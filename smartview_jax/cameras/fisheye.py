@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..runtime.array_namespace import as_float_array
-from .bisection import bisected, end_of_increase
+from .inversion import bisected, end_of_increase
 from .lens import AbstractLens
 
 

@@ -1,5 +1,7 @@
 """Define the interface of a lens, the map between directions and the unit image plane.
 
+The lens without distortion shows it.
+
 Every model of this package, and a user's own, passes the same property test: applying a map and its
 inverse gives the identity inside the valid region, and outside it the result is NaN with
 `valid=False`.
@@ -78,3 +80,19 @@ class AbstractPerspectiveLens(AbstractLens):
         ray = jnp.concatenate([ideal, jnp.ones_like(ideal[..., :1])], axis=-1)
         ray = ray / jnp.linalg.norm(ray, axis=-1, keepdims=True)
         return jnp.where(valid[..., None], ray, jnp.nan), valid
+
+
+class Pinhole(AbstractPerspectiveLens):
+    """A lens without distortion (Eq. 2)."""
+
+    def distort_normalised(
+        self, ideal: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Return the coordinates unchanged; all are valid."""
+        return ideal, jnp.ones(ideal.shape[:-1], dtype=bool)
+
+    def undistort_normalised(
+        self, distorted: Float[Array, "*batch 2"]
+    ) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Return the coordinates unchanged; all are valid."""
+        return distorted, jnp.ones(distorted.shape[:-1], dtype=bool)

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..runtime.array_namespace import as_float_array
-from .bisection import bisected, end_of_increase
-from .implicit import implicit_inverse, is_unfolded
+from .inversion import bisected, end_of_increase, implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 
 

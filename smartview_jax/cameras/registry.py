@@ -1,14 +1,16 @@
-"""Find lens models by name, and convert one model to the start of another."""
+"""Find lens models by name, start one model from another, and read and write cameras."""
+
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 from ..runtime.array_namespace import as_float_array
 from ..schemas.messages import spelling_suggestion
+from .camera import Camera
 from .fisheye import Fisheye
-from .lens import AbstractLens
+from .lens import AbstractLens, Pinhole
 from .opencv import OpenCV4, OpenCV5, OpenCV8
-from .pinhole import Pinhole
 from .radial import Radial
 from .weng import Weng
 
@@ -22,6 +24,9 @@ LENSES: dict[str, type[AbstractLens]] = {
     "fisheye": Fisheye,
 }
 """Class of every known lens model, by name."""
+
+_PINHOLE_PARAMETERS = ("alpha_u", "alpha_v", "u0", "v0")
+"""The names of a camera's pinhole parameters, px."""
 
 
 def lens_by_name(name: str | AbstractLens) -> AbstractLens:
@@ -74,3 +79,39 @@ def initial_lens(name: str | AbstractLens, fitted: AbstractLens) -> AbstractLens
         fitted, undistorting_models
     )
     return eqx.tree_at(lambda model: model.k1, lens, as_float_array(k1 if same_direction else -k1))
+
+
+def camera_to_dict(camera: Camera) -> dict[str, Any]:
+    """Return all parameters of a camera by name: pinhole parameters (px) and lens coefficients."""
+    lens = {name: float(value) for name, value in vars(camera.lens).items()}
+    return {
+        "image_size": list(camera.image_size),
+        **{key: float(getattr(camera, key)) for key in _PINHOLE_PARAMETERS},
+        "lens": {"model": lens_name(camera.lens), **lens},
+    }
+
+
+def camera_from_dict(content: dict[str, Any], lens: AbstractLens | None) -> Camera:
+    """Return the camera that a mapping describes, the inverse of `camera_to_dict`.
+
+    Args:
+        content: the mapping.
+        lens: a lens of the mapping's model, needed for a user's own model; None for the models of
+            this library.
+
+    Raises:
+        ValueError: an unknown lens model, or names of numbers that are not the lens's names.
+        KeyError: a number is missing.
+    """
+    # The coefficients of a lens are its attributes, so a template of its model has their names.
+    numbers = dict(content["lens"])
+    model = numbers.pop("model")
+    template = lens_by_name(model) if lens is None else lens
+    if set(numbers) != set(vars(template)):
+        raise ValueError(
+            f"camera.lens: expected the numbers {sorted(vars(template))}, found {sorted(numbers)}"
+        )
+    fitted = type(template)(**{name: float(value) for name, value in numbers.items()})
+    width, height = content["image_size"]
+    alpha_u, alpha_v, u0, v0 = (float(content[key]) for key in _PINHOLE_PARAMETERS)
+    return Camera(alpha_u, alpha_v, u0, v0, fitted, (int(width), int(height)))

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..runtime.array_namespace import as_float_array
-from .implicit import implicit_inverse, is_unfolded
+from .inversion import implicit_inverse, is_unfolded
 from .lens import AbstractPerspectiveLens
 
 

@@ -3,11 +3,12 @@
 from .appearance import Appearance as Appearance
 from .appearance import describe as describe
 from .appearance import similarities as similarities
-from .edge_maps import edge_map as edge_map
 from .edge_points import EdgePoints as EdgePoints
+from .edge_points import edge_map as edge_map
 from .features import Features as Features
 from .features import find as find
 from .ideal_plane import IdealPlane as IdealPlane
+from .ideal_plane import resampled as resampled
 from .lone_edges import CLEARANCE as CLEARANCE
 from .lone_edges import lone_points as lone_points
 from .picture_evidence import DISTANCE_STEP as DISTANCE_STEP
@@ -18,4 +19,3 @@ from .picture_evidence import EdgeMaps as EdgeMaps
 from .picture_evidence import PictureEvidence as PictureEvidence
 from .picture_evidence import edge_maps as edge_maps
 from .picture_evidence import picture_evidence as picture_evidence
-from .resampling import resampled as resampled

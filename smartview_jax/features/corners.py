@@ -189,10 +189,10 @@ def gradient_corners(
     is_uncertain = (sigmas >= CERTAIN_VERTEX_SIGMA) & (sigmas < MAX_VERTEX_SIGMA)
     # A certain vertex replaces the peaks next to it; an uncertain one is only added, because the
     # edges of dots and grain, too, seem to meet somewhere nearby.
-    peaks = peaks[_is_away(peaks, vertices[certain])]
+    peaks = peaks[far_from(peaks, vertices[certain], MIN_PEAK_DISTANCE)]
     known = np.concatenate([vertices[certain], peaks])
     uncertain = _first_of_groups(vertices, is_uncertain)
-    uncertain = uncertain[_is_away(vertices[uncertain], known)]
+    uncertain = uncertain[far_from(vertices[uncertain], known, MIN_PEAK_DISTANCE)]
     covariances = covariances + VERTEX_MODEL_SIGMA**2 * np.eye(2)
     peak_covariances = np.tile(PEAK_MODEL_SIGMA**2 * np.eye(2), (len(peaks), 1, 1))
     return (
@@ -209,13 +209,13 @@ def _first_of_groups(
     return index[np.array([group.min() for group in _groups(points[index])], dtype=int)]
 
 
-def _is_away(
-    points: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"]
+def far_from(
+    points: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"], distance: float
 ) -> Bool[np.ndarray, "points"]:
-    """Return which points are not at the place of another point."""
+    """Return which points are farther from all others than a distance, px."""
     if not len(others):
         return np.ones(len(points), dtype=bool)
-    return np.asarray(KDTree(others).query(points)[0]) > MIN_PEAK_DISTANCE
+    return np.asarray(KDTree(others).query(points)[0]) > distance
 
 
 def _structure_peaks(gradient: Gradient) -> Float[np.ndarray, "peaks 2"]:

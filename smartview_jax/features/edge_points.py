@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..cameras import Camera
 from .gradient import Gradient
+from .picture_checks import grey_levels
 
 LOW_GATE, HIGH_GATE = 4.0, 9.0
 """Gradients of a weak and of a certain edge point, in standard deviations of the gradient's noise.
@@ -94,3 +96,20 @@ def _connected_to(
     keep[np.unique(labels[weak & certain])] = True
     keep[0] = False
     return keep[labels]
+
+
+def edge_map(picture: np.ndarray, camera: Camera) -> Bool[np.ndarray, "rows columns"]:
+    """Return which pixels have an edge point by Canny's criteria; thresholds follow the noise.
+
+    Args:
+        picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
+        camera: the camera that took it.
+
+    Raises:
+        ValueError: as `find` does.
+    """
+    grey = grey_levels(picture, camera)
+    column, row = find_edge_points(Gradient.of(grey)).cells.T
+    edges = np.zeros(grey.shape, dtype=bool)
+    edges[row, column] = True
+    return edges

@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
-from ..cameras import Camera
-from .corners import MAX_END_GAP, LineCorners, gradient_corners, line_corners
+from ..cameras import Camera, in_picture
+from .corners import MAX_END_GAP, LineCorners, far_from, gradient_corners, line_corners
 from .edge_points import EdgePoints, find_edge_points
 from .gradient import Gradient
 from .ideal_plane import IdealPlane
@@ -95,7 +94,7 @@ def features_from_edge_points(
     junctions = line_corners(lines)
     corners, covariances = _corner_pixels(junctions, plane)
     # Two lines may meet beyond the picture's border.
-    inside = _is_inside(corners, camera.image_size)
+    inside = in_picture(corners, camera.image_size)
     junctions = LineCorners(*(part[inside] for part in junctions))
     corners, covariances = corners[inside], covariances[inside]
     ends, end_covariances, free = _end_pixels(lines, junctions, plane)
@@ -105,7 +104,7 @@ def features_from_edge_points(
     junction_parts = (corners, covariances, junctions.segments)
     known = [np.concatenate(parts) for parts in zip(junction_parts, free_corners, strict=True)]
     candidates, other_covariances = gradient_corners(grey, gradient)
-    new = _far_from(candidates, known[0], SAME_CORNER_DISTANCE)
+    new = far_from(candidates, known[0], SAME_CORNER_DISTANCE)
     joined = np.full((int(new.sum()), junctions.segments.shape[1]), -1)
     return Features(
         np.concatenate([known[0], candidates[new]]),
@@ -130,20 +129,11 @@ def _free_ends(
     # Short segments are often texture, whose ends mean nothing.
     long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= MIN_FREE_LENGTH
     segment, side = np.nonzero(free & long[:, None])
-    far = _far_from(ends[segment, side], corners, SAME_END_DISTANCE)
+    far = far_from(ends[segment, side], corners, SAME_END_DISTANCE)
     segment, side = segment[far], side[far]
     joined = np.full((len(segment), columns), -1)
     joined[:, 0] = segment
     return ends[segment, side], covariances[segment, side], joined
-
-
-def _is_inside(
-    pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]
-) -> Bool[np.ndarray, "points"]:
-    """Return which pixels are within the picture; False for NaN."""
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= -0.5) & (pixels <= np.array(image_size) - 0.5)
-    return np.asarray(inside.all(axis=1))
 
 
 def _corner_pixels(junctions: LineCorners, plane: IdealPlane) -> tuple[np.ndarray, np.ndarray]:
@@ -222,12 +212,3 @@ def _plane_normals(
         tangent = derivative - normals * (normals * derivative).sum(axis=1, keepdims=True)
         covariances += variance[:, None, None] * tangent[:, :, None] * tangent[:, None, :]
     return normals, covariances
-
-
-def _far_from(
-    pixels: Float[np.ndarray, "points 2"], others: Float[np.ndarray, "others 2"], distance: float
-) -> Bool[np.ndarray, "points"]:
-    """Return which pixels are farther from all others than a distance, px."""
-    if not len(others):
-        return np.ones(len(pixels), dtype=bool)
-    return np.asarray(KDTree(others).query(pixels)[0]) > distance

@@ -7,14 +7,16 @@ almost the same size as in the real picture.
 
 from collections.abc import Callable
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, UInt8
 
 from ..cameras import Camera
-from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
+from ..runtime.padding import in_batches
+from .picture_checks import require_size
 
 POINTS_PER_BATCH = 4_096
 """Number of points that are mapped at once: one compiled program serves any number of points."""
@@ -33,39 +35,29 @@ class IdealPlane:
 
     def from_pixels(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
         """Return ideal coordinates; NaN where the lens has no ray, or one that is not in front."""
-        return self.focal_length * _in_batches(_to_normalised, self._camera, pixels)[0]
+        return self.focal_length * self._run(_to_normalised, pixels)[0]
 
     def to_pixels(
         self, ideal: Float[np.ndarray, "points 2"]
     ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 2"]]:
         """Return pixels, and their derivatives by the ideal coordinates; NaN where not valid."""
-        pixels, derivatives = _in_batches(_to_pixels, self._camera, ideal / self.focal_length)
+        pixels, derivatives = self._run(_to_pixels, ideal / self.focal_length)
         return pixels, derivatives / self.focal_length
 
     def derivatives(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2 2"]:
         """Return the derivatives of ideal coordinates by pixels."""
-        return self.focal_length * _in_batches(_to_normalised, self._camera, pixels)[1]
+        return self.focal_length * self._run(_to_normalised, pixels)[1]
 
     def rays(self, ideal: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
         """Return the unit rays to points of the ideal plane, in the camera's frame."""
         rays = np.column_stack([ideal, np.full(len(ideal), self.focal_length)])
         return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
-
-def _in_batches(
-    function: Callable[..., tuple[Array, Array]], camera: Camera, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Apply a compiled function to points, a fixed number at a time."""
-    # The last batch is padded with zeros, which every lens can map.
-    values, derivatives = np.empty((len(points), 2)), np.empty((len(points), 2, 2))
-    for start in range(0, len(points), POINTS_PER_BATCH):
-        part = points[start : start + POINTS_PER_BATCH]
-        padded = np.zeros((POINTS_PER_BATCH, 2))
-        padded[: len(part)] = part
-        value, derivative = function(camera, to_device(padded))
-        values[start : start + len(part)] = np.asarray(value)[: len(part)]
-        derivatives[start : start + len(part)] = np.asarray(derivative)[: len(part)]
-    return values, derivatives
+    def _run(
+        self, program: Callable[..., tuple[Array, Array]], points: Float[np.ndarray, "points 2"]
+    ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 2"]]:
+        """Return values and derivatives of points; padding is zero, which every lens can map."""
+        return in_batches(lambda batch: program(self._camera, batch), points, POINTS_PER_BATCH)
 
 
 @compiled_optimised
@@ -109,3 +101,32 @@ def _with_derivatives(
         direction = jnp.zeros_like(points).at[:, k].set(1.0)
         columns.append(jax.jvp(function, (points,), (direction,))[1])
     return value, jnp.stack(columns, axis=-1)
+
+
+def resampled(
+    picture: UInt8[np.ndarray, "rows columns *channels"], camera: Camera, target: Camera
+) -> UInt8[np.ndarray, "height width *channels"]:
+    """Return the picture that another camera in the same place would have taken.
+
+    Args:
+        picture: uint8, grey or BGR.
+        camera: the camera that took it.
+        target: intrinsics, lens and picture size of the other camera.
+
+    Raises:
+        ValueError: the picture is not of the camera's size.
+    """
+    require_size(picture, camera)
+    columns, height = target.image_size
+    pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(height)), axis=-1).astype(float)
+    # Both ideal planes have the same rays, each at its own focal length.
+    source_plane, target_plane = IdealPlane(camera), IdealPlane(target)
+    ideal = target_plane.from_pixels(pixels.reshape(-1, 2)) * (
+        source_plane.focal_length / target_plane.focal_length
+    )
+    places = np.nan_to_num(source_plane.to_pixels(np.nan_to_num(ideal))[0], nan=-1e4)
+    u, v = np.moveaxis(places.reshape(height, columns, 2).astype(np.float32), -1, 0)
+    # The border is replicated: a constant there would look like an edge.
+    return cv2.remap(picture, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).astype(
+        np.uint8
+    )

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from ..cameras import Camera
+from ..cameras import Camera, in_picture
 from .edge_points import EdgePoints, find_edge_points
 from .features import Features, features_from_edge_points
 from .gradient import Gradient
@@ -108,22 +108,22 @@ def edge_maps(features: Features, camera: Camera) -> EdgeMaps:
     """Return the distance maps of the segments of a picture."""
     plane = IdealPlane(camera)
     points, normals = _points_on_segments(features, plane)
-    origin, in_picture, cell_size = _grid(_ByValue(camera))
+    origin, is_seen, cell_size = _grid(_ByValue(camera))
     # Direction modulo half a turn, perpendicular to the normal.
     angles = np.arctan2(normals[:, 0], -normals[:, 1])
     cells = np.rint((points - origin) / cell_size).astype(int)
-    inside = ((cells >= 0) & (cells < in_picture.shape[::-1])).all(axis=1)
-    distances = np.full((ORIENTATIONS, *in_picture.shape), FAR, np.uint8)
-    nearest = np.zeros((ORIENTATIONS, *in_picture.shape), np.int32)
+    inside = ((cells >= 0) & (cells < is_seen.shape[::-1])).all(axis=1)
+    distances = np.full((ORIENTATIONS, *is_seen.shape), FAR, np.uint8)
+    nearest = np.zeros((ORIENTATIONS, *is_seen.shape), np.int32)
     for k in range(ORIENTATIONS):
         turn = angles - k * np.pi / ORIENTATIONS
         turn = np.abs((turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
         members = np.flatnonzero(inside & (turn <= ORIENTATION_TOLERANCE))
         if len(members):
-            nearest[k], gap = _nearest_points(cells[members], members, in_picture.shape)
+            nearest[k], gap = _nearest_points(cells[members], members, is_seen.shape)
             distances[k] = np.minimum(gap / DISTANCE_STEP, FAR).astype(np.uint8)
     # Last, because edges reach into cells outside the picture.
-    distances[:, ~in_picture] = UNSEEN
+    distances[:, ~is_seen] = UNSEEN
     return EdgeMaps(distances, nearest, points, normals, origin, cell_size, plane.focal_length)
 
 
@@ -171,9 +171,7 @@ def _grid(
     columns, rows = np.ceil((high - low) / cell_size).astype(int) + 1
     centres = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
     pixels = plane.to_pixels((low + cell_size * centres).reshape(-1, 2))[0]
-    with np.errstate(invalid="ignore"):
-        in_picture = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
-    return low, in_picture.reshape(rows, columns), cell_size
+    return low, in_picture(pixels, image_size).reshape(rows, columns), cell_size
 
 
 def _points_on_segments(

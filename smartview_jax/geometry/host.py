@@ -99,6 +99,20 @@ def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarr
     return matrices
 
 
+def host_transformed(
+    target_from_source: Float[np.ndarray, "*batch 4 4"], points: Float[np.ndarray, "*points 3"]
+) -> Float[np.ndarray, "*transformed 3"]:
+    """Apply rigid 4x4 matrices to points, as `transform_points` applies transforms.
+
+    Args:
+        target_from_source: `(*batch)` matrices.
+        points: `(N, 3)`, the same for all matrices, or `(*batch, N, 3)`; or one point `(3,)` for
+            one matrix.
+    """
+    R, t = target_from_source[..., :3, :3], target_from_source[..., :3, 3]
+    return points @ R.swapaxes(-1, -2) + (t if points.ndim == 1 else t[..., None, :])
+
+
 def host_cross_matrices(
     vectors: Float[np.ndarray, "*batch 3"],
 ) -> Float[np.ndarray, "*batch 3 3"]:

@@ -2,7 +2,6 @@
 
 from ..robots import Gripper as Gripper
 from .candidates import suggested_grasps as suggested_grasps
-from .commands import gripper_commands as gripper_commands
 from .localized import LocalizedObject as LocalizedObject
 from .localized import PlacedObject as PlacedObject
 from .planned import PHASES as PHASES
@@ -22,5 +21,6 @@ from .success import Conditions as Conditions
 from .success import success_probability as success_probability
 from .tool_commands import TOOL_CHECKS as TOOL_CHECKS
 from .tool_commands import ToolCommands as ToolCommands
+from .tool_commands import gripper_commands as gripper_commands
 from .tool_commands import tool_commands as tool_commands
 from .uncertainty import camera_covariance as camera_covariance

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ..extras import import_extra
+from ..geometry import host_transformed
 from ..robots import Gripper
 from .scene import Obstacle
 
@@ -144,10 +145,9 @@ def swept_gripper(
         world_from_gripper: pose at one end of the line.
         translation: from this pose to the other end, in the world's frame, m.
     """
-    R, t = world_from_gripper[:3, :3], world_from_gripper[:3, 3]
     swept = {}
     for box in gripper.boxes(opening):
-        corners = box.vertices @ R.T + t
+        corners = host_transformed(world_from_gripper, box.vertices)
         swept[box.name] = np.concatenate([corners, corners + translation])
     return swept
 
@@ -159,10 +159,11 @@ def closing_fingers(
 
     A wall between an open finger and the object would touch neither end of this motion.
     """
-    R, t = world_from_gripper[:3, :3], world_from_gripper[:3, 3]
     both = zip(gripper.boxes(opening)[1:], gripper.boxes(width)[1:], strict=True)
     return {
-        before.name: np.concatenate([before.vertices, after.vertices]) @ R.T + t
+        before.name: host_transformed(
+            world_from_gripper, np.concatenate([before.vertices, after.vertices])
+        )
         for before, after in both
     }
 

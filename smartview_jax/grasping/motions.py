@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import host_matrices
+from ..geometry import host_matrices, host_transformed
 from ..robots import Gripper
 from ..viewpoints import ViewpointCommands
 from .collisions import CollisionChecker, Contact, swept_links
-from .commands import MOTION_CHECKS, gripper_commands
 from .planned import PHASES
 from .scene import GraspScene
+from .tool_commands import MOTION_CHECKS, gripper_commands
 
 MAX_JOINT_STEP = float(np.deg2rad(60.0))
 """Largest motion of a joint between two poses of a grasp, rad.
@@ -58,7 +58,6 @@ def plan_motions(
         for k in range(count)
     ]
     if joints is not None:
-        # Links are compared with obstacles in the world.
         links = CollisionChecker(scene.obstacles if scene.link_radius is not None else ())
         for k in range(count):
             if not reasons[k]:
@@ -128,9 +127,8 @@ def _link_contact(
     assert scene.link_radius is not None
     shares = np.linspace(0.0, 1.0, LINK_STEPS + 1)[:, None]
     origins = np.asarray(scene.arm.frame_origins(joints[0] + shares * (joints[1] - joints[0])))
-    # In the world, where the obstacles are.
     world_from_base = np.linalg.inv(host_matrices(scene.calibration.base_from_world))
-    in_world = origins @ world_from_base[:3, :3].T + world_from_base[:3, 3]
+    in_world = host_transformed(world_from_base, origins)
     # The first link is the arm's fixed column.
     for parts in swept_links(in_world[:, 1:], scene.link_radius):
         contact = links.nearest(parts, within=scene.margin)

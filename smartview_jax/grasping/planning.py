@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import host_transforms
+from ..geometry import host_transformed, host_transforms
 from ..robots import Command, Gripper
 from ..runtime.array_namespace import to_device
 from .candidates import Candidate, candidate_grasps
@@ -96,7 +96,6 @@ def grasps_for(
     # A grasp near the object's middle keeps it from turning; wide openings tolerate larger errors.
     candidates.sort(key=lambda c: (_offset(c, middle), -c.opening))
     drafts = _without_collisions(candidates, localization, pose, gripper, scene, motion)
-    # Each draft stays paired with its candidate.
     promising = [pair for pair in zip(drafts, candidates, strict=True) if pair[0].is_safe]
     refused = [draft for draft in drafts if not draft.is_safe]
     safe: list[PlannedGrasp] = []
@@ -189,8 +188,8 @@ def _contact_of_held(
     motion: Motion,
 ) -> Contact | None:
     """Return what an object touches while it is lifted; None for nothing."""
-    R, t = world_from_object[:3, :3], world_from_object[:3, 3]
-    swept = swept_object(localization.model.vertices @ R.T + t, motion.retreat * scene.up_direction)
+    vertices = host_transformed(world_from_object, localization.model.vertices)
+    swept = swept_object(vertices, motion.retreat * scene.up_direction)
     contact = around.nearest(swept)
     return contact if contact is not None and contact.clearance <= 0.0 else None
 

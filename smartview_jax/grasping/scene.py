@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
+from ..geometry import host_transformed
 from ..io import to_trimesh
 from ..robots import BOX_CORNERS, BOX_TRIANGLES, JointsLike, SerialArm
 from .localized import LocalizedObject, checked_object
@@ -36,7 +37,7 @@ class Obstacle(NamedTuple):
     ) -> "Obstacle":
         """Return a box about the origin of its own frame; size along x, y and z, m."""
         vertices = BOX_CORNERS * np.asarray(size, dtype=float)
-        return cls(name, vertices @ world_from_box[:3, :3].T + world_from_box[:3, 3], BOX_TRIANGLES)
+        return cls(name, host_transformed(world_from_box, vertices), BOX_TRIANGLES)
 
     @classmethod
     def table(cls, half_width: float = 0.5, z: float = 0.0, thickness: float = 0.05) -> "Obstacle":
@@ -50,7 +51,7 @@ class Obstacle(NamedTuple):
         """Return an object at its pose; its model needs faces."""
         pose, _ = checked_object(found)
         mesh = to_trimesh(found.model)
-        vertices = np.asarray(mesh.vertices) @ pose[:3, :3].T + pose[:3, 3]
+        vertices = host_transformed(pose, np.asarray(mesh.vertices))
         return cls(found.model.name or "another object", vertices, np.asarray(mesh.faces))
 
 

@@ -82,7 +82,6 @@ def ellipse_axes(
 ) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
     """Return half axes, longest first, and their directions as columns, of an error ellipse."""
     eigenvalues, vectors = np.linalg.eigh(covariance)
-    # A Gaussian error is inside this ellipse with the stated probability.
     radius = np.sqrt(chi2.ppf(ELLIPSE_PROBABILITY, len(covariance)))
     return radius * np.sqrt(eigenvalues[::-1].clip(0.0)), vectors[:, ::-1]
 

@@ -1,4 +1,4 @@
-"""Compute the commands that bring the tool itself to wanted poses (Eq. 20), with their error."""
+"""Compute the commands that bring the tool or the gripper to wanted poses (Eq. 20)."""
 
 from typing import NamedTuple
 
@@ -18,6 +18,20 @@ TOOL_CHECKS = ("reach", "tool_distance", "tool_side")
 """The checks that a pose of the tool must pass to be commanded, unless a person overrides them.
 
 The other checks concern the view of the camera.
+"""
+
+MOTION_CHECKS = ("reach", "tool_distance", "singular")
+"""Checks of `viewpoint_commands` that a pose of the gripper has to pass.
+
+The other checks concern the view of the camera. Where the robot error is extrapolated
+(`known_region`), its covariance grows and lowers the probability of success.
+"""
+
+PADDED_POSES = 36
+"""Numbers of poses are padded to a multiple of this one, so that one program serves them all.
+
+It is the number of later phases of `GRASPS_AT_ONCE` grasps: compiling a second, smaller program
+takes longer than computing some padded poses.
 """
 
 
@@ -99,18 +113,37 @@ def tool_commands(
     return ToolCommands(world_from_tool, commands, np.concatenate([shared, noise_factor], axis=2))
 
 
-def padded_tool_commands(
-    calibration: Calibration,
-    world_from_tool: Float[np.ndarray, "n 4 4"],
-    arm: SerialArm | None,
-    near: Float[np.ndarray, "n joints"] | None,
-    multiple: int,
+def gripper_commands(
+    scene: GraspScene,
+    gripper: Gripper,
+    world_from_gripper: Float[np.ndarray, "n 4 4"],
+    near: Float[np.ndarray, "n joints"] | None = None,
 ) -> ViewpointCommands:
-    """Return commands for poses, the last one repeated up to a multiple of a number."""
+    """Return the commands that bring the gripper to poses, padded to `PADDED_POSES`.
+
+    The pose of the tool follows the paper's
+
+        base_from_tool = base_from_world @ world_from_object @ object_from_tool        (Eq. 20)
+
+    with world_from_object @ object_from_tool = world_from_gripper @ gripper_from_tool; see
+    `tool_commands`.
+
+    Args:
+        scene: with the calibration, and the arm if it is known.
+        gripper: the gripper whose frame is brought to the poses.
+        world_from_gripper: wanted poses, m.
+        near: joint readings near which to solve; by default the scene's.
+    """
+    # The robot moves its tool, not the gripper's frame.
+    world_from_tool = world_from_gripper @ np.linalg.inv(gripper.tool_from_gripper)
+    if scene.arm is not None:
+        near = np.asarray(scene.near) if near is None else near
+        # Each pose is solved near its own joint readings.
+        near = np.broadcast_to(near, (len(world_from_tool), near.shape[-1]))
     # -n mod k poses are missing to the next multiple of k.
-    count = len(world_from_tool) + -len(world_from_tool) % multiple
+    count = len(world_from_tool) + -len(world_from_tool) % PADDED_POSES
     world_from_tool, near = repeat_last((world_from_tool, near), count)
-    return _commands(calibration, world_from_tool, arm, near)
+    return _commands(scene.calibration, world_from_tool, scene.arm, near)
 
 
 def _commands(
@@ -120,6 +153,5 @@ def _commands(
     near: JointsLike | None,
 ) -> ViewpointCommands:
     """Return the commands of the camera poses that correspond to poses of the tool."""
-    # camera_from_world = camera_from_tool @ tool_from_world
     camera_from_world = host_matrices(calibration.camera_from_tool) @ np.linalg.inv(world_from_tool)
     return viewpoint_commands(calibration, host_transforms(camera_from_world), arm=arm, near=near)

@@ -19,8 +19,8 @@ from ..engine import Noise
 from ..evaluation import CalibrationEstimate
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
+from .estimated_features import PointStatus
 from .pixel_jacobians import pixel_jacobians
-from .point_status import PointStatus
 from .triangulation import CLICK_SIGMA, solve_points
 from .view_poses import SeenViews, whitening_of
 

@@ -3,11 +3,44 @@
 import abc
 import dataclasses
 from collections.abc import Sequence
+from enum import IntEnum
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from .point_status import PointStatus, failure_messages
+MAX_RELATIVE_STD = 0.25
+"""Largest standard deviation of a point's distance, over the distance, of a returned point.
+
+Above it its rays are parallel within their errors, and no Gaussian describes its position."""
+
+
+class PointStatus(IntEnum):
+    """The outcome of the estimation of one point or line."""
+
+    OK = 0
+    TOO_FEW_VIEWS = 1
+    DEGENERATE_BASELINE = 2
+    BEHIND_CAMERA = 3
+    NOT_CONVERGED = 4
+    EPIPOLAR_PLANE = 5
+
+    @property
+    def message(self) -> str:
+        """A sentence for people that says what is wrong."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    PointStatus.OK: "it was estimated",
+    PointStatus.TOO_FEW_VIEWS: "fewer than two views see it where their lens is valid",
+    PointStatus.DEGENERATE_BASELINE: "its rays are parallel within their errors, so that its "
+    "distance is undetermined: views from further apart are needed",
+    PointStatus.BEHIND_CAMERA: "its rays meet behind a camera that sees it, or outside its "
+    "lens: the correspondence or a pose is wrong",
+    PointStatus.NOT_CONVERGED: "the least-squares estimate did not converge",
+    PointStatus.EPIPOLAR_PLANE: "it lies in the epipolar plane of its views within its errors: "
+    "any line of that plane explains them, and a view from outside it is needed",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +77,8 @@ class EstimatedFeatures(abc.ABC):
     @property
     def failures(self) -> dict[int, str]:
         """The reason, in words, of every feature that was not estimated, by its index."""
-        return failure_messages(self.status)
+        failed = np.flatnonzero(~self.ok)
+        return {int(k): PointStatus(self.status[k]).message for k in failed}
 
     def covariance(self) -> Float[np.ndarray, "features n n"]:
         """Return the covariance of each feature's numbers due to pictures and calibration."""

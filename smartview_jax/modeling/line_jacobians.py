@@ -175,11 +175,3 @@ def _jacobians(
     over_lines = jax.vmap(ends, (None, 0, 0, 0, 0))
     over_views = jax.vmap(over_lines, (0, None, 0, 0, 0))
     return over_views(camera_from_world, lines, segments, covariances, visible)
-
-
-@compiled
-def unit_rays(
-    camera: Camera, pixels: Float[Array, "views lines 2 2"]
-) -> tuple[Float[Array, "views lines 2 3"], Bool[Array, "views lines 2"]]:
-    """Return the rays of segments' ends in the camera frame, and whether the lens is valid."""
-    return camera.unproject(pixels)

@@ -11,6 +11,7 @@ four numbers of a line follow Bartoli and Sturm, Structure-from-motion using lin
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -21,12 +22,11 @@ from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from ..runtime.array_namespace import to_device
 from .calibration_uncertainty import CalibrationUncertainty
-from .estimated_features import EstimatedFeatures
-from .line_jacobians import Lines, line_jacobians, unit_rays
+from .estimated_features import MAX_RELATIVE_STD, EstimatedFeatures, PointStatus
+from .line_jacobians import Lines, line_jacobians
 from .point_estimation import CONVERGED_DECREMENT, MAX_STEPS
-from .point_status import MAX_RELATIVE_STD, PointStatus
 from .triangulation import CLICK_SIGMA
-from .view_poses import SeenViews, padded_count, padded_to
+from .view_poses import SeenViews, checked_sigma, padded_count, padded_to, unit_rays
 
 MIN_SEGMENT_LENGTH = 2.0
 """Shortest segment, px, that has a direction."""
@@ -90,11 +90,13 @@ def triangulate_lines(
     _check_lengths(measured, visible)
     covariances = end_covariances(pixel_sigma, visible.shape)
     rays, visible = world_rays(views, measured, visible)
-    start, enough, in_one_plane = _plane_intersections(views, rays, visible)
-    lines, information, failed = _refine(views, start, measured, covariances, visible, enough)
-    status = _status(views, rays, lines, information, visible, enough, in_one_plane, failed)
+    start = _plane_intersections(views, rays, visible)
+    estimate = _refine(views, start, measured, covariances, visible)
+    status = _status(views, rays, visible, start, estimate)
     ok = status == PointStatus.OK
-    kept = Lines(*(np.where(ok[:, None], a, b) for a, b in zip(lines, start, strict=True)))
+    kept = Lines(
+        *(np.where(ok[:, None], a, b) for a, b in zip(estimate.lines, start.lines, strict=True))
+    )
     ends = _seen_part(views, rays, visible, kept)
     lines = Lines(ends.mean(axis=1), kept.directions)
     # The four numbers refer to the middle of the visible part, where they are least correlated.
@@ -126,15 +128,9 @@ def end_covariances(
     Raises:
         ValueError: a wrong shape, or standard deviations that are not positive.
     """
-    sigma = np.asarray(pixel_sigma, dtype=float)
-    if sigma.shape not in ((), shape, (*shape, 2, 2, 2)):
-        raise ValueError(
-            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2, 2)}; found {sigma.shape}"
-        )
+    sigma = checked_sigma(pixel_sigma, shape, (2, 2, 2))
     if sigma.ndim == 5:
         return sigma
-    if not np.all(sigma > 0.0):
-        raise ValueError(f"pixel_sigma: expected positive numbers, found {sigma.min():g}")
     # Equal in all directions, since only the part across the line counts.
     variance = np.broadcast_to(sigma, shape)[..., None, None, None] ** 2
     return variance * np.broadcast_to(np.eye(2), (*shape, 2, 2, 2))
@@ -170,15 +166,26 @@ def world_rays(
     return np.einsum("vji,vlej->vlei", views.camera_from_world[:, :3, :3], rays), used
 
 
+class _Start(NamedTuple):
+    """The lines nearest to all planes of their segments.
+
+    Attributes:
+        lines: the lines.
+        enough: whether each has enough views.
+        in_one_plane: whether all planes of each are the same.
+    """
+
+    lines: Lines
+    enough: Bool[np.ndarray, "lines"]
+    in_one_plane: Bool[np.ndarray, "lines"]
+
+
 def _plane_intersections(
     views: SeenViews,
     rays: Float[np.ndarray, "views lines 2 3"],
     seen: Bool[np.ndarray, "views lines"],
-) -> tuple[Lines, Bool[np.ndarray, "lines"], Bool[np.ndarray, "lines"]]:
-    """Return the lines nearest to all planes of their segments.
-
-    Also whether each has enough views, and whether all its planes are the same.
-    """
+) -> _Start:
+    """Return the initial lines."""
     normals = np.cross(rays[:, :, 0], rays[:, :, 1])
     # Unit normals; otherwise a long segment would have too much weight in the start.
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -199,24 +206,38 @@ def _plane_intersections(
     lines = Lines(points, directions)
     points = _seen_part(views, rays, seen, lines).mean(axis=1)
     in_one_plane = ~(values[:, 1] > MIN_PLANE_SPREAD * values[:, 2])
-    return Lines(points, directions), seen.sum(axis=0) >= 2, in_one_plane
+    return _Start(Lines(points, directions), seen.sum(axis=0) >= 2, in_one_plane)
+
+
+class _Estimate(NamedTuple):
+    """The lines of least squares.
+
+    Attributes:
+        lines: the lines.
+        information: normal matrix of each.
+        failed: whether the steps of each did not converge.
+    """
+
+    lines: Lines
+    information: Float[np.ndarray, "lines 4 4"]
+    failed: Bool[np.ndarray, "lines"]
 
 
 def _refine(
     views: SeenViews,
-    start: Lines,
+    start: _Start,
     segments: Float[np.ndarray, "views lines 2 2"],
     covariances: Float[np.ndarray, "views lines 2 2 2"],
     seen: Bool[np.ndarray, "views lines"],
-    enough: Bool[np.ndarray, "lines"],
-) -> tuple[Lines, Float[np.ndarray, "lines 4 4"], Bool[np.ndarray, "lines"]]:
-    """Minimise the whitened distances; return lines, normal matrices, and which failed."""
+) -> _Estimate:
+    """Minimise the whitened distances."""
     # All lines step together, each with its own damping; for so few of them a loop within a
     # compiled program does not pay.
-    lines, damping = start, np.full(len(enough), 1e-6)
+    lines, enough = start.lines, start.enough
+    damping = np.full(len(enough), 1e-6)
     cost, decrement = np.full(len(enough), np.inf), np.full(len(enough), np.inf)
     normal = np.tile(np.eye(4), (len(enough), 1, 1))
-    gradient, trial = np.zeros((len(enough), 4)), start
+    gradient, trial = np.zeros((len(enough), 4)), lines
     for _ in range(MAX_STEPS):
         at = line_jacobians(views, trial, segments, covariances, seen)
         inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
@@ -232,7 +253,7 @@ def _refine(
         if np.all((decrement <= CONVERGED_DECREMENT) | ~enough):
             break
         trial = lines.moved(-_solve(normal, gradient, damping))
-    return lines, normal, ~(decrement <= CONVERGED_DECREMENT)
+    return _Estimate(lines, normal, ~(decrement <= CONVERGED_DECREMENT))
 
 
 def _solve(
@@ -251,16 +272,14 @@ def _solve(
 def _status(
     views: SeenViews,
     rays: Float[np.ndarray, "views lines 2 3"],
-    lines: Lines,
-    information: Float[np.ndarray, "lines 4 4"],
     seen: Bool[np.ndarray, "views lines"],
-    enough: Bool[np.ndarray, "lines"],
-    in_one_plane: Bool[np.ndarray, "lines"],
-    failed: Bool[np.ndarray, "lines"],
+    start: _Start,
+    estimate: _Estimate,
 ) -> Int[np.ndarray, "lines"]:
     """Return a `PointStatus` for every line."""
+    enough, information = start.enough, estimate.information
     # The line's own distance from a camera, and the signed depth of the points that are seen.
-    parameters, depths = _nearest_on_lines(views, rays, lines)
+    parameters, depths = _nearest_on_lines(views, rays, estimate.lines)
     visible_depths = np.where(seen[..., None], depths, np.nan)
     behind = np.nanmin(np.where(enough[None, :, None], visible_depths, 1.0), axis=(0, 2)) <= 0.0
     distance = np.abs(np.nanmean(np.where(enough[None, :, None], visible_depths, 1.0), axis=(0, 2)))
@@ -282,8 +301,8 @@ def _status(
     variance = np.sum((shift @ roots) ** 2, axis=(1, 2))
     # For a single plane the estimate is an arbitrary line in it, possibly through a camera's
     # centre, so that neither the variance nor the depth means anything.
-    degenerate = in_one_plane | ~(variance < (MAX_RELATIVE_STD * distance) ** 2)
-    status = np.where(failed, PointStatus.NOT_CONVERGED, PointStatus.OK)
+    degenerate = start.in_one_plane | ~(variance < (MAX_RELATIVE_STD * distance) ** 2)
+    status = np.where(estimate.failed, PointStatus.NOT_CONVERGED, PointStatus.OK)
     status = np.where(behind, PointStatus.BEHIND_CAMERA, status)
     status = np.where(degenerate, PointStatus.EPIPOLAR_PLANE, status)
     return np.where(enough, status, PointStatus.TOO_FEW_VIEWS)

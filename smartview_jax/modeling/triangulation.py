@@ -19,10 +19,9 @@ from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
 from ..runtime.array_namespace import to_device
 from .calibration_uncertainty import CalibrationUncertainty
-from .estimated_features import EstimatedPoints
+from .estimated_features import EstimatedPoints, PointStatus
 from .pixel_jacobians import pixel_jacobians
 from .point_estimation import estimate_points
-from .point_status import PointStatus
 from .view_poses import (
     SeenViews,
     padded_count,

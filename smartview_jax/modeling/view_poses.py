@@ -9,11 +9,12 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..cameras import Camera
+from ..cameras import Camera, in_picture
 from ..geometry import check_rigid, host_matrices, host_transforms
 from ..robots import Command, CommandLike
 from ..runtime.array_namespace import to_device
-from ..runtime.padding import power_of_two_from, repeat_last
+from ..runtime.compilation import compiled
+from ..runtime.padding import in_batches, power_of_two_from, repeat_last
 
 PADDED_VIEWS = 4
 """Views are padded to a multiple of this number, so that one more view needs no compilation."""
@@ -22,6 +23,9 @@ PADDED_FEATURES, MAX_PADDED_FEATURES = 16, 4096
 """Features are padded to a power of two, from the first number up to the second.
 
 Above the second they are not padded: computing on padding would cost more than compiling."""
+
+POINTS_PER_BATCH = 4096
+"""Number of points that are projected at once."""
 
 
 def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -> Command:
@@ -194,11 +198,8 @@ def checked_visibility(
     is_visible = finite if visible is None else np.asarray(visible, dtype=bool)
     if is_visible.shape != pixels.shape[:2]:
         raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {is_visible.shape}")
-    # The centre of the first pixel is (0, 0), so that the picture's border is half a pixel out.
-    low, high = -0.5, np.array(image_size) - 0.5
-    with np.errstate(invalid="ignore"):
-        inside = ((pixels >= low) & (pixels <= high)).all(axis=last)
     # NaN and infinity count as outside, too; the message shows which.
+    inside = in_picture(pixels, image_size).all(axis=last[:-1])
     wrong = np.argwhere(is_visible & ~inside)
     if len(wrong):
         view, feature = wrong[0]
@@ -208,6 +209,30 @@ def checked_visibility(
         )
     # A copy, so that the caller's mask never changes.
     return np.array(is_visible)
+
+
+def checked_sigma(
+    pixel_sigma: float | np.ndarray, shape: tuple[int, int], covariance: tuple[int, ...]
+) -> np.ndarray:
+    """Return `pixel_sigma` as an array: one number, one of each observation, or its covariance.
+
+    Args:
+        pixel_sigma: as in `triangulate_points` and `triangulate_lines`.
+        shape: numbers of views and features.
+        covariance: the further axes where covariances are given.
+
+    Raises:
+        ValueError: another shape, or standard deviations that are not positive.
+    """
+    sigma = np.asarray(pixel_sigma, dtype=float)
+    if sigma.shape not in ((), shape, (*shape, *covariance)):
+        raise ValueError(
+            f"pixel_sigma: expected a number, {shape} or {(*shape, *covariance)}; "
+            f"found {sigma.shape}"
+        )
+    if sigma.ndim <= 2 and not np.all(sigma > 0.0):
+        raise ValueError(f"pixel_sigma: expected positive numbers, found {sigma.min():g}")
+    return sigma
 
 
 def whitening_of(
@@ -224,15 +249,9 @@ def whitening_of(
     Raises:
         ValueError: a wrong shape, or values that are not positive.
     """
-    sigma = np.asarray(pixel_sigma, dtype=float)
-    if sigma.shape not in ((), shape, (*shape, 2, 2)):
-        raise ValueError(
-            f"pixel_sigma: expected a number, {shape} or {(*shape, 2, 2)}; found {sigma.shape}"
-        )
+    sigma = checked_sigma(pixel_sigma, shape, (2, 2))
     # Equal and independent errors of u and v are a multiple of the identity.
     if sigma.ndim < 3:
-        if not np.all(sigma > 0.0):
-            raise ValueError(f"pixel_sigma: expected positive numbers, found {sigma.min():g}")
         scale = sigma if sigma.ndim else sigma[None, None]
         return np.eye(2) / scale[..., None, None]
     try:
@@ -240,3 +259,38 @@ def whitening_of(
         return np.linalg.inv(np.linalg.cholesky(sigma))
     except np.linalg.LinAlgError as error:
         raise ValueError("pixel_sigma: a covariance is not positive definite") from error
+
+
+def project_points(
+    views: SeenViews, points: Float[np.ndarray, "points 3"]
+) -> Float[np.ndarray, "views points 2"]:
+    """Return the pixels of points (m, world) in all views; NaN outside picture or lens."""
+    count, poses = len(views.camera_from_world), to_device(views.padded)
+
+    def of_batch(batch: Float[Array, "batch 3"]) -> Float[np.ndarray, "batch views 2"]:
+        return np.asarray(_project(views.camera, poses, batch))[:count].swapaxes(0, 1)
+
+    pixels = in_batches(of_batch, points, POINTS_PER_BATCH).swapaxes(0, 1)
+    return np.where(in_picture(pixels, views.camera.image_size)[..., None], pixels, np.nan)
+
+
+@compiled
+def _project(
+    camera: Camera,
+    camera_from_world: Float[Array, "views 4 4"],
+    points: Float[Array, "points 3"],
+) -> Float[Array, "views points 2"]:
+    """Return the pixels of points in all views."""
+
+    def project_in_view(matrix: Float[Array, "4 4"]) -> Float[Array, "points 2"]:
+        return camera.project(points @ matrix[:3, :3].T + matrix[:3, 3][None])[0]
+
+    return jax.vmap(project_in_view)(camera_from_world)
+
+
+@compiled
+def unit_rays(
+    camera: Camera, pixels: Float[Array, "*pixels 2"]
+) -> tuple[Float[Array, "*pixels 3"], Bool[Array, "*pixels"]]:
+    """Return the rays of pixels in the camera frame, and whether the lens is valid there."""
+    return camera.unproject(pixels)

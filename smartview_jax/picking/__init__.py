@@ -5,11 +5,11 @@ from .calibrating import calibrate_cell as calibrate_cell
 from .clicking import model_by_clicks as model_by_clicks
 from .demo import DemoResult as DemoResult
 from .demo import run_demo as run_demo
-from .execution import execute as execute
 from .looking import BadPictureError as BadPictureError
 from .looking import FirstViews as FirstViews
 from .looking import Look as Look
 from .looking import Region as Region
 from .looking import look_for as look_for
 from .pick import Pick as Pick
+from .pick import execute as execute
 from .pick import pick as pick

@@ -105,7 +105,6 @@ def calibrate_cell(
             f"the board was found in {len(detections)} of {views} views; expected at least "
             f"{MIN_VIEWS}: is it where the drawing says?"
         )
-    # Only views in which the board was found.
     stacked = stacked_commands(commands)
     # Joints without an arm, or an arm without joints, cannot be used.
     with_joints = arm is not None and stacked.joints is not None

@@ -83,7 +83,6 @@ def model_by_clicks(
                 point = session.click(picture_name, pixel, point)
             if point is not None:
                 points[vertex] = point
-        # A face needs all of its corners.
         complete = [loop for loop in faces if all(v in points for v in loop)]
         if not complete:
             raise ValueError(f"{name}: {len(points)} vertices were clicked, no face is complete")

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from ..cameras import Camera, Pinhole
 from ..files import write_atomically
-from ..geometry import host_matrices, host_transforms, look_at, viewing_direction
+from ..geometry import host_matrices, host_transformed, host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
 from ..modeling import Face, ObjectModel, face_plane
@@ -239,6 +239,5 @@ def position_error(
     if target is None:
         return float("nan")
     middle = target.model.vertices.mean(axis=0)
-    estimated = target.world_from_object[:3, :3] @ middle + target.world_from_object[:3, 3]
-    local = middle - origin
-    return float(np.linalg.norm(estimated - (truth[:3, :3] @ local + truth[:3, 3])))
+    estimated = host_transformed(target.world_from_object, middle)
+    return float(np.linalg.norm(estimated - host_transformed(truth, middle - origin)))

@@ -3,13 +3,17 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..grasping import GraspPlan, GraspScene, Motion, PlannedGrasp, grasps_for
+from ..geometry import host_transforms
+from ..grasping import PHASES, GraspPlan, GraspScene, Motion, PlannedGrasp, grasps_for
 from ..localization import Localization, Localizations
 from ..modeling import ObjectModel
-from ..robots import Gripper
+from ..robots import Command, Gripper
+from ..runtime.array_namespace import to_device
 from ..simulation import Cell, CellError
-from .execution import execute
 from .looking import STANDARD_VIEWS, BadPictureError, FirstViews, Look, Region, look_for
+
+EMPTY_FRACTION = 0.5
+"""Distance of the closed fingers, over the object's width, below which they hold nothing."""
 
 
 class Pick(NamedTuple):
@@ -74,7 +78,6 @@ def pick(
     except BadPictureError as error:
         # No program fault, but for example a lamp that is off or a cover on the lens.
         return Pick(None, None, None, None, nothing, f"not found: {error}")
-    # Only accepted objects are grasped.
     if not look.found.accepted:
         return Pick(look, None, None, None, nothing, "; ".join(look.found.messages))
     say("planning grasps")
@@ -126,3 +129,43 @@ def _obstacles(found: Localizations) -> tuple[Localization, ...]:
 def _chance(plan: GraspPlan) -> float:
     """Return the probability of success of the best grasp."""
     return plan.best.success_probability
+
+
+def execute(
+    cell: Cell, grasp: PlannedGrasp, after: Callable[[str], None] | None = None
+) -> tuple[float, str]:
+    """Execute a grasp: approach, close, lift, retreat.
+
+    Args:
+        cell: with an empty gripper.
+        grasp: a safe one.
+        after: called with the name of each phase when it is reached, and with "closed".
+
+    Returns:
+        The distance of the closed fingers, m, and a sentence that interprets it.
+
+    Raises:
+        ValueError: the grasp is refused.
+        CellError: the robot does not reach a pose.
+    """
+    if not grasp.is_safe:
+        raise ValueError(f"the grasp is not executed: {'; '.join(grasp.reasons)}")
+    done = after or (lambda _: None)
+    # Opened far from the object, where nothing is in the way.
+    cell.set_gripper(grasp.opening)
+    width = grasp.opening
+    for k, phase in enumerate(PHASES):
+        # Poses only, if the planning did not know the arm.
+        joints = None if grasp.joints is None else to_device(grasp.joints[k])
+        cell.move(Command(host_transforms(grasp.base_from_tool[k]), joints))
+        done(phase)
+        if phase == "grasp":
+            width = cell.set_gripper(0.0)
+            done("closed")
+    # The fingers show whether something stopped them; a real robot has no judge.
+    if width < EMPTY_FRACTION * grasp.width:
+        return width, f"the fingers closed to {1e3 * width:.1f} mm: they hold nothing"
+    return width, (
+        f"the fingers stand {1e3 * width:.1f} mm apart; the object is {1e3 * grasp.width:.1f} mm "
+        "wide there"
+    )

@@ -1,4 +1,4 @@
-"""Draw pictures of objects: edge maps with features, and wireframes over pictures.
+"""Draw objects: edge maps with features, wireframes over pictures, and models in space.
 
 Modules on objects are imported on first use: a calibration's report needs none, and would take a
 quarter longer to import.
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
+from mpl_toolkits.mplot3d import Axes3D
 
 from ..cameras import Camera
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
+from .figures import BLUE, RED, PlotFigure
 
 if TYPE_CHECKING:
     from ..features import PictureEvidence
@@ -110,3 +112,25 @@ def _fixed(pixel: np.ndarray) -> tuple[int, int]:
     """Return a pixel in the fixed-point numbers of OpenCV's drawing."""
     u, v = np.rint(np.asarray(pixel) * (1 << SHIFT)).astype(int)
     return int(u), int(v)
+
+
+if TYPE_CHECKING:
+    from ..modeling import ObjectModel
+
+
+def object_model_3d(model: "ObjectModel") -> PlotFigure:
+    """Draw the edges of an object model and the places of its grasps, in its own frame, mm."""
+    figure = PlotFigure(figsize=(5.0, 4.2), layout="constrained")
+    axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
+    for edge in model.edges:
+        axes.plot(*(1e3 * model.vertices[edge]).T, color=BLUE)
+    for grasp in model.grasps:
+        place = 1e3 * np.asarray(grasp.object_from_tool)[:3, 3]
+        axes.scatter(*place, color=RED, label=grasp.name or "grasp")
+    axes.set_xlabel("x (mm)")
+    axes.set_ylabel("y (mm)")
+    axes.set_zlabel("z (mm)")
+    axes.set_aspect("equal")
+    if model.grasps:
+        axes.legend(frameon=False)
+    return figure

@@ -6,7 +6,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-import jinja2
 import numpy as np
 
 from .. import plots
@@ -27,15 +26,8 @@ from ..joint import estimate_groups
 from ..version import __version__
 from . import tables
 from .next_steps import hand_eye_sentence, next_steps
-from .page_figures import PageFigure, page_figure
-
-# Text is escaped, since names of views and folders come from the user's files.
-get_template = jinja2.Environment(
-    loader=jinja2.PackageLoader("smartview_jax.report"),
-    autoescape=True,
-    trim_blocks=True,
-    lstrip_blocks=True,
-).get_template
+from .story import PageFigure, Section, StoryFigure, get_template, page_figure, write_story
+from .tables import ErrorSummary
 
 
 class Origin(NamedTuple):
@@ -262,3 +254,48 @@ def _fit_facts(
     libraries = ", ".join(f"{name} {version(name)}" for name in ("jax", "optimistix", "numpy"))
     facts.append(("computed with", libraries))
     return facts
+
+
+def write_evaluation_page(
+    path: Path,
+    title: str,
+    verdict: str,
+    calibration: Calibration,
+    data: Dataset,
+    summaries: Sequence[ErrorSummary],
+    rows: Sequence[Sequence[str]],
+) -> None:
+    """Write the figures of the paper's evaluation: Fig. 7, and Fig. 1 in two of the pictures.
+
+    Args:
+        path: of the HTML file.
+        title: of the page.
+        verdict: the result in a sentence.
+        calibration: the first calibration, used for predictions in the pictures.
+        data: the predicted views.
+        summaries: errors of every calibration.
+        rows: the table, with the names of the calibrations in the first row.
+    """
+    errors = {summary.name: summary.reprojection_errors for summary in summaries}
+    histogram = StoryFigure(
+        "Fig. 7.",
+        "Distances between measured and predicted points.",
+        plots.error_histogram(errors),
+    )
+    by_view = StoryFigure(
+        "RMS of each view.",
+        "A view that stands out has a wrong pose or a bad detection.",
+        plots.view_errors(data, errors),
+    )
+    sections = [
+        Section("Errors", header=rows[0], rows=rows[1:]),
+        Section("Over all points", figures=[histogram]),
+        Section("View by view", figures=[by_view]),
+    ]
+    overlays = [
+        StoryFigure(f"Fig. 1, view {name}.", caption, overlay)
+        for name, caption, overlay in prediction_overlays(data, summaries[0], calibration)
+    ]
+    if overlays:
+        sections.append(Section("In the pictures", figures=overlays))
+    write_story(path, title, verdict, sections)

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import check_rigid
+
 MAX_GRIPPER_SIZE = 2.0
 """Largest dimension of a gripper, m: a larger one was given in another unit."""
 
@@ -51,13 +53,8 @@ class GripperBox(NamedTuple):
 
 def _flange_behind_the_palm() -> Float[np.ndarray, "4 4"]:
     """Return the default `tool_from_gripper`: the tool frame is at the back of the palm."""
-    return _along_z(0.11)
-
-
-def _along_z(distance: float) -> Float[np.ndarray, "4 4"]:
-    """Return the transform that moves along z, m."""
     transform = np.eye(4)
-    transform[2, 3] = distance
+    transform[2, 3] = 0.11
     return transform
 
 
@@ -115,10 +112,8 @@ class Gripper:
         for name in ("tolerance", "min_hold", "max_turn"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise ValueError(f"gripper: {name} is {getattr(self, name)!r}; expected 0 or more")
-        rotation = self.tool_from_gripper[:3, :3]
-        if self.tool_from_gripper.shape != (4, 4) or not (
-            np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
-            and np.linalg.det(rotation) > 0.0
+        if self.tool_from_gripper.shape != (4, 4) or check_rigid(
+            self.tool_from_gripper[None], ("tool_from_gripper",), 1e-5
         ):
             raise ValueError("gripper: tool_from_gripper is no rigid 4x4 transform")
 

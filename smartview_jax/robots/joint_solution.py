@@ -64,6 +64,11 @@ class JointSolution(eqx.Module):
         """Whether the joints put the tool at its pose and are within their limits."""
         return (self.status & int(FAILURE_FLAGS)) == 0
 
+    @property
+    def is_singular(self) -> Bool[Array, "*views"]:
+        """Whether the joints are valid but singular: the motion of the tool is restricted there."""
+        return self.is_solved & ((self.status & ~int(FAILURE_FLAGS)) != 0)
+
     def status_text(self, view: int | tuple[int, ...] = ()) -> str:
         """Return the status of one view in words; "ok" where no flag is set."""
         status = SolutionStatus(int(np.asarray(self.status)[view]))

@@ -1,5 +1,11 @@
-"""Interpolate the poses that a robot logged while it moved."""
+"""Interpolate the poses that a robot logged while it moved, except in gaps of the log.
 
+The error of an interpolation over some duration is measured in the log itself: windows of this
+duration are chosen where the log is complete, interpolated from their ends as in the gap, and
+compared with the poses that were logged within.
+"""
+
+import dataclasses
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -76,3 +82,120 @@ class Trajectory(NamedTuple):
         poses[:, :3, :3] = self.rotations(times).as_matrix()
         poses[:, :3, 3] = self.positions(times)
         return poses
+
+
+@dataclasses.dataclass(frozen=True)
+class GapLimits:
+    """Limits beyond which an interval between two logged poses is a gap.
+
+    Attributes:
+        position, angle: error that is always acceptable, m and rad; robots repeat a pose to about
+            this accuracy.
+        windows: largest number of windows in which the error is measured.
+    """
+
+    position: float = 1e-4
+    angle: float = 2e-4
+    windows: int = 200
+
+
+def times_in_gaps(
+    trajectory: Trajectory, times: Float[np.ndarray, "views"], limits: GapLimits | None = None
+) -> Bool[np.ndarray, "views"]:
+    """Return which times are in a gap of the log, where the interpolated pose is not reliable.
+
+    A time is in a gap if its interval is longer than usual in this log, the robot moved across it,
+    and interpolation over this duration has an error above the limits and above its error at the
+    usual interval.
+
+    Args:
+        trajectory: the logged poses.
+        times: times within the log, s.
+        limits: by default `GapLimits()`.
+    """
+    limits = limits or GapLimits()
+    logged = trajectory.times
+    usual = 2.0 * float(np.median(np.diff(logged)))
+    # The error at twice the median interval, where the poses in the middle are logged, is larger
+    # than the error at the median interval.
+    allowed = np.array([limits.position, limits.angle])
+    accepted = np.fmax(allowed, _interpolation_error(trajectory, usual, 0.5, usual, limits))
+    in_gap = np.zeros(len(times), dtype=bool)
+    for k, time in enumerate(times):
+        after = int(np.clip(np.searchsorted(logged, time), 1, len(logged) - 1))
+        start, duration = logged[after - 1], logged[after] - logged[after - 1]
+        if duration <= usual or time in (start, logged[after]):
+            continue
+        ends = _motion(trajectory, np.array([after - 1]), np.array([after]))[0]
+        if (_sizes(ends) <= allowed).all():
+            continue
+        error = _interpolation_error(trajectory, duration, (time - start) / duration, usual, limits)
+        # Without a window of this duration the interpolation has no support.
+        in_gap[k] = np.isnan(error).any() or (error > accepted).any()
+    return in_gap
+
+
+def _interpolation_error(
+    trajectory: Trajectory, duration: float, fraction: float, usual: float, limits: GapLimits
+) -> Float[np.ndarray, "2"]:
+    """Return the RMS error of position and angle of interpolation over a duration.
+
+    Args:
+        trajectory: the logged poses.
+        duration: of the windows, s.
+        fraction: place within the window where the pose is interpolated, 0 to 1.
+        usual: longest interval at which a log is complete, s.
+        limits: number of windows, and the largest motion that counts as none.
+
+    Returns:
+        Position in m, angle in rad; NaN where the log has no complete window with motion.
+    """
+    logged = trajectory.times
+    first = np.arange(1, len(logged) - 1)
+    last = np.searchsorted(logged, logged[first] + duration)
+    inside = last < len(logged) - 1
+    first, last = first[inside], last[inside]
+    long_before = np.concatenate([[0], np.cumsum(np.diff(logged) > usual)])
+    complete = (long_before[last + 1] == long_before[first - 1]) & (last >= first + 2)
+    first, last = first[complete], last[complete]
+    if not first.size:
+        return np.full(2, np.nan)
+    # Evenly over the log, so that every run uses the same windows.
+    chosen = np.unique(np.linspace(0, len(first) - 1, limits.windows).astype(int))
+    first, last = first[chosen], last[chosen]
+    ends = _motion(trajectory, first, last)
+    moved = (_sizes(ends) > [limits.position, limits.angle]).any(axis=1)
+    if not moved.any():
+        return np.full(2, np.nan)
+    first, last, ends = first[moved], last[moved], ends[moved]
+    query = logged[first] + fraction * (logged[last] - logged[first])
+    middle = np.clip(np.searchsorted(logged, query), first + 1, last - 1)
+    length = (logged[last] - logged[first])[:, None]
+    s = (logged[middle] - logged[first])[:, None] / length
+    # A cubic with the ends' poses and speeds, as the spline has in a gap.
+    begin_speed = (
+        -_motion(trajectory, first, first - 1) / (logged[first] - logged[first - 1])[:, None]
+    )
+    beyond = _motion(trajectory, first, last + 1) - ends
+    end_speed = beyond / (logged[last + 1] - logged[last])[:, None]
+    bridged = (
+        (s**3 - 2.0 * s**2 + s) * length * begin_speed
+        + (3.0 * s**2 - 2.0 * s**3) * ends
+        + (s**3 - s**2) * length * end_speed
+    )
+    missed = _sizes(bridged - _motion(trajectory, first, middle))
+    return np.sqrt((missed**2).mean(axis=0))
+
+
+def _motion(
+    trajectory: Trajectory, start: np.ndarray, end: np.ndarray
+) -> Float[np.ndarray, "windows 6"]:
+    """Return displacement (m) and rotation vector (rad) between logged poses."""
+    before, after = trajectory.base_from_tool[start], trajectory.base_from_tool[end]
+    turn = Rotation.from_matrix(before[:, :3, :3]).inv() * Rotation.from_matrix(after[:, :3, :3])
+    return np.hstack([after[:, :3, 3] - before[:, :3, 3], turn.as_rotvec()])
+
+
+def _sizes(motion: Float[np.ndarray, "windows 6"]) -> Float[np.ndarray, "windows 2"]:
+    """Return length and angle of motions, m and rad."""
+    return np.linalg.norm(motion.reshape(-1, 2, 3), axis=2)

@@ -82,6 +82,28 @@ def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
     return without_padding(program(padded), views)
 
 
+def in_batches(program: Callable[[Any], Any], rows: np.ndarray, size: int) -> Any:
+    """Return what a program makes of rows, on the host, run with a fixed number of rows at a time.
+
+    So one program serves any number of rows, with bounded memory.
+
+    Args:
+        program: from an array of so many rows to a pytree of arrays with as many.
+        rows: the last batch of them is padded by zeros.
+        size: number of rows in a batch.
+    """
+
+    def of_batch(batch: np.ndarray) -> Any:
+        padded = np.zeros((size, *rows.shape[1:]))
+        padded[: len(batch)] = batch
+        return jax.tree.map(lambda x: np.asarray(x)[: len(batch)], program(to_device(padded)))
+
+    # One batch at least, which tells the shapes of the results.
+    starts = range(0, max(len(rows), 1), size)
+    results = [of_batch(rows[start : start + size]) for start in starts]
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
+
+
 def without_padding(arrays: _Tree, *counts: int) -> _Tree:
     """Return the first entries of arrays along their first axes, copied only if there are more.
 

@@ -11,6 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
+from ..geometry import host_transformed
+from ..modeling import Face, edges_of_faces, face_array, face_plane
+
 MIN_EDGE_RATIO = 0.12
 """Shortest edge of a random polyhedron over its radius; shorter ones are too small to see."""
 
@@ -35,8 +38,7 @@ class Polyhedron(NamedTuple):
     @property
     def edges(self) -> Int[np.ndarray, "edges 2"]:
         """The pairs of vertices that an edge joins, the smaller index first."""
-        pairs = {tuple(sorted(pair)) for face in self.faces for pair in loop_pairs(face)}
-        return np.array(sorted(pairs))
+        return edges_of_faces(face_array(self.faces))
 
     @property
     def triangles(self) -> Int[np.ndarray, "triangles 3"]:
@@ -45,7 +47,7 @@ class Polyhedron(NamedTuple):
 
     def moved(self, matrix: Float[np.ndarray, "4 4"]) -> "Polyhedron":
         """Return the same solid at another pose, given as a 4 x 4 matrix."""
-        return self._replace(vertices=self.vertices @ matrix[:3, :3].T + matrix[:3, 3])
+        return self._replace(vertices=host_transformed(matrix, self.vertices))
 
 
 def loop_pairs(face: Sequence[int]) -> list[tuple[int, int]]:
@@ -56,11 +58,8 @@ def loop_pairs(face: Sequence[int]) -> list[tuple[int, int]]:
 def face_normal(
     vertices: Float[np.ndarray, "vertices 3"], face: Sequence[int]
 ) -> Float[np.ndarray, "3"]:
-    """Return the outward unit normal of a flat loop, convex or not, by Newell's method."""
-    loop = vertices[list(face)]
-    # n = sum over the edges of p_i x p_(i+1): twice the area times the normal.
-    total = np.cross(loop, np.roll(loop, -1, axis=0)).sum(axis=0)
-    return total / np.linalg.norm(total)
+    """Return the outward unit normal of a flat loop, convex or not."""
+    return face_plane(vertices, Face(tuple(face))).normal
 
 
 def _triangulated(

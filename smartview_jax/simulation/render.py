@@ -21,7 +21,6 @@ from ..io import write_dataset_folder
 from ..runtime.compilation import compiled_optimised
 from ..targets import AbstractTarget, StackedTarget
 from .patterns import printed_pattern
-from .sensor import sensor_picture
 
 DARK_LEVEL, LIGHT_LEVEL, BACKGROUND_LEVEL = 40.0, 215.0, 120.0
 """Grey levels of the print, of the paper, and of everything other than the board's front."""
@@ -174,3 +173,29 @@ def write_pictures(
         pose_format,
     )
     return folder
+
+
+def sensor_picture(
+    brightness: Float[np.ndarray, "rows columns"],
+    *,
+    blur: float = 0.7,
+    noise: float = 1.0,
+    exposure: float = 1.0,
+    seed: int = 0,
+) -> UInt8[np.ndarray, "rows columns"]:
+    """Return the picture that a sensor takes of the brightness averaged over each pixel.
+
+    Args:
+        brightness: grey levels at an exposure of one; values above 255 saturate.
+        blur: standard deviation of the lens's blur, px.
+        noise: standard deviation of the sensor's noise, grey levels.
+        exposure: factor by which the brightness is multiplied.
+        seed: seed of the noise.
+    """
+    picture = np.asarray(brightness, dtype=float)
+    if blur > 0.0:
+        picture = cv2.GaussianBlur(picture, (0, 0), blur)
+    picture = exposure * picture
+    picture = picture + noise * np.random.default_rng(seed).standard_normal(picture.shape)
+    # Saturation and rounding come last, as in a converter.
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)

@@ -15,11 +15,11 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..geometry import PoseLike, as_se3, host_matrices
-from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
+from ..runtime.padding import in_batches
 from .polyhedra import Polyhedron
 from .ray_casting import MISSED, Hits, RayCaster
-from .sensor import sensor_picture
+from .render import sensor_picture
 from .textures import Texture, matt
 
 RAYS_PER_BATCH = 65_536
@@ -205,10 +205,7 @@ def _ray_brightness(
     surface_of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
 
     def batch_brightness(pixels: np.ndarray) -> np.ndarray:
-        # Padded to one size, for which the program is compiled once.
-        padded = np.zeros((RAYS_PER_BATCH, 2))
-        padded[: len(pixels)] = pixels
-        rays, valid = (np.asarray(x)[: len(pixels)] for x in _unproject(camera, to_device(padded)))
+        rays, valid = in_batches(lambda batch: _unproject(camera, batch), pixels, RAYS_PER_BATCH)
         directions = np.where(valid[:, None], rays, [0.0, 0.0, 1.0]) @ world_from_camera[:3, :3].T
         # Pixels without a ray get an arbitrary one, and count as a miss below.
         hits = caster.first_hits(world_from_camera[:3, 3], directions)

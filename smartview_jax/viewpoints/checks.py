@@ -13,7 +13,6 @@ from ..geometry import transform_points
 from ..robots import MAX_TOOL_COORDINATE, Command, JointSolution
 from ..runtime.array_namespace import as_float_array, to_device
 from ..runtime.compilation import is_traced, one_program
-from .reachability import is_singular, status_message
 
 CHECK_MESSAGES = {
     "reach": "the arm does not get there",
@@ -155,7 +154,8 @@ class Checks(eqx.Module):
     def _message(self, check: str, measured: float, view: int) -> str:
         """Return the reason of one check for one view."""
         if self.joint_solution is not None and check in ("reach", "singular"):
-            return status_message(self.joint_solution, view)
+            place = np.unravel_index(view, self.joint_solution.status.shape)
+            return self.joint_solution.status_text(tuple(map(int, place)))
         return CHECK_MESSAGES[check].format(measured)
 
 
@@ -189,7 +189,7 @@ def check_views(
     finite = jnp.all(jnp.isfinite(camera_from_world.wxyz_xyz), axis=-1)
     passed, measured = {"reach": finite}, {"reach": jnp.zeros(views)}
     if joint_solution is not None:
-        passed = {"reach": joint_solution.is_solved, "singular": ~is_singular(joint_solution)}
+        passed = {"reach": joint_solution.is_solved, "singular": ~joint_solution.is_singular}
         measured["singular"] = jnp.zeros(views)
 
     # The value of each check is kept with its mask, for the message.

@@ -10,11 +10,20 @@ from jaxtyping import Array, Float
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..geometry import PoseLike, as_se3, xyzoat
-from ..robots import Command, CommandLike, JointsLike, JointSolution, SerialArm, as_command
+from ..robots import (
+    LIMIT_TOLERANCE,
+    Command,
+    CommandLike,
+    JointsLike,
+    JointSolution,
+    SerialArm,
+    SolutionStatus,
+    as_command,
+    joints_for_pose,
+)
 from ..runtime.array_namespace import as_float_array
 from ..runtime.compilation import compiled, is_traced
 from .checks import Checks, Limits, check_views
-from .reachability import solve_joints
 
 PREDICTION_BATCH_SIZE = 500
 """Number of views predicted at once, so that intermediate results stay in the processor's cache."""
@@ -140,3 +149,23 @@ def _commands_with_checks(
     )
     pose = command.base_from_tool
     return ViewpointCommands(pose, xyzoat(pose), command.joints, predicted_views, checks)
+
+
+def solve_joints(arm: SerialArm, command: Command, near: JointsLike) -> JointSolution:
+    """Return joint readings for commands, with their status.
+
+    Args:
+        arm: the nominal arm.
+        command: poses `(*views)`; joints in the command are kept, NaN where there are none.
+        near: joint readings near which to solve.
+    """
+    joints = command.joints
+    if joints is None:
+        return joints_for_pose(arm, command.base_from_tool, near)
+    # The command has joints already, for example because arm errors were compensated. They are only
+    # checked, since another solution would undo the compensation.
+    out_of_limits = arm.violated_limits(joints, LIMIT_TOLERANCE)
+    has_joints = jnp.all(jnp.isfinite(joints), axis=-1)
+    status = jnp.where(has_joints, 0, int(SolutionStatus.OUT_OF_REACH))
+    status = status | jnp.where(out_of_limits.any(axis=-1), int(SolutionStatus.OUT_OF_LIMITS), 0)
+    return JointSolution(joints, status, out_of_limits)

@@ -76,17 +76,9 @@ def a_optimal(information_model: InformationModel, lever_arm: float) -> Optimali
         ValueError: all parameters of the transform are fixed.
     """
     name = information_model.calibration.transform_names[0]
-    is_translation = np.array(
-        [
-            parameter.startswith(f"{name}.translation")
-            for parameter in information_model.parameter_names
-        ]
-    )
-    is_rotation = np.array(
-        [
-            parameter.startswith(f"{name}.rotation")
-            for parameter in information_model.parameter_names
-        ]
+    is_translation, is_rotation = (
+        np.array([p.startswith(f"{name}.{part}") for p in information_model.parameter_names])
+        for part in ("translation", "rotation")
     )
     if not (is_translation | is_rotation).any():
         raise ValueError(f"{name} is held fixed: it has no uncertainty to minimise")

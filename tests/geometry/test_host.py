@@ -8,8 +8,10 @@ from smartview_jax.geometry import (
     host_logarithms,
     host_matrices,
     host_nearest_rotation,
+    host_transformed,
     host_transforms,
     nearest_rotation,
+    transform_points,
 )
 
 RNG = np.random.default_rng(0)
@@ -47,3 +49,12 @@ def test_the_nearest_rotation_on_the_host_is_that_of_jax():
     found = host_nearest_rotation(matrices)
     for matrix, rotation in zip(matrices, found, strict=True):
         np.testing.assert_allclose(rotation, nearest_rotation(jnp.asarray(matrix)), atol=1e-13)
+
+
+def test_host_points_are_moved_as_jaxlie_moves_them():
+    poses = SE3.exp(jnp.asarray(RNG.normal(size=(3, 6))))
+    points = RNG.normal(size=(5, 3))
+    matrices, expected = host_matrices(poses), np.asarray(transform_points(poses, points))
+    np.testing.assert_allclose(host_transformed(matrices, points), expected, atol=1e-14)
+    np.testing.assert_allclose(host_transformed(matrices[1], points), expected[1], atol=1e-14)
+    np.testing.assert_allclose(host_transformed(matrices[1], points[2]), expected[1, 2], atol=1e-14)

@@ -14,6 +14,7 @@ from smartview_jax.dataset import chain_residuals
 from smartview_jax.robot_errors import LinearInPose
 from smartview_jax.runtime.padding import (
     MAX_PADDED_OBSERVATIONS,
+    in_batches,
     padded_counts,
     repeat_last,
     without_padding,
@@ -121,3 +122,17 @@ def test_data_of_another_size_need_no_new_programs():
         # The check can fail: this is one.
         jax.jit(lambda x: x + 1.0)(0.0)
     assert added
+
+
+@pytest.mark.parametrize("count", [0, 3, 4, 9])
+def test_batches_give_every_row_its_result_by_one_program(count):
+    rows, shapes = np.arange(2.0 * count).reshape(count, 2), set()
+
+    def program(batch):
+        shapes.add(batch.shape)
+        return batch.sum(axis=1), 2.0 * batch
+
+    sums, doubled = in_batches(program, rows, 4)
+    np.testing.assert_array_equal(sums, rows.sum(axis=1))
+    np.testing.assert_array_equal(doubled, 2.0 * rows)
+    assert shapes == {(4, 2)}

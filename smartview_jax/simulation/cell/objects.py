@@ -74,7 +74,6 @@ def convex_parts(solid: Polyhedron, name: str = "") -> tuple[Float[np.ndarray, "
     Raises:
         ValueError: it is neither convex nor a prism.
     """
-    # Most objects need no cutting.
     if is_convex(solid):
         return (solid.vertices,)
     for face in solid.faces:

@@ -10,18 +10,17 @@ from scipy.spatial.transform import Rotation
 from ...argument_checks import require_distinct
 from ...calibration import Calibration
 from ...cameras import Camera
-from ...geometry import as_se3, check_rigid, host_transforms
+from ...geometry import as_se3, check_rigid, host_transformed, host_transforms
 from ...robots import Command, CommandLike, Gripper, JointsLike, SerialArm, joints_for_pose
 from ...targets import AbstractTarget
 from ..arm_scenes import HOME_JOINTS
 from ..polyhedra import Polyhedron
 from ..solid_scenes import SolidScene, Surface, render_solids
 from ..textures import Texture, speckled
-from .fixtures import Bin, FixedBox
+from .fixtures import Bin, FixedBox, board_on_table, table_texture
 from .interface import CellError
 from .objects import CellObject
 from .physics import Physics
-from .table import board_on_table, table_texture
 from .truth import BOARD, CellTruth, random_truth
 
 MAX_DROPS = 6
@@ -167,7 +166,6 @@ class SimulatedCell:
                 pose[:3, 3] = position - pose[:3, :3] @ middle
                 z += obj.radius + 0.005
                 self._physics.place(k, pose)
-            # All fall at once.
             self._physics.fall()
             if all(self._lies_inside(k) for k in range(len(objects))):
                 return
@@ -295,9 +293,8 @@ class SimulatedCell:
 
     def _lowest_of_gripper(self) -> float:
         """Return the height of the gripper's lowest point, m."""
-        pose = self._true_gripper()
         vertices, _ = self.gripper.mesh(self.gripper.max_opening)
-        return float((vertices @ pose[:3, :3].T + pose[:3, 3])[:, 2].min())
+        return float(host_transformed(self._true_gripper(), vertices)[:, 2].min())
 
     @property
     def _top(self) -> float:
@@ -341,15 +338,12 @@ class SimulatedCell:
             camera: its intrinsics and lens.
         """
         identity = host_transforms(np.eye(4))
-        # A camera on a tool at the bystander's pose.
         bystander = Calibration.eye_in_hand(camera, identity, identity)
         vertices, triangles = self.gripper.mesh(
             min(max(self._physics.opening, 0.0), self.gripper.max_opening)
         )
-        pose = self._physics.world_from_gripper
-        hand = Surface(
-            vertices @ pose[:3, :3].T + pose[:3, 3], triangles, speckled(0.15, 0.02, 0.01)
-        )
+        vertices = host_transformed(self._physics.world_from_gripper, vertices)
+        hand = Surface(vertices, triangles, speckled(0.15, 0.02, 0.01))
         scene = SolidScene((*self._surfaces(), hand))
         base_from_tool = host_transforms(np.linalg.inv(camera_from_world))
         return render_solids(
