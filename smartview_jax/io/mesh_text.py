@@ -1,4 +1,4 @@
-"""Refuse meshes in text form of which a part would be read as something else.
+"""Refuse meshes in text form that a reader would misread in part.
 
 trimesh reads what it finds: a number that a blank has broken in two is another vertex, and of a PLY
 only as many lines are read as its header says.
@@ -33,12 +33,12 @@ def _check_obj(path: Path) -> None:
 
 
 def _check_ply(path: Path) -> None:
-    """Raise a ValueError if the rows of a PLY in text form are not those of its header."""
+    """Raise a ValueError if the rows of a PLY in text form do not match its header."""
     header, mark, rest = path.read_bytes().partition(b"end_header")
     if not mark or b"format ascii" not in header:
         return
     rows = [row for line in rest.splitlines() if (row := line.split())]
-    # By element: how many rows, and the kinds of what stands in each.
+    # By element: the number of rows, and the kinds of values in each.
     elements: list[tuple[int, list[bool]]] = []
     for words in (line.split() for line in header.splitlines()):
         if words[:1] == [b"element"] and len(words) == 3 and words[2].isdigit():
