@@ -117,7 +117,7 @@ def repeated_pose_reason(data: "Dataset", view: int, other: int) -> str:
 def _repeated_pose_reason(data: "Dataset", other: int, shift: float) -> str:
     """Return the same, given the pictures' shift in px."""
     return (
-        f"{_REPEATED} {data.view_ids[other]}'s though the picture moved by {shift:.0f} px: it was "
+        f"{_REPEATED} {data.view_ids[other]}'s although the picture moved by {shift:.0f} px: it was "
         "not read again"
     )
 
@@ -182,7 +182,7 @@ def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
     for beginning, text in (
         (
             _REPEATED,
-            "repeat another view's pose though the picture moved, and are left out: the "
+            "repeat another view's pose although the picture moved, and are left out: the "
             "robot's pose was not read again for them",
         ),
         (_DUPLICATE, "repeat the picture and the pose of an earlier view, and count once"),

@@ -55,7 +55,7 @@ class Document:
         """Return a part by its id, or raise a ValueError that names it."""
         parts = getattr(self, kind)
         if part_id(number) not in parts:
-            raise ValueError(f"there is no {kind.removesuffix('s')} {number}")
+            raise ValueError(f"no {kind.removesuffix('s')} {number}")
         return parts[number]
 
     def _added(self, kind: str, part: Any) -> "Document":
@@ -261,7 +261,7 @@ def _add_constraint(
             document.existing("points", point)
     _check_quantities("a known length", value)
     if value is not None and not value > 0.0:
-        raise ValueError(f"a known length is above 0 m; found {value}")
+        raise ValueError(f"a known length is positive, found {value}")
     _check_quantities("the standard deviation of a fact", sigma)
     if sigma is not None and not sigma > 0.0:
         raise ValueError(f"the standard deviation of a fact is above 0; found {sigma}")
@@ -280,10 +280,10 @@ def _confirm_symmetry(document: Document, confirmed: Any, order: Any = None) -> 
     """Say whether the symmetry that was found, of so many turns, is meant."""
     # From the page and the journal anything may come.
     if not isinstance(confirmed, bool | None):
-        raise ValueError(f"a symmetry is confirmed, refused or left open; found {confirmed!r}")
+        raise ValueError(f"confirmed: expected true, false or null, found {confirmed!r}")
     is_count = isinstance(order, int) and not isinstance(order, bool) and order >= 1
     if order is not None and not is_count:
-        raise ValueError(f"a symmetry has 1 turn or more; found {order!r}")
+        raise ValueError(f"the order of a symmetry is 1 or more, found {order!r}")
     return dataclasses.replace(document, symmetry_confirmed=confirmed, symmetry_order=order)
 
 

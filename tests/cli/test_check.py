@@ -58,7 +58,7 @@ def test_two_rows_that_were_exchanged_are_doubted(folder):
     assert ended.exit_code == 0, ended.output
     assert "doubt: view 3: its rotation differs from the robot's by " in ended.output
     assert "doubt: view 6: its rotation differs from the robot's by " in ended.output
-    assert "camera and robot agree, but for these doubts: " in ended.output
+    assert "camera and robot agree, apart from these doubts: " in ended.output
 
 
 def test_a_target_of_twice_its_size_is_doubted(folder):

@@ -54,7 +54,7 @@ def test_poses_that_were_read_some_rows_earlier_come_before_the_target(wrong):
     fit = fit_staged(stale)
     named = {view: text for view, point, text in fit.rejected if point is None}
     assert set(named) == {"5", "7"}
-    assert "its pose repeats view 1's though the picture moved" in named["5"]
+    assert "its pose repeats view 1's although the picture moved" in named["5"]
     assert fit.conventions.problems == ()
     assert fit.conventions.suspicious_views == ()
     assert fit.conventions.length_ratio == pytest.approx(2.0, abs=0.1)

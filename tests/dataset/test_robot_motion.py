@@ -88,7 +88,7 @@ def test_a_joint_fit_sets_them_aside_too(data):
     truth = scene_of(3, MANY_VIEWS).calibration
     fit = fit_joint(stale, truth, noise="trusted")
     assert [view for view, point, _ in fit.rejected if point is None] == ["1", "4", "7", "10", "13"]
-    assert sum("pose though the picture moved" in text for text in fit.warnings) == 1
+    assert sum("pose although the picture moved" in text for text in fit.warnings) == 1
 
 
 def test_equal_poses_far_apart_are_left_to_the_other_views(data):
