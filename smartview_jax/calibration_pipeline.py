@@ -293,8 +293,8 @@ def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str
         )
         if uncorrected_rms > MAX_UNCORRECTED_RMS_RATIO_TO_STAGED * staged_rms:
             messages.append(
-                f"without its correction of the robot the chain leaves {uncorrected_rms:.1f} px "
-                f"RMS, the staged one {staged_rms:.1f}: the correction absorbs an error of the "
-                "camera, the hand-eye transform or the target"
+                f"without the robot correction the joint fit leaves {uncorrected_rms:.1f} px RMS "
+                f"(staged: {staged_rms:.1f} px): the correction absorbs an error of camera, "
+                "hand-eye or target; measure the target"
             )
     return tuple(messages)

@@ -117,8 +117,8 @@ def repeated_pose_reason(data: "Dataset", view: int, other: int) -> str:
 def _repeated_pose_reason(data: "Dataset", other: int, shift: float) -> str:
     """Return the same, given the pictures' shift in px."""
     return (
-        f"{_REPEATED} {data.view_ids[other]}'s although the picture moved by {shift:.0f} px: it was "
-        "not read again"
+        f"{_REPEATED} {data.view_ids[other]}'s although the picture moved by {shift:.0f} px: it "
+        "was not read again"
     )
 
 

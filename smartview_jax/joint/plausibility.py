@@ -192,7 +192,7 @@ def _scale_warnings(fit: JointFit) -> list[str]:
         value = float(fit.calibration.target_scale)
         std = value * fit.std[TARGET_SCALE]
         advice = _size_advice(value, std)
-        return [f"the target is {value:.4f} +- {std:.4f} {size}, and taken so: {advice}"]
+        return [f"the target is {value:.4f} +- {std:.4f} {size}; this size is used: {advice}"]
     advice = _size_advice(scale.scale, scale.std)
     text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: {advice}"
     return [text + _mount_by_size(fit, scale)]
