@@ -113,3 +113,15 @@ def test_a_constraint_is_told_in_words():
     one = KnownLength((0, 1), 0.1, sigma=1e-4)
     assert "KnownLength(sigma=0.0001, edge=(0, 1), length=0.1)" in str(one)
     assert dataclasses.replace(one, sigma=None).sigma is None
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 40.0])
+def test_angles_between_edges_do_not_depend_on_their_lengths(shape, scale):
+    """By trigonometry: the cosine of a right angle that is off, the sine of parallels that are."""
+    off = 0.1
+    corner = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [np.cos(off), np.sin(off), 0.0]])
+    shape.points[:3] = scale * corner
+    parallel = Parallel((0, 1), (0, 2)).evaluate(shape, 0).values
+    assert np.linalg.norm(parallel) == pytest.approx(np.sin(off), rel=1e-9)
+    right = RightAngle((0, 1), (0, 2)).evaluate(shape, 0).values
+    assert np.abs(right) == pytest.approx(np.cos(off), rel=1e-9)
