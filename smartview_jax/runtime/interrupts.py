@@ -9,6 +9,7 @@ process, as soon as no file is being written.
 import os
 import select
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,9 +51,20 @@ def interrupt_listener() -> Iterator[None]:
     previous_fd = signal.set_wakeup_fd(write_fd, warn_on_full_buffer=False)
     interrupted = threading.Event()
     threading.Thread(target=_listen, args=(read_fd, interrupted), daemon=True).start()
+    previous_hook = sys.unraisablehook
+
+    def report(unraisable: "sys.UnraisableHookArgs") -> None:
+        """Report an error that Python cannot raise, except an interrupt."""
+        # Python drops an interrupt that arrives in a destructor or in the callback of a weak
+        # reference, and would print its traceback. The second thread ends the process then.
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            previous_hook(unraisable)
+
+    sys.unraisablehook = report
     try:
         yield
     finally:
+        sys.unraisablehook = previous_hook
         signal.set_wakeup_fd(previous_fd)
         # Closing the pipe ends the thread. After an interrupt it must stay alive, because the
         # interpreter's own shutdown may wait minutes for a running compiler.

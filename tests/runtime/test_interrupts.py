@@ -56,6 +56,31 @@ def test_a_library_that_does_not_listen_is_left(tmp_path):
     assert (tmp_path / "result.yaml").read_text() == "of the last run"
 
 
+IN_A_DESTRUCTOR = """
+import signal, sys, time
+from smartview_jax.runtime.interrupts import interrupt_listener
+
+class Slow:
+    def __del__(self):
+        print("begun", file=sys.stderr, flush=True)
+        time.sleep(20.0)
+
+with interrupt_listener():
+    slow = Slow()
+    del slow
+    time.sleep(20.0)
+"""
+
+
+def test_an_interrupt_that_python_drops_leaves_no_traceback():
+    """It arrives while an object is destroyed: the main thread goes on, the second one ends all."""
+    code, took, said = interrupted(IN_A_DESTRUCTOR, [], b"begun")
+    assert code == 130
+    assert took < 2.0 * ANSWER
+    assert "Traceback" not in said
+    assert said.count("interrupted; no file is left half-written") == 1
+
+
 @pytest.mark.parametrize(("word", "wait"), [(b"view 3 ", 0.0), (b"Step 2", 0.3)])
 def test_a_calibration_ends_with_a_line_of_words(tmp_path_factory, tmp_path, word, wait):
     """While circles of the sample are looked for, and while programs are compiled."""
