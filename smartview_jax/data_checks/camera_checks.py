@@ -15,10 +15,10 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool
 
-from ..cameras import AbstractLens, Camera, fit_symmetric_lens, lens_name
+from ..cameras import AbstractLens, Camera, lens_name
 from ..dataset import Observations, medians_by_view, view_residuals
 from ..geometry import host_matrices
-from .target_checks import DETECTION_NOISE
+from .target_checks import DETECTION_NOISE, fit_of_any_lens, median_distance
 
 MAX_MISFIT_RATIO = 0.3
 """Ratio of two misfits below which the first counts as an explanation of most of the second."""
@@ -32,7 +32,6 @@ MAX_ASKED_VIEWS = 12
 TRIED_LENSES = ("opencv4", "fisheye", "opencv8")
 """The lens models that are tried where another does not fit, by their number of coefficients; the
 first that leaves little is named."""
-
 
 MAX_NAMED_DISTANCE = 1000
 """Largest distance, px, whose value says anything."""
@@ -156,15 +155,8 @@ def _single_distances(
     visible = np.asarray(observations.visible)
     for view in views:
         seen = visible[view]
-        fit = fit_symmetric_lens(
-            points[view, seen],
-            pixels[view, seen],
-            image_size,
-            np.ones(np.count_nonzero(seen), dtype=bool),
-            DETECTION_NOISE,
-        )
-        freedom = 2 * np.count_nonzero(seen)
-        if fit is not None and freedom > fit.parameter_count:
-            distance = np.median(np.linalg.norm(fit.residuals, axis=1))
+        fit = fit_of_any_lens(points[view, seen], pixels[view, seen], image_size)
+        if fit is not None:
+            freedom = 2 * np.count_nonzero(seen)
             # Many parameters leave less than the noise.
-            yield float(distance * np.sqrt(freedom / (freedom - fit.parameter_count)))
+            yield median_distance(fit) * float(np.sqrt(freedom / (freedom - fit.parameter_count)))

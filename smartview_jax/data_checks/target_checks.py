@@ -7,7 +7,7 @@ view of the target (corners numbered wrongly, another object) would spoil the co
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..cameras import fit_symmetric_lens
+from ..cameras import SymmetricLensFit, fit_symmetric_lens
 from ..dataset import Observations, extents
 
 COLLINEARITY_TOLERANCE = 1e-3
@@ -56,9 +56,9 @@ def mismatched_views(
     # Negated, so that a NaN error is asked about too.
     for view in np.flatnonzero(used & ~(rms <= limit)):
         seen = visible[view]
-        misfit = _misfit_of_any_lens(points[view, seen], pixels[view, seen], image_size)
+        fit = fit_of_any_lens(points[view, seen], pixels[view, seen], image_size)
         # Where its points are too few to tell a lens, the fit of Step 1 decides.
-        misfit = float(rms[view]) if misfit is None else misfit
+        misfit = float(rms[view]) if fit is None else median_distance(fit)
         if not misfit <= limit:
             found[int(view)] = (
                 f"its points are not the target's: {misfit:.0f} px from the best view of "
@@ -67,15 +67,20 @@ def mismatched_views(
     return found
 
 
-def _misfit_of_any_lens(
+def fit_of_any_lens(
     points: Float[np.ndarray, "points 3"],
     pixels: Float[np.ndarray, "points 2"],
     image_size: tuple[int, int],
-) -> float | None:
-    """Return the median distance of pixels from a view's own fit, px; None for too few points."""
+) -> SymmetricLensFit | None:
+    """Return a view's fit with a symmetric lens of its own; None for too few points."""
     everything = np.ones(len(points), dtype=bool)
     fit = fit_symmetric_lens(points, pixels, image_size, everything, DETECTION_NOISE)
     # As many numbers as parameters fit anything.
     if fit is None or 2 * len(points) <= fit.parameter_count:
         return None
+    return fit
+
+
+def median_distance(fit: SymmetricLensFit) -> float:
+    """Return the median distance of a view's pixels from its own fit, px."""
     return float(np.median(np.linalg.norm(fit.residuals, axis=1)))

@@ -32,7 +32,7 @@ _Matrices = Float[np.ndarray, "views 4 4"]
 _Weights = Float[np.ndarray, "views"]
 
 MAX_PAIRS = 1000
-"""Largest number of pairs of views of which all are used: 45 views have as many.
+"""Largest number of pairs of views up to which all pairs are used; 45 views have that many.
 
 More motions hardly improve a closed form, and their number would grow with the square of the
 views."""

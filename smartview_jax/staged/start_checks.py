@@ -90,10 +90,13 @@ def start_doubts(
     longer_side = max(data.image_size)
     known = known_transforms(start, data.mount)
     doubts: dict[str, str] = {}
+    if all(pose is None for pose in known):
+        return doubts
+    answer = distance({})
     for name, pose in zip(transform_names(data.mount), known, strict=True):
         if pose is None:
             continue
-        given, answer = distance({name: pose}), distance({})
+        given = distance({name: pose})
         if not given - answer > MIN_SHIFT * longer_side:
             continue
         as_given = f"the start's {name} does not belong to these data: {_off_by(given, answer)}"
