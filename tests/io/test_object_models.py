@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from shared_data import shared_data
 from solids import box
 
+from smartview_jax.argument_checks import name_problem
 from smartview_jax.io import load_object_model, object_model_to_dict, save_object_model
 from smartview_jax.modeling import (
     Face,
@@ -81,7 +82,9 @@ coordinates = st.floats(-40.0, 40.0, allow_subnormal=False)
 
 @given(
     hnp.arrays(float, st.tuples(st.integers(0, 12), st.just(3)), elements=coordinates),
-    st.text(st.characters(codec="utf-8", categories=["L", "N", "P", "S"]), max_size=30),
+    st.text(st.characters(codec="utf-8", categories=["L", "N", "P", "S"]), max_size=30).filter(
+        lambda name: name == "" or name_problem(name) is None
+    ),
     st.data(),
 )
 @settings(
