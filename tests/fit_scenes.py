@@ -1,5 +1,6 @@
 """The scenes on which the tests try fits: of few sizes, so that all share the fits' programs."""
 
+import dataclasses
 import functools
 
 from smartview_jax.simulation import paper_points, random_scene
@@ -23,3 +24,9 @@ def scene_of(seed, views=VIEWS, **noise):
 def scene_with(truth, seed, views=VIEWS, **noise):
     """The same for another calibration."""
     return random_scene(seed, views, POINTS, truth, **noise)
+
+
+def thinned(data, step):
+    """The data with one point out of so many of the board, which still spread over all of it."""
+    kept = {name: getattr(data, name)[:, ::step] for name in ("points", "pixels", "visible")}
+    return dataclasses.replace(data, **kept)

@@ -17,12 +17,6 @@ from .localization import Localization as Localization
 from .localization import Localizations as Localizations
 from .localization import Rival as Rival
 from .localize import localize as localize
-from .match_equations import Matches as Matches
-from .match_equations import match_equations as match_equations
-from .matching import MatchedPose as MatchedPose
-from .matching import PoseState as PoseState
-from .matching import kalman_update as kalman_update
-from .matching import match_features as match_features
 from .next_view import NextView as NextView
 from .next_view import Reachable as Reachable
 from .next_view import next_view as next_view
@@ -33,10 +27,8 @@ from .prediction import hidden_samples as hidden_samples
 from .prediction import hidden_vertices as hidden_vertices
 from .prediction import pose_jacobians as pose_jacobians
 from .prediction import predict_view as predict_view
-from .prediction import search_regions as search_regions
 from .refinement import FIT_SAMPLES as FIT_SAMPLES
 from .refinement import RefinedPose as RefinedPose
-from .refinement import pose_from_matches as pose_from_matches
 from .refinement import refine_pose as refine_pose
 from .scoring import PoseScores as PoseScores
 from .scoring import SceneMaps as SceneMaps

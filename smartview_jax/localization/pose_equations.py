@@ -123,15 +123,12 @@ class PoseStep(NamedTuple):
 def solve_pose(
     equations: PoseEquations,
     errors: CommonErrors,
-    prior: tuple[Float[np.ndarray, "tangents"], Float[np.ndarray, "tangents tangents"]]
-    | None = None,
 ) -> PoseStep:
     """Return the generalised least-squares solution of pose equations.
 
     Args:
         equations: of all features.
         errors: the errors that all equations share.
-        prior: prior mean and covariance of the tangent.
 
     Raises:
         UndeterminedPoseError: the equations leave the pose undetermined.
@@ -143,9 +140,6 @@ def solve_pose(
     WJ = cho_solve(factor, equations.by_pose)
     information = equations.by_pose.T @ WJ
     right = WJ.T @ equations.residuals
-    if prior is not None:
-        weight = np.linalg.inv(prior[1])
-        information, right = information + weight, right + weight @ prior[0]
     whitened = whitening(information)
     covariance = whitened.T @ whitened
     tangent = covariance @ right
@@ -158,7 +152,7 @@ def solve_pose(
     WB, SBT = cho_solve(factor, B), errors.calibration @ B.T
     free = WB - WJ @ (G @ B)
     weighted_rest = cho_solve(factor, rest)
-    # The remaining part of the covariance comes from the pictures (and the prior).
+    # The remaining part of the covariance comes from the pictures.
     return PoseStep(
         tangent,
         covariance - from_calibration - from_model,
@@ -189,21 +183,3 @@ def whitening(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]
             "the pose is undetermined: too few features, or all on one line"
         )
     return factor / scale
-
-
-def squared_blocks(
-    residuals: Float[np.ndarray, "n"],
-    covariance: Float[np.ndarray, "n n"],
-    block: Int[np.ndarray, "n"],
-) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return, for each equation, the whitened square of its block and the size of the block."""
-    order = np.argsort(block, kind="stable")
-    _, starts, counts = np.unique(block[order], return_index=True, return_counts=True)
-    squared, sizes = np.zeros(len(block)), np.zeros(len(block), dtype=int)
-    # Blocks of equal size are solved together: there are few sizes, and many blocks.
-    for size in np.unique(counts):
-        rows = order[starts[counts == size][:, None] + np.arange(size)]
-        r = residuals[rows][..., None]
-        whitened = np.linalg.solve(covariance[rows[:, :, None], rows[:, None, :]], r)
-        squared[rows], sizes[rows] = (r * whitened).sum(axis=(1, 2))[:, None], size
-    return squared, sizes

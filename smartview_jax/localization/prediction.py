@@ -188,35 +188,20 @@ def triangle_crossings(
     return jnp.where(passed, sign, 0.0)
 
 
-def search_regions(
-    points: Float[Array, "n 3"],
-    camera: Camera,
-    camera_from_object: Float[Array, "4 4"],
-    pose_covariance: Float[Array, "6 6"],
-) -> tuple[Float[Array, "n 2"], Float[Array, "n 2 2"]]:
-    """Return the pixels of an object's points, and their covariances due to the pose's covariance.
-
-    Args:
-        points: in the object's frame, m.
-        camera: intrinsics and lens.
-        camera_from_object: pose of the object in the camera's frame.
-        pose_covariance: covariance of the pose's tangent, translation first: the true pose is
-            `camera_from_object @ SE3.exp(tangent)`.
-
-    Returns:
-        pixels, and covariances in px^2; NaN behind the camera or outside the lens's field of view.
-    """
-    pixels, J = pose_jacobians(points, camera, camera_from_object)
-    return pixels, J @ pose_covariance[None] @ jnp.swapaxes(J, 1, 2)
-
-
 def pose_jacobians(
     points: Float[Array, "n 3"], camera: Camera, camera_from_object: Float[Array, "4 4"]
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2 6"]]:
     """Return the pixels of an object's points, and their derivatives by the object's pose.
 
-    The six columns belong to the pose's tangent, translation first; arguments as in
-    `search_regions`.
+    Args:
+        points: in the object's frame, m.
+        camera: intrinsics and lens.
+        camera_from_object: pose of the object in the camera's frame.
+
+    Returns:
+        pixels; and their derivatives by the pose's tangent, translation first: the true pose is
+        `camera_from_object @ SE3.exp(tangent)`. NaN behind the camera or outside the lens's field
+        of view.
     """
     R, t = camera_from_object[:3, :3], camera_from_object[:3, 3]
     # p_camera = R (p + v + w x p) + t to first order in the tangent (v, w).

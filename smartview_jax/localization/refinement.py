@@ -1,9 +1,8 @@
 """Estimate the pose of an object from all its features in the pictures, with its covariance.
 
-Two estimators share their equations (`pose_equations`): one uses given matches of corners and
-segments, the other the edge points along the visible wireframe, matched again in every step. Both
-combine the pictures' noise with the errors of the calibration and the model, so that an inaccurate
-robot does not make one view contradict another.
+The edge points along the visible wireframe are matched again in every step, and written as linear
+equations (`pose_equations`) that combine the pictures' noise with the errors of the calibration and
+the model, so that an inaccurate robot does not make one view contradict another.
 """
 
 from collections.abc import Sequence
@@ -21,8 +20,7 @@ from ..runtime.array_namespace import to_device
 from .edge_lines import MIN_ALIGNMENT, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .heavy_tails import solve_heavy_tailed
-from .match_equations import Matches, match_equations
-from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose, squared_blocks
+from .pose_equations import CommonErrors, PoseEquations
 from .wireframe import Wireframe
 
 MAX_STEPS = 20
@@ -84,42 +82,6 @@ class RefinedPose(NamedTuple):
         return self.pictures + self.calibration + self.model
 
 
-def pose_from_matches(
-    matches: Matches,
-    model: ObjectModel,
-    views: SeenViews,
-    start: Float[np.ndarray, "4 4"],
-    uncertainty: CalibrationUncertainty | None = None,
-    robust_scale: float | None = None,
-) -> tuple[Float[np.ndarray, "4 4"], PoseStep]:
-    """Return the pose that fits given matches best, and its last step with the covariance.
-
-    Args:
-        matches: corners with vertices, segments with edges.
-        model: of the object.
-        views: camera and poses.
-        start: initial pose.
-        uncertainty: of the calibration in these views; None for an exact one.
-        robust_scale: scale of Geman and McClure's loss, in standard deviations; None for least
-            squares.
-
-    Raises:
-        UndeterminedPoseError: the matches leave the pose undetermined.
-    """
-    uncertainty = CalibrationUncertainty.none(views) if uncertainty is None else uncertainty
-    errors, pose = CommonErrors.of(uncertainty, model), start
-    # The last pass returns even without convergence: a pose after many steps is better than none.
-    for remaining in range(MAX_STEPS)[::-1]:
-        equations = match_equations(matches, model, views, pose, uncertainty)
-        if robust_scale is not None:
-            equations = _weighted(equations, errors, robust_scale)
-        step = solve_pose(equations, errors)
-        before, pose = pose, pose @ host_exponentials(step.tangent)
-        if _is_at_one_of([before], pose, step.covariance) or not remaining:
-            return pose, step
-    raise AssertionError("the last step returns")
-
-
 def _is_at_one_of(
     earlier: Sequence[Float[np.ndarray, "4 4"]],
     pose: Float[np.ndarray, "4 4"],
@@ -129,16 +91,6 @@ def _is_at_one_of(
     tangents = host_logarithms(np.linalg.inv(np.stack(earlier)) @ pose)
     squared = (tangents * np.linalg.solve(covariance, tangents.T).T).sum(axis=1)
     return bool(squared.min() < CONVERGED**2)
-
-
-def _weighted(equations: PoseEquations, errors: CommonErrors, scale: float) -> PoseEquations:
-    """Return equations with inflated noise where blocks are far off (Geman and McClure)."""
-    by_calibration, by_model = errors.covariances(equations)
-    total = equations.noise + by_calibration + by_model
-    squared = squared_blocks(equations.residuals, total, equations.block)[0]
-    # The weight 1 / (1 + s / c^2)^2 of the loss s / (1 + s / c^2), applied as larger noise.
-    inflation = 1.0 + squared / scale**2
-    return equations._replace(noise=equations.noise * np.outer(inflation, inflation))
 
 
 def refine_pose(

@@ -8,7 +8,6 @@ from solids import box
 
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_exponentials, host_logarithms
-from smartview_jax.localization import Matches
 
 MODEL = box()
 POSE = host_exponentials(np.array([0.01, 0.02, 0.03, 0.1, -0.1, 0.4]))
@@ -41,17 +40,6 @@ def projected(views, points):
     """Pixels of points in the world, in every view, by nothing but the camera."""
     moved = [points @ m[:3, :3].T + m[:3, 3] for m in views.camera_from_world]
     return np.asarray(_project(views.camera, jnp.asarray(moved)))
-
-
-def corner_matches(pixels, sigma=SIGMA):
-    """All corners of all views."""
-    count = pixels.shape[1]
-    return Matches.none()._replace(
-        corner_view=np.repeat(np.arange(len(pixels)), count),
-        corner_vertex=np.tile(np.arange(count), len(pixels)),
-        corners=pixels.reshape(-1, 2),
-        corner_covariances=np.tile(sigma**2 * np.eye(2), (pixels.size // 2, 1, 1)),
-    )
 
 
 def error_of(pose):

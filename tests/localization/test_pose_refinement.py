@@ -1,18 +1,13 @@
-"""Poses from matches and from edge points: against SciPy, OpenCV, and the truth."""
+"""Poses from edge points: against SciPy and the truth."""
 
-import cv2
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from drawn_edges import SAMPLES, calibration, drawn, pinhole, seen_views
-from jaxlie import SE3
+from drawn_edges import SAMPLES, calibration, drawn
 from placed_box import (
-    MIDDLE,
     MODEL,
+    NOISE,
     POSE,
     SIGMA,
-    corner_matches,
     error_of,
     placed,
     projected,
@@ -20,47 +15,24 @@ from placed_box import (
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
-import smartview_jax as sv
 from smartview_jax.engine import Noise
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_logarithms
 from smartview_jax.localization import (
     EdgeLookup,
-    Matches,
     Wireframe,
     converged_poses,
-    match_equations,
-    pose_from_matches,
     refine_pose,
 )
 from smartview_jax.localization.edge_lookup import padded_poses
 from smartview_jax.localization.heavy_tails import solve_heavy_tailed
+from smartview_jax.localization.pose_equations import CommonErrors, PoseEquations, solve_pose
 from smartview_jax.localization.refinement import line_equations, measured_lines
-from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, SeenViews
+from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, pixel_jacobians
 from smartview_jax.runtime.array_namespace import to_device
 
 RUNS = 10
 """Number of simulated sets of pictures of each study; of a NEES of 6 their mean errs by 1.1."""
-
-
-@pytest.fixture(scope="module")
-def pinhole_views():
-    """The views, taken by a camera without distortion."""
-    calibration = sv.Calibration.eye_in_hand(pinhole(), np.eye(4), np.eye(4))
-    return SeenViews.of(calibration, np.linalg.inv(seen_views(MIDDLE).camera_from_world))
-
-
-def segment_matches(pixels, sigma=SIGMA, part=(0.1, 0.8)):
-    """A piece of every edge in every view, as a pinhole camera sees it."""
-    a, b = pixels[:, MODEL.edges[:, 0]], pixels[:, MODEL.edges[:, 1]]
-    ends = np.stack([(1 - s) * a + s * b for s in part], axis=2)
-    count = len(MODEL.edges)
-    return Matches.none()._replace(
-        segment_view=np.repeat(np.arange(len(pixels)), count),
-        segment_edge=np.tile(np.arange(count), len(pixels)),
-        segments=ends.reshape(-1, 2, 2),
-        segment_covariances=np.tile(sigma**2 * np.eye(2), (len(pixels) * count, 1, 1)),
-    )
 
 
 def nearby(rng, size=1.0):
@@ -69,75 +41,47 @@ def nearby(rng, size=1.0):
     )
 
 
-def test_corners_give_the_optimum_that_scipy_finds(views):
-    rng = np.random.default_rng(0)
+def corner_equations(pixels, views, pose, uncertainty):
+    """Equations of the model's corners, all in all views."""
+    seen = pixel_jacobians(views, placed(MODEL.vertices, pose))
+    # x = R (p + v + w x p)
+    turns = np.cross(np.eye(3), MODEL.vertices[:, None]).swapaxes(1, 2)
+    moves = pose[:3, :3] @ np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+    count = pixels.size
+    return PoseEquations(
+        (pixels - seen.pixels).ravel(),
+        (seen.by_point @ moves).reshape(count, 6),
+        SIGMA**2 * np.eye(count),
+        (seen.by_view @ uncertainty.view_jacobian[:, None]).reshape(count, -1),
+        np.zeros((count, 0)),
+        np.repeat(np.arange(count // 2), 2),
+    )
+
+
+def test_the_solution_of_equations_is_the_optimum_that_scipy_finds(views):
+    """Corners of all views, and a calibration whose errors are common to all corners of a view."""
+    rng, uncertainty = (
+        np.random.default_rng(0),
+        CalibrationUncertainty.of(views, calibration(), None, NOISE),
+    )
     pixels = projected(views, placed(MODEL.vertices))
     pixels = pixels + SIGMA * rng.standard_normal(pixels.shape)
-    pose, step = pose_from_matches(corner_matches(pixels), MODEL, views, nearby(rng))
+    pose, errors = nearby(rng), CommonErrors.of(uncertainty, MODEL)
+    for _ in range(10):
+        equations = corner_equations(pixels, views, pose, uncertainty)
+        step = solve_pose(equations, errors)
+        pose = pose @ host_exponentials(step.tangent)
+    whitening = np.linalg.cholesky(
+        np.linalg.inv(equations.noise + errors.covariances(equations)[0])
+    )
 
     def residuals(tangent):
         world = placed(MODEL.vertices, POSE @ host_exponentials(tangent))
-        return np.ravel(projected(views, world) - pixels) / SIGMA
+        return whitening.T @ np.ravel(projected(views, world) - pixels)
 
     best = least_squares(residuals, np.zeros(6), xtol=1e-14, ftol=1e-14, x_scale="jac")
     np.testing.assert_allclose(error_of(pose), best.x, atol=1e-8)
     np.testing.assert_allclose(step.covariance, np.linalg.inv(best.jac.T @ best.jac), rtol=2e-2)
-
-
-def test_one_view_of_corners_is_opencvs_pose(pinhole_views):
-    views = pinhole_views._replace(camera_from_world=pinhole_views.camera_from_world[:1])
-    rng = np.random.default_rng(1)
-    pixels = projected(views, placed(MODEL.vertices)) + 0.2 * rng.standard_normal((1, 8, 2))
-    pose, _ = pose_from_matches(corner_matches(pixels), MODEL, views, nearby(rng))
-    K = np.array([[1500.0, 0, 325.0], [0, 1505.0, 236.0], [0, 0, 1]])
-    _, turn, shift = cv2.solvePnP(MODEL.vertices, pixels[0], K, None)
-    turn, shift = cv2.solvePnPRefineLM(MODEL.vertices, pixels[0], K, None, turn, shift)
-    theirs = np.eye(4)
-    theirs[:3, :3], theirs[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-    np.testing.assert_allclose(views.camera_from_world[0] @ pose, theirs, atol=2e-6)
-
-
-def test_segments_alone_determine_the_pose(pinhole_views):
-    pixels = projected(pinhole_views, placed(MODEL.vertices))
-    start = nearby(np.random.default_rng(2))
-    pose, _ = pose_from_matches(segment_matches(pixels), MODEL, pinhole_views, start)
-    np.testing.assert_allclose(error_of(pose), 0.0, atol=1e-8)
-
-
-def test_a_wrong_match_does_not_move_a_robust_pose(views):
-    rng = np.random.default_rng(3)
-    pixels = projected(views, placed(MODEL.vertices))
-    pixels = pixels + SIGMA * rng.standard_normal(pixels.shape)
-    clean, _ = pose_from_matches(corner_matches(pixels), MODEL, views, POSE, robust_scale=3.0)
-    pixels[1, 2] += [25.0, -14.0]
-    robust, _ = pose_from_matches(corner_matches(pixels), MODEL, views, POSE, robust_scale=3.0)
-    plain, _ = pose_from_matches(corner_matches(pixels), MODEL, views, POSE)
-    moved, fooled = (np.linalg.norm(error_of(p) - error_of(clean)) for p in (robust, plain))
-    assert moved < 0.1 * fooled
-
-
-def test_derivatives_of_matches_are_jaxs(views):
-    uncertain = ObjectModel(
-        MODEL.vertices, MODEL.edges, covariance=np.tile(1e-10 * np.eye(3), (8, 1, 1))
-    )
-    pixels = projected(views, placed(MODEL.vertices))
-    matches = corner_matches(pixels).joined(segment_matches(pixels))
-    none = CalibrationUncertainty.none(views)
-    equations = match_equations(matches, uncertain, views, POSE, none)
-    matrices, corners = jnp.asarray(views.camera_from_world), 2 * len(matches.corners)
-
-    def predicted(tangent, vertices):
-        pose = jnp.asarray(POSE) @ SE3.exp(tangent).as_matrix()
-        world = vertices @ pose[:3, :3].T + pose[:3, 3][None]
-        seen = jax.vmap(lambda m: views.camera.project(world @ m[:3, :3].T + m[:3, 3][None])[0])
-        return seen(matrices).ravel()
-
-    derivatives = jax.jit(jax.jacfwd(predicted, (0, 1)))
-    by_pose, by_vertices = derivatives(jnp.zeros(6), jnp.asarray(MODEL.vertices))
-    np.testing.assert_allclose(equations.by_pose[:corners], by_pose, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(
-        equations.by_vertices[:corners], by_vertices.reshape(corners, -1), rtol=1e-6, atol=1e-6
-    )
 
 
 def test_derivatives_of_edges_are_differences_of_their_numbers(views, wireframe):

@@ -19,7 +19,7 @@ import smartview_jax as sv
 from smartview_jax import features
 from smartview_jax.cameras import OpenCV5
 from smartview_jax.geometry import host_exponentials, host_matrices, look_at
-from smartview_jax.localization import Wireframe, predict_view, search_regions
+from smartview_jax.localization import Wireframe, pose_jacobians, predict_view
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 from smartview_jax.runtime.compilation import compiled
 from smartview_jax.simulation import (
@@ -233,20 +233,21 @@ def test_poses_are_batched_and_differentiated():
         assert 0.5 * (after - before) == pytest.approx(float(slopes[k] @ step), rel=1e-4)
 
 
-def test_search_regions_hold_the_pixels_of_random_poses():
-    rng = np.random.default_rng(11)
-    sigma = np.array([5e-4, 5e-4, 1e-3, 0.004, 0.004, 0.002])
-    factor = np.diag(sigma) @ np.linalg.qr(rng.standard_normal((6, 6)))[0]
-    pose, points = random_pose(rng), np.asarray(box().vertices)
-    pixels, covariances = compiled(search_regions)(points, CAMERA, pose, factor @ factor.T)
-    tangents = rng.standard_normal((4000, 6)) @ factor.T
-    moved = pose @ host_exponentials(tangents)
-    camera_points = np.einsum("nij,vj->nvi", moved[:, :3, :3], points) + moved[:, None, :3, 3]
+def test_derivatives_by_the_pose_are_differences_of_pixels():
+    pose, points = random_pose(np.random.default_rng(11)), np.asarray(box().vertices)
+    program = compiled(pose_jacobians)
+    pixels, derivatives = program(points, CAMERA, pose)
     # The camera has no distortion.
-    drawn = camera_points[..., :2] / camera_points[..., 2:] * [600.0, 620.0] + [325.0, 236.0]
-    drawn -= np.asarray(pixels)
-    empirical = np.einsum("nvi,nvj->vij", drawn, drawn) / len(drawn)
-    np.testing.assert_allclose(np.asarray(covariances), empirical, rtol=0.15, atol=0.15)
+    seen = points @ pose[:3, :3].T + pose[:3, 3]
+    drawn = seen[:, :2] / seen[:, 2:] * [600.0, 620.0] + [325.0, 236.0]
+    np.testing.assert_allclose(pixels, drawn, rtol=1e-12)
+    for k, step in enumerate(1e-6 * np.eye(6)):
+        after, before = (
+            np.asarray(program(points, CAMERA, pose @ host_exponentials(x))[0])
+            for x in (step, -step)
+        )
+        differences = 0.5e6 * (after - before)
+        np.testing.assert_allclose(derivatives[..., k], differences, rtol=1e-6, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 import scipy.special
-from fit_scenes import MANY_VIEWS, scene_of
+from fit_scenes import MANY_VIEWS, scene_of, thinned
 from linear_world import drawn, linearised
 from starts import nudged
 
@@ -32,16 +32,10 @@ from smartview_jax.variance.model_selection import (
 from smartview_jax.variance.variance_components import estimate_noise
 
 
-def thinned(data):
-    """Every seventh point of the board, which still spreads over all of it."""
-    kept = {name: getattr(data, name)[:, ::7] for name in ("points", "pixels", "visible")}
-    return dataclasses.replace(data, **kept)
-
-
 @pytest.fixture(scope="module")
 def arms():
     made = [six_axis_scene(seed, MANY_VIEWS, error_scale=1.5) for seed in (0, 1, 3)]
-    return [dataclasses.replace(scene, data=thinned(scene.data)) for scene in made]
+    return [dataclasses.replace(scene, data=thinned(scene.data, 7)) for scene in made]
 
 
 def start_of(scene):
