@@ -109,12 +109,17 @@ class Page:
 
     def settle(self):
         """Wait until the page has its answer and has drawn it."""
+        # A page that never answers would otherwise be waited for without end.
         self.page.evaluate(
-            """async () => {
-                await smartviewEditor.busy;
-                await new Promise((done) => requestAnimationFrame(() => setTimeout(done, 0)));
-                await smartviewEditor.busy;
-            }"""
+            """(patience) => Promise.race([
+                (async () => {
+                    await smartviewEditor.busy;
+                    await new Promise((done) => requestAnimationFrame(() => setTimeout(done, 0)));
+                    await smartviewEditor.busy;
+                })(),
+                new Promise((_, fail) => setTimeout(() => fail(new Error("no answer")), patience)),
+            ])""",
+            PATIENCE,
         )
 
     def crash_browser(self):
