@@ -29,6 +29,7 @@ BENCHMARKS = {
     "target_shape": "bowed boards, a lens of higher order: mounts and intervals, against OpenCV",
     "target_size": "intervals where data hardly tell the size of the target: do they agree",
     "single_tags": "a single small tag, two poses in each view: right in how many sets?",
+    "kinhec": "poses without pixels: KinHEC's eight tracks, with its eleven reference solvers",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit against Ceres, gtsam, casadi, SciPy: time, memory, cost",
     "growth": "time and memory of fits and of the whole calibration by points, views, devices",

@@ -57,6 +57,7 @@ from .joint import JointFit as JointFit
 from .joint import fit_camera as fit_camera
 from .joint import fit_joint as fit_joint
 from .joint import fit_many as fit_many
+from .joint import fit_poses as fit_poses
 from .joint import load_estimate as load_estimate
 from .joint import precompile as precompile
 from .joint import view_influence as view_influence

@@ -3,6 +3,7 @@
 from .dataset import MINIMUM_RELIABLE_VIEWS as MINIMUM_RELIABLE_VIEWS
 from .dataset import Dataset as Dataset
 from .input_checks import FORWARD_KINEMATICS_TOLERANCE as FORWARD_KINEMATICS_TOLERANCE
+from .observations import AnyObservations as AnyObservations
 from .observations import Observations as Observations
 from .observations import chain_residuals as chain_residuals
 from .observations import medians_by_view as medians_by_view
@@ -12,6 +13,10 @@ from .point_extents import coplanar as coplanar
 from .point_extents import extents as extents
 from .point_extents import mean_point as mean_point
 from .point_extents import scatter as scatter
+from .pose_dataset import UNIT_ROTATION as UNIT_ROTATION
+from .pose_dataset import UNIT_TRANSLATION as UNIT_TRANSLATION
+from .pose_dataset import PoseDataset as PoseDataset
+from .pose_observations import PoseObservations as PoseObservations
 from .robot_motion import contradictory_views as contradictory_views
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import given_places as given_places

@@ -254,23 +254,21 @@ class Dataset(eqx.Module):
         if len(np.unique(index)) < len(index):
             raise ValueError(f"views: expected each index once, found {list(views)}")
         ids = tuple(self.view_ids[i] for i in index)
-
-        def of_views(values: Array) -> Array:
-            """Return the entries of the given views; indexing by NumPy compiles nothing."""
-            return jax.device_put(np.asarray(values)[index])
-
-        return Dataset(
-            points=of_views(self.points),
-            pixels=of_views(self.pixels),
-            visible=of_views(self.visible),
-            base_from_tool=SE3(of_views(self.base_from_tool.wxyz_xyz)),
+        return dataclasses.replace(
+            self,
+            **self._arrays_of(index),
             view_ids=ids,
-            image_size=self.image_size,
-            mount=self.mount,
             masked_views=tuple(entry for entry in self.masked_views if entry[0] in ids),
             pictures=None if self.pictures is None else tuple(self.pictures[i] for i in index),
-            target=self.target,
-            joints=None if self.joints is None else of_views(self.joints),
-            arm=self.arm,
-            notes=self.notes,
         )
+
+    def _arrays_of(self, index: np.ndarray) -> dict[str, Any]:
+        """Return the arrays of the given views, by name."""
+        arrays = self.points, self.pixels, self.visible, self.base_from_tool, self.joints
+        names = ("points", "pixels", "visible", "base_from_tool", "joints")
+        return dict(zip(names, of_views(arrays, index), strict=True))
+
+
+def of_views(arrays: Any, index: np.ndarray) -> Any:
+    """Return the entries of some views in all arrays; indexing by NumPy compiles nothing."""
+    return jax.tree.map(lambda values: jax.device_put(np.asarray(values)[index]), arrays)

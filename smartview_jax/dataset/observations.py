@@ -9,11 +9,12 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration, TargetShape
 from ..cameras import Camera
-from ..geometry import transformed_coordinates
+from ..geometry import as_se3, transformed_coordinates
 from ..robots import Command
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import padded_counts, repeat_last, without_padding
+from .pose_observations import PoseObservations
 
 
 class Observations(eqx.Module):
@@ -77,6 +78,10 @@ class Observations(eqx.Module):
         return jnp.where(used, self.pixels, 0.0) - jnp.where(used, predicted, 0.0)
 
 
+AnyObservations = Observations | PoseObservations
+"""What a problem can be fitted to: points in pictures, or tracked poses."""
+
+
 def medians_by_view(
     values: Float[np.ndarray, "views points"], counted: Bool[np.ndarray, "views points"]
 ) -> Float[np.ndarray, "views"]:
@@ -95,7 +100,7 @@ def medians_by_view(
 
 
 def chain_residuals(
-    calibration: Calibration, observations: Observations
+    calibration: Calibration, observations: AnyObservations
 ) -> Float[Array, "views points 2"]:
     """Return measured minus predicted pixels through the chain (Eq. 10) at the reported poses.
 
@@ -115,19 +120,31 @@ def view_residuals(
     camera: Camera,
     target_scale: Float[Array, ""],
     camera_from_world: Float[AnyArray, "views 4 4"],
-    observations: Observations,
+    observations: AnyObservations,
 ) -> Float[Array, "views points 2"]:
     """Return measured minus predicted pixels for given camera poses.
 
     They are zero where a point is not visible, and infinite where a visible point cannot be
     predicted. All fits share this program, whatever they assume about the robot.
     """
+    if isinstance(observations, PoseObservations):
+        return _pose_residuals(target_scale, camera_from_world, observations)
     if is_traced(camera, target_scale, camera_from_world, observations):
         return _view_residuals(camera, target_scale, camera_from_world, observations)
     padded = observations.padded()
     poses = repeat_last(camera_from_world, len(padded.visible))
     residuals = _view_residuals(camera, target_scale, poses, padded)
     return without_padding(residuals, *observations.visible.shape)
+
+
+@compiled
+def _pose_residuals(
+    target_scale: Float[Array, ""],
+    camera_from_world: Float[AnyArray, "views 4 4"],
+    observations: PoseObservations,
+) -> Float[Array, "views 3 2"]:
+    """Return the residuals of tracked poses, compiled for the given shapes."""
+    return observations.residuals(as_se3(camera_from_world), target_scale)
 
 
 @compiled

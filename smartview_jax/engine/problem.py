@@ -16,13 +16,14 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration, TargetShape
-from ..dataset import Observations
+from ..dataset import AnyObservations, Observations, PoseObservations
 from ..runtime.array_namespace import to_device
 from .losses import AbstractLoss
 from .parameters import Parameters, Step
 from .pose_jacobians import PoseJacobians, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
+from .tracked_poses import linearise_tracked_poses
 from .view_normal_equations import INVALID_PROJECTION_RESIDUAL, ViewNormalEquations, linearise_views
 
 VIEW_AXIS = "views"
@@ -86,7 +87,7 @@ class JointProblem(eqx.Module):
     """
 
     parameters: Parameters
-    observations: Observations
+    observations: AnyObservations
     pixel_sigma: Float[Array, ""]
     free: Int[Array, "free"]
     per_view_free: Bool[Array, "corrected 6"]
@@ -97,7 +98,18 @@ class JointProblem(eqx.Module):
     prepared_poses: PreparedPoses | None = None
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
-    def with_observations(self, observations: Observations) -> "JointProblem":
+    @property
+    def seen_points(self) -> Observations:
+        """The points in pictures that are fitted.
+
+        Raises:
+            TypeError: the problem is fitted to tracked poses.
+        """
+        if isinstance(self.observations, PoseObservations):
+            raise TypeError("expected points in pictures, found tracked poses")
+        return self.observations
+
+    def with_observations(self, observations: AnyObservations) -> "JointProblem":
         """Return the problem with other observations, of the same robot."""
         error = self.parameters.start.robot_error
         prepared = None if error is None else PreparedPoses.at(error.field, observations.command)
@@ -155,12 +167,17 @@ class JointProblem(eqx.Module):
         return calibration, poses
 
     def _whitened_residuals_at(
-        self, calibration: Calibration, poses: SE3, observations: Observations
+        self, calibration: Calibration, poses: SE3, observations: AnyObservations
     ) -> Float[Array, "*views points 2"]:
         """Compute whitened residuals for given robot poses.
 
         They are `INVALID_PROJECTION_RESIDUAL` where a visible point cannot be projected.
         """
+        if isinstance(observations, PoseObservations):
+            camera_from_world = calibration.camera_from_world(poses, corrected=False)
+            return observations.residuals(camera_from_world, calibration.target_scale) / (
+                self.pixel_sigma
+            )
         predicted, valid = calibration.project(poses, observations.points, corrected=False)
         residual = observations.residuals(predicted, valid) / self.pixel_sigma
         unprojectable = observations.visible & ~valid
@@ -227,6 +244,11 @@ class JointProblem(eqx.Module):
 
         def linearise_local_views(camera, poses, observations, target_scale, pixel_sigma):
             """Linearise the views of one device."""
+            if isinstance(observations, PoseObservations):
+                count = self.parameters.layout.camera.stop
+                return linearise_tracked_poses(
+                    poses, observations, target_scale, pixel_sigma, count
+                )
             return linearise_views(
                 camera, poses, observations, target_scale, pixel_sigma, self.loss, shape
             )

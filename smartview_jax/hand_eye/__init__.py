@@ -8,6 +8,8 @@ where they were.
 from .closed_form import CLOSED_FORMS as CLOSED_FORMS
 from .closed_form import daniilidis as daniilidis
 from .closed_form import mean_camera_from_mount as mean_camera_from_mount
+from .closed_form import mean_holder_from_world as mean_holder_from_world
+from .closed_form import motion_pairs as motion_pairs
 from .closed_form import park_martin as park_martin
 from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz

@@ -22,8 +22,7 @@ _TRANSFORM_COMPONENTS = tuple(("translation", k) for k in "xyz") + tuple(
 class PoseSamples(NamedTuple):
     """Pairs of a robot pose and a marker pose, taken at the same time, `(samples)` each.
 
-    They contain no pixels, so only the hand-eye step can use them:
-    `solve_hand_eye(samples.mount_from_holder, samples.camera_from_world)`.
+    They contain no pixels; `fit_poses` fits the hand-eye transform to them.
 
     Attributes:
         base_from_tool: poses that the robot reported.

@@ -18,6 +18,9 @@ from .parameter_estimates import displayed_values as displayed_values
 from .parameter_estimates import parameter_estimates as parameter_estimates
 from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
 from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH
+from .pose_fit import PoseFit as PoseFit
+from .pose_fit import TrackerPrior as TrackerPrior
+from .pose_fit import fit_poses as fit_poses
 from .precompile import precompile as precompile
 from .saved_estimate import SavedEstimate as SavedEstimate
 from .saved_estimate import load_estimate as load_estimate

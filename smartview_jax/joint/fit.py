@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool
 from ..argument_checks import require_instance, require_names
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
-from ..dataset import Dataset, chain_residuals, repeated_views
+from ..dataset import Dataset, PoseDataset, chain_residuals, repeated_views
 from ..engine import (
     ROBOT_ERROR,
     AbstractLoss,
@@ -144,7 +144,9 @@ def fit_joint(
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     require_moving_robot(data, start, fixed, priors)
-    data = without_views(data, repeated_views(data))
+    has_pixels = not isinstance(data, PoseDataset)
+    if has_pixels:
+        data = without_views(data, repeated_views(data))
     report, start = progress or (lambda _: None), with_lens(start, lens)
     # The engine works with true points; the shape is estimated with the noise.
     stated_shape = None if noise == "estimated" else start.target_shape
@@ -219,7 +221,9 @@ def fit_joint(
     # Gross errors first, then one view at a time: a view rejected by its posterior pose correction
     # or, if all poses look poor, the view without which the pose standard deviations collapse.
     # After each view the noise is estimated again, since one wrong pose inflates it for all views.
-    used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
+    used_data, rejected_points = data, ()
+    if has_pixels:
+        used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
     accepted, matrix = fit_once(used_data, rejected_points)
     while True:
         # The view is left out, not down-weighted: a pose of another picture has no information.
@@ -274,7 +278,9 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
     fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
-    warnings = (*plausibility_warnings(fit), *held_value_warnings(fit))
+    warnings = plausibility_warnings(fit)
+    if not isinstance(used_data, PoseDataset):
+        warnings += held_value_warnings(fit)
     return dataclasses.replace(fit, warnings=warnings)
 
 

@@ -16,13 +16,22 @@ if TYPE_CHECKING:
 
 def fit_line(fit: "JointFit") -> str:
     """Return the outcome of a fit in one line."""
+    return f"{fit.described}, {outcome(fit)}"
+
+
+def outcome(fit: "JointFit") -> str:
+    """Return whether a fit converged, in words."""
+    return "converged" if fit.result.converged else f"not converged: {fit.result.message}"
+
+
+def points_and_residual(fit: "JointFit") -> str:
+    """Return the number of points and views, and the residual."""
     visible = np.asarray(fit.problem.observations.visible)
     squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)[visible]
     rms = float(np.sqrt(squares.mean())) if squares.size else float("nan")
-    outcome = "converged" if fit.result.converged else f"not converged: {fit.result.message}"
     return (
         f"joint fit of {visible.sum()} points in {visible.any(axis=1).sum()} views, "
-        f"{rms:.3g} px RMS, {outcome}"
+        f"{rms:.3g} px RMS"
     )
 
 
@@ -38,7 +47,7 @@ def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
         lines.append(heading)
         width = 2 + max(len(label) for label, _ in rows)
         lines += [f"  {label:{width}}{text}" for label, text in rows]
-    lines.append(_noise_text(fit))
+    lines.append(fit.described_noise)
     lines += [f"warning: {text}" for text in warnings]
     return "\n".join(lines)
 
@@ -53,7 +62,7 @@ def fit_html(fit: "JointFit", warnings: Sequence[str]) -> str:
             "</td></tr>"
             for label, text in group
         ]
-    texts = [_noise_text(fit), *(f"warning: {text}" for text in warnings)]
+    texts = [fit.described_noise, *(f"warning: {text}" for text in warnings)]
     remarks = "".join(f"<p>{html.escape(text)}</p>" for text in texts)
     return f"<p>{html.escape(fit_line(fit))}</p><table>{''.join(rows)}</table>{remarks}"
 
@@ -67,6 +76,7 @@ def estimate_groups(fit: "JointFit") -> list[tuple[str, list[tuple[str, str]]]]:
     groups = [
         (heading, [estimate for estimate in estimates if estimate.name.startswith(f"{prefix}.")])
         for prefix, heading in _headings(fit.calibration)
+        if fit.fits_camera or prefix != "camera"
     ]
     arm = [estimate for estimate in estimates if estimate.name.startswith("robot_error.")]
     scale = [
@@ -122,15 +132,22 @@ def _rounded(value: float, half_width: float | None) -> str:
     return f"{value:.{decimals}f}"
 
 
-def _noise_text(fit: "JointFit") -> str:
+def noise_text(fit: "JointFit") -> str:
     """Return the standard deviations of pixels and poses in words."""
     if fit.noise is None:
         return f"pixels +- {fit.pixel_sigma:.2g} px; the robot's poses are trusted"
     text = f"pixels +- {fit.pixel_sigma:.2g} px"
     if fit.noise.white_pixel is not None:
         text += f" between views, {fit.noise.white_pixel:.2g} px within one"
-    text += (
-        f"; reported poses +- {1e3 * fit.noise.translation:.2g} mm, "
+    return f"{text}; {robot_noise_text(fit)}"
+
+
+def robot_noise_text(fit: "JointFit") -> str:
+    """Return the standard deviations of the robot's poses in words."""
+    if fit.noise is None:
+        return "the robot's poses are trusted"
+    text = (
+        f"reported poses +- {1e3 * fit.noise.translation:.2g} mm, "
         f"{np.rad2deg(fit.noise.rotation):.2g} deg"
     )
     if fit.noise_estimate is not None:

@@ -8,6 +8,7 @@ disagreement can only be judged with the variance components (`influence.py`).
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar, cast
 
 import numpy as np
 from jaxlie import SE3
@@ -41,6 +42,8 @@ from ..staged import (
     median_reprojection_errors,
 )
 from ..variance import encompassing_field
+
+_Data = TypeVar("_Data", bound=Dataset)
 
 MAX_SQUARED_RESIDUAL = 144.0
 """The squared whitened residual from a view's own best pose beyond which a point is left out.
@@ -142,12 +145,11 @@ def remove_gross_errors(
     return without_views(clean_data, rejected_views), point_rejections
 
 
-def without_views(data: Dataset, reasons: Mapping[int, str]) -> Dataset:
+def without_views(data: _Data, reasons: Mapping[int, str]) -> _Data:
     """Return the data with some views hidden, given their reasons by index."""
     masked = [(data.view_ids[view], text) for view, text in reasons.items()]
-    return dataclasses.replace(
-        data.mask_views(list(reasons)), masked_views=(*data.masked_views, *masked)
-    )
+    hidden = cast(_Data, data.mask_views(list(reasons)))
+    return dataclasses.replace(hidden, masked_views=(*data.masked_views, *masked))
 
 
 def _outlier_reason(residual_norm: float, sigma: float) -> str:
@@ -211,7 +213,7 @@ def _robust_poses(
         fixed=(*identity_start.transform_names, *filter(_is_camera_path, fixed)),
         priors=camera_priors,
     ).problem
-    residual_norms = _residual_norms(identity_start, host_matrices(poses), problem.observations)
+    residual_norms = _residual_norms(identity_start, host_matrices(poses), problem.seen_points)
     first_factor = robust_variance(residual_norms**2, np.asarray(problem.observations.visible))
     # Cauchy's loss has the scale sigma, which is estimated from the residuals of the fit.
     problem, solution, _, sigma = solve_with_estimated_sigma(

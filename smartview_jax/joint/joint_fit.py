@@ -21,7 +21,7 @@ from ..engine import (
 from ..fit_result import FitResult, Rejection
 from ..runtime.compilation import is_traced
 from ..variance import NoiseEstimate, p_value
-from .fit_text import fit_html, fit_line, fit_text
+from .fit_text import fit_html, fit_line, fit_text, noise_text, points_and_residual
 from .influence import Influence, deletion_changes
 from .saved_estimate import uncertainty_to_dict
 
@@ -94,6 +94,21 @@ class JointFit(eqx.Module):
 
     def _repr_html_(self) -> str:
         return fit_html(self, self.warnings)
+
+    @property
+    def fits_camera(self) -> bool:
+        """Whether the camera is a part of what is fitted and shown."""
+        return True
+
+    @property
+    def described(self) -> str:
+        """The number of points and their residual, in words."""
+        return points_and_residual(self)
+
+    @property
+    def described_noise(self) -> str:
+        """The standard deviations of pixels and reported poses in words."""
+        return noise_text(self)
 
     def save(
         self,

@@ -192,7 +192,7 @@ def fit_many(
 
 def _per_fit_inputs(problem: JointProblem) -> PerFitInputs:
     """Return the parts of a problem that differ from one fit to the next."""
-    return problem.parameters.start, problem.observations, problem.per_view_free
+    return problem.parameters.start, problem.seen_points, problem.per_view_free
 
 
 def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibration]) -> None:
@@ -354,7 +354,7 @@ def _solve_one(problem: JointProblem, sigma_known: bool, sigma_iterations: int) 
     problem = problem.with_observations(problem.observations)
     visible = problem.observations.visible
     # All views at once, because a loop over views is slower for small fits.
-    start, observations = problem.parameters.start, problem.observations
+    start, observations = problem.parameters.start, problem.seen_points
     _, valid = start.project(observations.command, observations.points)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible & valid)
     unprojectable = jnp.any(visible, axis=1) & ~jnp.any(visible & valid, axis=1)

@@ -10,7 +10,12 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..cameras import lens_name
-from ..dataset import MINIMUM_RELIABLE_VIEWS, distinct_poses, repetition_warnings
+from ..dataset import (
+    MINIMUM_RELIABLE_VIEWS,
+    PoseObservations,
+    distinct_poses,
+    repetition_warnings,
+)
 from ..engine import Direction
 from ..geometry import host_matrices
 from ..staged import mistaken_unit
@@ -64,7 +69,8 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
         fit: the fit to judge.
     """
     warnings = [] if fit.result.converged else [fit.result.message]
-    warnings += _residual_warnings(fit)
+    if not isinstance(fit.problem.observations, PoseObservations):
+        warnings += _residual_warnings(fit)
     warnings += _lens_warnings(fit)
     warnings += _target_warnings(fit)
     warnings += _robot_warnings(fit)
@@ -166,7 +172,7 @@ def _shape_warnings(fit: JointFit) -> list[str]:
     if noise_estimate is None or noise_estimate.target_shape is None:
         return []
     estimate = noise_estimate.target_shape
-    observations = fit.problem.observations
+    observations = fit.problem.seen_points
     bow, std = estimate.bow(np.asarray(observations.points)[np.asarray(observations.visible)])
     mount = f"{fit.calibration.transform_names[0]}."
     names = [name for name in fit.parameter_names if name.startswith(mount)]

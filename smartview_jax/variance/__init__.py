@@ -1,6 +1,7 @@
 """Estimate the standard deviations of all errors by restricted likelihood, over several models."""
 
 from .kenward_roger import p_value as p_value
+from .model_comparison import compare_models as compare_models
 from .model_selection import TARGET_SCALE as TARGET_SCALE
 from .model_selection import WHITE_NOISE as WHITE_NOISE
 from .model_selection import ModelName as ModelName

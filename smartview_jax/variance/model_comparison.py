@@ -118,8 +118,10 @@ def compare_models(
         within_sum_of_squares, fits = free_fit.sum_of_squares, fits + 1
         shape = free_fit.shape
         views = ViewStatistics(built, data.usable_views(), within_sum_of_squares, test_scale, shape)
-        sigma_prior = standard_deviation_prior(prior, basis, views.group_names, shape)
-        initial = initial_standard_deviations(sigma_prior, views.white_sigma)
+        sigma_prior = standard_deviation_prior(
+            prior, basis, views.group_names, shape, views.has_white_noise
+        )
+        initial = initial_standard_deviations(sigma_prior, views.initial_sigma)
         free_poses = views.linearised_at_fit(free_fit.problem, free_fit.z, free_fit.equations)
         white = _likeliest_white_noise(free_poses, views.group_names, initial, sigma_prior, prior)
         views, z, linearised = _linearised_at_mode(

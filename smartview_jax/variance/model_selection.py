@@ -315,6 +315,7 @@ def standard_deviation_prior(
     field: AbstractField | None,
     group_names: Sequence[str],
     shape: TargetShape | None = None,
+    has_white_noise: bool = True,
 ) -> StandardDeviationPrior:
     """Return the prior of the standard deviations of reported poses and of some groups.
 
@@ -323,6 +324,8 @@ def standard_deviation_prior(
         field: field that has the groups.
         group_names: names of the groups, with `TARGET_SCALE` last if the scale is among them.
         shape: shape of the target, if it has groups; they come before the scale.
+        has_white_noise: whether the effective pixel sigma is hardly larger than the white one;
+            otherwise nothing is known of it.
     """
     field_names = [] if field is None else [name for name, _ in field.groups]
     indices = [0, 1, *(2 + field_names.index(name) for name in group_names if name in field_names)]
@@ -338,17 +341,17 @@ def standard_deviation_prior(
     return StandardDeviationPrior(
         median,
         log_std,
-        PIXEL_SIGMA_PRIOR_RATE,
+        PIXEL_SIGMA_PRIOR_RATE if has_white_noise else 0.0,
         prior.weak_robot_probability,
         (prior.weak_translation_median, prior.weak_rotation_median),
     )
 
 
 def initial_standard_deviations(
-    prior: StandardDeviationPrior, white_sigma: float
+    prior: StandardDeviationPrior, pixel_sigma: float
 ) -> StandardDeviations:
-    """Return the prior's medians, and an effective pixel sigma a little above the white one."""
-    return StandardDeviations.from_vector(np.concatenate([[1.1 * white_sigma], prior.median]))
+    """Return the prior's medians with an effective pixel sigma."""
+    return StandardDeviations.from_vector(np.concatenate([[pixel_sigma], prior.median]))
 
 
 def _split_basis(basis: AbstractField) -> tuple[AbstractField, AbstractField | None]:

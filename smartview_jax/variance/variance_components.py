@@ -132,7 +132,9 @@ def estimate_noise(
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
         {name: first.models[name] for name in field_probabilities},
         first.views.select_groups(sigmas, views.group_names),
-        standard_deviation_prior(prior, fitted_field, views.group_names, shape),
+        standard_deviation_prior(
+            prior, fitted_field, views.group_names, shape, views.has_white_noise
+        ),
         prior.wrong_target_probability,
     )
     chain, linearised, maximum = average.chain, average.views, average.maximum

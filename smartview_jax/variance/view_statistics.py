@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..calibration import BOW, PRINT, SHAPE_NAMES, TargetShape
+from ..dataset import PoseObservations
 from ..engine import (
     ROBOT_ERROR,
     SIGMA_FLOOR,
@@ -53,6 +54,8 @@ class ViewStatistics:
         statistic_count: number of statistics: free parameters of the camera and of the views'
             poses.
         white_sigma: standard deviation of the noise within views, px.
+        has_white_noise: whether the views tell the noise within them. A tracked pose alone does not
+            tell the noise of the tracker.
         known_weight: one over the standard deviation of the priors with known standard deviations.
         shape: shape of the target, with which the points of the problem were computed; None if it
             is held as stated.
@@ -86,6 +89,7 @@ class ViewStatistics:
         # poses).
         white = np.sqrt(within_sum_of_squares / max(2 * visible_count - self.statistic_count, 1))
         self.white_sigma: float = max(float(white), SIGMA_FLOOR)
+        self.has_white_noise: bool = not isinstance(problem.observations, PoseObservations)
         free_weight = np.asarray(problem.prior_weight.shared)[self.free]
         free_weight = np.append(free_weight, np.zeros(len(self.shape_names)))
         self.known_weight: Float[np.ndarray, "free"] = np.where(
@@ -95,6 +99,14 @@ class ViewStatistics:
         self._offset_at_start = Step(shared[self.free], per_view[: len(self.per_view_free)])
         if shape is not None:
             self._set_shape(shape)
+
+    @property
+    def initial_sigma(self) -> float:
+        """The pixel sigma with which the search for the effective one begins, px.
+
+        It is a little above the white one, or one unit of the tracker's noise.
+        """
+        return 1.1 * self.white_sigma if self.has_white_noise else 1.0
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "ViewStatistics":
         """Return the statistics with the robot error field at poses corrected for noise."""

@@ -1,0 +1,159 @@
+"""The public yardstick for poses without pixels: KinHEC's tracks, with its reference solvers.
+
+KinHEC (package `kinhec`, extra `peers`) simulates streams of robot poses and tracked poses of 13
+arms in eight tracks: noise, degenerate motion, clocks apart, outliers, a monocular tracker, errors
+of the robot's kinematics, poses from pixels, and all mixed. Its eleven reference solvers and ours
+get the same pairs by its protocol: key frames at least 5 degrees or 20 mm apart, at most 200, the
+true clock offset. Printed are the median errors of X in every track (mm and degrees), how often a
+solver gave an answer, and the median time of an answer; ours is `fit_poses`, and Step 3 of the
+paper (`A X = X B` by BFGS).
+
+    python -m benchmarks kinhec                       # the tier of 562 sequences, simulated first
+    python -m benchmarks.kinhec --data FOLDER --most 20    # so many of each track
+"""
+
+import argparse
+import collections
+import importlib.util
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import smartview_jax as sv
+from smartview_jax.dataset import PoseDataset
+from smartview_jax.geometry import as_se3, host_logarithms, host_matrices
+from smartview_jax.hand_eye import solve_hand_eye
+
+TIER, SMOKE_TIER, SMOKE_MOST = "small", "smoke", 1
+MAX_RATIO = 1.1
+"""Largest median error of ours over the best solver's in a track that counts as the best."""
+
+JOINT, STAGED = "smartview joint", "smartview Step 3"
+
+
+class Answer(NamedTuple):
+    """The errors of X by one solver of one sequence, and its time; NaN without an answer."""
+
+    millimetres: float
+    degrees: float
+    seconds: float
+
+
+def run(smoke: bool = False, data: Path | None = None, most: int | None = None) -> bool:
+    """Print the errors by track and solver; True where ours is among the best of every track.
+
+    A few sequences, as in small, tell that it runs.
+    """
+    if importlib.util.find_spec("kinhec") is None:
+        print("kinhec is not installed: pip install 'smartview-jax[peers]'")
+        return True
+    with tempfile.TemporaryDirectory() as folder:
+        if data is None:
+            data = Path(folder) / "kinhec"
+            words = ["generate", "--tier", SMOKE_TIER if smoke else TIER, "--out", str(data)]
+            subprocess.run([sys.executable, "-m", "kinhec", *words], check=True)
+        tracks = _answers(data, SMOKE_MOST if smoke else most)
+    good = [_print_track(track, answers) for track, answers in sorted(tracks.items())]
+    return smoke or all(good)
+
+
+def _answers(data: Path, most: int | None) -> dict[str, dict[str, list[Answer]]]:
+    """Return the answers of all solvers by track, so many sequences of each."""
+    tracks: dict[str, dict[str, list[Answer]]] = collections.defaultdict(
+        lambda: collections.defaultdict(list)
+    )
+    for track, sequence in _sequences(data, most):
+        for solver, answer in _solved(sequence).items():
+            tracks[track][solver].append(answer)
+    return tracks
+
+
+def _sequences(data: Path, most: int | None) -> Iterator[tuple[str, Any]]:
+    """Return the sequences with their tracks, evenly spread over each."""
+    import kinhec
+
+    manifest = kinhec.load_manifest(data)
+    for track, rows in manifest.groupby("track"):
+        ids = list(rows.sequence_id)
+        step = max(1, len(ids) // most) if most else 1
+        for name in ids[::step][:most]:
+            yield str(track), kinhec.load_sequence(data, name, manifest)
+
+
+def _solved(sequence: Any) -> dict[str, Answer]:
+    """Return the answers of all solvers to one sequence."""
+    from kinhec import benchmark
+
+    pairs = benchmark._keyframe_data(
+        sequence, None if sequence.synchronous else sequence.time_offset
+    )
+    solvers: dict[str, Callable[[], np.ndarray]] = {
+        name: lambda solve=solve: solve(pairs, np.random.default_rng(0))["X"]
+        for name, solve in benchmark.SOLVERS.items()
+    }
+    solvers[JOINT] = lambda: _joint(sequence, pairs)
+    solvers[STAGED] = lambda: _staged(pairs)
+    return {name: _timed(solve, sequence.X) for name, solve in solvers.items()}
+
+
+def _timed(solve: Callable[[], np.ndarray], truth: np.ndarray) -> Answer:
+    """Return a solver's errors and time."""
+    begun = time.perf_counter()
+    try:
+        found = np.asarray(solve())
+    except Exception:  # a solver that fails is a result of the benchmark
+        return Answer(np.nan, np.nan, np.nan)
+    seconds = time.perf_counter() - begun
+    turn = np.eye(4)[None].copy()
+    turn[0, :3, :3] = found[:3, :3] @ truth[:3, :3].T
+    degrees = float(np.rad2deg(np.linalg.norm(host_logarithms(turn)[0, 3:])))
+    return Answer(1e3 * float(np.linalg.norm(found[:3, 3] - truth[:3, 3])), degrees, seconds)
+
+
+def _joint(sequence: Any, pairs: Any) -> np.ndarray:
+    """Return X by the joint fit: in the hand, or the pose of a marker on it."""
+    flange, seen = pairs[0], pairs[1]
+    # KinHEC has target_from_camera for a camera on the hand, and A X = Y B for both.
+    in_hand = bool(sequence.eye_in_hand)
+    measured = np.linalg.inv(seen) if in_hand else seen
+    data = PoseDataset.from_poses(flange, measured, "eye_in_hand" if in_hand else "eye_to_hand")
+    fit = sv.fit_poses(data, scale=str(sequence.manifest["track"]) == "monocular")
+    if in_hand:
+        return np.linalg.inv(host_matrices(fit.calibration.camera_from_tool))
+    return host_matrices(fit.calibration.tool_from_world)
+
+
+def _staged(pairs: Any) -> np.ndarray:
+    """Return X by Step 3: A X = Y B is a fixed camera's chain, whatever the camera is on."""
+    result = solve_hand_eye(as_se3(pairs[0]), as_se3(pairs[1]))
+    return host_matrices(result.holder_from_world)
+
+
+def _print_track(track: str, answers: dict[str, list[Answer]]) -> bool:
+    """Print a track's table, best first; return whether ours is among the best and never failed."""
+    count = len(answers[JOINT])
+    print(f"\n{track}: {count} sequences, median errors")
+    medians = {name: np.nanmedian(np.array(rows), axis=0) for name, rows in answers.items()}
+    for name, (millimetres, degrees, seconds) in sorted(medians.items(), key=lambda m: m[1][0]):
+        given = sum(np.isfinite(row.millimetres) for row in answers[name])
+        print(
+            f"  {name:22}{millimetres:10.3f} mm{degrees:10.4f} deg{given:6} of {count}"
+            f"{1e3 * seconds:10.1f} ms"
+        )
+    best = min(median[0] for name, median in medians.items() if name != JOINT)
+    complete = all(np.isfinite(row.millimetres) for row in answers[JOINT])
+    return bool(complete and medians[JOINT][0] <= MAX_RATIO * best)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, metavar="FOLDER", help="of `kinhec generate`")
+    parser.add_argument("--most", type=int, metavar="N", help="sequences of each track")
+    arguments = parser.parse_args()
+    sys.exit(0 if run(data=arguments.data, most=arguments.most) else 1)

@@ -1,0 +1,355 @@
+"""Fit the hand-eye transform to poses that a tracker measured, without pixels.
+
+The measured poses enter the joint fit in the place of the points of the pictures: the same engine,
+the same errors of the robot and the same likelihood. The tracker has a noise of its own. Its size
+is estimated with the robot's; the ratio of its noise in rotation to its noise in translation is the
+likeliest one.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import equinox as eqx
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float
+from scipy.optimize import minimize_scalar
+
+from ..argument_checks import require_names
+from ..calibration import Calibration, host_mount_from_holder
+from ..cameras import Camera, Pinhole
+from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset, chain_residuals
+from ..engine import Prior
+from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
+from ..hand_eye import solve_hand_eye
+from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
+from ..runtime.array_namespace import to_device
+from ..variance import WHITE_NOISE, ModelName, compare_models
+from .fit import fit_joint
+from .fit_text import robot_noise_text
+from .gross_errors import without_views
+from .joint_fit import JointFit
+from .robust_hand_eye import chain_errors, robust_hand_eye
+
+MAX_ROUNDS = 3
+"""Largest number of fits after which views that fit again are taken back."""
+
+CONSISTENT_ERROR = 3.5
+"""Largest error of a view that is taken back, over the root mean square of the used views' errors.
+
+Of a normal distribution in three dimensions, one error in two million is larger.
+"""
+
+NO_CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
+"""The camera of a calibration whose camera nobody stated."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrackerPrior:
+    """The log-normal prior on the ratio of a tracker's noise in rotation and in translation.
+
+    A marker whose corners are off by an error e has a position off by about e across the line of
+    sight, and a rotation off by e over its size.
+
+    Attributes:
+        ratio_median: median ratio, rad/m; one over the size of a marker.
+        ratio_geometric_std: exp of the standard deviation of its logarithm.
+    """
+
+    ratio_median: float = UNIT_ROTATION / UNIT_TRANSLATION
+    ratio_geometric_std: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.ratio_median < np.inf:
+            raise ValueError(
+                f"TrackerPrior.ratio_median: expected a positive number, found {self.ratio_median}"
+            )
+        if not 1.0 < self.ratio_geometric_std < np.inf:
+            raise ValueError(
+                "TrackerPrior.ratio_geometric_std: expected a factor above 1, found "
+                f"{self.ratio_geometric_std}"
+            )
+
+
+@runtime_checkable
+class TrackedPoses(Protocol):
+    """Pairs of poses, such as `io.PoseSamples` of easy_handeye."""
+
+    @property
+    def base_from_tool(self) -> SE3: ...
+    @property
+    def camera_from_world(self) -> SE3: ...
+    @property
+    def mount(self) -> str: ...
+
+
+class PoseFit(JointFit):
+    """A joint fit to tracked poses.
+
+    It is a `JointFit` whose `residuals` and `pixel_sigma` are in units of the tracker's noise.
+
+    Attributes:
+        has_camera: whether the camera of the calibration was given.
+        tracker_noise: standard deviation of a tracked pose: translation per axis (m), rotation per
+            axis (rad).
+        pose_errors: distance (m) and angle (rad) of each measured pose from its prediction by the
+            chain; NaN where the target was not seen.
+    """
+
+    has_camera: bool = eqx.field(static=True, kw_only=True)
+    tracker_noise: tuple[float, float] = eqx.field(static=True, kw_only=True)
+    pose_errors: Float[np.ndarray, "views 2"] = eqx.field(kw_only=True)
+
+    @classmethod
+    def of(cls, fit: JointFit, data: PoseDataset, has_camera: bool) -> "PoseFit":
+        """Return the fit of tracked poses, given as a joint fit in units of the tracker's noise."""
+        values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
+        # Also of the pairs that the fit does not use.
+        values["residuals"] = chain_residuals(fit.calibration, data.observations)
+        errors = _errors(data, fit.calibration)
+        errors[~np.asarray(data.visible).all(axis=1)] = np.nan
+        noise = float(fit.pixel_sigma) * np.asarray(data.units)[0]
+        return cls(
+            **values,
+            has_camera=has_camera,
+            tracker_noise=(float(noise[0]), float(noise[1])),
+            pose_errors=errors,
+        )
+
+    @property
+    def fits_camera(self) -> bool:
+        """Whether the camera is a part of what is fitted: poses tell nothing of it."""
+        return False
+
+    @property
+    def described(self) -> str:
+        """The number of pairs and their errors, in words."""
+        used = np.asarray(self.inliers).any(axis=1)
+        distance, angle = np.sqrt(np.mean(self.pose_errors[used] ** 2, axis=0))
+        return (
+            f"joint fit of {used.sum()} pairs of poses, {1e3 * distance:.3g} mm and "
+            f"{np.rad2deg(angle):.3g} deg RMS"
+        )
+
+    @property
+    def described_noise(self) -> str:
+        """The standard deviations of tracked and reported poses in words."""
+        translation, rotation = self.tracker_noise
+        return (
+            f"tracked poses +- {1e3 * translation:.2g} mm, {np.rad2deg(rotation):.2g} deg; "
+            f"{robot_noise_text(self)}"
+        )
+
+    def save(self, path: Any, *args: Any, **kwargs: Any) -> None:
+        """Write the calibration, as `JointFit.save` does.
+
+        Raises:
+            ValueError: the camera was not given, without which a calibration is incomplete.
+        """
+        if not self.has_camera:
+            raise ValueError(
+                f"{path}: a calibration has a camera, which poses do not tell: give "
+                "fit_poses(camera=...), or use the fit's calibration.camera_from_mount"
+            )
+        super().save(path, *args, **kwargs)
+
+
+def fit_poses(
+    samples: TrackedPoses,
+    *,
+    camera: Camera | None = None,
+    start: Mapping[str, PoseLike] | None = None,
+    scale: bool = False,
+    field: FieldChoice = "auto",
+    fixed: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    robot_prior: RobotPrior | None = None,
+    tracker_prior: TrackerPrior | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> PoseFit:
+    """Fit the hand-eye transform and the target's pose to tracked poses of the target.
+
+    The noise of the tracker and of the robot, and the robot's systematic errors, are estimated as
+    in `fit_joint`. Pairs that contradict the others are left out and listed in `rejected`.
+
+    Args:
+        samples: at least three pairs of a robot pose and a tracked pose: a `PoseDataset`, or the
+            `PoseSamples` of a file.
+        camera: the tracker's camera, if the calibration is to be saved; it is not fitted.
+        start: transforms that are known roughly, by name, such as
+            `{"camera_from_tool": matrix}`; by default from closed forms.
+        scale: whether the tracker's unit of length is unknown, as of a single moving camera without
+            a target of known size; the fit's `calibration.target_scale` is metres per unit.
+        field: the robot error field, as in `fit_joint`.
+        fixed: paths of parameters that keep the start's value.
+        priors: a `Prior` by path.
+        robot_prior: prior on the standard deviations of the robot's errors.
+        tracker_prior: prior on the ratio of the tracker's noise in rotation and in translation.
+        progress: called with a line of text for each stage.
+
+    Raises:
+        ValueError: an unknown path or name, too few pairs, or a robot that does not move enough.
+    """
+    require_names("fixed", fixed)
+    field, report = checked_field_choice(field), progress or (lambda _: None)
+    data = (
+        samples
+        if isinstance(samples, PoseDataset)
+        else PoseDataset.from_poses(
+            samples.base_from_tool, samples.camera_from_world, samples.mount
+        )
+    )
+    prior = _without_target(robot_prior or RobotPrior(), scale)
+    calibration, consistent = _start(data, camera or NO_CAMERA, start, scale)
+    options: dict[str, Any] = {
+        "fixed": (*fixed, "camera"),
+        "free": ("target_scale",) if scale else (),
+        "priors": priors,
+    }
+    report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
+
+    def fit_consistent() -> tuple[PoseDataset, JointFit]:
+        """Return the pairs that agree, with the tracker's units, and the fit to them."""
+        used = without_views(data, _contradictions(data, calibration, consistent))
+        used = _with_likeliest_units(
+            used, calibration, options, prior, tracker_prior or TrackerPrior()
+        )
+        return used, fit_joint(
+            used,
+            calibration,
+            field=field,
+            robot_prior=prior,
+            gross_errors="leave_out",
+            progress=progress,
+            **options,
+        )
+
+    used, fit = fit_consistent()
+    for _ in range(MAX_ROUNDS - 1):
+        again = _consistent_again(data, fit) & ~consistent
+        if not again.any():
+            break
+        consistent = consistent | again
+        used, fit = fit_consistent()
+    return PoseFit.of(fit, dataclasses.replace(data, units=used.units), camera is not None)
+
+
+def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
+    """Return the prior without a target's shape and a lens, which tracked poses do not have."""
+    return dataclasses.replace(
+        prior,
+        target_bow_median=0.0,
+        target_print_median=0.0,
+        wrong_lens_probability=0.0,
+        wrong_target_probability=0.0 if scale else prior.wrong_target_probability,
+    )
+
+
+def _start(
+    data: PoseDataset, camera: Camera, start: Mapping[str, PoseLike] | None, scale: bool
+) -> tuple[Calibration, Bool[np.ndarray, "views"]]:
+    """Return a calibration near the solution, and the pairs that agree with it."""
+    mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    assert data.camera_from_world is not None
+    measured = host_matrices(data.camera_from_world)
+    seen = np.asarray(data.visible)[:, 0]
+    factor, consistent = robust_hand_eye(mount_from_holder, measured, seen, scale)
+    measured = measured.copy()
+    measured[:, :3, 3] *= factor
+    identity = host_transforms(np.eye(4))
+    blank = Calibration(camera, identity, identity, data.mount)
+    known: dict[str, SE3] = {}
+    for name, pose in (start or {}).items():
+        if name not in blank.transform_names:
+            raise ValueError(
+                f"start: expected {' or '.join(blank.transform_names)}, found {name!r}"
+            )
+        known[name] = as_se3(pose)
+    given = tuple(known.get(name) for name in blank.transform_names)
+    step3 = solve_hand_eye(
+        host_transforms(mount_from_holder),
+        host_transforms(measured),
+        weights=consistent.astype(float),
+        start=given,  # pyright: ignore[reportArgumentType]
+    )
+    found = dataclasses.replace(
+        blank,
+        camera_from_mount=given[0] or step3.camera_from_mount,
+        holder_from_world=given[1] or step3.holder_from_world,
+        target_scale=to_device(np.array(factor)),
+    )
+    return found, consistent
+
+
+def _contradictions(
+    data: PoseDataset, calibration: Calibration, consistent: Bool[np.ndarray, "views"]
+) -> dict[int, str]:
+    """Return the pairs that are left out from the start, with the reason."""
+    seen = np.asarray(data.visible).all(axis=1)
+    errors = _errors(data, calibration)
+    return {
+        int(view): (
+            f"{1e3 * errors[view, 0]:.3g} mm and {np.rad2deg(errors[view, 1]):.3g} degrees from "
+            "where the other pairs put it: mispaired, or another target?"
+        )
+        for view in np.flatnonzero(seen & ~consistent)
+    }
+
+
+def _errors(data: PoseDataset, calibration: Calibration) -> Float[np.ndarray, "views 2"]:
+    """Return distance and angle of each measured pose from its prediction by the chain, m, rad."""
+    assert data.camera_from_world is not None
+    measured = host_matrices(data.camera_from_world).copy()
+    measured[:, :3, 3] *= float(calibration.target_scale)
+    predicted = np.asarray(calibration.camera_from_world_matrices(data.command))
+    return chain_errors(measured, predicted)
+
+
+def _consistent_again(data: PoseDataset, fit: JointFit) -> Bool[np.ndarray, "views"]:
+    """Return the pairs that agree with a fit, among all that were measured."""
+    errors, used = _errors(data, fit.calibration), np.asarray(fit.inliers).any(axis=1)
+    typical = np.sqrt(np.mean(errors[used] ** 2, axis=0))
+    seen = np.asarray(data.visible).all(axis=1)
+    return seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)
+
+
+def _with_likeliest_units(
+    data: PoseDataset,
+    calibration: Calibration,
+    options: Mapping[str, Any],
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> PoseDataset:
+    """Return the data with the likeliest ratio of the tracker's noises in their units.
+
+    It maximises the restricted likelihood of white noise alone: the robot's systematic errors are
+    smooth, and hardly change with the ratio.
+    """
+    numbers = 6 * len(data.usable_views())
+    spread = np.log(tracker_prior.ratio_geometric_std)
+
+    def deviance(log_ratio: float) -> float:
+        """Return -2 log of the likelihood of a ratio times its prior density."""
+        rotation = UNIT_TRANSLATION * np.exp(log_ratio)
+        comparison = compare_models(
+            data.with_units(UNIT_TRANSLATION, rotation),
+            calibration,
+            None,
+            prior=dataclasses.replace(robot_prior, wrong_target_probability=0.0),
+            **options,
+        )
+        white = comparison.fitted[ModelName(WHITE_NOISE, False)]
+        # The likelihood is of the numbers in their units; half of them are rotations.
+        jacobian = numbers * np.log(rotation)
+        penalty = ((log_ratio - np.log(tracker_prior.ratio_median)) / spread) ** 2
+        return white.maximum.deviance + jacobian + penalty
+
+    middle = np.log(tracker_prior.ratio_median)
+    best = minimize_scalar(
+        deviance,
+        bounds=(middle - 3.0 * spread, middle + 3.0 * spread),
+        method="bounded",
+        options={"xatol": 0.1},
+    ).x  # pyright: ignore[reportAttributeAccessIssue]
+    return data.with_units(UNIT_TRANSLATION, UNIT_TRANSLATION * float(np.exp(best)))

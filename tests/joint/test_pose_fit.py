@@ -1,0 +1,198 @@
+"""The joint fit to tracked poses: against SciPy, the truth, and what goes wrong with trackers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from tracked_scene import MOUNT, ROBOT, TRACKER, VIEWS, WORLD, data_of, tracked, turned
+
+import smartview_jax as sv
+from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.dataset import PoseDataset
+from smartview_jax.evaluation import mean_nees, nees
+from smartview_jax.geometry import host_adjoints, host_exponentials, host_logarithms, host_matrices
+from smartview_jax.joint import TrackerPrior
+from smartview_jax.joint.robust_hand_eye import robust_hand_eye
+
+
+@pytest.fixture(scope="module")
+def fit():
+    camera = Camera(900.0, 900.0, 320.0, 240.0, Pinhole(), (640, 480))
+    return sv.fit_poses(data_of(0), camera=camera, field=None)
+
+
+def error_of(fit):
+    """Errors of the mount: translation, m, and a rotation vector in the camera's axes, rad."""
+    found = host_matrices(fit.calibration.camera_from_mount)
+    turn = np.eye(4)[None].repeat(1, axis=0)
+    turn[0, :3, :3] = found[:3, :3] @ MOUNT[:3, :3].T
+    return np.concatenate([found[:3, 3] - MOUNT[:3, 3], host_logarithms(turn)[0, 3:]])
+
+
+def mount_names(fit):
+    name = fit.calibration.transform_names[0]
+    return [f"{name}.{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
+
+
+def covariance_of(fit):
+    rows = [fit.parameter_names.index(name) for name in mount_names(fit)]
+    return fit.covariance[np.ix_(rows, rows)]
+
+
+def test_the_optimum_is_scipys(fit):
+    """With the standard deviations that were found; the robot's noise moves the prediction."""
+    robot, measured = tracked(0)
+    reported = np.linalg.inv(robot)
+    camera, world = (
+        host_matrices(fit.calibration.camera_from_mount),
+        host_matrices(fit.calibration.holder_from_world),
+    )
+    sigmas = np.repeat([fit.noise.translation, fit.noise.rotation], 3)
+    tracker = np.repeat(fit.tracker_noise, 3)
+
+    def residuals(x):
+        predicted = (
+            (host_exponentials(x[:6]) @ camera) @ reported @ (world @ host_exponentials(x[6:]))
+        )
+        gap = measured @ np.linalg.inv(predicted)
+        # Translations apart from rotations, as a tracker measures them.
+        errors = np.concatenate(
+            [measured[:, :3, 3] - predicted[:, :3, 3], host_logarithms(turns(gap))[:, 3:]], axis=1
+        )
+        return np.einsum("vij,vj->vi", whitening, errors).ravel()
+
+    # The robot's twist at the tool, seen in the camera's frame, about the target.
+    by_robot = host_adjoints(camera)[None].repeat(VIEWS, axis=0)
+    place = measured[:, :3, 3]
+    levers = np.zeros((VIEWS, 3, 3))
+    for k, axis in enumerate(np.eye(3)):
+        levers[:, :, k] = np.cross(axis, place)
+    moved = by_robot.copy()
+    moved[:, :3] += levers @ by_robot[:, 3:]
+    total = (moved * sigmas**2) @ moved.swapaxes(1, 2) + np.diag(tracker**2)
+    whitening = np.linalg.inv(np.linalg.cholesky(total))
+    best = least_squares(residuals, np.zeros(12), xtol=1e-14, ftol=1e-14)
+    std = np.sqrt(np.diagonal(np.linalg.inv(best.jac.T @ best.jac)))
+    # Beyond the first order the robot's noise and the mean differ: a hundredth of the interval.
+    assert np.abs(best.x / std).max() < 0.02
+    # The translation of a twist is at the base of the camera's frame.
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance_of(fit)))[3:], std[3:6], rtol=0.15)
+
+
+def turns(poses):
+    found = poses.copy()
+    found[:, :3, 3] = 0.0
+    return found
+
+
+def test_both_noises_are_found(fit):
+    assert fit.result.converged
+    assert fit.warnings == ()
+    np.testing.assert_allclose(fit.tracker_noise, TRACKER, rtol=0.35)
+    # The robot's is a fifth of it, where the prior for good arms decides.
+    assert fit.noise.translation < 3.0 * ROBOT[0]
+    text = str(fit)
+    assert text.startswith(f"joint fit of {VIEWS} pairs of poses, ")
+    assert "tracked poses +- " in text
+    assert "camera," not in text
+
+
+def test_the_covariance_is_true():
+    fits = [sv.fit_poses(data_of(seed), field=None) for seed in range(1, 5)]
+    scores = nees(np.array([error_of(f) for f in fits]), np.array([covariance_of(f) for f in fits]))
+    assert mean_nees(scores, 6).is_consistent
+
+
+def test_pairs_that_contradict_the_others_are_named_and_the_rest_is_kept():
+    robot, measured = tracked(3)
+    rng = np.random.default_rng(0)
+    wrong = [1, 5, 6, 11]
+    measured[wrong] = measured[wrong] @ host_exponentials(
+        rng.normal(size=(4, 6)) * np.repeat([0.1, 0.5], 3)
+    )
+    measured[8] = np.nan
+    fit = sv.fit_poses(PoseDataset.from_poses(robot, measured))
+    assert sorted(int(rejection.view) for rejection in fit.rejected) == sorted([*wrong, 8])
+    assert "degrees from where the other pairs put it" in fit.rejected[-1].reason
+    assert np.isnan(fit.pose_errors[8]).all()
+    assert (fit.pose_errors[wrong, 0] > 0.02).all()
+    clean = sv.fit_poses(data_of(3).select([k for k in range(VIEWS) if k not in (*wrong, 8)]))
+    np.testing.assert_allclose(error_of(fit), error_of(clean), atol=1e-6)
+
+
+def test_a_fixed_camera_and_a_tracker_without_a_unit():
+    fit = sv.fit_poses(data_of(4, mount="eye_to_hand"), field=None)
+    assert np.abs(error_of(fit))[:3].max() < 2e-3
+    fit = sv.fit_poses(data_of(4, scale=2.5), scale=True, field=None)
+    assert float(fit.calibration.target_scale) == pytest.approx(2.5, rel=5e-3)
+    assert np.abs(error_of(fit))[:3].max() < 4e-3
+    # In the tracker's units the noise is smaller by as much.
+    assert fit.tracker_noise[0] < 0.7 * TRACKER[0]
+
+
+def test_a_motion_about_one_axis_is_named_with_what_ends_it():
+    about_z = np.zeros((VIEWS, 3))
+    about_z[:, 2] = np.linspace(-1.5, 1.5, VIEWS)
+    fit = sv.fit_poses(data_of(5, turns=about_z), field=None)
+    assert len(fit.observability.null_directions) == 1
+    assert "fixed=(" in " ".join(fit.warnings)
+    with pytest.raises(ValueError, match="never rotates"):
+        sv.fit_poses(data_of(5, turns=np.zeros((VIEWS, 3))))
+
+
+def test_a_calibration_is_saved_with_its_camera_only(tmp_path, fit):
+    with pytest.raises(ValueError, match=r"give fit_poses\(camera=\.\.\.\)"):
+        dataclasses.replace(fit, has_camera=False).save(tmp_path / "calibration.yaml")
+    assert not list(tmp_path.iterdir())
+    fit.save(tmp_path / "calibration.yaml")
+    again = sv.Calibration.load(tmp_path / "calibration.yaml")
+    np.testing.assert_allclose(
+        host_matrices(again.camera_from_tool), host_matrices(fit.calibration.camera_from_tool)
+    )
+
+
+def test_a_start_is_checked_and_taken(fit):
+    rough = MOUNT @ turned(np.full((1, 3), 0.02))[0]
+    again = sv.fit_poses(data_of(0), start={"camera_from_tool": rough}, field=None)
+    np.testing.assert_allclose(error_of(again), error_of(fit), atol=1e-7)
+    with pytest.raises(ValueError, match="expected camera_from_tool or base_from_world"):
+        sv.fit_poses(data_of(0), start={"tool_from_camera": rough})
+    with pytest.raises(ValueError, match=r"ratio_median: expected a positive number, found 0"):
+        TrackerPrior(ratio_median=0.0)
+
+
+def test_wrong_arguments_are_named():
+    robot, measured = tracked(0, views=4)
+    bent = measured.copy()
+    bent[2, 0, 0] *= 1.1
+    with pytest.raises(ValueError, match=r"view b: tracker: .*rotation"):
+        PoseDataset.from_poses(robot, bent, view_ids=["x", "a", "b", "c"])
+    with pytest.raises(ValueError, match=r"expected shape \(4, 4, 4\)"):
+        PoseDataset.from_poses(robot[:3], measured)
+
+
+def test_half_of_the_pairs_may_be_wrong(fit):
+    """Whatever the unit of the tracker; the median is the majority's."""
+    for scale in (1.0, 3.0):
+        robot, measured = tracked(7, views=25, scale=scale)
+        rng = np.random.default_rng(1)
+        measured[:11] = measured[:11] @ host_exponentials(rng.normal(size=(11, 6)))
+        factor, agree = robust_hand_eye(
+            np.linalg.inv(robot), measured, np.ones(25, dtype=bool), scale != 1.0
+        )
+        assert factor == pytest.approx(scale, rel=0.02)
+        assert not agree[:11].any()
+        assert agree[11:].all()
+
+
+def test_a_data_set_of_poses_keeps_its_poses():
+    data = data_of(0)
+    part = data.select([3, 1]).mask_views([0])
+    np.testing.assert_array_equal(
+        host_matrices(part.camera_from_world), host_matrices(data.camera_from_world)[[3, 1]]
+    )
+    assert list(part.usable_views()) == [1]
+    assert part.observations.padded().visible.shape == (8, 3)
+    assert dataclasses.replace(part, notes=("x",)).units.shape == (2, 2)
+    assert WORLD.shape == (4, 4)
