@@ -30,8 +30,8 @@ VIEW_AXIS = "views"
 """The name of the mesh axis along which views are distributed over devices."""
 
 
-_TWIST = slice(-6, None)
-"""Rows of a view's normal equations that belong to the twist of its pose."""
+_DIRECT, _TWIST = slice(0, -6), slice(-6, None)
+"""Rows of a view's normal equations: of camera and shape, and of the twist of its pose."""
 
 
 class NormalEquations(eqx.Module):
@@ -278,34 +278,68 @@ class JointProblem(eqx.Module):
 
         The results are the gradient and the matrix of the observations alone.
         """
-        # matrix = sum_v S_v^T G_v S_v,   border_v = O_v^T G_v S_v, per_view_block_v = O_v^T G_v
-        # O_v, gradient = sum_v S_v^T g_v,     per_view_gradient_v = O_v^T g_v, where G_v and g_v
-        # are a view's matrix and gradient by (camera, twist), S_v = shared is the derivative of
-        # (camera, twist) by the shared parameters, and O_v = per_view the derivative of the twist
-        # (the last rows) by the view's own.
-        shared = self._shared_jacobian(pose_jacobians)
-        shared = self._with_shape(shared, views.matrix.shape[-1] - shared.shape[1])
-        matrix_shared = views.matrix @ shared
-        matrix = jnp.einsum("vki,vkj->ij", shared, matrix_shared)
-        gradient = jnp.einsum("vki,vk->i", shared, views.gradient)
-        per_view, border, per_view_block = self._per_view_blocks(
-            pose_jacobians, views, matrix_shared
+        # A view's matrix G_v and gradient g_v have rows for the direct parameters (d: camera and
+        # shape) and for the twist (t). All other shared parameters act through the twist, with
+        # T_v = PoseJacobians.shared_jacobian, and the view's own with O_v = per_view:
+        #
+        # matrix = sum_v [[G_dd, G_dt T], [T^T G_td, T^T G_tt T]],  gradient = sum_v [g_d, T^T g_t]
+        # border_v = O^T [G_td, G_tt T],  per_view_block_v = O^T G_tt O
+        chained = pose_jacobians.shared_jacobian
+        by_direct, by_twist = views.matrix[:, _TWIST, _DIRECT], views.matrix[:, _TWIST, _TWIST]
+        twist_rows = jnp.concatenate([by_direct, by_twist @ chained], axis=2)
+        chained_rows = jnp.einsum("vki,vkj->ij", chained, twist_rows)
+        count = by_direct.shape[2]
+        direct_rows = jnp.concatenate(
+            [jnp.sum(views.matrix[:, _DIRECT, _DIRECT], axis=0), chained_rows[:, :count].T], axis=1
         )
-        twist_gradient = views.gradient[: len(per_view), _TWIST]
-        per_view_gradient = jnp.einsum("vki,vk->vi", per_view, twist_gradient)
-        return Step(gradient, per_view_gradient), BlockArrow(matrix, border, per_view_block)
+        matrix = jnp.concatenate([direct_rows, chained_rows])
+        twist_gradient = views.gradient[:, _TWIST]
+        gradient = jnp.concatenate(
+            [
+                jnp.sum(views.gradient[:, _DIRECT], axis=0),
+                jnp.einsum("vki,vk->i", chained, twist_gradient),
+            ]
+        )
+        per_view, border, per_view_block = self._per_view_blocks(pose_jacobians, views, twist_rows)
+        per_view_gradient = jnp.einsum("vki,vk->vi", per_view, twist_gradient[: len(per_view)])
+
+        def take(x: Array, axis: int) -> Array:
+            """Return the entries of the free parameters, and then of the shape, in their units."""
+            return self._take_free_and_shape(x, axis, count)
+
+        return (
+            Step(take(gradient, 0), per_view_gradient),
+            BlockArrow(take(take(matrix, 0), 1), take(border, 2), per_view_block),
+        )
+
+    def _take_free_and_shape(self, x: Array, axis: int, direct_count: int) -> Array:
+        """Return the entries of the free shared parameters, and then of the target's shape.
+
+        Args:
+            x: an array by the camera's parameters, the shape's coefficients, and all others.
+            axis: its axis of the parameters.
+            direct_count: number of the camera's parameters and the shape's coefficients.
+        """
+        camera_count = self.parameters.layout.camera.stop
+        shape_count = direct_count - camera_count
+        others = jnp.where(self.free < camera_count, 0, shape_count)
+        indices = jnp.append(self.free + others, jnp.arange(camera_count, direct_count))
+        scale = jnp.append(self.scale.shared, jnp.ones(shape_count))
+        # Padding has an index after the last parameter.
+        taken = jnp.take(x, indices, axis=axis, mode="fill", fill_value=0.0)
+        return taken * jnp.expand_dims(scale, [k for k in range(x.ndim) if k != axis])
 
     def _per_view_blocks(
         self,
         pose_jacobians: PoseJacobians,
         views: ViewNormalEquations,
-        matrix_shared: Float[Array, "views columns free"],
+        twist_rows: Float[Array, "views 6 columns"],
     ) -> tuple[
         Float[Array, "corrected 6 6"],
-        Float[Array, "corrected 6 free"],
+        Float[Array, "corrected 6 columns"],
         Float[Array, "corrected 6 6"],
     ]:
-        """Return the views' Jacobians, borders and blocks: `O_v`, `O_v^T G_v S_v`, `O_v^T G_v O_v`.
+        """Return the Jacobian `O_v` of each view's twist, `O_v^T twist_rows_v`, `O_v^T G_tt O_v`.
 
         Without a noise model no view has a correction, and all three are empty.
         """
@@ -314,7 +348,7 @@ class JointProblem(eqx.Module):
         per_view_transposed = jnp.swapaxes(per_view, 1, 2)
         return (
             per_view,
-            per_view_transposed @ matrix_shared[corrected_views, _TWIST],
+            per_view_transposed @ twist_rows[corrected_views],
             per_view_transposed @ views.matrix[corrected_views, _TWIST, _TWIST] @ per_view,
         )
 
@@ -329,25 +363,6 @@ class JointProblem(eqx.Module):
         twist = jnp.pad(pose_jacobians.shared_jacobian, ((0, 0), (0, 0), (n, 0)))
         shared = self._take_free(jnp.concatenate([camera, twist], axis=1))
         return shared * self.scale.shared[None, None]
-
-    def _with_shape(
-        self, shared: Float[Array, "views rows free"], count: int
-    ) -> Float[Array, "views more_rows more_free"]:
-        """Return the derivative with rows and columns for coefficients of the target's shape.
-
-        Args:
-            shared: derivative of camera and twist by the shared parameters.
-            count: number of coefficients, whose rows come between camera and twist.
-        """
-        if not count:
-            return shared
-        views, _, free = shared.shape
-        rows = jnp.broadcast_to(
-            jnp.eye(count, free + count, free)[None], (views, count, free + count)
-        )
-        columns = jnp.pad(shared, ((0, 0), (0, 0), (0, count)))
-        n = self.parameters.layout.camera.stop
-        return jnp.concatenate([columns[:, :n], rows, columns[:, n:]], axis=1)
 
     def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:
         """Return the entries of the free shared parameters, with zeros for padding."""
@@ -400,7 +415,7 @@ class JointProblem(eqx.Module):
             return information
         # I_v = S_v^T G_v S_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the
         # prior of the view's own parameters.
-        _, border, block = self._per_view_blocks(pose_jacobians, views, matrix_shared)
+        _, border, block = self._per_view_blocks(pose_jacobians, views, matrix_shared[:, _TWIST])
         block = block + jnp.eye(6)[None] * self._per_view_precision[:, None]
         return information - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(block, border)
 

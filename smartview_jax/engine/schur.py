@@ -13,9 +13,9 @@ With A = shared, B = border, D = per_view and the right-hand side (a, b), the re
 The work is divided as follows.
 
 - For every step that is tried: one linearisation of all observations (`problem.py`).
-- For every value of the damping: a Cholesky factorisation of each 6 x 6 block D_v, the gains
+- For every value of the damping: the inverse Cholesky factor of each 6 x 6 block D_v, the gains
   D_v^-1 B_v, the Schur complement and its Cholesky factorisation (`SchurCholesky.init`).
-- For every right-hand side: triangular solves with these factors (`SchurCholesky.compute`).
+- For every right-hand side: products and solves with these factors (`SchurCholesky.compute`).
 
 Reference: Triggs et al., Bundle adjustment: a modern synthesis, 1999, section 6.
 """
@@ -30,6 +30,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
 from ..runtime.compilation import is_traced, one_program
+from .inverse_cholesky import inverse_cholesky_factor
 from .parameters import Step
 
 
@@ -129,19 +130,18 @@ class Elimination(eqx.Module):
 
     Attributes:
         schur_complement: Schur complement, the normal equations of the shared parameters alone.
-        per_view_factor: Cholesky factor of each view's own block.
+        per_view_whitening: inverse Cholesky factor of each view's own block.
         gain: inverse of each view's own block times its border block.
     """
 
     schur_complement: Float[Array, "shared shared"]
-    per_view_factor: Float[Array, "views 6 6"]
+    per_view_whitening: Float[Array, "views 6 6"]
     gain: Float[Array, "views 6 shared"]
 
     @property
     def per_view_inverse(self) -> Float[Array, "views 6 6"]:
         """The inverse of each view's own block."""
-        identities = jnp.broadcast_to(jnp.eye(6)[None], self.per_view_factor.shape)
-        return cho_solve((self.per_view_factor, False), identities)
+        return jnp.swapaxes(self.per_view_whitening, 1, 2) @ self.per_view_whitening
 
     def per_view_covariance(
         self, shared_covariance: Float[Array, "shared shared"]
@@ -161,11 +161,13 @@ def eliminate(operator: BlockArrow) -> Elimination:
 
     A block that is not positive definite gives NaN, not an error.
     """
-    # K_v = D_v^-1 B_v,  S = A - sum_v B_v^T K_v
-    factor, _ = cho_factor(operator.per_view)
-    gain = cho_solve((factor, False), operator.border)
-    schur_complement = operator.shared - jnp.einsum("vki,vkj->ij", operator.border, gain)
-    return Elimination(schur_complement, factor, gain)
+    # With F_v D_v F_v^T = 1 and E_v = F_v B_v: K_v = F_v^T E_v,  S = A - sum_v E_v^T E_v.
+    # Products with the inverses of small factors take a third of the time of triangular solves.
+    whitening = jnp.asarray(inverse_cholesky_factor(operator.per_view))
+    whitened_border = whitening @ operator.border
+    gain = jnp.swapaxes(whitening, 1, 2) @ whitened_border
+    schur_complement = operator.shared - jnp.einsum("vki,vkj->ij", whitened_border, whitened_border)
+    return Elimination(schur_complement, whitening, gain)
 
 
 class _State(eqx.Module):
@@ -193,8 +195,9 @@ class SchurCholesky(lx.AbstractLinearSolver):
         # S x = a - sum_v K_v^T b_v, then y_v = D_v^-1 b_v - K_v x
         reduced_rhs = vector.shared - jnp.einsum("vki,vk->i", elimination.gain, vector.per_view)
         shared = cho_solve((state.factor, False), reduced_rhs)
-        factor = elimination.per_view_factor
-        per_view = cho_solve((factor, False), vector.per_view[..., None])[..., 0]
+        whitening = elimination.per_view_whitening
+        whitened = jnp.einsum("vkl,vl->vk", whitening, vector.per_view)
+        per_view = jnp.einsum("vlk,vl->vk", whitening, whitened)
         per_view = per_view - jnp.einsum("vki,i->vk", elimination.gain, shared)
         return Step(shared, per_view), lx.RESULTS.successful, {}
 

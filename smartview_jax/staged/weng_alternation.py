@@ -20,10 +20,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..geometry import transform_points
+from ..cameras import Radial
+from ..geometry import transformed_coordinates
 from .weng_start import Intrinsics
 
 _MAX_ITERATIONS = 60
@@ -98,7 +100,7 @@ def fit_view(
         """
         state, used, _, rounds = carry
         state = _minimise(state, points, pixels, used, free, rival_rms)
-        residual_norms = jnp.linalg.norm(_residuals(state, points, pixels, visible), axis=-1)
+        residual_norms = jnp.linalg.norm(_residuals(state, points, pixels, visible), axis=0)
         median_residual = jnp.nanmedian(jnp.where(visible, residual_norms, jnp.nan))
         inliers = visible & (residual_norms <= 5.0 * median_residual + 1e-6)
         return state, inliers, jnp.any(inliers != used), rounds + 1
@@ -205,14 +207,14 @@ def _radial_half_step(state, before, cost, points, pixels, used):
     Eq. 3, `u' = u~ + k1 u~ r~^2`, maps distorted (u~) to ideal (u') coordinates, so with the pose
     given it is linear in k1: `ideal - distorted = k1 distorted r^2`, weighted by alpha (px).
     """
-    log_alpha, log_ratio, u0, v0, _ = state.camera_parameters
-    alpha = jnp.exp(jnp.stack([log_alpha, log_alpha + log_ratio]))
-    distorted = (pixels - jnp.stack([u0, v0])[None]) / alpha[None]
-    p = transform_points(state.pose, points)
-    weight = (used & (p[:, 2] > 0.0))[:, None].astype(float) * alpha[None]
-    ideal = p[:, :2] / jnp.where(p[:, 2:] > 0.0, p[:, 2:], 1.0)
+    alpha, centre = _alpha_and_centre(state)
+    distorted = (pixels.T - centre) / alpha
+    x, y, z = _in_camera(state.pose, points)
+    in_front = z > 0.0
+    weight = (used & in_front)[None].astype(float) * alpha
+    ideal = jnp.stack([x, y]) / jnp.where(in_front, z, 1.0)[None]
     # k1 column = (ideal - distorted) weight, solved for the single unknown by least squares.
-    column = distorted * jnp.sum(distorted**2, axis=1, keepdims=True) * weight
+    column = distorted * jnp.sum(distorted**2, axis=0, keepdims=True) * weight
     k1 = jnp.sum(column * (ideal - distorted) * weight) / (jnp.sum(column**2) + 1e-300)
     trial = state._replace(camera_parameters=state.camera_parameters.at[4].set(k1))
     after = cost(trial)
@@ -224,33 +226,43 @@ def _select(condition, if_true, if_false):
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), if_true, if_false)
 
 
-def _project(camera_parameters: Array, points: Array) -> tuple[Array, Array]:
-    """Project camera-frame points by Eq. 2 and Eq. 3 solved for the distorted pixel.
-
-    Returns:
-        pixels `(N, 2)`, zero where there is no projection, and the mask `(N,)` of valid ones.
-    """
-    log_alpha, log_ratio, u0, v0, k1 = camera_parameters
-    intrinsics = Intrinsics(jnp.exp(log_alpha), jnp.exp(log_alpha + log_ratio), u0, v0, k1)
-    pixels, valid = intrinsics.camera((1, 1)).project(points)
-    return jnp.where(valid[..., None], pixels, 0.0), valid
+def _alpha_and_centre(state: _State) -> tuple[Float[Array, "2 1"], Float[Array, "2 1"]]:
+    """Return alpha and the principal point for u and v, px."""
+    log_alpha, log_ratio, u0, v0, _ = state.camera_parameters
+    alpha = jnp.exp(jnp.stack([log_alpha, log_alpha + log_ratio]))
+    return alpha[:, None], jnp.stack([u0, v0])[:, None]
 
 
-def _residuals(state: _State, points: Array, pixels: Array, used: Array) -> Array:
+def _in_camera(pose: SE3, points: Float[Array, "N 3"]) -> tuple[Array, Array, Array]:
+    """Return x, y and z of the points in the camera frame (Eq. 1)."""
+    return transformed_coordinates(pose.rotation().as_matrix(), pose.translation(), points)
+
+
+def _distorted(
+    state: _State, in_camera: tuple[Array, Array, Array]
+) -> tuple[Float[Array, "2 N"], Bool[Array, "N"]]:
+    """Return the distorted normalised points, Eq. 3 solved for them, and which are valid."""
+    plane_points, valid = Radial(state.camera_parameters[4]).distort(jnp.stack(in_camera, axis=-1))
+    return jnp.where(valid[None], plane_points.T, 0.0), valid
+
+
+def _residuals(state: _State, points: Array, pixels: Array, used: Array) -> Float[Array, "2 N"]:
     """Return measured minus projected pixels (the residual meant by Eq. 8), zero where unused.
 
     Pose and projection together are the collinearity equations Eq. 5 and Eq. 6. Eq. 7 prints t_x
     in the rows where t_y and t_z belong, a misprint; all three translations are used here.
     """
-    # Eq. 1 takes the points to the camera frame, `_project` from there to pixels.
-    predicted, valid = _project(state.camera_parameters, transform_points(state.pose, points))
-    return _masked_residuals(predicted, valid, pixels, used)
+    distorted, valid = _distorted(state, _in_camera(state.pose, points))
+    alpha, centre = _alpha_and_centre(state)
+    return _masked_residuals(alpha * distorted + centre, valid, pixels, used)
 
 
-def _masked_residuals(predicted: Array, valid: Array, pixels: Array, used: Array) -> Array:
+def _masked_residuals(
+    predicted: Float[Array, "2 N"], valid: Array, pixels: Float[Array, "N 2"], used: Array
+) -> Float[Array, "2 N"]:
     """Return measured minus predicted pixels, large without a projection, zero where unused."""
-    residual = jnp.where(valid[:, None], pixels - predicted, _UNPROJECTABLE_RESIDUAL)
-    return jnp.where(used[:, None], residual, 0.0)
+    residual = jnp.where(valid[None], pixels.T - predicted, _UNPROJECTABLE_RESIDUAL)
+    return jnp.where(used[None], residual, 0.0)
 
 
 def _apply_step(state: _State, step: Array) -> _State:
@@ -270,15 +282,23 @@ def _normal_equations(
 
     J is the derivative of the prediction by 5 intrinsics and 6 pose unknowns, r the residual.
     """
-    J, predicted, valid = _prediction_jacobian(state, points)
-    J = jnp.where((used & valid)[:, None, None] & _free_mask(free)[None, None], J, 0.0)
-    residual = _masked_residuals(predicted, valid, pixels, used)
-    rows = jnp.concatenate([J, residual[..., None]], axis=-1).reshape(-1, 12)
-    return rows.T @ rows
+    in_camera = _in_camera(state.pose, points)
+    distorted, valid = _distorted(state, in_camera)
+    alpha, centre = _alpha_and_centre(state)
+    residual = _masked_residuals(alpha * distorted + centre, valid, pixels, used)
+    J = _prediction_jacobian(state.camera_parameters[4], alpha, in_camera, distorted)
+    J = jnp.where((used & valid)[None, None] & _free_mask(free)[:, None, None], J, 0.0)
+    rows = jnp.concatenate([J, residual[None]]).reshape(12, -1)
+    return rows @ rows.T
 
 
-def _prediction_jacobian(state: _State, points: Array) -> tuple[Array, Array, Array]:
-    """Return the derivative of the predicted pixels, `(N, 2, 11)`, the pixels and their validity.
+def _prediction_jacobian(
+    k1: Array,
+    alpha: Float[Array, "2 1"],
+    in_camera: tuple[Array, Array, Array],
+    distorted: Float[Array, "2 N"],
+) -> Float[Array, "11 2 N"]:
+    """Return the derivative of the predicted pixels by 5 intrinsics and 6 pose unknowns.
 
     With `n` the ideal and `d` the distorted normalised point, Eq. 3 is `n = (1 + k1 d.d) d`, so
 
@@ -287,33 +307,36 @@ def _prediction_jacobian(state: _State, points: Array) -> tuple[Array, Array, Ar
 
     and with the point `p = (x, y, z)` in the camera frame `dn = [I | -n] dp / z`, where `n = a d`.
     """
-    log_alpha, log_ratio, u0, v0, k1 = state.camera_parameters
-    alpha = jnp.exp(jnp.stack([log_alpha, log_alpha + log_ratio]))
-    p = transform_points(state.pose, points)
-    predicted, valid = _project(state.camera_parameters, p)
-    offset = predicted - jnp.stack([u0, v0])[None]
-    d = offset / alpha[None]
-    square = jnp.sum(d * d, axis=1)
+    # Points are the last axis: XLA computes long rows of numbers faster than many short ones.
+    x, y, z = (coordinate[None] for coordinate in in_camera)
+    square = jnp.sum(distorted * distorted, axis=0, keepdims=True)
     a, c = 1.0 + k1 * square, 1.0 + 3.0 * k1 * square
-    D_ideal = (jnp.eye(2)[None] - (2.0 * k1 / c)[:, None, None] * d[:, :, None] * d[:, None]) / (
-        a[:, None, None]
-    )
-    D = jnp.concatenate([D_ideal, -(a / c)[:, None, None] * d[..., None]], axis=-1)
-    # The derivative by the point, p x D by its rotation: a twist (v, w) from the left displaces a
-    # camera-frame point p by dp = v + w x p.
-    D = D * alpha[None, :, None] / p[:, 2, None, None]
-    D_rotation = jnp.cross(p[:, None], D)
-    by_k1 = -(square / c)[:, None] * offset
-    # The columns of log alpha, of the logarithm of the ratio, of u0, v0 and of k1.
-    ones, zeros = jnp.ones_like(square), jnp.zeros_like(square)
-    by_camera = jnp.stack(
+    offset = alpha * distorted
+    # The derivatives g by the point, and p x g by its rotation: a twist (v, w) from the left
+    # displaces a camera-frame point p by dp = v + w x p.
+    by_ideal = alpha / (a * z)
+    across = by_ideal * (2.0 * k1 / c) * distorted
+    gx = by_ideal * jnp.array([[1.0], [0.0]]) - across * distorted[:1]
+    gy = by_ideal * jnp.array([[0.0], [1.0]]) - across * distorted[1:]
+    gz = -by_ideal * (a * a / c) * distorted
+    zeros = jnp.zeros_like(square)
+    ones = jnp.ones_like(square)
+    return jnp.stack(
         [
-            jnp.stack([offset[:, 0], zeros, ones, zeros, by_k1[:, 0]], axis=1),
-            jnp.stack([offset[:, 1], offset[:, 1], zeros, ones, by_k1[:, 1]], axis=1),
-        ],
-        axis=1,
+            # By log alpha, by the logarithm of the ratio, by u0, v0 and k1.
+            offset,
+            jnp.concatenate([zeros, offset[1:]]),
+            jnp.concatenate([ones, zeros]),
+            jnp.concatenate([zeros, ones]),
+            -(square / c) * offset,
+            gx,
+            gy,
+            gz,
+            y * gz - z * gy,
+            z * gx - x * gz,
+            x * gy - y * gx,
+        ]
     )
-    return jnp.concatenate([by_camera, D, D_rotation], axis=-1), predicted, valid
 
 
 def _damped_step(gram: Array, damping: Array) -> Array:
@@ -325,7 +348,7 @@ def _damped_step(gram: Array, damping: Array) -> Array:
     matrix = gram[:-1, :-1] / scale[:, None] / scale[None]
     # Held unknowns have zero rows and columns; a one on the diagonal makes their step zero.
     matrix = matrix + jnp.diag(jnp.where(jnp.diag(matrix) > 0.0, damping, 1.0))
-    return jnp.linalg.solve(matrix, gram[:-1, -1] / scale) / scale
+    return cho_solve(cho_factor(matrix), gram[:-1, -1] / scale) / scale
 
 
 def _positive_or_one(values: Array) -> Array:

@@ -114,32 +114,32 @@ def fisher_information(
     """
     # C has the blocks of `Marginalisation`, and C_vw = K_v C_ss K_w^T for two different views.
     xp = array_namespace(marginal.shared_whitening)
-    covariance, gain_covariance = marginal.shared_covariance, marginal.gain_covariance
+    covariance = marginal.shared_covariance
     per_view_covariance, per_view_inverse = marginal.per_view_covariance, marginal.per_view_inverse
     per_view_precision = marginal.prior_precision.per_view
 
-    # P_j as rows of weights: translation, rotation; then the groups of the field, and last the
-    # parameters with a known prior.
+    # P_j as rows of weights: the groups of the field, and last the parameters with a known prior.
     has_known_prior = (views.group_index < 0).astype(float)
     shared_precisions = (
         xp.concatenate([group_indicator(views, groups), has_known_prior[None]])
         * marginal.prior_precision.shared[None]
     )
-    pose_precisions = _IS_POSE_KIND[:, None] * per_view_precision[None]
 
-    # P_j are diagonal: tr(C P_j C P_k) = sum_ab P_j,a C_ab^2 P_k,b, summed block by block.
+    # P_j are diagonal: tr(C P_j C P_k) = sum_ab P_j,a C_ab^2 P_k,b, summed block by block. For the
+    # blocks of the views, with N_j = sum_v K_v^T P_j K_v, where only three rows of a view belong to
+    # a kind: the diagonal of C_ss N_j C_ss holds the sums of squares between a kind and each shared
+    # parameter, and tr(N_j C_ss N_k C_ss) is the sum over all pairs of views. It needs a correction
+    # for the pairs of a view with itself, which also contain D_v^-1, entry by entry:
+    # (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S).
     shared_traces = shared_precisions @ covariance**2 @ shared_precisions.T
+    weighted_gain = marginal.gain * xp.sqrt(per_view_precision)[..., None]
+    kinds = (slice(0, 3), slice(3, 6))
+    rows_of_kinds = [rows_of_views(weighted_gain[:, rows]) for rows in kinds]
+    products = [rows.T @ rows @ covariance for rows in rows_of_kinds]
     cross_traces = (
-        pose_precisions.reshape(2, per_view_precision.size) @ rows_of_views(gain_covariance**2)
-    ) @ shared_precisions.T
-    # Over all pairs of views, tr((sum_v K_v^T P_j K_v C_ss) (sum_w K_w^T P_k K_w C_ss)), where only
-    # three rows of a view belong to a kind. The second line corrects the pairs of a view with
-    # itself, which also contain D_v^-1: (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S), entry by entry.
-    weighted_gain = marginal.gain * per_view_precision[..., None]
-    products = [
-        rows_of_views(weighted_gain[:, rows]).T @ rows_of_views(gain_covariance[:, rows])
-        for rows in (slice(0, 3), slice(3, 6))
-    ]
+        xp.stack([xp.sum(covariance * product.T, axis=1) for product in products])
+        @ shared_precisions.T
+    )
     per_view_traces = xp.stack([xp.sum(a * b.T) for a in products for b in products])
     excess = per_view_inverse * (2.0 * per_view_covariance - per_view_inverse)
     weighted_excess = per_view_precision[:, :, None] * excess * per_view_precision[:, None]
