@@ -14,6 +14,7 @@ paper (`A X = X B` by BFGS).
 
 import argparse
 import collections
+import importlib
 import importlib.util
 import subprocess
 import sys
@@ -76,8 +77,8 @@ def _answers(data: Path, most: int | None) -> dict[str, dict[str, list[Answer]]]
 
 def _sequences(data: Path, most: int | None) -> Iterator[tuple[str, Any]]:
     """Return the sequences with their tracks, evenly spread over each."""
-    import kinhec
-
+    # By its name as a text: a module of the same name stands here.
+    kinhec: Any = importlib.import_module("kinhec")
     manifest = kinhec.load_manifest(data)
     for track, rows in manifest.groupby("track"):
         ids = list(rows.sequence_id)
@@ -88,8 +89,7 @@ def _sequences(data: Path, most: int | None) -> Iterator[tuple[str, Any]]:
 
 def _solved(sequence: Any) -> dict[str, Answer]:
     """Return the answers of all solvers to one sequence."""
-    from kinhec import benchmark
-
+    benchmark: Any = importlib.import_module("kinhec.benchmark")
     pairs = benchmark._keyframe_data(
         sequence, None if sequence.synchronous else sequence.time_offset
     )

@@ -12,7 +12,13 @@ from jaxtyping import Array
 from .argument_checks import require_instance
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
-from .dataset import Dataset, chain_residuals, given_places, repetition_warnings
+from .dataset import (
+    Dataset,
+    PoseDataset,
+    chain_residuals,
+    given_places,
+    repetition_warnings,
+)
 from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
 from .fit_result import Rejection
 from .geometry import PoseLike
@@ -135,6 +141,8 @@ def calibrate(
     """
     refuse_traced("calibrate", data, camera)
     require_instance("data", data, Dataset)
+    if isinstance(data, PoseDataset):
+        raise TypeError("data: tracked poses have no pixels: fit_poses fits them")
     if camera is not None:
         require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
         require_picture_size("the known camera", camera, data.image_size)

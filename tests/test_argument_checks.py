@@ -28,6 +28,7 @@ CASES = {
     "sv.calibrate(data, camera=np.eye(3))": "camera: expected Camera, found",
     "sv.fit_joint(calibration, data)": "data: expected Dataset, found",
     "sv.fit_joint(data, calibration.camera)": "start: expected Calibration, found",
+    "sv.fit_poses(5)": "samples: expected TrackedPoses, found 5 (int); a PoseDataset, or the Pose",
 }
 
 SCRIPT = """

@@ -132,6 +132,8 @@ def fit_joint(
         )
     refuse_traced("fit_joint", data, start)
     require_instance("data", data, Dataset)
+    if isinstance(data, PoseDataset) and "camera" not in fixed:
+        raise TypeError("data: tracked poses are fitted by fit_poses; found a PoseDataset")
     require_instance("start", start, Calibration, "a fit has its calibration as `.calibration`")
     if solver is not None:
         hint = "such as optimistix.LevenbergMarquardt(rtol, atol)"

@@ -16,9 +16,10 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize_scalar
 
-from ..argument_checks import require_names
+from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera, Pinhole
+from ..data_checks import check_conventions
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset, chain_residuals
 from ..engine import Prior
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
@@ -156,7 +157,7 @@ class PoseFit(JointFit):
 
 
 def fit_poses(
-    samples: TrackedPoses,
+    samples: TrackedPoses | PoseDataset,
     *,
     camera: Camera | None = None,
     start: Mapping[str, PoseLike] | None = None,
@@ -189,8 +190,12 @@ def fit_poses(
         progress: called with a line of text for each stage.
 
     Raises:
-        ValueError: an unknown path or name, too few pairs, or a robot that does not move enough.
+        TypeError: an argument of a wrong type.
+        ValueError: an unknown path or name, too few pairs, a robot that does not move enough, or
+            poses of robot and tracker that contradict each other, with the likeliest mistake.
     """
+    hint = "a PoseDataset, or the PoseSamples of read_easy_handeye"
+    require_instance("samples", samples, TrackedPoses, hint)
     require_names("fixed", fixed)
     field, report = checked_field_choice(field), progress or (lambda _: None)
     data = (
@@ -254,9 +259,16 @@ def _start(
     assert data.camera_from_world is not None
     measured = host_matrices(data.camera_from_world)
     seen = np.asarray(data.visible)[:, 0]
+    if seen.sum() < 3:
+        raise ValueError(f"samples: expected at least 3 pairs of poses, found {seen.sum()}")
     factor, consistent = robust_hand_eye(mount_from_holder, measured, seen, scale)
     measured = measured.copy()
     measured[:, :3, 3] *= factor
+    report = check_conventions(
+        data.base_from_tool, host_transforms(measured), data.mount, consistent.astype(float)
+    )
+    if report.problems:
+        raise ValueError("; ".join(report.problems))
     identity = host_transforms(np.eye(4))
     blank = Calibration(camera, identity, identity, data.mount)
     known: dict[str, SE3] = {}

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..dataset import MINIMUM_RELIABLE_VIEWS
 from ..geometry import host_logarithms, host_transforms
 from ..hand_eye import CLOSED_FORMS, mean_holder_from_world, motion_pairs, park_martin
 
@@ -44,15 +45,19 @@ def robust_hand_eye(
         scale: whether the tracker's unit is unknown.
 
     Returns:
-        Metres per unit of the tracker, 1 if it is known; and a mask. If the motion does not
-        determine the transforms, all pairs that were seen agree.
+        Metres per unit of the tracker, 1 if it is known; and a mask. All pairs that were seen agree
+        if there are at most `MINIMUM_RELIABLE_VIEWS`, or if the motion does not determine the
+        transforms.
     """
     views = np.flatnonzero(seen)
     T, C = mount_from_holder[views], camera_from_world[views]
+    if len(views) <= MINIMUM_RELIABLE_VIEWS:
+        # Too few to tell which are wrong.
+        cost, factor, _ = _solved(T, C, np.arange(len(views)), scale)
+        return factor if np.isfinite(cost) or not scale else _scale_of(T, C), seen
     best = min(
         (_solved(T, C, np.array(triple), scale) for triple in _triples(len(views))),
         key=lambda solution: solution[0],
-        default=(np.inf, 1.0, np.ones(len(views), dtype=bool)),
     )
     for _ in range(ROUNDS):
         if not np.isfinite(best[0]):

@@ -162,7 +162,7 @@ def test_a_start_is_checked_and_taken(fit):
         TrackerPrior(ratio_median=0.0)
 
 
-def test_wrong_arguments_are_named():
+def test_wrong_arguments_are_named(fit):
     robot, measured = tracked(0, views=4)
     bent = measured.copy()
     bent[2, 0, 0] *= 1.1
@@ -170,10 +170,21 @@ def test_wrong_arguments_are_named():
         PoseDataset.from_poses(robot, bent, view_ids=["x", "a", "b", "c"])
     with pytest.raises(ValueError, match=r"expected shape \(4, 4, 4\)"):
         PoseDataset.from_poses(robot[:3], measured)
+    with pytest.raises(ValueError, match="at least 3 pairs of poses, found 2"):
+        sv.fit_poses(PoseDataset.from_poses(robot[:2], measured[:2]))
+    data = data_of(0)
+    with pytest.raises(ValueError, match=r"do not move alike as given .* but do if .*inverse"):
+        sv.fit_poses(dataclasses.replace(data, camera_from_world=data.camera_from_world.inverse()))
+    for refuse in (lambda: sv.calibrate(data), lambda: sv.fit_joint(data, fit.calibration)):
+        with pytest.raises(TypeError, match="fit_poses"):
+            refuse()
 
 
-def test_half_of_the_pairs_may_be_wrong(fit):
+def test_half_of_the_pairs_may_be_wrong_but_of_few_none_is_left_out():
     """Whatever the unit of the tracker; the median is the majority's."""
+    robot, measured = tracked(0, views=4)
+    few = np.ones(4, dtype=bool)
+    assert robust_hand_eye(np.linalg.inv(robot), measured, few, False)[1].all()
     for scale in (1.0, 3.0):
         robot, measured = tracked(7, views=25, scale=scale)
         rng = np.random.default_rng(1)
