@@ -45,6 +45,7 @@ BENCHMARKS = {
     "mutations": "bugs put into the package on purpose: does the suite notice each of them",
     "startup": "the time to a first answer, from `smartview --help` to the whole command",
     "editor": "the time from a click in the object-model editor to the drawn answer",
+    "fleet": "robots of one type: the gain from one another, sets a minute, memory",
     "stages": "every stage timed against OpenCV, in one run",
 }
 

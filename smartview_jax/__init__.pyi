@@ -10,6 +10,7 @@ from . import engine as engine
 from . import evaluation as evaluation
 from . import features as features
 from . import fit_result as fit_result
+from . import fleet as fleet
 from . import geometry as geometry
 from . import grasping as grasping
 from . import hand_eye as hand_eye
@@ -43,6 +44,8 @@ from .evaluation import cramer_rao as cramer_rao
 from .evaluation import error_budget as error_budget
 from .evaluation import held_out as held_out
 from .evaluation import std_of as std_of
+from .fleet import calibrate_many as calibrate_many
+from .fleet import fleet_prior as fleet_prior
 from .geometry import five_viewpoints as five_viewpoints
 from .geometry import look_at as look_at
 from .geometry import se3_from_xyzoat as se3_from_xyzoat

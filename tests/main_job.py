@@ -20,7 +20,7 @@ CACHE_SETTINGS = {
 SCRIPT = """
 import json, sys
 import jax
-import smartview_jax.cli.calibrate as command
+import smartview_jax.cli.calibrate_folder as command
 from smartview_jax.cli import app
 
 built, load = [], command.load_named

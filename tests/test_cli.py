@@ -24,7 +24,7 @@ from smartview_jax.simulation import paper_calibration, paper_points, random_sce
 
 RUNNER = CliRunner()
 
-LOAD = "smartview_jax.cli.calibrate.load_named"
+LOAD = "smartview_jax.cli.calibrate_folder.load_named"
 """The function by which a subcommand reads its data set."""
 
 

@@ -27,7 +27,7 @@ FLOORS = """
     schemas geometry cameras targets robots robot_errors calibration dataset detection
     hand_eye data_checks staged engine variance joint arm_identification
     calibration_pipeline time_offset evaluation viewpoints features modeling io simulation
-    localization grasping plots report editor picking cli
+    fleet localization grasping plots report editor picking cli
 """.split()
 
 NO_OPENCV = """

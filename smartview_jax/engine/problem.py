@@ -339,7 +339,7 @@ class JointProblem(eqx.Module):
         Float[Array, "corrected 6 columns"],
         Float[Array, "corrected 6 6"],
     ]:
-        """Return the Jacobian `O_v` of each view's twist, `O_v^T twist_rows_v`, `O_v^T G_tt O_v`.
+        """Return the Jacobian O of each view's twist, `O^T [G_td, G_tt T]` and `O^T G_tt O`.
 
         Without a noise model no view has a correction, and all three are empty.
         """

@@ -1,13 +1,15 @@
-"""Fit many data sets of the same shape at once: simulations, bootstraps, a fleet of robots.
+"""Fit many data sets at once: simulations, bootstraps, a fleet of robots.
 
-The fits run one after the other in one compiled loop, which on a CPU is several times faster than
-`vmap` over small matrices, and in parallel on several devices. The program takes a batch at a time,
-while the host prepares the next one, so that it serves any number of fits.
+Data sets of about the same size are padded to the same shape and share a program. The fits run one
+after the other in one compiled loop, which on a CPU is several times faster than `vmap` over small
+matrices, and in parallel on several devices. The program takes a batch at a time, while the host
+prepares the next one, so that it serves any number of fits.
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -48,7 +50,7 @@ from ..fit_result import Rejection
 from ..robot_errors import FieldChoice, checked_field_choice
 from ..runtime.array_namespace import AnyArray, AnyScalar, to_device
 from ..runtime.compilation import compiled_optimised
-from ..runtime.padding import power_of_two_from, repeat_last
+from ..runtime.padding import padded_counts, power_of_two_from, repeat_last
 from .gross_errors import without_views
 from .undetermined import require_moving_robot, undetermined_motion
 
@@ -71,9 +73,12 @@ FITS_AXIS = "fits"
 class ManyFits(eqx.Module):
     """The results of many fits: every array has one entry per fit along its first axis.
 
+    A fit that failed has its error in `errors`. Its cost and covariance are NaN, its calibration is
+    its start, and `fits[k]` raises the error.
+
     Attributes:
         calibrations: one `Calibration` whose arrays are stacked; `fits[k]` is the k-th.
-        pose_corrections: as in `JointFit`.
+        pose_corrections: as in `JointFit`; zero for the views that other data sets have more.
         covariance: covariance of the free common parameters, in the order of `parameter_names`;
             infinite if the data do not determine all of them.
         cost: half the sum of squared residuals in pixel sigmas, at the end.
@@ -81,6 +86,7 @@ class ManyFits(eqx.Module):
         converged: whether a further step would lower the cost by a negligible amount.
         parameter_names: names of the free parameters that all views have in common.
         warnings: the views that were left out, with their data set, a sentence each.
+        errors: the error of each fit; None if there is a result.
     """
 
     calibrations: Calibration
@@ -91,15 +97,23 @@ class ManyFits(eqx.Module):
     converged: Bool[Array, "fits"]
     parameter_names: tuple[str, ...] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    errors: tuple[ValueError | None, ...] = eqx.field(static=True, default=())
 
     def __len__(self) -> int:
         """Return the number of fits."""
         return len(self.cost)
 
     def __getitem__(self, index: int) -> Calibration:
-        """Return one fit's calibration; raise an `IndexError` out of range."""
+        """Return one fit's calibration.
+
+        Raises:
+            IndexError: there is no such fit.
+            ValueError: the fit failed.
+        """
         # JAX arrays clamp an index out of range instead of raising; `range` raises.
         checked_index = range(len(self))[index]
+        if self.errors and (error := self.errors[checked_index]) is not None:
+            raise error
         return jax.tree.map(lambda x: to_device(np.asarray(x)[checked_index]), self.calibrations)
 
 
@@ -116,57 +130,167 @@ def fit_many(
     field: FieldChoice = "auto",
     devices: Sequence[Any] | None = None,
 ) -> ManyFits:
-    """Fit many data sets, each as `fit_joint` does.
+    """Fit many data sets, each as `fit_joint` does; the failure of one is that fit's alone.
 
     Args:
-        data: data sets with the same numbers of views and points, padded with invisible ones.
+        data: data sets of any numbers of views and points, all with the same mount.
         start: one start for all, or one for each, with the same lens and mount.
         lens, noise, loss, fixed, free, priors, field: as in `fit_joint`, the same for all.
         devices: devices over which the fits are distributed, such as `jax.devices()`; by default
             they run on one.
 
     Raises:
-        ValueError: as for `fit_joint`, also for robots that did not move or rotate, and if shapes,
-            lenses, mounts or the directions that the motions leave undetermined differ.
+        ValueError: no data set can be fitted, lenses or mounts differ, or the noise is to be
+            estimated, which `calibrate_many` does.
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
     _require_same_structure(data, starts)
     if noise == "estimated":
-        raise ValueError("fit_many takes the noise as given; fit_joint estimates it")
+        raise ValueError("fit_many takes the noise as given; calibrate_many estimates it")
     field = checked_field_choice(field)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
-    data, held, warnings = _with_checked_poses(data, starts, fixed, priors)
-    # The free pose corrections depend only on which views are usable, so problems with the same
-    # usable views are built once.
+    checked, held, warnings, errors = _with_checked_poses(data, starts, fixed, priors)
+    options = _Options(noise, loss, (*fixed, *held), free, priors, field)
+    mesh = None if devices is None else Mesh(np.array(devices), (FITS_AXIS,))
+    results: dict[int, _Result] = {}
+    shared_names: tuple[str, ...] = ()
+    for group in _groups_of_one_shape(checked):
+        built = _built_by_views(group, starts, options, errors)
+        group = {k: item for k, item in group.items() if k not in errors}
+        if not group:
+            continue
+        shared_names = next(iter(built.values())).shared_names
+        solved, unprojectable = _solve_group(group, starts, built, mesh)
+        for row, k in enumerate(group):
+            views = np.flatnonzero(unprojectable[row])
+            if len(views):
+                names = [data[k].view_ids[view] for view in views]
+                errors[k] = unprojectable_views_message(names)
+            results[k] = jax.tree.map(lambda x, row=row: x[row], solved)
+    named = tuple(
+        ValueError(f"data[{k}]: {errors[k]}") if k in errors else None for k in range(len(data))
+    )
+    if all(named):
+        raise next(error for error in named if error is not None)
+    calibrations, corrections, covariance, cost, steps, converged = _stacked(
+        results, starts, errors
+    )
+    return ManyFits(
+        calibrations,
+        corrections,
+        covariance,
+        cost,
+        steps,
+        converged,
+        shared_names,
+        warnings,
+        named,
+    )
+
+
+class _Options(NamedTuple):
+    """The options that all fits have in common, as in `build_problem`."""
+
+    noise: str | Noise
+    loss: str | AbstractLoss | None
+    fixed: tuple[str, ...]
+    free: Sequence[str]
+    priors: Mapping[str, Prior] | None
+    field: FieldChoice
+
+
+_Result = tuple[Any, ...]
+"""The arrays of one fit, in the order of the fields of `ManyFits`."""
+
+
+def _groups_of_one_shape(data: Mapping[int, Dataset]) -> list[dict[int, Dataset]]:
+    """Return groups of data sets, by their numbers, each padded to one shape."""
+    groups: dict[tuple[int, int], dict[int, Dataset]] = {}
+    for k, item in data.items():
+        groups.setdefault(padded_counts(*item.visible.shape), {})[k] = item
+    return [
+        group
+        # Data sets of one shape need no padding.
+        if len({item.visible.shape for item in group.values()}) == 1
+        else {k: _padded(item, *counts) for k, item in group.items()}
+        for counts, group in groups.items()
+    ]
+
+
+def _padded(data: Dataset, views: int, points: int) -> Dataset:
+    """Return a data set with invisible views and points added."""
+    visible = np.zeros((views, points), dtype=bool)
+    visible[: data.visible.shape[0], : data.visible.shape[1]] = np.asarray(data.visible)
+    by_point = repeat_last((data.points, data.pixels), points, axis=1)
+    point, pixel = repeat_last(by_point, views)
+    more = tuple(f"padding {k}" for k in range(views - len(data.view_ids)))
+    return dataclasses.replace(
+        data,
+        points=point,
+        pixels=pixel,
+        visible=to_device(visible),
+        base_from_tool=repeat_last(data.base_from_tool, views),
+        joints=repeat_last(data.joints, views),
+        view_ids=(*data.view_ids, *more),
+        pictures=None,
+    )
+
+
+def _usable(data: Dataset) -> tuple[int, ...]:
+    """Return the usable views, which decide which pose corrections are free."""
     # Called as a function, because Equinox copies a module for each call of a method.
-    usable = [tuple(Dataset.usable_views(item).tolist()) for item in data]
-    built_by_views: dict[tuple[int, ...], BuiltProblem] = {}
-    for k, views in enumerate(usable):
-        if views not in built_by_views:
+    return tuple(Dataset.usable_views(data).tolist())
+
+
+def _built_by_views(
+    group: Mapping[int, Dataset],
+    starts: Sequence[Calibration],
+    options: _Options,
+    errors: dict[int, str],
+) -> dict[tuple[int, ...], BuiltProblem]:
+    """Build the problem of each pattern of usable views; add the errors of those without one.
+
+    Problems with the same usable views differ only in what `_per_fit_inputs` returns.
+    """
+    built: dict[tuple[int, ...], BuiltProblem] = {}
+    for k, item in group.items():
+        views = _usable(item)
+        if views not in built:
             try:
-                built_by_views[views] = build_problem(
-                    data[k],
+                built[views] = build_problem(
+                    item,
                     starts[k],
-                    noise=noise,
-                    loss=loss,
-                    fixed=(*fixed, *held),
-                    free=free,
-                    priors=priors,
-                    field=field,
+                    noise=options.noise,
+                    loss=options.loss,
+                    fixed=options.fixed,
+                    free=options.free,
+                    priors=options.priors,
+                    field=options.field,
                 )
             except ValueError as error:
-                raise ValueError(f"data[{k}]: {error}") from error
-    built = built_by_views[usable[0]]
-    mesh = None if devices is None else Mesh(np.array(devices), (FITS_AXIS,))
+                errors[k] = str(error)
+    return built
+
+
+def _solve_group(
+    group: Mapping[int, Dataset],
+    starts: Sequence[Calibration],
+    built_by_views: Mapping[tuple[int, ...], BuiltProblem],
+    mesh: Mesh | None,
+) -> tuple[_Result, Bool[np.ndarray, "fits views"]]:
+    """Solve the problems of one shape; return their stacked results and unprojectable views."""
+    numbers, built = list(group), next(iter(built_by_views.values()))
     sigma_iterations = SIGMA_ITERATIONS if built.depends_on_sigma and not built.sigma_known else 0
 
-    def inputs(k: int) -> PerFitInputs:
-        return starts[k], data[k].observations, built_by_views[usable[k]].problem.per_view_free
+    def inputs(row: int) -> PerFitInputs:
+        k = numbers[row]
+        problem = built_by_views[_usable(group[k])].problem
+        return starts[k], group[k].observations, problem.per_view_free
 
     *results, unprojectable = _in_batches(
         inputs,
-        len(data),
-        _batch_size(len(data), 1 if mesh is None else mesh.size),
+        len(numbers),
+        _batch_size(len(numbers), 1 if mesh is None else mesh.size),
         lambda stacked, count: _solve_all(
             eqx.tree_at(_per_fit_inputs, built.problem, stacked),
             count,
@@ -175,19 +299,27 @@ def fit_many(
             mesh,
         ),
     )
-    for k, view in np.argwhere(unprojectable):
-        raise ValueError(f"data[{k}]: {unprojectable_views_message([data[k].view_ids[view]])}")
-    calibrations, corrections, covariance, cost, steps, converged = jax.tree.map(to_device, results)
-    return ManyFits(
-        calibrations,
-        corrections,
-        covariance,
-        cost,
-        steps,
-        converged,
-        built.shared_names,
-        warnings,
-    )
+    return tuple(results), unprojectable
+
+
+def _stacked(
+    results: Mapping[int, _Result], starts: Sequence[Calibration], errors: Mapping[int, str]
+) -> _Result:
+    """Return the results of all fits in their order, with NaN for those that failed."""
+    example = next(result for k, result in results.items() if k not in errors)
+    views = max(len(corrections) for _, corrections, *_ in results.values())
+    rows = []
+    for k, start in enumerate(starts):
+        if k in errors:
+            _, corrections, covariance, cost, steps, converged = example
+            nothing = np.full_like(covariance, np.nan), np.full_like(cost, np.nan)
+            rest = (*nothing, np.zeros_like(steps), np.zeros_like(converged))
+            calibration, corrections = start, np.zeros_like(corrections)
+        else:
+            calibration, corrections, *rest = results[k]
+        more_views = ((0, views - len(corrections)), (0, 0))
+        rows.append((calibration, np.pad(corrections, more_views), *rest))
+    return jax.tree.map(lambda *x: to_device(np.stack([np.asarray(y) for y in x])), *rows)
 
 
 def _per_fit_inputs(problem: JointProblem) -> PerFitInputs:
@@ -196,18 +328,13 @@ def _per_fit_inputs(problem: JointProblem) -> PerFitInputs:
 
 
 def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibration]) -> None:
-    """Raise a `ValueError` unless data sets and starts agree in shape, mount and structure."""
+    """Raise a `ValueError` unless data sets and starts agree in mount and structure."""
     if not data:
         raise ValueError("fit_many: expected at least one data set, found none")
     if len(starts) != len(data):
         raise ValueError(f"start: expected one, or {len(data)}, found {len(starts)}")
-    shape, mount = data[0].visible.shape, data[0].mount
+    mount = data[0].mount
     for k, item in enumerate(data):
-        if item.visible.shape != shape:
-            raise ValueError(
-                f"data[{k}]: expected {shape[0]} views of {shape[1]} points as in data[0], found "
-                f"{item.visible.shape}; pad with points that are not visible"
-            )
         if item.mount != mount:
             raise ValueError(f"data[{k}]: expected {mount} as data[0], found {item.mount}")
     structure = jax.tree.structure(starts[0])
@@ -221,38 +348,40 @@ def _with_checked_poses(
     starts: Sequence[Calibration],
     fixed: Sequence[str],
     priors: Mapping[str, Prior] | None,
-) -> tuple[list[Dataset], tuple[str, ...], tuple[str, ...]]:
-    """Return the data without poses that were not read again, the parameters to hold, and warnings.
+) -> tuple[dict[int, Dataset], tuple[str, ...], tuple[str, ...], dict[int, str]]:
+    """Return the data without poses that were not read again, and what the checks found.
 
-    To be held are the parameters that no motion of the robots determines, as in `fit_joint`. The
-    warnings name the views that are left out.
-
-    Raises:
-        ValueError: a robot that did not move or rotate, or robots whose motions leave different
-            parameters undetermined: one program solves for the same parameters.
+    Returns:
+        The data sets that can be fitted, by number; the parameters to hold, which no motion of the
+        robots determines, as in `fit_joint`; warnings that name the views that are left out; and
+        the errors, by number: a robot that did not move or rotate, or whose motion leaves other
+        parameters undetermined than the first one's, since all fits have the same parameters.
     """
-    checked: list[Dataset] = []
+    checked: dict[int, Dataset] = {}
     held: tuple[str, ...] = ()
     warnings: list[str] = []
+    errors: dict[int, str] = {}
     for k, (item, start) in enumerate(zip(data, starts, strict=True)):
         try:
             require_moving_robot(item, start, fixed, priors)
         except ValueError as error:
-            raise ValueError(f"data[{k}]: {error}") from error
+            errors[k] = str(error)
+            continue
         stale = stale_poses(item)
         used = without_views(item, stale)
         rejections = [Rejection(item.view_ids[view], None, text) for view, text in stale.items()]
         warnings += [f"data[{k}]: {text}" for text in repetition_warnings(rejections)]
         undetermined = undetermined_motion(used, start, fixed, priors).held
-        if k > 0 and undetermined != held:
+        if checked and undetermined != held:
             described = [", ".join(names) or "nothing" for names in (held, undetermined)]
-            raise ValueError(
-                f"data[{k}]: its motion leaves {described[1]} undetermined, but data[0]'s leaves "
-                f"{described[0]}; fit them separately, or hold these parameters by fixed="
+            errors[k] = (
+                f"its motion leaves {described[1]} undetermined, but data[{next(iter(checked))}]'s "
+                f"leaves {described[0]}; fit them separately, or hold these parameters by fixed="
             )
+            continue
         held = undetermined
-        checked.append(used)
-    return checked, held, tuple(warnings)
+        checked[k] = used
+    return checked, held, tuple(warnings), errors
 
 
 def _batch_size(count: int, devices: int) -> int:

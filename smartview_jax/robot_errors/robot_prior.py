@@ -25,6 +25,7 @@ target, 2011; Kogan, mrcal: deformation of the board, 2021).
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -88,6 +89,11 @@ class RobotPrior:
         target_geometric_std: exp of the standard deviation of the logarithms of both.
         wrong_lens_probability: probability that the lens deviates from its model; zero skips this
             hypothesis. The covariance of the transforms includes the effect of such a lens.
+        model_odds: prior odds of the models of the robot error by name (`"white"` for noise of the
+            poses alone, or a field's name), as known of a type of robot; by default, and for models
+            that it does not name, the odds for any robot.
+        geometric_std_by_name: exp of the standard deviation of the logarithm, of `"translation"`,
+            `"rotation"` and groups by name, where it differs from the values above.
     """
 
     translation_median: float = 5e-5
@@ -106,6 +112,8 @@ class RobotPrior:
     target_print_median: float = 2e-4
     target_geometric_std: float = float(np.exp(1.2))
     wrong_lens_probability: float = 0.5
+    model_odds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    geometric_std_by_name: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         positive = (
@@ -117,17 +125,22 @@ class RobotPrior:
             "wrong_target_scale_std",
         )
         named = {name: getattr(self, name) for name in positive}
-        named |= {f"group_medians[{name!r}]": value for name, value in self.group_medians.items()}
+        for mapping in ("group_medians", "model_odds"):
+            values = getattr(self, mapping).items()
+            named |= {f"{mapping}[{name!r}]": value for name, value in values}
         for name, value in named.items():
             if not 0.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a positive number, found {value}")
-        for name in (
+        factors = (
             "geometric_std",
             "group_geometric_std",
             "other_group_geometric_std",
             "target_geometric_std",
-        ):
-            value = getattr(self, name)
+        )
+        named = {name: getattr(self, name) for name in factors}
+        by_name = self.geometric_std_by_name.items()
+        named |= {f"geometric_std_by_name[{name!r}]": value for name, value in by_name}
+        for name, value in named.items():
             if not 1.0 < value < np.inf:
                 raise ValueError(f"RobotPrior.{name}: expected a factor above 1, found {value}")
         for name in (
@@ -147,6 +160,10 @@ class RobotPrior:
                 f"RobotPrior.target_bow_median, target_print_median: expected two positive "
                 f"numbers, or zero twice, found {shape[0]} and {shape[1]}"
             )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state to pickle: Python cannot pickle a read-only view of a dictionary."""
+        return vars(self) | {"group_medians": dict(self.group_medians)}
 
     @property
     def target_is_flat(self) -> bool:
@@ -168,12 +185,19 @@ class RobotPrior:
 
     def log_stds(self, field: AbstractField | None) -> Float[np.ndarray, "kinds"]:
         """Return the standard deviations of the logarithms, in the order of `medians`."""
-        groups = () if field is None else field.groups
-        geometric_stds = [
-            self.group_geometric_std
-            if name in self.group_medians
-            else self.other_group_geometric_std
-            for name, _ in groups
-        ]
+        names = ("translation", "rotation", *(() if field is None else dict(field.groups)))
         # x is log-normal with geometric standard deviation g: log x has the std log g.
-        return np.log([self.geometric_std, self.geometric_std, *geometric_stds])
+        return np.log([self.geometric_std_of(name) for name in names])
+
+    def geometric_std_of(self, name: str) -> float:
+        """Return exp of the standard deviation of the logarithm of one standard deviation.
+
+        Args:
+            name: `"translation"`, `"rotation"` or the name of a group.
+        """
+        if name in self.geometric_std_by_name:
+            return self.geometric_std_by_name[name]
+        if name in ("translation", "rotation"):
+            return self.geometric_std
+        known = name in self.group_medians
+        return self.group_geometric_std if known else self.other_group_geometric_std

@@ -6,6 +6,7 @@ describe, and the board is not flat. As in real set-ups, no estimator models all
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import equinox as eqx
 import jax
@@ -83,6 +84,7 @@ def six_axis_scene(
     translation_noise: float = 2e-5,
     rotation_noise: float = float(np.deg2rad(0.003)),
     warp_range: tuple[float, float] = WARP_RANGE,
+    error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
 ) -> ArmScene:
     """Return random views of a board of 12 x 9 points, 30 mm apart, by a 1056 px camera on an arm.
 
@@ -90,18 +92,19 @@ def six_axis_scene(
         seed: seed of numpy's generator; the same seed gives the same scene.
         views: number of views to calibrate with.
         held_out_views: number of held-out views.
-        error_scale: errors of the arm, as multiples of `KINEMATIC_ERROR_SIGMA`.
+        error_scale: errors of the arm, as multiples of `error_sigma`.
         pixel_noise: standard deviation of `u` and of `v`, px.
         translation_noise, rotation_noise: as in `simulate`, in addition to the arm's errors; m and
             rad.
         warp_range: smallest and largest deviation of the board from its plane, m.
+        error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.
 
     Raises:
         RuntimeError: the arm does not reach a view.
     """
     rng = np.random.default_rng((seed, 3))
     arm, board = six_axes(), _board_points()
-    error = random_kinematic_errors(arm, rng, error_scale)
+    error = random_kinematic_errors(arm, rng, error_scale, error_sigma)
     truth = dataclasses.replace(_true_calibration(), robot_error=error)
     warped_board = board + _random_warp(board, rng.uniform(*warp_range), rng)
     camera_poses = random_viewpoints(
@@ -159,14 +162,17 @@ def _true_calibration() -> Calibration:
     return Calibration.eye_in_hand(camera, camera_from_tool, base_from_world)
 
 
-def random_kinematic_errors(arm: SerialArm, rng: np.random.Generator, scale: float) -> RobotError:
+def random_kinematic_errors(
+    arm: SerialArm,
+    rng: np.random.Generator,
+    scale: float,
+    error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
+) -> RobotError:
     """Return random arm errors, on the middle links only."""
     field = DHErrors(arm)
     # One row per link parameter (joint offset, d, a, alpha), one column per joint.
     sigmas = [
-        sigma
-        for name, n in field.groups
-        for sigma in [KINEMATIC_ERROR_SIGMA[name]] * (n // arm.joint_count)
+        sigma for name, n in field.groups for sigma in [error_sigma[name]] * (n // arm.joint_count)
     ]
     coefficients = np.zeros((len(sigmas), arm.joint_count))
     samples = np.array(sigmas)[:, None] * rng.standard_normal(coefficients.shape)

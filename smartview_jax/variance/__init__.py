@@ -10,4 +10,6 @@ from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate
 from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence
 from .noise_estimate import TargetShapeEstimate as TargetShapeEstimate
+from .robot_evidence import RobotEvidence as RobotEvidence
+from .robot_evidence import SizesOfErrors as SizesOfErrors
 from .variance_components import estimate_noise as estimate_noise

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool
 
@@ -29,6 +30,7 @@ from .model_selection import (
 )
 from .noise_estimate import CandidateResult, TargetScaleEvidence
 from .possible_models import TARGET_SCALE_LIMITS
+from .robot_evidence import RobotEvidence
 from .view_statistics import ViewStatistics, with_prior_sigmas
 
 MAX_FREE_FITS = 3
@@ -65,6 +67,17 @@ class ModelComparison(NamedTuple):
     candidates: tuple[CandidateResult, ...]
     target_scale: TargetScaleEvidence | None
 
+    @property
+    def evidence(self) -> RobotEvidence:
+        """The views as evidence on the sizes of the robot's errors."""
+        return RobotEvidence(
+            jax.tree.map(np.asarray, self.linearised),
+            self.views.group_names,
+            self.models,
+            self.basis,
+            self.views.shape,
+        )
+
 
 @on_one_blas_thread
 def compare_models(
@@ -96,7 +109,7 @@ def compare_models(
         models = candidate_models(None, None)
     else:
         basis = encompassing_field(data, len(data.usable_views())) if field == "auto" else field
-        models = candidate_models(field, basis)
+        models = candidate_models(field, basis, prior.model_odds)
     stated = (*fixed, *free, *(priors or ()))
     test_scale = prior.wrong_target_probability > 0.0 and TARGET_SCALE not in stated
     built = build_problem(

@@ -16,6 +16,7 @@ Reference: Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging: a t
 """
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import jax
@@ -151,13 +152,30 @@ def readable_poses(data: Dataset) -> SE3:
     return jax.tree.map(lambda numbers: np.asarray(numbers)[is_readable], data.base_from_tool)
 
 
-def candidate_models(requested: FieldChoice, basis: AbstractField | None) -> dict[str, Candidate]:
+def candidate_models(
+    requested: FieldChoice,
+    basis: AbstractField | None,
+    model_odds: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Candidate]:
     """Return the models to be tried, by name.
 
     Args:
         requested: the requested field; `"auto"` for a choice, None for none.
         basis: field that contains all models.
+        model_odds: prior odds by name, instead of the odds for any robot.
     """
+    return {
+        name: model._replace(log_odds=float(np.log(model_odds[name])))
+        if name in model_odds
+        else model
+        for name, model in _models_of_any_robot(requested, basis).items()
+    }
+
+
+def _models_of_any_robot(
+    requested: FieldChoice, basis: AbstractField | None
+) -> dict[str, Candidate]:
+    """Return the models to be tried on a robot of unknown type, by name."""
     white = {WHITE_NOISE: Candidate(frozenset(), float(np.log(WHITE_NOISE_ODDS)))}
     if basis is None:
         return white

@@ -13,6 +13,7 @@ from ..robot_errors import AbstractField, RobotPrior
 from .kenward_roger import SmallSampleCorrection
 from .lens_terms import LensEvidence
 from .model_selection import TARGET_SCALE, ModelName
+from .robot_evidence import RobotEvidence
 
 
 class CandidateResult(NamedTuple):
@@ -109,6 +110,7 @@ class NoiseEstimate(NamedTuple):
         noise_corrections: twists at the tool that correct the reported poses for noise; the robot
             error field is evaluated at the corrected poses. None evaluates it at the reported ones.
         lens: evidence for distortion that the lens model does not describe.
+        robot_evidence: what the views say about the sizes of the robot's errors.
     """
 
     name: str
@@ -129,6 +131,7 @@ class NoiseEstimate(NamedTuple):
     robot_prior: RobotPrior
     noise_corrections: Float[np.ndarray, "views 6"] | None = None
     lens: LensEvidence | None = None
+    robot_evidence: RobotEvidence | None = None
 
     @property
     def free(self) -> tuple[str, ...]:

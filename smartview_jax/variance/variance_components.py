@@ -197,6 +197,7 @@ def estimate_noise(
         prior,
         average.noise_corrections,
         lens,
+        first.evidence,
     )
 
 

@@ -173,7 +173,9 @@ def test_wrong_arguments_are_named(fit):
     with pytest.raises(ValueError, match="at least 3 pairs of poses, found 2"):
         sv.fit_poses(PoseDataset.from_poses(robot[:2], measured[:2]))
     data = data_of(0)
-    with pytest.raises(ValueError, match=r"do not move alike as given .* but do if .*inverse"):
+    with pytest.raises(
+        ValueError, match=r"do not move alike as given .* but do if every pose is inverted"
+    ):
         sv.fit_poses(dataclasses.replace(data, camera_from_world=data.camera_from_world.inverse()))
     for refuse in (lambda: sv.calibrate(data), lambda: sv.fit_joint(data, fit.calibration)):
         with pytest.raises(TypeError, match="fit_poses"):

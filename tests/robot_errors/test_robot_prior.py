@@ -1,3 +1,5 @@
+import pickle
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -50,3 +52,7 @@ def test_a_users_own_arm_takes_the_place_of_the_usual_one(field):
 def test_what_cannot_be_is_refused(options, words):
     with pytest.raises(ValueError, match=words):
         RobotPrior(**options)
+
+
+def test_a_prior_goes_to_another_process_and_back():
+    assert pickle.loads(pickle.dumps(RobotPrior())) == RobotPrior()

@@ -1,0 +1,119 @@
+"""Calibrate one folder for `smartview calibrate`: load, fit, judge, and write the results."""
+
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from ..files import file_transaction
+from .fit_options import FitKnowledge, parse_fit_options
+from .load import load_named, with_estimated_clock
+
+if TYPE_CHECKING:
+    from ..calibration_pipeline import CalibrationFit
+    from ..dataset import Dataset
+    from .calibrate_result import CalibrateResult
+
+
+class CalibrateSettings(NamedTuple):
+    """The options of `smartview calibrate` that are the same for all folders."""
+
+    lens: str
+    noise: str
+    held_out: bool
+    diagnose: bool
+    known: FitKnowledge
+    bad_views: str
+    base_from_world: str | None
+    time_offset: bool
+
+
+def calibrated_folder(
+    dataset: Path | None, settings: CalibrateSettings, progress: Callable[[str], None]
+) -> "tuple[CalibrateResult, str]":
+    """Load a data set, fit it, and judge the fit.
+
+    Returns:
+        The result, and the options that state prior knowledge, in words.
+    """
+    from ..calibration_pipeline import calibrate as fit_both
+    from .calibrate_result import fit_and_judge
+
+    lens = settings.lens
+    data, name = load_named(dataset, settings.bad_views, progress, settings.base_from_world)
+    if settings.time_offset:
+        data = with_estimated_clock(data, dataset, lens, progress)
+    # The names of the transforms depend on the mount, which the data set states.
+    fit_options = parse_fit_options(lens, data.mount, settings.known)
+
+    # Folds and halves are fitted with the same options as all views.
+    def fit_views(part: "Dataset", progress: Callable[[str], None] | None) -> "CalibrationFit":
+        given = fit_options.arguments()
+        return fit_both(part, lens, noise=settings.noise, progress=progress, **given)
+
+    result = fit_and_judge(data, name, fit_views, settings.held_out, settings.diagnose, progress)
+    return result, fit_options.given
+
+
+RESULT_FILES = {
+    "calibration.yaml": "the calibration",
+    "calibration_staged.yaml": "the calibration of the staged pipeline",
+    "calibration_uncorrected.yaml": "for programs that cannot correct the robot's error: predicts "
+    "best without the correction, but its hand-eye transform is not the true one",
+    "report.html": "the report: results and accuracy",
+}
+"""Descriptions of the files that `calibrate` writes, by file name."""
+
+
+def run_name() -> str:
+    """Return a unique name for a run, written to all its files: the time and a random part."""
+    import secrets
+    from datetime import UTC, datetime
+
+    return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
+
+
+def write_files(
+    result: "CalibrateResult",
+    out: Path,
+    run: str,
+    given: str,
+    progress: Callable[[str], None],
+) -> list[Path]:
+    """Write all files of a run, or none, and return the paths written."""
+    from ..report import Origin, write_page
+
+    # All files appear together, so that the report always belongs to the calibration.
+    with file_transaction(out, tuple(RESULT_FILES)) as folder:
+        _save_calibrations(result, folder, run, given)
+        write_page(
+            folder / "report.html",
+            result.fit,
+            result.data,
+            result.held_out_reports,
+            Origin(result.name, shlex.join(["smartview", *sys.argv[1:]]), run, given),
+            progress,
+            result.split_half,
+            result.budget,
+            result.remarks,
+        )
+    return [out / file for file in RESULT_FILES if (out / file).is_file()]
+
+
+def _save_calibrations(result: "CalibrateResult", folder: Path, run: str, given: str) -> None:
+    """Write the calibrations of a fit to a folder, by the names in `RESULT_FILES`."""
+    from ..calibration_pipeline import refit_uncorrected
+    from ..dataset import picture_digests
+
+    # A view without points has no digest.
+    pictures = [digest for digest in picture_digests(result.data) if digest]
+    fit = result.fit
+    # Values that were given, not estimated, belong to the provenance of the numbers.
+    source = f"{result.name}; given: {given}" if given else result.name
+    fit.joint.save(folder / "calibration.yaml", run, source, result.warnings, pictures)
+    fit.staged.calibration.save(folder / "calibration_staged.yaml", run, pictures=pictures)
+    if fit.calibration.robot_error is not None:
+        # With the robot's error corrected, the transforms alone do not predict best.
+        uncorrected = refit_uncorrected(result.data, fit)
+        uncorrected.save(folder / "calibration_uncorrected.yaml", run, pictures=pictures)

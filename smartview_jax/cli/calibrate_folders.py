@@ -1,0 +1,185 @@
+"""Calibrate several folders for `smartview calibrate`, in processes, and print a table of all."""
+
+import functools
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ..files import refuse_unwritable
+from .calibrate_folder import CalibrateSettings, calibrated_folder, run_name, write_files
+from .json_document import print_document
+from .terminal import progress_line
+
+if TYPE_CHECKING:
+    from ..fleet import Outcome
+    from .calibrate_result import CalibrateResult
+
+FAILED_CODE, NOT_CONVERGED_CODE = 2, 1
+"""Exit codes if a folder could not be calibrated, and if a fit did not converge."""
+
+MAX_NAME_WIDTH = 18
+"""Width of the column of names: with it the table fits a terminal of 80 characters."""
+
+
+class FolderResult(NamedTuple):
+    """The calibration of a folder, in figures that fit a row of a table.
+
+    Attributes:
+        views: number of views that were used.
+        rms: RMS of the residuals, px.
+        held_out_rms: RMS of the errors on views that the fit did not see, px; None if they were not
+            computed.
+        translation: translation of the hand-eye transform, mm.
+        translation_std: length of the vector of its standard deviations, mm; None if it is held.
+        outcome: the outcome in a word or two.
+        converged: whether the fit converged.
+        document: everything that `--json` prints about the folder.
+    """
+
+    views: int
+    rms: float
+    held_out_rms: float | None
+    translation: tuple[float, float, float]
+    translation_std: float | None
+    outcome: str
+    converged: bool
+    document: dict[str, Any]
+
+
+def calibrate_folders(
+    folders: Sequence[Path], out: Path, settings: CalibrateSettings, jobs: int | None, json: bool
+) -> int:
+    """Calibrate folders, write each calibration, print a table, and return the exit code.
+
+    Raises:
+        ValueError: two folders with the same name, or results that cannot be written.
+    """
+    from ..fleet import outcomes
+
+    names = [folder.resolve().name for folder in folders]
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ValueError(
+                f"{count} folders are called {name}: their results would be written to the same "
+                f"folder {out / name}; give them other names, or calibrate one at a time"
+            )
+    for name in names:
+        refuse_unwritable(out / name, "--out")
+    job = functools.partial(_calibrate_folder, out=out, settings=settings)
+    found: dict[int, Outcome] = {}
+    with progress_line() as progress, ExitStack() as stack:
+        # One at a time needs no second process.
+        executor = stack.enter_context(ThreadPoolExecutor(1)) if jobs == 1 else jobs
+        for outcome in outcomes(job, folders, executor):
+            found[outcome.number] = outcome
+            ended = "failed" if outcome.error else "calibrated"
+            progress(f"{names[outcome.number]} {ended}: {len(found)} of {len(folders)}")
+    results = [found[number] for number in range(len(folders))]
+    if json:
+        print_document("calibrate", {"data_sets": _documents(names, results)})
+    else:
+        _print_table(names, results, out)
+    if any(outcome.error for outcome in results):
+        return FAILED_CODE
+    return 0 if all(outcome.result.converged for outcome in results) else NOT_CONVERGED_CODE
+
+
+def _calibrate_folder(folder: Path, out: Path, settings: CalibrateSettings) -> FolderResult:
+    """Calibrate a folder, write its files, and return what the table needs.
+
+    Raises:
+        ValueError, OSError: as for a single folder.
+    """
+    from .calibrate_document import calibrate_document
+
+    def silent(_: str) -> None:
+        """Report nothing: the lines of several folders would be mixed."""
+
+    run, report = run_name(), silent
+    result, given = calibrated_folder(folder, settings, report)
+    files = write_files(result, out / result.name, run, given, report)
+    return _summary(result, calibrate_document(result, run, given, files))
+
+
+def _summary(result: "CalibrateResult", document: dict[str, Any]) -> FolderResult:
+    """Return the figures of a calibration for a row of the table."""
+    import numpy as np
+
+    fit, errors = result.fit, document["errors"]
+    mount_path = fit.calibration.transform_names[0]
+    stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
+    known = [std for std in stds if std is not None]
+    # The last row is the joint fit.
+    held_out = errors[-1]["held_out"]
+    x, y, z = 1e3 * np.asarray(fit.calibration.camera_from_mount.translation())
+    return FolderResult(
+        len(result.data.view_ids) - len({entry["view"] for entry in document["left_out_views"]}),
+        errors[-1]["fitted"]["rms_px"],
+        None if held_out is None else held_out["rms_px"],
+        (float(x), float(y), float(z)),
+        1e3 * float(np.linalg.norm(known)) if known else None,
+        _outcome_words(fit.result.converged, len(result.warnings)),
+        fit.result.converged,
+        document,
+    )
+
+
+def _outcome_words(converged: bool, warnings: int) -> str:
+    """Return the outcome of a calibration in a word or two."""
+    if not converged:
+        return "not converged"
+    return f"{warnings} warning{'s' if warnings > 1 else ''}" if warnings else "good"
+
+
+def _documents(names: Sequence[str], results: "Sequence[Outcome]") -> list[dict[str, Any]]:
+    """Return each folder's document: of a single run, or with the error in its place."""
+    return [
+        {"data_set": name, "error": str(outcome.error)}
+        if outcome.error
+        else {**outcome.result.document, "error": None}
+        for name, outcome in zip(names, results, strict=True)
+    ]
+
+
+def _print_table(names: Sequence[str], results: "Sequence[Outcome]", out: Path) -> None:
+    """Print a row for each folder, then the errors and where the results are."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("data set", max_width=MAX_NAME_WIDTH, overflow="ellipsis", no_wrap=True)
+    for title in ("views", "RMS px", "held out", "hand-eye x, y, z mm", "+-"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("outcome", no_wrap=True)
+    for name, outcome in zip(names, results, strict=True):
+        table.add_row(name, *_cells(outcome))
+    console = Console()
+    console.print(table)
+    for name, outcome in zip(names, results, strict=True):
+        if outcome.error:
+            text = str(outcome.error)
+            # Errors of files begin with a path.
+            text = text if name in text else f"{name}: {text}"
+            console.print(text, highlight=False, markup=False)
+    if any(outcome.result for outcome in results):
+        text = f"{out}: a folder for each, with calibration.yaml and report.html"
+        console.print(text, highlight=False, markup=False)
+
+
+def _cells(outcome: "Outcome") -> tuple[str, ...]:
+    """Return the cells of a folder's row after its name."""
+    if outcome.error:
+        return ("", "", "", "", "", "error")
+    result: FolderResult = outcome.result
+    return (
+        str(result.views),
+        f"{result.rms:.3f}",
+        "" if result.held_out_rms is None else f"{result.held_out_rms:.3f}",
+        ", ".join(f"{value:.1f}" for value in result.translation),
+        "held" if result.translation_std is None else f"{result.translation_std:.2f}",
+        result.outcome,
+    )

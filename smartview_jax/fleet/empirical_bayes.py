@@ -1,0 +1,304 @@
+"""Estimate what robots of one type have in common: how large their errors are.
+
+Robots of one type differ in their errors, but not much in how large these are. The logarithms x of
+the standard deviations of robot i (pose noise, and each group of an error field) are Gaussian about
+the type's:
+
+    x_i ~ N(mu, T),  mu ~ N(m, S)
+
+with m and S from the prior for any robot, and T, one spread of the pose noise and one of the
+field's groups, by maximum likelihood with x and mu integrated out. Each robot's views contribute
+their likelihood, approximated by a Gaussian at the peak of its posterior (`SizesOfErrors`). This
+posterior uses the prior of the type, so estimates and approximations are repeated in turn. The next
+robot then needs fewer views, because its errors are weighted like its type's.
+
+A robot may be of another type. Its evidence under the type's prior is compared with the evidence
+under the prior for any robot, and its weight in the estimates is the probability that it belongs.
+
+Reference: Efron, Large-scale inference: empirical Bayes methods for estimation, testing and
+prediction, 2010.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+
+from ..joint import JointFit
+from ..robot_errors import RobotPrior
+from ..variance import RobotEvidence, SizesOfErrors
+
+ROUNDS = 5
+"""Number of estimates, each with the robots' likelihoods approximated at the last one."""
+
+SMALLEST_SPREAD = 0.01
+"""Smallest spread of the logarithms within a type that is tried, a percent: no robot's views tell
+the size of an error so well."""
+
+SHARE_STEPS = 100
+"""Number of steps of expectation maximisation for the shares of kinds of robots.
+
+A step takes microseconds, and far fewer suffice where robots can be told apart.
+"""
+
+MINIMUM_FITS = 2
+"""Smallest number of robots that have something in common."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FleetPrior(RobotPrior):
+    """The prior for the next robot of a type, as `robot_prior` of `calibrate` and `fit_joint`.
+
+    Attributes:
+        model: name of the model of the robot error that describes the type best.
+        membership: probability of each fit that its robot is of this type.
+    """
+
+    model: str = "white"
+    membership: tuple[float, ...] = ()
+
+    @property
+    def outsiders(self) -> tuple[int, ...]:
+        """The numbers of the fits whose robots are probably of another type."""
+        return tuple(k for k, probability in enumerate(self.membership) if probability < 0.5)
+
+
+def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> FleetPrior:
+    """Estimate the prior of the errors of one type of robot from fits of several of them.
+
+    The prior of a fit does not matter, only what its views say.
+
+    Args:
+        fits: fits with estimated noise, such as those of `calibrate_many`; robots of another type
+            among them are recognised (`FleetPrior.outsiders`) and left out.
+        general: prior for a robot of any type; few robots change it little.
+
+    Raises:
+        ValueError: fewer than two fits, a fit with given noise, or fits whose models of the robot
+            error differ, as with and without joint readings.
+    """
+    general = general or RobotPrior()
+    evidence = [_evidence_of(k, fit) for k, fit in enumerate(fits)]
+    if len(evidence) < MINIMUM_FITS:
+        raise ValueError(f"fleet_prior: expected at least two fits, found {len(evidence)}")
+    models = _common_models(evidence)
+    any_robot = np.array([_evidence_of_any_robot(robot, models, general) for robot in evidence])
+    members = np.ones(len(evidence))
+    priors, best = dict.fromkeys(models, general), models[0]
+    for k in range(ROUNDS):
+        found = {model: _sizes_of_all(evidence, model, priors[model]) for model in models}
+        logs = {model: np.array([one.log_evidence for one in found[model]]) for model in models}
+        best = max(models, key=lambda model: float(logs[model] @ members))
+        # In the first round the prior of the type is still the general one.
+        members = (
+            _shares(np.stack([logs[best], any_robot]))[1][0]
+            if k > 0
+            else _most_alike(found[best], *_sizes_of_any_robot(evidence[0].groups(best), general))
+        )
+        for model in models:
+            groups = evidence[0].groups(model)
+            estimate = _prior_of(found[model], members, groups, general)
+            priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
+    # The next robot has one prior for all models.
+    prior = priors[best]
+    sizes = [_sizes_of_all(evidence, model, prior) for model in models]
+    logs = np.array([[one.log_evidence for one in of_model] for of_model in sizes])
+    shares, _ = _shares(logs, members)
+    of_type = np.logaddexp.reduce(logs + np.log(shares)[:, None], axis=0)
+    members = _shares(np.stack([of_type, any_robot]))[1][0]
+    values: dict[str, Any] = {
+        field.name: getattr(prior, field.name) for field in dataclasses.fields(RobotPrior)
+    }
+    values["model_odds"] = dict(zip(models, map(float, shares), strict=True))
+    return FleetPrior(**values, model=best, membership=tuple(map(float, members)))
+
+
+def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
+    """Return the prior between two, by geometric means.
+
+    Whole steps would go to and fro about the sizes that the views hardly determine: their
+    likelihoods are far from Gaussian, and look different from either side.
+    """
+
+    def mean(one: float, other: float) -> float:
+        return float(np.sqrt(one * other))
+
+    stds = first.geometric_std_by_name
+    return dataclasses.replace(
+        second,
+        translation_median=mean(first.translation_median, second.translation_median),
+        rotation_median=mean(first.rotation_median, second.rotation_median),
+        group_medians={
+            name: mean(first.group_medians[name], value)
+            for name, value in second.group_medians.items()
+        },
+        geometric_std_by_name={
+            name: mean(stds.get(name, value), value)
+            for name, value in second.geometric_std_by_name.items()
+        },
+    )
+
+
+def _evidence_of(number: int, fit: JointFit) -> RobotEvidence:
+    """Return what the views of a fit say about the sizes of its robot's errors."""
+    estimate = fit.noise_estimate
+    if estimate is None or estimate.robot_evidence is None:
+        raise ValueError(
+            f"fits[{number}]: expected a fit with noise='estimated', which tells the sizes of the "
+            "robot's errors"
+        )
+    return estimate.robot_evidence
+
+
+def _common_models(evidence: Sequence[RobotEvidence]) -> list[str]:
+    """Return the names of the models that all fits compared."""
+    for k, robot in enumerate(evidence):
+        if [*robot.models] != [*evidence[0].models]:
+            raise ValueError(
+                f"fits[{k}]: its models of the robot error are {', '.join(robot.models)}, but "
+                f"{', '.join(evidence[0].models)} in fits[0]; fit all with or without joint "
+                "readings, or with the same field="
+            )
+    return [*evidence[0].models]
+
+
+def _evidence_of_any_robot(
+    robot: RobotEvidence, models: Sequence[str], general: RobotPrior
+) -> float:
+    """Return the logarithm of the evidence under the prior for any robot, over all models."""
+    log_odds = np.array([robot.models[model].log_odds for model in models])
+    logs = np.array([robot.sizes(model, general).log_evidence for model in models])
+    return float(np.logaddexp.reduce(logs + log_odds) - np.logaddexp.reduce(log_odds))
+
+
+def _sizes_of_all(
+    evidence: Sequence[RobotEvidence], model: str, prior: RobotPrior
+) -> list[SizesOfErrors]:
+    """Return every robot's likelihood of the sizes of its errors."""
+    # A robot with much larger noise than its type's is of another type.
+    of_type = dataclasses.replace(prior, weak_robot_probability=0.0)
+    return [robot.sizes(model, of_type) for robot in evidence]
+
+
+def _shares(
+    logs: Float[np.ndarray, "kinds robots"], weights: Float[np.ndarray, "robots"] | None = None
+) -> tuple[Float[np.ndarray, "kinds"], Float[np.ndarray, "kinds robots"]]:
+    """Estimate the shares of kinds of robots from the evidence of each robot for each kind.
+
+    Args:
+        logs: logarithms of the evidence.
+        weights: weight of each robot; by default one.
+
+    Returns:
+        The shares, and the probability of each kind for each robot.
+    """
+    weights = np.ones(logs.shape[1]) if weights is None else weights
+    shares = np.full(len(logs), 1.0 / len(logs))
+    probabilities = np.zeros_like(logs)
+    for _ in range(SHARE_STEPS):
+        joint = logs + np.log(shares)[:, None]
+        probabilities = np.exp(joint - np.logaddexp.reduce(joint, axis=0))
+        # Half a robot of each kind beforehand (Jeffreys' prior): no share becomes zero.
+        counts = probabilities @ weights + 0.5
+        shares = counts / counts.sum()
+    return shares, probabilities
+
+
+def _prior_of(
+    sizes: Sequence[SizesOfErrors],
+    members: Float[np.ndarray, "robots"],
+    groups: Sequence[str],
+    general: RobotPrior,
+) -> RobotPrior:
+    """Return the prior of a type from its robots' likelihoods, weighted by membership."""
+    names = ["translation", "rotation", *groups]
+    mean, log_std = _common_sizes(sizes, members, *_sizes_of_any_robot(groups, general))
+    found = dict(zip(names, map(float, np.exp(mean)), strict=True))
+    stds = dict(zip(names, map(float, np.exp(log_std)), strict=True))
+    return dataclasses.replace(
+        general,
+        translation_median=found["translation"],
+        rotation_median=found["rotation"],
+        group_medians={**general.group_medians, **{name: found[name] for name in groups}},
+        geometric_std_by_name={**general.geometric_std_by_name, **stds},
+    )
+
+
+def _sizes_of_any_robot(
+    groups: Sequence[str], general: RobotPrior
+) -> tuple[Float[np.ndarray, "sizes"], Float[np.ndarray, "sizes"]]:
+    """Return mean and standard deviation of the logarithms of the sizes of any robot's errors."""
+    medians = [general.translation_median, general.rotation_median]
+    medians += [general.group_medians.get(name, general.other_group_median) for name in groups]
+    names = ["translation", "rotation", *groups]
+    return np.log(medians), np.log([general.geometric_std_of(name) for name in names])
+
+
+def _most_alike(
+    sizes: Sequence[SizesOfErrors],
+    general_mean: Float[np.ndarray, "sizes"],
+    general_std: Float[np.ndarray, "sizes"],
+) -> Float[np.ndarray, "robots"]:
+    """Return one for the half of the robots that are nearest to the median, zero for the others.
+
+    From an estimate of all robots, others among them would widen the type until they belong to it.
+    """
+    precision = np.diag(general_std**-2)
+    estimates = np.array(
+        [
+            np.linalg.solve(one.information + precision, one.vector + precision @ general_mean)
+            for one in sizes
+        ]
+    )
+    distances = np.sum(((estimates - np.median(estimates, axis=0)) / general_std) ** 2, axis=1)
+    return (distances <= np.median(distances)).astype(float)
+
+
+def _common_sizes(
+    sizes: Sequence[SizesOfErrors],
+    members: Float[np.ndarray, "robots"],
+    general_mean: Float[np.ndarray, "sizes"],
+    general_std: Float[np.ndarray, "sizes"],
+) -> tuple[Float[np.ndarray, "sizes"], Float[np.ndarray, "sizes"]]:
+    """Return mean and standard deviation of the logarithms of the sizes of the next robot.
+
+    Args:
+        sizes: each robot's likelihood.
+        members: weight of each robot.
+        general_mean, general_std: of the sizes of a robot of any type.
+    """
+    information = np.stack([one.information for one in sizes])
+    vector = np.stack([one.vector for one in sizes])
+    count = len(general_mean)
+    is_pose = np.arange(count) < 2
+
+    def estimate(log_spreads: Float[np.ndarray, "2"]) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return minus the log-likelihood of the spreads, and mu with its precision."""
+        # With I the information and h the vector of a robot, and the variances T, integration
+        # over x leaves, for the robot, mu g - mu W mu / 2 + h S h / 2 - log det(1 + T I) / 2 with
+        #     W = I (1 + T I)^-1,  g = (1 + I T)^-1 h,  S = T (1 + I T)^-1
+        variance = np.where(is_pose, *np.exp(2.0 * log_spreads))
+        inverse = np.linalg.inv(np.eye(count) + information * variance)
+        g = (inverse @ vector[..., None])[..., 0]
+        precision = np.einsum("r,rij->ij", members, inverse @ information) + np.diag(
+            general_std**-2
+        )
+        eta = members @ g + general_mean / general_std**2
+        mean = np.linalg.solve(precision, eta)
+        logarithms = 0.5 * np.linalg.slogdet(inverse)[1] + 0.5 * np.sum(vector * variance * g, 1)
+        value = members @ logarithms + 0.5 * eta @ mean - 0.5 * np.linalg.slogdet(precision)[1]
+        return -float(value), mean, precision
+
+    # Within a type the sizes do not spread more than over all types.
+    bounds = [
+        (np.log(SMALLEST_SPREAD), np.log(general_std[chosen].max())) if chosen.any() else (0.0, 0.0)
+        for chosen in (is_pose, ~is_pose)
+    ]
+    start = [np.mean(bound) for bound in bounds]
+    found = minimize(lambda x: estimate(x)[0], start, method="L-BFGS-B", bounds=bounds)
+    _, mean, precision = estimate(found.x)
+    variance = np.where(is_pose, *np.exp(2.0 * found.x))
+    return mean, np.sqrt(variance + np.diagonal(np.linalg.inv(precision)))

@@ -1,0 +1,56 @@
+"""Several folders in one command: a table of all, each with its own files or its own error."""
+
+import json
+import shutil
+
+import pytest
+from board_scene import LENS, board_folder, run
+
+from smartview_jax import Calibration
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Two data sets of a name of their own, and an empty folder."""
+    root = tmp_path_factory.mktemp("folders")
+    for name in ("left", "right"):
+        shutil.copytree(board_folder(tmp_path_factory), root / name)
+    (root / "empty").mkdir()
+    return [root / name for name in ("left", "empty", "right")]
+
+
+OPTIONS = (*LENS, "--no-held-out", "--jobs", 1)
+
+
+def test_a_table_shows_all_and_each_has_its_files(folders, tmp_path):
+    ended = run("calibrate", *folders, *OPTIONS, "--out", tmp_path)
+    assert ended.exit_code == 2
+    rows = [line.split() for line in ended.stdout.splitlines() if line.strip()]
+    starts = [row[0] for row in rows]
+    assert starts.index("left") < starts.index("empty") < starts.index("right")
+    assert max(map(len, ended.stdout.splitlines())) <= 80
+    assert rows[starts.index("empty")] == ["empty", "error"]
+    assert rows[starts.index("left")][1:] == rows[starts.index("right")][1:]
+    # Where the lines break depends on the length of the path.
+    assert "has neither dataset.yaml" in " ".join(ended.stdout.split())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["left", "right"]
+    saved = Calibration.load(tmp_path / "left" / "calibration.yaml")
+    x = 1e3 * float(saved.camera_from_tool.translation()[0])
+    assert f" {x:.1f}, " in ended.stdout
+    assert "report.html" in {path.name for path in (tmp_path / "right").iterdir()}
+    assert "3 of 3" in ended.stderr
+
+
+def test_programs_get_a_document_for_each(folders, tmp_path):
+    ended = run("calibrate", *folders[:2], *OPTIONS, "--json", "--out", tmp_path)
+    left, empty = json.loads(ended.stdout)["data_sets"]
+    assert left["data_set"] == "left"
+    assert left["error"] is None
+    assert left["files"][0] == str(tmp_path / "left" / "calibration.yaml")
+    assert "has neither dataset.yaml" in empty["error"]
+
+
+def test_results_of_folders_of_one_name_are_not_mixed(folders, tmp_path):
+    ended = run("calibrate", folders[0], folders[0] / ".." / "left", "--out", tmp_path)
+    assert ended.exit_code == 2
+    assert "2 folders are called left" in ended.stderr.replace("\n", " ")
