@@ -28,8 +28,9 @@ import numpy as np
 
 import smartview_jax as sv
 from smartview_jax.dataset import PoseDataset
-from smartview_jax.geometry import as_se3, host_logarithms, host_matrices
+from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.hand_eye import solve_hand_eye
+from smartview_jax.joint.robust_hand_eye import chain_errors
 
 TIER, SMOKE_TIER, SMOKE_MOST = "small", "smoke", 1
 MAX_RATIO = 1.1
@@ -110,10 +111,8 @@ def _timed(solve: Callable[[], np.ndarray], truth: np.ndarray) -> Answer:
     except Exception:  # a solver that fails is a result of the benchmark
         return Answer(np.nan, np.nan, np.nan)
     seconds = time.perf_counter() - begun
-    turn = np.eye(4)[None].copy()
-    turn[0, :3, :3] = found[:3, :3] @ truth[:3, :3].T
-    degrees = float(np.rad2deg(np.linalg.norm(host_logarithms(turn)[0, 3:])))
-    return Answer(1e3 * float(np.linalg.norm(found[:3, 3] - truth[:3, 3])), degrees, seconds)
+    distance, angle = chain_errors(found[None], truth[None])[0]
+    return Answer(1e3 * float(distance), float(np.rad2deg(angle)), seconds)
 
 
 def _joint(sequence: Any, pairs: Any) -> np.ndarray:

@@ -12,13 +12,7 @@ from jaxtyping import Array
 from .argument_checks import require_instance
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
-from .dataset import (
-    Dataset,
-    PoseDataset,
-    chain_residuals,
-    given_places,
-    repetition_warnings,
-)
+from .dataset import Dataset, PoseDataset, chain_residuals, given_places, repetition_warnings
 from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
 from .fit_result import Rejection
 from .geometry import PoseLike

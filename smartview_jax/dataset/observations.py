@@ -127,8 +127,6 @@ def view_residuals(
     They are zero where a point is not visible, and infinite where a visible point cannot be
     predicted. All fits share this program, whatever they assume about the robot.
     """
-    if isinstance(observations, PoseObservations):
-        return _pose_residuals(target_scale, camera_from_world, observations)
     if is_traced(camera, target_scale, camera_from_world, observations):
         return _view_residuals(camera, target_scale, camera_from_world, observations)
     padded = observations.padded()
@@ -138,23 +136,15 @@ def view_residuals(
 
 
 @compiled
-def _pose_residuals(
-    target_scale: Float[Array, ""],
-    camera_from_world: Float[AnyArray, "views 4 4"],
-    observations: PoseObservations,
-) -> Float[Array, "views 3 2"]:
-    """Return the residuals of tracked poses, compiled for the given shapes."""
-    return observations.residuals(as_se3(camera_from_world), target_scale)
-
-
-@compiled
 def _view_residuals(
     camera: Camera,
     target_scale: Float[Array, ""],
     camera_from_world: Float[AnyArray, "views 4 4"],
-    observations: Observations,
+    observations: AnyObservations,
 ) -> Float[Array, "views points 2"]:
     """Return the residuals of `view_residuals`, compiled for the given shapes."""
+    if isinstance(observations, PoseObservations):
+        return observations.residuals(as_se3(camera_from_world), target_scale)
 
     def one_view(pose_and_view: tuple[Array, Observations]) -> Float[Array, "points 2"]:
         """Return the residuals of one view."""

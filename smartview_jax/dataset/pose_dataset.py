@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
 from ..geometry import PoseLike, as_se3, check_rigid
@@ -106,9 +106,14 @@ class PoseDataset(Dataset):
             self.joints,
         )
 
+    @property
+    def seen(self) -> Bool[np.ndarray, "views"]:
+        """Mask of the views in which the target was seen, and that are not masked."""
+        return np.asarray(np.asarray(self.visible).all(axis=1))
+
     def usable_views(self, minimum_points: int = PAIRS) -> np.ndarray:
         """Return the indices of the views in which the target was seen."""
-        return np.flatnonzero(np.asarray(self.visible).all(axis=1))
+        return np.flatnonzero(self.seen)
 
     def _arrays_of(self, index: np.ndarray) -> dict[str, Any]:
         """Return the arrays of the given views, by name."""

@@ -43,7 +43,7 @@ class PoseObservations(eqx.Module):
 
     @property
     def pixels(self) -> Float[Array, "*views 3 2"]:
-        """The measured numbers of which `residuals` are a part: zero by definition."""
+        """Zeros in the place of pixels: `residuals` compares the poses themselves."""
         return jnp.zeros((*self.visible.shape, 2))
 
     def of_shape(self, shape: TargetShape | None) -> "PoseObservations":

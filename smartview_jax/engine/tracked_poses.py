@@ -28,13 +28,12 @@ def linearise_tracked_poses(
     # Predicted are t / s and R. The twist (v, w) of the camera's pose changes them by
     # (v + w x t) / s and w. With r = log(R_measured R^T) the residual's change is -J_r(r)^-1 w,
     # where J_r(r) = J_l(-r).
-    residuals = observations.residuals(camera_from_world, target_scale).reshape(-1, 6) / sigma
+    in_units = observations.residuals(camera_from_world, target_scale).reshape(-1, 6)
+    residuals = in_units / sigma
     weight = jnp.repeat(1.0 / (sigma * observations.units), 3, axis=1)
     weight = jnp.where(observations.visible[:, :1], weight, 0.0)
     views = len(weight)
-    rotation = (
-        observations.camera_from_world.rotation() @ camera_from_world.rotation().inverse()
-    ).log()
+    rotation = in_units[:, 3:] * observations.units[:, 1:]
     tangent = jnp.concatenate([jnp.zeros_like(rotation), -rotation], axis=1)
     by_turn = jnp.linalg.inv(se3_left_jacobian(tangent)[:, 3:, 3:])
     translation = camera_from_world.translation() / target_scale

@@ -72,7 +72,7 @@ def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> 
     The prior of a fit does not matter, only what its views say.
 
     Args:
-        fits: fits with estimated noise, such as those of `calibrate_many`; robots of another type
+        fits: fits with estimated noise, for instance by `calibrate_many`; robots of another type
             among them are recognised (`FleetPrior.outsiders`) and left out.
         general: prior for a robot of any type; few robots change it little.
 

@@ -97,7 +97,7 @@ class JointFit(eqx.Module):
 
     @property
     def fits_camera(self) -> bool:
-        """Whether the camera is a part of what is fitted and shown."""
+        """Whether the camera is fitted and shown."""
         return True
 
     @property

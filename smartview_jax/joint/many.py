@@ -212,25 +212,22 @@ def _groups_of_one_shape(data: Mapping[int, Dataset]) -> list[dict[int, Dataset]
         group
         # Data sets of one shape need no padding.
         if len({item.visible.shape for item in group.values()}) == 1
-        else {k: _padded(item, *counts) for k, item in group.items()}
-        for counts, group in groups.items()
+        else {k: _padded(item) for k, item in group.items()}
+        for group in groups.values()
     ]
 
 
-def _padded(data: Dataset, views: int, points: int) -> Dataset:
+def _padded(data: Dataset) -> Dataset:
     """Return a data set with invisible views and points added."""
-    visible = np.zeros((views, points), dtype=bool)
-    visible[: data.visible.shape[0], : data.visible.shape[1]] = np.asarray(data.visible)
-    by_point = repeat_last((data.points, data.pixels), points, axis=1)
-    point, pixel = repeat_last(by_point, views)
-    more = tuple(f"padding {k}" for k in range(views - len(data.view_ids)))
+    observations = data.observations.padded()
+    more = tuple(f"padding {k}" for k in range(len(observations.visible) - data.view_count))
     return dataclasses.replace(
         data,
-        points=point,
-        pixels=pixel,
-        visible=to_device(visible),
-        base_from_tool=repeat_last(data.base_from_tool, views),
-        joints=repeat_last(data.joints, views),
+        points=observations.points,
+        pixels=observations.pixels,
+        visible=observations.visible,
+        base_from_tool=observations.base_from_tool,
+        joints=observations.joints,
         view_ids=(*data.view_ids, *more),
         pictures=None,
     )

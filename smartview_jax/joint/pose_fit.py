@@ -22,10 +22,11 @@ from ..cameras import Camera, Pinhole
 from ..data_checks import check_conventions
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset, chain_residuals
 from ..engine import Prior
-from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
+from ..geometry import PoseLike, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
+from ..staged import check_start, known_transforms
 from ..variance import WHITE_NOISE, ModelName, compare_models
 from .fit import fit_joint
 from .fit_text import robot_noise_text
@@ -109,7 +110,7 @@ class PoseFit(JointFit):
         # Also of the pairs that the fit does not use.
         values["residuals"] = chain_residuals(fit.calibration, data.observations)
         errors = _errors(data, fit.calibration)
-        errors[~np.asarray(data.visible).all(axis=1)] = np.nan
+        errors[~data.seen] = np.nan
         noise = float(fit.pixel_sigma) * np.asarray(data.units)[0]
         return cls(
             **values,
@@ -120,7 +121,7 @@ class PoseFit(JointFit):
 
     @property
     def fits_camera(self) -> bool:
-        """Whether the camera is a part of what is fitted: poses tell nothing of it."""
+        """Whether the camera is fitted and shown: poses contain no information on it."""
         return False
 
     @property
@@ -258,10 +259,10 @@ def _start(
     mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     assert data.camera_from_world is not None
     measured = host_matrices(data.camera_from_world)
-    seen = np.asarray(data.visible)[:, 0]
-    if seen.sum() < 3:
-        raise ValueError(f"samples: expected at least 3 pairs of poses, found {seen.sum()}")
-    factor, consistent = robust_hand_eye(mount_from_holder, measured, seen, scale)
+    count = int(data.seen.sum())
+    if count < 3:
+        raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
+    factor, consistent = robust_hand_eye(mount_from_holder, measured, data.seen, scale)
     measured = measured.copy()
     measured[:, :3, 3] *= factor
     report = check_conventions(
@@ -271,19 +272,13 @@ def _start(
         raise ValueError("; ".join(report.problems))
     identity = host_transforms(np.eye(4))
     blank = Calibration(camera, identity, identity, data.mount)
-    known: dict[str, SE3] = {}
-    for name, pose in (start or {}).items():
-        if name not in blank.transform_names:
-            raise ValueError(
-                f"start: expected {' or '.join(blank.transform_names)}, found {name!r}"
-            )
-        known[name] = as_se3(pose)
-    given = tuple(known.get(name) for name in blank.transform_names)
+    check_start(start, data)
+    given = known_transforms(start, data.mount)
     step3 = solve_hand_eye(
         host_transforms(mount_from_holder),
         host_transforms(measured),
         weights=consistent.astype(float),
-        start=given,  # pyright: ignore[reportArgumentType]
+        start=given,
     )
     found = dataclasses.replace(
         blank,
@@ -298,14 +293,13 @@ def _contradictions(
     data: PoseDataset, calibration: Calibration, consistent: Bool[np.ndarray, "views"]
 ) -> dict[int, str]:
     """Return the pairs that are left out from the start, with the reason."""
-    seen = np.asarray(data.visible).all(axis=1)
     errors = _errors(data, calibration)
     return {
         int(view): (
             f"{1e3 * errors[view, 0]:.3g} mm and {np.rad2deg(errors[view, 1]):.3g} degrees from "
             "where the other pairs put it: mispaired, or another target?"
         )
-        for view in np.flatnonzero(seen & ~consistent)
+        for view in np.flatnonzero(data.seen & ~consistent)
     }
 
 
@@ -322,8 +316,7 @@ def _consistent_again(data: PoseDataset, fit: JointFit) -> Bool[np.ndarray, "vie
     """Return the pairs that agree with a fit, among all that were measured."""
     errors, used = _errors(data, fit.calibration), np.asarray(fit.inliers).any(axis=1)
     typical = np.sqrt(np.mean(errors[used] ** 2, axis=0))
-    seen = np.asarray(data.visible).all(axis=1)
-    return seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)
+    return data.seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)
 
 
 def _with_likeliest_units(

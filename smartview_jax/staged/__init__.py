@@ -31,6 +31,7 @@ from .fit import MAX_UNCHECKED_POINTS as MAX_UNCHECKED_POINTS
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged
 from .given_start import check_start as check_start
+from .given_start import known_transforms as known_transforms
 from .given_start import merged_start as merged_start
 from .given_start import require_picture_size as require_picture_size
 from .given_start import start_without as start_without

@@ -76,6 +76,8 @@ class ModelComparison(NamedTuple):
             self.models,
             self.basis,
             self.views.shape,
+            self.views.initial_sigma,
+            self.views.has_white_noise,
         )
 
 

@@ -47,6 +47,7 @@ class RobotEvidence(NamedTuple):
         models: the models of the robot error by name, with their odds for any robot.
         basis: field that contains all models.
         shape: shape of the target; None if it is held as stated.
+        initial_sigma, has_white_noise: as in `ViewStatistics`.
     """
 
     views: LinearisedViews
@@ -54,6 +55,8 @@ class RobotEvidence(NamedTuple):
     models: Mapping[str, Candidate]
     basis: AbstractField | None
     shape: TargetShape | None
+    initial_sigma: float
+    has_white_noise: bool
 
     def groups(self, model: str) -> tuple[str, ...]:
         """Return the names of the groups of a model, in the order of `sizes`."""
@@ -67,11 +70,13 @@ class RobotEvidence(NamedTuple):
             model: name of the model.
             prior: prior of the sizes, which the likelihood does not contain.
         """
-        deviations = standard_deviation_prior(prior, self.basis, self.group_names, self.shape)
+        deviations = standard_deviation_prior(
+            prior, self.basis, self.group_names, self.shape, self.has_white_noise
+        )
         groups = self.groups(model)
         active_names = {*groups, *SHAPE_GROUPS}
         active = np.array([True, True, *(name in active_names for name in self.group_names)])
-        initial = initial_standard_deviations(deviations, float(self.views.white_sigma))
+        initial = initial_standard_deviations(deviations, self.initial_sigma)
         maximum, evidence = fit_good_or_weak_robot(self.views, initial, active, deviations)
 
         # Pixel noise and the target's shape differ between data sets: they are integrated out, by
