@@ -4,7 +4,7 @@ A picture with the camera's time stamp t was taken at the time `t + offset` of t
 The offset is found in two steps: a search over many offsets for the best agreement of the robot's
 and the camera's motion (the closure error of A X = X B, whose camera poses need no robot); then the
 joint fit, whose cost with given standard deviations is minus the logarithm of the profile
-likelihood of the offset.
+likelihood of the offset. Poses of a tracker take the place of the pictures in the same way.
 """
 
 import dataclasses
@@ -13,15 +13,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import minimize_scalar
 
 from .calibration import Calibration, host_mount_from_holder
 from .cameras import AbstractLens
-from .dataset import Dataset
+from .dataset import Dataset, PoseDataset
 from .engine import Noise
 from .geometry import as_se3, host_matrices
-from .joint import fit_joint
+from .joint import JointFit, fit_joint, fit_poses
 from .robots import Trajectory
 from .staged import closure_error, fit_staged, relative_motions, views_to_use
 
@@ -98,28 +98,27 @@ def estimate_time_offset(
     The robot's errors are assumed to be independent between views and of the offset.
 
     Args:
-        data: pictures of a moving camera; their poses are not used.
+        data: pictures, or a `PoseDataset` of tracked poses, that were taken in motion; the
+            robot's poses in it are not used.
         trajectory: poses that the robot logged.
-        picture_times: times of the pictures by the camera's clock, s.
-        lens: the lens model.
+        picture_times: times of the pictures or tracked poses by the camera's clock, s.
+        lens: the lens model; tracked poses have none.
         max_offset: largest size of the offset, s.
         progress: called with a line of text for each stage.
 
     Raises:
         ValueError: pictures outside the logged times, poses that fit no offset, an offset at the
-            end of the range, or a robot that hardly moved; and the errors of `fit_staged`.
+            end of the range, or a robot that hardly moved; and the errors of `fit_staged`, or of
+            `fit_poses`.
     """
     report = progress or (lambda _: None)
     times = np.asarray(picture_times, dtype=float)
     data_at = functools.partial(at_time_offset, data, trajectory, times)
-    at_zero = data_at(0.0)
     low = max(-max_offset, float(trajectory.times[0] - times.min()))
     high = min(max_offset, float(trajectory.times[-1] - times.max()))
     report(f"time offset: {COARSE_STEPS + 1} from {1e3 * low:.0f} to {1e3 * high:.0f} ms")
-    # Convention errors are only reported, because poses from the wrong time would raise them.
-    staged_at_zero = fit_staged(at_zero, lens, conventions="report")
-    used = views_to_use(data)
-    camera_from_world = host_matrices(staged_at_zero.step2.camera_from_world)[used]
+    # Of no offset at all, if the log has poses for it.
+    used, camera_from_world = _camera_motion(data_at(float(np.clip(0.0, low, high))), lens)
     grid = np.linspace(low, high, COARSE_STEPS + 1)
     scores = [
         _disagreement(data.mount, trajectory.at(times[used] + shift), camera_from_world)
@@ -132,9 +131,8 @@ def estimate_time_offset(
             f"the range: the offset may be larger, or the poses belong to other pictures"
         )
     seconds, step = float(grid[best]), float(grid[1] - grid[0])
-    staged = fit_staged(data_at(seconds), lens)
     bounds = (max(seconds - step, low), min(seconds + step, high))
-    profile = _profile(data_at, staged.inliers, staged.calibration, seconds)
+    profile = _first_profile(data_at, seconds, lens)
     # Twice, because standard deviations that were estimated at another offset are too large.
     for _ in range(NOISE_ROUNDS):
         minimum = minimize_scalar(
@@ -142,9 +140,22 @@ def estimate_time_offset(
         )
         seconds = float(minimum.x)  # pyright: ignore[reportAttributeAccessIssue]
         report(f"time offset: {1e3 * seconds:.2f} ms")
-        profile = _profile(data_at, staged.inliers, profile.calibration, seconds)
+        profile = profile.again(seconds)
     std = _standard_deviation(profile.cost, seconds, min(seconds - low, high - seconds))
     return TimeOffset(seconds, std, data_at(seconds), profile.noise)
+
+
+def _camera_motion(
+    data: Dataset, lens: str | AbstractLens
+) -> tuple[Int[np.ndarray, "used"], Float[np.ndarray, "used 4 4"]]:
+    """Return the indices of the views to use, and the poses of the camera that need no robot."""
+    if isinstance(data, PoseDataset):
+        used = data.usable_views()
+        return used, data.tracked_matrices[used]
+    # Convention errors are only reported, because poses from the wrong time would raise them.
+    staged = fit_staged(data, lens, conventions="report")
+    used = views_to_use(data)
+    return used, host_matrices(staged.step2.camera_from_world)[used]
 
 
 def _disagreement(
@@ -162,46 +173,93 @@ class _Profile(NamedTuple):
 
     Attributes:
         cost: minus the log-likelihood of an offset, maximised over all other parameters.
-        calibration: the calibration from which its fits start.
         noise: the standard deviations of pixels and poses.
+        again: the same with the standard deviations that are estimated at another offset.
     """
 
     cost: Callable[[float], float]
-    calibration: Calibration
     noise: Noise
+    again: Callable[[float], "_Profile"]
 
 
-def _profile(
+def _first_profile(
+    data_at: Callable[[float], Dataset], seconds: float, lens: str | AbstractLens
+) -> _Profile:
+    """Return the profile likelihood with the standard deviations at an offset, s."""
+    data = data_at(seconds)
+    if isinstance(data, PoseDataset):
+        return _profile_of_tracked_poses(data_at, seconds)
+    staged = fit_staged(data, lens)
+    return _profile_of_pictures(data_at, staged.inliers, staged.calibration, seconds)
+
+
+def _profile_of_pictures(
     data_at: Callable[[float], Dataset],
     inliers: Bool[Array, "views points"],
     start: Calibration,
     seconds: float,
 ) -> _Profile:
-    """Return the profile likelihood with the standard deviations that are estimated at an offset.
+    """Return the profile likelihood of pictures, with the standard deviations at an offset, s.
 
-    Args:
-        data_at: the data set with the poses at an offset.
-        inliers: the observations that all fits use, so that their costs are comparable.
-        start: calibration to start from.
-        seconds: the offset, s.
+    All fits use the same observations, so that their costs are comparable.
     """
-    fitted = fit_joint(data_at(seconds), start, inliers=inliers, field=None)
-    calibration, noise = fitted.calibration, fitted.noise
-    assert noise is not None
+    fit = fit_joint(data_at(seconds), start, inliers=inliers, field=None)
+
+    def again(offset: float) -> _Profile:
+        return _profile_of_pictures(data_at, inliers, fit.calibration, offset)
+
+    assert fit.noise is not None
+    return _profile(data_at, inliers, fit, fit.noise, again)
+
+
+def _profile_of_tracked_poses(data_at: Callable[[float], Dataset], seconds: float) -> _Profile:
+    """Return the profile likelihood of tracked poses, with the standard deviations at an offset, s.
+
+    Wrong pairs, and the ratio of the tracker's noises, are found at each offset: at a wrong one,
+    pairs in fast motion contradict the others.
+    """
+    data = data_at(seconds)
+    assert isinstance(data, PoseDataset)
+    fit = fit_poses(data, field=None)
+
+    def in_units(offset: float) -> Dataset:
+        moved = data_at(offset)
+        assert isinstance(moved, PoseDataset)
+        return moved.with_units(*fit.tracker_noise)
+
+    def again(offset: float) -> _Profile:
+        return _profile_of_tracked_poses(data_at, offset)
+
+    assert fit.noise is not None
+    # In units of the tracker's noise its standard deviation is one.
+    noise = dataclasses.replace(fit.noise, pixel=1.0, white_pixel=None)
+    return _profile(in_units, fit.inliers, fit, noise, again)
+
+
+def _profile(
+    data_at: Callable[[float], Dataset],
+    inliers: Bool[Array, "views points"],
+    fit: JointFit,
+    noise: Noise,
+    again: Callable[[float], _Profile],
+) -> _Profile:
+    """Return the profile likelihood with given standard deviations, whose fits start at a fit."""
+    fixed = () if fit.fits_camera else ("camera",)
 
     def cost(offset: float) -> float:
         """Return half the sum of squared residuals, in standard deviations."""
-        fit = fit_joint(
+        solved = fit_joint(
             data_at(offset),
-            calibration,
+            fit.calibration,
             inliers=inliers,
             noise=noise,
             field=None,
+            fixed=fixed,
             gross_errors="keep",
         )
-        return fit.solution.costs[-1]
+        return solved.solution.costs[-1]
 
-    return _Profile(cost, calibration, noise)
+    return _Profile(cost, noise, again)
 
 
 def _standard_deviation(cost: Callable[[float], float], seconds: float, max_width: float) -> float:

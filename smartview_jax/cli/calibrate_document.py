@@ -37,8 +37,8 @@ def calibrate_document(
         "message": fit.result.message,
         **calibration_entries(fit.calibration),
         # Rotations are rotation vectors here, as on the terminal.
-        "parameters": _parameters(fit.joint),
-        "robot_errors": _robot_errors(fit.joint),
+        "parameters": parameter_documents(fit.joint),
+        "robot_errors": robot_error_document(fit.joint),
         "errors": [
             summary_document(summary)
             for summary in error_summaries(fit, data, dict(result.held_out_reports))
@@ -68,7 +68,7 @@ def calibration_entries(calibration: "Calibration") -> dict[str, Any]:
     }
 
 
-def _parameters(joint: "JointFit") -> list[dict[str, Any]]:
+def parameter_documents(joint: "JointFit") -> list[dict[str, Any]]:
     """Return every parameter with its unit, standard deviation and 95 % half width."""
     from ..joint import parameter_estimates
 
@@ -86,7 +86,7 @@ def _parameters(joint: "JointFit") -> list[dict[str, Any]]:
     ]
 
 
-def _robot_errors(joint: "JointFit") -> dict[str, Any] | None:
+def robot_error_document(joint: "JointFit") -> dict[str, Any] | None:
     """Return the estimated standard deviations and models of error; None if not estimated."""
     noise, estimate = joint.noise, joint.noise_estimate
     if noise is None or estimate is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..files import file_transaction
 from .fit_options import FitKnowledge, parse_fit_options
-from .load import load_named, with_estimated_clock
+from .load import load_named, load_samples, with_estimated_clock
 
 if TYPE_CHECKING:
     from ..calibration_pipeline import CalibrationFit
@@ -27,12 +27,29 @@ class CalibrateSettings(NamedTuple):
     bad_views: str
     base_from_world: str | None
     time_offset: bool
+    mount: str | None
+
+
+def loaded_folder(
+    dataset: Path | None, settings: CalibrateSettings, progress: Callable[[str], None]
+) -> "tuple[Dataset, str]":
+    """Load a data set, with poses at the estimated clock if requested, and return its name too."""
+    if dataset is not None and dataset.is_file():
+        return load_samples(dataset, settings.mount)
+    if settings.mount is not None:
+        raise ValueError("--mount: expected a file of samples; a data-set folder states its mount")
+    data, name = load_named(
+        dataset, settings.bad_views, progress, settings.base_from_world, tracked_poses=True
+    )
+    if settings.time_offset:
+        data = with_estimated_clock(data, dataset, settings.lens, progress)
+    return data, name
 
 
 def calibrated_folder(
-    dataset: Path | None, settings: CalibrateSettings, progress: Callable[[str], None]
+    data: "Dataset", name: str, settings: CalibrateSettings, progress: Callable[[str], None]
 ) -> "tuple[CalibrateResult, str]":
-    """Load a data set, fit it, and judge the fit.
+    """Fit a data set with pictures, and judge the fit.
 
     Returns:
         The result, and the options that state prior knowledge, in words.
@@ -41,9 +58,6 @@ def calibrated_folder(
     from .calibrate_result import fit_and_judge
 
     lens = settings.lens
-    data, name = load_named(dataset, settings.bad_views, progress, settings.base_from_world)
-    if settings.time_offset:
-        data = with_estimated_clock(data, dataset, lens, progress)
     # The names of the transforms depend on the mount, which the data set states.
     fit_options = parse_fit_options(lens, data.mount, settings.known)
 

@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..files import refuse_unwritable
-from .calibrate_folder import CalibrateSettings, calibrated_folder, run_name, write_files
+from .calibrate_folder import (
+    CalibrateSettings,
+    calibrated_folder,
+    loaded_folder,
+    run_name,
+    write_files,
+)
 from .json_document import print_document
 from .terminal import progress_line
 
@@ -93,13 +99,17 @@ def _calibrate_folder(folder: Path, out: Path, settings: CalibrateSettings) -> F
     Raises:
         ValueError, OSError: as for a single folder.
     """
+    from ..dataset import PoseDataset
     from .calibrate_document import calibrate_document
 
     def silent(_: str) -> None:
         """Report nothing: the lines of several folders would be mixed."""
 
     run, report = run_name(), silent
-    result, given = calibrated_folder(folder, settings, report)
+    data, name = loaded_folder(folder, settings, report)
+    if isinstance(data, PoseDataset):
+        raise ValueError(f"{folder}: has tracked poses: calibrate it alone")
+    result, given = calibrated_folder(data, name, settings, report)
     files = write_files(result, out / result.name, run, given, report)
     return _summary(result, calibrate_document(result, run, given, files))
 

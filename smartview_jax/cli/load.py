@@ -16,8 +16,21 @@ def load_named(
     bad_views: str,
     progress: Callable[[str], None],
     base_from_world: str | None = None,
+    tracked_poses: bool = False,
 ) -> "tuple[Dataset, str]":
-    """Load a data set (the sample if none is named), and return it with its name."""
+    """Load a data set (the sample if none is named), and return it with its name.
+
+    Args:
+        dataset: its folder; None for the sample.
+        bad_views: as in `load_dataset`.
+        progress: called with a line of text for each step.
+        base_from_world: rough pose of the target as a person writes it.
+        tracked_poses: whether poses of a tracker may take the place of pictures.
+
+    Raises:
+        ValueError: poses of a tracker where pictures are needed; and the errors of `load_dataset`.
+    """
+    from ..dataset import PoseDataset
     from ..io import load_dataset, parse_rough_pose, sample_folder
 
     rough_pose = None
@@ -29,7 +42,30 @@ def load_named(
         progress("no data set given: the sample of the package")
         return load_dataset(sample_folder(), progress=progress, keep_detections=False), "the sample"
     data = load_dataset(dataset, bad_views, progress=progress, holder_from_world=rough_pose)
+    if isinstance(data, PoseDataset) and not tracked_poses:
+        raise ValueError(
+            f"{dataset}: has tracked poses and no pictures: only smartview calibrate takes it"
+        )
     return data, dataset.resolve().name
+
+
+def load_samples(file: Path, mount: str | None) -> "tuple[Dataset, str]":
+    """Read a file of easy_handeye2's samples, and return them with their name.
+
+    Raises:
+        ValueError: the mount is not stated, which the file does not tell; or a wrong file.
+    """
+    from ..dataset import PoseDataset
+    from ..io import read_easy_handeye
+
+    if mount is None:
+        raise ValueError(
+            f"{file}: the file does not tell where the camera is: give --mount eye_in_hand, or "
+            "eye_to_hand for a fixed camera"
+        )
+    samples = read_easy_handeye(file, mount)
+    data = PoseDataset.from_poses(samples.base_from_tool, samples.camera_from_world, mount)
+    return data, file.stem
 
 
 def with_estimated_clock(

@@ -54,6 +54,22 @@ TimeOffsetOption = Annotated[
         help="Estimate the offset of the robot's clock from the camera's (poses logged in motion).",
     ),
 ]
+
+
+class Mount(StrEnum):
+    """The two places of a camera: on the robot, or fixed."""
+
+    EYE_IN_HAND = "eye_in_hand"
+    EYE_TO_HAND = "eye_to_hand"
+
+
+MountOption = Annotated[
+    Mount | None,
+    typer.Option(
+        help="Where the camera is, for a file of samples, which does not tell: on the robot's tool "
+        "(eye_in_hand), or fixed (eye_to_hand)."
+    ),
+]
 PoseFormatOption = Annotated[
     str,
     typer.Option(

@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
-from ..geometry import PoseLike, as_se3, check_rigid
+from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
 from ..robots import SerialArm
 from ..runtime.array_namespace import to_device
 from .dataset import Dataset, of_views
@@ -41,6 +41,7 @@ class PoseDataset(Dataset):
         camera_from_world: PoseLike,
         mount: str = "eye_in_hand",
         view_ids: Sequence[str | int] | None = None,
+        masked_views: Sequence[tuple[str, str]] = (),
         joints: np.ndarray | Array | None = None,
         arm: SerialArm | None = None,
     ) -> "PoseDataset":
@@ -53,6 +54,7 @@ class PoseDataset(Dataset):
                 not seen.
             mount: `"eye_in_hand"` (camera on the tool) or `"eye_to_hand"` (fixed camera).
             view_ids: one name per pair; by default 0, 1, ...
+            masked_views: views known to be unusable, with the reason.
             joints: `(M, joints)` readings, rad, or m for a prismatic joint.
             arm: the arm whose joints these are, with its controller's nominal parameters.
 
@@ -68,7 +70,8 @@ class PoseDataset(Dataset):
             base_from_tool = forward_kinematics(joints, arm, ids)
         robot = pose_matrices(base_from_tool, count)
         measured = pose_matrices(camera_from_world, count)
-        seen = finite_views(measured)[:, 0, 0]
+        reasons = dict(masked_views)
+        seen = finite_views(measured)[:, 0, 0] & [view not in reasons for view in ids]
         measured = np.where(seen[:, None, None], measured, np.eye(4))
         wrong = {view: f"robot: {text}" for view, text in check_rigid(robot, ids).items()}
         wrong |= {view: f"tracker: {text}" for view, text in check_rigid(measured, ids).items()}
@@ -84,9 +87,9 @@ class PoseDataset(Dataset):
             image_size=(0, 0),
             mount=mount,
             masked_views=tuple(
-                (view, "the target was not seen")
-                for view, s in zip(ids, seen, strict=True)
-                if not s
+                (view, reasons.get(view, "the target was not seen"))
+                for view, is_seen in zip(ids, seen, strict=True)
+                if not is_seen
             ),
             camera_from_world=as_se3(measured),
             units=to_device(np.tile([UNIT_TRANSLATION, UNIT_ROTATION], (len(ids), 1))),
@@ -105,6 +108,12 @@ class PoseDataset(Dataset):
             self.base_from_tool,
             self.joints,
         )
+
+    @property
+    def tracked_matrices(self) -> Float[np.ndarray, "views 4 4"]:
+        """The tracked poses `camera_from_world` as matrices on the host."""
+        assert self.camera_from_world is not None
+        return host_matrices(self.camera_from_world)
 
     @property
     def seen(self) -> Bool[np.ndarray, "views"]:

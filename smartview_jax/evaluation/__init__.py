@@ -17,6 +17,7 @@ from .free_poses import free_pose_errors as free_pose_errors
 from .held_out import UNCORRECTED_SUFFIX as UNCORRECTED_SUFFIX
 from .held_out import FoldFit as FoldFit
 from .held_out import HeldOutErrors as HeldOutErrors
+from .held_out import HeldOutPoses as HeldOutPoses
 from .held_out import HeldOutReport as HeldOutReport
 from .held_out import Interval as Interval
 from .held_out import Method as Method
@@ -28,6 +29,7 @@ from .held_out import expected_reprojection_errors as expected_reprojection_erro
 from .held_out import fit_folds as fit_folds
 from .held_out import has_correction as has_correction
 from .held_out import held_out as held_out
+from .held_out import held_out_poses as held_out_poses
 from .held_out import held_out_reports as held_out_reports
 from .held_out import predicted_error as predicted_error
 from .held_out import region_folds as region_folds

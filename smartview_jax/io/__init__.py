@@ -5,6 +5,7 @@ from .dataset_folder import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .dataset_folder import save_dataset as save_dataset
 from .dataset_folder import write_dataset_folder as write_dataset_folder
 from .easy_handeye import PoseSamples as PoseSamples
+from .easy_handeye import easy_handeye_calibration as easy_handeye_calibration
 from .easy_handeye import read_easy_handeye as read_easy_handeye
 from .easy_handeye import write_easy_handeye as write_easy_handeye
 from .export import opencv_coefficients as opencv_coefficients

@@ -18,7 +18,8 @@ up to 200 printable characters, does not begin with # and leads to no other fold
 pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a fixed camera) gives
 the target's approximate pose (see `rough_pose.py`). The schema of the file is in `schemas.dataset`;
 an unknown key is an error. A board printed by Kalibr can refer to Kalibr's own file:
-`target: {kind: aprilgrid, file: target.yaml}`.
+`target: {kind: aprilgrid, file: target.yaml}`. A folder of tracked poses instead of pictures is
+described in `tracked_poses.py`.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
@@ -34,7 +35,7 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
-from ..dataset import Dataset
+from ..dataset import Dataset, PoseDataset
 from ..detection import DetectionLimits, checked_pixels
 from ..files import read_yaml
 from ..geometry import PoseLike
@@ -47,9 +48,13 @@ from .poses import poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose
 from .target_file import read_target
+from .tracked_poses import read_tracked_folder, tracked_poses_written
 
 FORMAT_VERSION = 1
 """Version of the format of `dataset.yaml`."""
+
+END_MARK = "smartview_dataset"
+"""The last entry of a description that states `end_mark`, so that a truncated file is an error."""
 
 DESCRIPTION_FILE = "dataset.yaml"
 """The name of the file that describes the folder."""
@@ -73,7 +78,10 @@ def load_dataset_folder(
     description = validate_content(raw_content, DATASET_SCHEMA, description_path)
     # An entry that is null counts as absent.
     content = {key: value for key, value in raw_content.items() if value is not None}
+    if description.tracked_poses is not None:
+        return read_tracked_folder(folder, content, description_path, bad_views)
     mount = description.mount
+    assert description.camera is not None
     width, height = description.camera.image_size
     image_size = (width, height)
     try:
@@ -163,9 +171,9 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """Write poses, target, detections and joint readings as a folder that `load_dataset` reads.
 
     Args:
-        data: a data set with a target; its points must be the target's.
+        data: a data set with a target, whose points must be the target's; or one of tracked poses.
         folder: folder to create.
-        pose_format: pose format of `poses.csv`: one of `POSE_CODECS`.
+        pose_format: pose format of the tables: one of `POSE_CODECS`.
 
     Raises:
         ValueError: an unknown pose format, no target description, points that are not the
@@ -173,6 +181,10 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
             written.
     """
     folder, target = Path(folder), data.target
+    if isinstance(data, PoseDataset):
+        entries = tracked_poses_written(data, folder, pose_format)
+        _write_description(folder, {"mount": data.mount, **entries})
+        return
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
     refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
@@ -223,24 +235,39 @@ def write_dataset_folder(
         ValueError: an unknown pose format, or a name or a value with which the folder could not be
             read back.
     """
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import refuse_unreadable, write_validated
-
-    description = {
-        "smartview_dataset": FORMAT_VERSION,
-        # Declares that the last line is an end mark, so that a truncated file is an error.
-        "end_mark": True,
+    entries = {
         "camera": {"image_size": [int(size) for size in image_size]},
         "target": target_to_dict(target),
         "mount": mount,
         "poses": poses_entry(len(view_ids), pose_format),
         **(extra_entries or {}),
-        "end": "smartview_dataset",
     }
-    refuse_unreadable(description, DATASET_SCHEMA, folder / DESCRIPTION_FILE)
+    _refuse_unreadable_description(folder, entries)
     write_poses(folder, view_ids, base_from_tool, pose_format)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
-    write_validated(folder / DESCRIPTION_FILE, description, DATASET_SCHEMA)
+    _write_description(folder, entries)
+
+
+def _description(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of a description, with the marks by which a truncated file is known."""
+    marks = {"smartview_dataset": FORMAT_VERSION, "end_mark": True}
+    return {**marks, **entries, "end": END_MARK}
+
+
+def _refuse_unreadable_description(folder: Path, entries: Mapping[str, Any]) -> None:
+    """Raise a ValueError for a description that could not be read back."""
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import refuse_unreadable
+
+    refuse_unreadable(_description(entries), DATASET_SCHEMA, folder / DESCRIPTION_FILE)
+
+
+def _write_description(folder: Path, entries: Mapping[str, Any]) -> None:
+    """Write `dataset.yaml`, which marks the folder as a data set."""
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import write_validated
+
+    write_validated(folder / DESCRIPTION_FILE, _description(entries), DATASET_SCHEMA)
 
 
 def picture_files(

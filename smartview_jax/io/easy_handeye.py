@@ -1,4 +1,7 @@
-"""Read and write samples of easy_handeye2: pairs of a robot pose and a tracked marker pose."""
+"""Read and write easy_handeye2's files: samples, and the calibration that it publishes.
+
+A sample is a pair of a robot pose and the tracked pose of a marker.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -6,9 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import mount_frames, mount_from_holder
+from ..argument_checks import require_readable
+from ..calibration import Calibration, mount_frames, mount_from_holder
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import pose_codec
+from .export import mount_from_camera, require_frame_name
 
 if TYPE_CHECKING:
     from ..schemas.external_formats import TransformMessage
@@ -81,6 +86,47 @@ def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
     refuse_unreadable({"samples": content}, SAMPLES_SCHEMA, path)
     # Always YAML, whatever the file's ending, as easy_handeye writes it.
     write_atomically(path, dump_yaml({"samples": content}))
+
+
+def easy_handeye_calibration(
+    calibration: Calibration,
+    parent: str,
+    child: str,
+    name: str = "smartview",
+    optical: bool = True,
+) -> str:
+    """Return a `.calib` file, whose transform easy_handeye2's publisher sends to ROS.
+
+    Args:
+        calibration: its hand-eye transform is published.
+        parent: frame of the mount: the robot's tool, or its base for a fixed camera.
+        child: frame of the camera.
+        name: name of the calibration, which is the file's name in easy_handeye2's folder.
+        optical: as in `mount_from_camera`.
+
+    Raises:
+        ValueError: a frame's name that ROS does not accept.
+    """
+    in_hand = calibration.mount == "eye_in_hand"
+    for frame in (parent, child):
+        require_frame_name(frame)
+    require_readable("name", [name])
+    row = _CODEC.encode(mount_from_camera(calibration, optical))
+    content = {
+        "parameters": {
+            "name": name,
+            "calibration_type": "eye_in_hand" if in_hand else "eye_on_base",
+            "robot_base_frame": "base_link" if in_hand else parent,
+            "robot_effector_frame": parent if in_hand else "tool0",
+            "tracking_base_frame": child,
+            "tracking_marker_frame": "marker",
+            "freehand_robot_movement": True,
+            "move_group_namespace": "/",
+            "move_group": "manipulator",
+        },
+        "transform": _transform_message(np.asarray(row)),
+    }
+    return dump_yaml(content)
 
 
 def _decode_transforms(path: str | Path, entry: str, transforms: "list[TransformMessage]") -> SE3:

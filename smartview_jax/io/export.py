@@ -124,12 +124,17 @@ def ros_static_transform(
 
 def _quoted_frame_name(name: str) -> str:
     """Return a frame's name quoted for a shell; raise a ValueError where ROS does not accept it."""
+    require_frame_name(name)
+    return shlex.quote(name)
+
+
+def require_frame_name(name: str) -> None:
+    """Raise a ValueError for a frame's name that ROS does not accept."""
     if not _FRAME_NAME_PATTERN.fullmatch(name):
         raise ValueError(
             "frame: expected a name of letters, digits, '_', '/', '~', '.' and '-', beginning "
             f"with none of the last two; found {shortened_repr(name)}"
         )
-    return shlex.quote(name)
 
 
 def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:

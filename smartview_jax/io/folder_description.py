@@ -41,6 +41,8 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
     path = Path(folder) / DESCRIPTION_FILE
     content = read_yaml(path)
     description = validate_content(content, DATASET_SCHEMA, path)
+    if description.camera is None:
+        raise ValueError(f"{path}: tracked_poses: expected a data set with pictures of a target")
     width, height = description.camera.image_size
     try:
         target = read_target(Path(folder), content["target"])

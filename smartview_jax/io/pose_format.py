@@ -93,15 +93,19 @@ def codec_of_rows(path: Path, rows: Sequence[Mapping[str, str]]) -> PoseCodec | 
 
 
 def table_format(
-    path: Path, rows: Sequence[Mapping[str, str]], stated: Mapping[str, Any]
+    path: Path,
+    rows: Sequence[Mapping[str, str]],
+    stated: Mapping[str, Any],
+    entry: str = "poses",
 ) -> PoseFormat:
     """Return the format of a table from its header and from a description.
 
     Args:
         path: of the table, for messages.
         rows: of the table, by column; at least one.
-        stated: the description's entry `poses`, whose keys `codec`, `length_unit`, `angle_unit` and
+        stated: the description's entry, whose keys `codec`, `length_unit`, `angle_unit` and
             `direction` may be missing where the header says the same.
+        entry: name of this entry, for messages.
 
     Raises:
         ValueError: header and description are incomplete or contradict each other.
@@ -110,7 +114,7 @@ def table_format(
     named = codec_of_rows(path, rows)
     fitting = header_formats(tuple(rows[0]), named)
     if not fitting:
-        return _stated_format(path, stated)
+        return _stated_format(path, stated, entry)
     if named is None:
         # Without a column `format` the table may hold inverse poses.
         direction = stated.get("direction") or COMMANDED_DIRECTION
@@ -123,7 +127,7 @@ def table_format(
         raise ValueError(
             f"{path}: the columns {', '.join(agreeing[0].columns)} fit "
             f"{' and '.join(form.codec.name for form in agreeing)}: add a column "
-            f"'{FORMAT_COLUMN}', or state poses.codec in the description"
+            f"'{FORMAT_COLUMN}', or state {entry}.codec in the description"
         )
     return agreeing[0]
 
@@ -209,7 +213,7 @@ def _contradiction(found: PoseFormat, stated: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _stated_format(path: Path, stated: Mapping[str, Any]) -> PoseFormat:
+def _stated_format(path: Path, stated: Mapping[str, Any], entry: str) -> PoseFormat:
     """Return the format that a description states without help of the header.
 
     Raises:
@@ -218,7 +222,7 @@ def _stated_format(path: Path, stated: Mapping[str, Any]) -> PoseFormat:
     missing = [key for key in _STATED if stated.get(key) is None]
     if missing:
         raise ValueError(
-            f"entry {' and '.join(repr(f'poses.{key}') for key in missing)} is missing, and the "
+            f"entry {' and '.join(repr(f'{entry}.{key}') for key in missing)} is missing, and the "
             f"header of {path} does not state it; a table that needs no entry has columns such as "
             f"view,{FORMAT_COLUMN},{','.join(pose_columns(pose_codec('kuka_abc')))}"
         )

@@ -49,13 +49,16 @@ class ReadPoses(NamedTuple):
     table: Table | None = None
 
 
-def read_poses(folder: Path, content: dict[str, Any], bad_views: str) -> ReadPoses:
+def read_poses(
+    folder: Path, content: dict[str, Any], bad_views: str, entry: str = "poses"
+) -> ReadPoses:
     """Read view ids and poses, and the reasons of masked views by view id.
 
     Args:
         folder: of the data set.
-        content: the entry `poses`, as `schemas.dataset` defines it.
+        content: the entry of the table, as `schemas.dataset` defines `poses`.
         bad_views: `"mask"` to mask views whose row is not a valid pose, `"raise"` to raise.
+        entry: name of the entry, for messages.
 
     Raises:
         ValueError: a wrong value; the message names the file and the view.
@@ -71,7 +74,7 @@ def read_poses(folder: Path, content: dict[str, Any], bad_views: str) -> ReadPos
         raise ValueError(f"{path}: view {', '.join(duplicates(view_ids))} has more than one row")
     if not view_ids:
         raise ValueError(f"{path}: no poses")
-    form = table_format(path, table.rows, content)
+    form = table_format(path, table.rows, content, entry)
     table, codec = table.requiring(("view", *form.columns), form.units), form.codec
     # NaN passes here: `bad_views` decides below.
     rows = np.stack(
@@ -91,38 +94,45 @@ def read_poses(folder: Path, content: dict[str, Any], bad_views: str) -> ReadPos
 
 
 def write_poses(
-    folder: Path, view_ids: Sequence[str], base_from_tool: SE3, pose_format: str = "matrix"
+    folder: Path,
+    view_ids: Sequence[str],
+    poses: SE3,
+    pose_format: str = "matrix",
+    file: str = POSES_FILE,
 ) -> None:
-    """Write `poses.csv`, which `poses_entry` describes.
+    """Write a table of poses, which `poses_entry` describes.
 
     Args:
         folder: of the data set.
         view_ids: one id for each pose.
-        base_from_tool: reported poses, `(views)`.
+        poses: such as the robot's reported `base_from_tool`, `(views)`.
         pose_format: one of `POSE_CODECS`, written in its manufacturer's units.
+        file: name of the table.
 
     Raises:
         ValueError: an unknown format, or a name or position with which the file could not be read
             back.
     """
     codec = pose_codec(pose_format)
-    refuse_unreadable_poses(folder, view_ids, base_from_tool)
-    rows = codec.encode(base_from_tool, *codec.units)
+    refuse_unreadable_poses(folder, view_ids, poses, file)
+    rows = codec.encode(poses, *codec.units)
     write_table(
-        folder / POSES_FILE,
+        folder / file,
         ("view", *codec.columns),
         [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
     )
 
 
-def refuse_unreadable_poses(folder: Path, view_ids: Sequence[str], base_from_tool: SE3) -> None:
-    """Raise a ValueError for names or positions with which `poses.csv` could not be read back.
+def refuse_unreadable_poses(
+    folder: Path, view_ids: Sequence[str], poses: SE3, file: str = POSES_FILE
+) -> None:
+    """Raise a ValueError for names or positions with which a table could not be read back.
 
     Called before the first of several files is written.
     """
-    path = folder / POSES_FILE
+    path = folder / file
     require_readable(f"{path}: view", view_ids)
-    refuse_out_of_range(path, np.asarray(base_from_tool.translation()), view_ids)
+    refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
 
 
 def poses_entry(count: int, pose_format: str = "matrix") -> dict[str, Any]:

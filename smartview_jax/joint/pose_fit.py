@@ -109,7 +109,7 @@ class PoseFit(JointFit):
         values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
         # Also of the pairs that the fit does not use.
         values["residuals"] = chain_residuals(fit.calibration, data.observations)
-        errors = _errors(data, fit.calibration)
+        errors = tracked_pose_errors(data, fit.calibration)
         errors[~data.seen] = np.nan
         noise = float(fit.pixel_sigma) * np.asarray(data.units)[0]
         return cls(
@@ -241,6 +241,16 @@ def fit_poses(
     return PoseFit.of(fit, dataclasses.replace(data, units=used.units), camera is not None)
 
 
+def tracked_pose_errors(
+    data: PoseDataset, calibration: Calibration
+) -> Float[np.ndarray, "views 2"]:
+    """Return the distance (m) and angle (rad) of each tracked pose from its prediction."""
+    measured = data.tracked_matrices.copy()
+    measured[:, :3, 3] *= float(calibration.target_scale)
+    predicted = np.asarray(calibration.camera_from_world_matrices(data.command))
+    return chain_errors(measured, predicted)
+
+
 def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
     """Return the prior without a target's shape and a lens, which tracked poses do not have."""
     return dataclasses.replace(
@@ -257,8 +267,7 @@ def _start(
 ) -> tuple[Calibration, Bool[np.ndarray, "views"]]:
     """Return a calibration near the solution, and the pairs that agree with it."""
     mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
-    assert data.camera_from_world is not None
-    measured = host_matrices(data.camera_from_world)
+    measured = data.tracked_matrices
     count = int(data.seen.sum())
     if count < 3:
         raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
@@ -293,7 +302,7 @@ def _contradictions(
     data: PoseDataset, calibration: Calibration, consistent: Bool[np.ndarray, "views"]
 ) -> dict[int, str]:
     """Return the pairs that are left out from the start, with the reason."""
-    errors = _errors(data, calibration)
+    errors = tracked_pose_errors(data, calibration)
     return {
         int(view): (
             f"{1e3 * errors[view, 0]:.3g} mm and {np.rad2deg(errors[view, 1]):.3g} degrees from "
@@ -303,18 +312,10 @@ def _contradictions(
     }
 
 
-def _errors(data: PoseDataset, calibration: Calibration) -> Float[np.ndarray, "views 2"]:
-    """Return distance and angle of each measured pose from its prediction by the chain, m, rad."""
-    assert data.camera_from_world is not None
-    measured = host_matrices(data.camera_from_world).copy()
-    measured[:, :3, 3] *= float(calibration.target_scale)
-    predicted = np.asarray(calibration.camera_from_world_matrices(data.command))
-    return chain_errors(measured, predicted)
-
-
 def _consistent_again(data: PoseDataset, fit: JointFit) -> Bool[np.ndarray, "views"]:
     """Return the pairs that agree with a fit, among all that were measured."""
-    errors, used = _errors(data, fit.calibration), np.asarray(fit.inliers).any(axis=1)
+    errors = tracked_pose_errors(data, fit.calibration)
+    used = np.asarray(fit.inliers).any(axis=1)
     typical = np.sqrt(np.mean(errors[used] ** 2, axis=0))
     return data.seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from ..dataset import Dataset
@@ -61,18 +62,23 @@ def view_errors(data: Dataset, errors: Mapping[str, ReprojectionErrors]) -> Plot
         axes.bar(
             positions + offset, heights, 0.95 * width, color=method_colour(name, k), label=name
         )
-    # To avoid overlap, only every second, third, ... of many views is labelled.
-    step = -(-data.view_count // MAX_VIEW_LABELS)
-    longest = max(map(len, data.view_ids))
-    crowded = longest * data.view_count / step > MAX_LABEL_CHARACTERS
-    axes.set_xticks(
-        positions[::step], data.view_ids[::step], rotation=90 if crowded else 0, fontsize=9
-    )
-    axes.set_xlim(-0.7, data.view_count - 0.3)
-    axes.set_xlabel("view")
+    name_views(axes, data.view_ids)
     axes.set_ylabel("RMS (px)")
     figure.legend(loc="outside upper right", ncols=max(len(errors), 1), frameon=False)
     return figure
+
+
+def name_views(axes: Axes, view_ids: Sequence[str]) -> None:
+    """Write the names of views, drawn at 0, 1, ..., under a plot."""
+    # To avoid overlap, only every second, third, ... of many views is labelled.
+    count = len(view_ids)
+    step = -(-count // MAX_VIEW_LABELS)
+    crowded = max(map(len, view_ids)) * count / step > MAX_LABEL_CHARACTERS
+    axes.set_xticks(
+        np.arange(count)[::step], view_ids[::step], rotation=90 if crowded else 0, fontsize=9
+    )
+    axes.set_xlim(-0.7, count - 0.3)
+    axes.set_xlabel("view")
 
 
 def residual_vectors(data: Dataset, residuals: np.ndarray) -> PlotFigure:

@@ -7,6 +7,9 @@ from .localization_page import write_localization_page as write_localization_pag
 from .page import Origin as Origin
 from .page import write_evaluation_page as write_evaluation_page
 from .page import write_page as write_page
+from .pose_page import pose_error_rows as pose_error_rows
+from .pose_page import pose_fit_summary as pose_fit_summary
+from .pose_page import write_pose_page as write_pose_page
 from .story import Section as Section
 from .story import StoryFigure as StoryFigure
 from .story import write_story as write_story

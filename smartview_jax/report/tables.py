@@ -23,6 +23,7 @@ from ..evaluation import (
     without_rejected_views,
 )
 from ..joint import JointFit, parameter_estimates
+from ..variance import NoiseEstimate
 
 
 class ErrorSummary(NamedTuple):
@@ -185,7 +186,7 @@ def _held_out_remarks(name: str, held_out: HeldOutErrors) -> list[str]:
     return lines
 
 
-def rejections(fit: CalibrationFit, data: Dataset) -> list[tuple[str, str]]:
+def rejections(fit: CalibrationFit | JointFit, data: Dataset) -> list[tuple[str, str]]:
     """Return views and reasons of rejection: whole views first, then counts of rejected points."""
     view_reasons, rejected_points = {}, {}
     # A rejection without a point concerns the whole view. The sets count every point once.
@@ -208,11 +209,6 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
     noise, estimate = joint.noise, joint.noise_estimate
     if noise is None or estimate is None:
         return []
-    probabilities = ", ".join(
-        f"{candidate.name} {candidate.probability:.2f}"
-        for candidate in sorted(estimate.candidates, key=lambda c: -c.probability)
-        if candidate.probability >= 0.005
-    )
     within_view_text = (
         "" if noise.white_pixel is None else f" (within a view {noise.white_pixel:.3f})"
     )
@@ -222,10 +218,7 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
         f" +- {relative:.0%}" if relative < 1.0 else "" for relative in estimate.relative_std
     ]
     lines = [
-        (
-            "errors of the robot",
-            f"{_model_with_description(estimate.name)}; probabilities: {probabilities}",
-        ),
+        robot_error_row(estimate),
         (
             "standard deviations",
             f"pixels {noise.pixel:.3f} px{relative_std_texts[0]}{within_view_text}; "
@@ -246,6 +239,17 @@ def error_model_rows(joint: JointFit, data: Dataset) -> list[tuple[str, str]]:
     if not estimate.converged:
         lines.append(("standard deviations", "the search ended before they converged: be careful"))
     return lines
+
+
+def robot_error_row(estimate: NoiseEstimate) -> tuple[str, str]:
+    """Return a row with the model of the robot's error and the probabilities of all models."""
+    probabilities = ", ".join(
+        f"{candidate.name} {candidate.probability:.2f}"
+        for candidate in sorted(estimate.candidates, key=lambda c: -c.probability)
+        if candidate.probability >= 0.005
+    )
+    name = _model_with_description(estimate.name)
+    return "errors of the robot", f"{name}; probabilities: {probabilities}"
 
 
 MODEL_DESCRIPTIONS = {

@@ -101,6 +101,20 @@ class PosesEntry(Entry):
         return self
 
 
+class TrackedPosesEntry(Entry):
+    """A table of the target's poses that a tracker measured, one row per view, without pictures.
+
+    Entries that the table's header states may be omitted, but the direction is always stated.
+    """
+
+    file: PrintableText
+    codec: CodecName | None = None
+    length_unit: LengthUnit | None = None
+    angle_unit: AngleUnit | None = None
+    direction: Literal["camera_from_world", "world_from_camera"]
+    rows: _RowCount | None = None
+
+
 class JointsEntry(Entry):
     """A table of joint readings, one row per view, and their arm: its name or its numbers."""
 
@@ -167,12 +181,16 @@ _RoughPose = Annotated[
 
 
 class DatasetFile(Entry):
-    """A data-set folder's description."""
+    """A data-set folder's description.
+
+    With `tracked_poses` there are no pictures, so that camera and target are not needed.
+    """
 
     smartview_dataset: Literal[1]
     end_mark: Literal[True] | None = None
-    camera: CameraSizeEntry
-    target: TargetEntry
+    camera: CameraSizeEntry | None = None
+    target: TargetEntry | None = None
+    tracked_poses: TrackedPosesEntry | None = None
     mount: Literal["eye_in_hand", "eye_to_hand"] = "eye_in_hand"
     poses: PosesEntry | None = None
     joints: JointsEntry | None = None
@@ -186,15 +204,7 @@ class DatasetFile(Entry):
     def _check_consistency(self) -> "DatasetFile":
         if self.end_mark and self.end != END_MARK:
             raise ValueError(f"the last line, 'end: {END_MARK}', is missing: the file was cut")
-        # A grid has rows x columns, a ChArUco board squares_x x squares_y; absent sides count as 1.
-        target = self.target
-        sides = [
-            getattr(target, name, None) or 1
-            for name in ("rows", "columns", "squares_x", "squares_y")
-        ]
-        points = math.prod(sides) * len(target.heights or [0])
-        if points > MAX_POINTS:
-            raise ValueError(f"target: expected up to {MAX_POINTS} points, found {points}")
+        self._check_target()
         if self.poses is None and self.joints is None:
             raise ValueError("expected an entry 'poses', 'joints', or both")
         if self.base_from_world is not None and self.mount == "eye_to_hand":
@@ -202,6 +212,27 @@ class DatasetFile(Entry):
         if self.tool_from_world is not None and self.mount == "eye_in_hand":
             raise ValueError("tool_from_world: the target is fixed: give base_from_world")
         return self
+
+    def _check_target(self) -> None:
+        """Raise a ValueError without a target and a camera, or for a target of too many points."""
+        if self.tracked_poses is not None:
+            for name in ("camera", "target", "pictures", "detections"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name}: a data set of tracked_poses has none")
+            return
+        for name in ("camera", "target"):
+            if getattr(self, name) is None:
+                raise ValueError(f"entry '{name}' is missing")
+        # A grid has rows x columns, a ChArUco board squares_x x squares_y; absent sides count as 1.
+        target = self.target
+        assert target is not None
+        sides = [
+            getattr(target, name, None) or 1
+            for name in ("rows", "columns", "squares_x", "squares_y")
+        ]
+        points = math.prod(sides) * len(target.heights or [0])
+        if points > MAX_POINTS:
+            raise ValueError(f"target: expected up to {MAX_POINTS} points, found {points}")
 
 
 DATASET_SCHEMA = TypeAdapter(DatasetFile)

@@ -247,7 +247,8 @@ MAY_BE_EMPTY = {"object", "face", "grasp", "journal"}
 WRITERS = {
     "calibration/calibration.py save": "calibration in YAML",
     "io/csv_tables.py write_table": "misses",
-    "io/dataset_folder.py write_dataset_folder": "description",
+    "cli/calibrate_poses.py write_pose_files": "(the package's own)",
+    "io/dataset_folder.py _write_description": "description",
     "io/detections.py write_detections": "data set",
     "io/detections.py write_kept_detections": "kept detections",
     "io/easy_handeye.py write_easy_handeye": "(poses only)",

@@ -24,3 +24,5 @@ from .predicted_error import PredictedError as PredictedError
 from .predicted_error import expected_reprojection_errors as expected_reprojection_errors
 from .predicted_error import expected_squared_errors as expected_squared_errors
 from .predicted_error import predicted_error as predicted_error
+from .tracked_poses import HeldOutPoses as HeldOutPoses
+from .tracked_poses import held_out_poses as held_out_poses

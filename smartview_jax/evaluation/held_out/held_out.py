@@ -78,7 +78,7 @@ def held_out(
 
 def fit_folds(
     data: Dataset,
-    fitter: Callable[[Dataset], Any],
+    fitter: Callable[[Any], Any],
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
     by: str = "view",

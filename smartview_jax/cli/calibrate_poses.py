@@ -1,0 +1,192 @@
+"""Calibrate tracked poses for `smartview calibrate`: pairs of poses in place of pictures."""
+
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+from ..files import file_transaction
+from .calibrate_folder import CalibrateSettings
+from .error_documents import views_left_out
+from .fit_options import FitOptions, parse_fit_options
+
+if TYPE_CHECKING:
+    from ..dataset import PoseDataset
+    from ..evaluation import HeldOutPoses
+    from ..joint import PoseFit
+
+POSE_RESULT_FILES = {
+    "calibration.yaml": "the calibration",
+    "hand_eye.calib": "the hand-eye transform, which the publisher of easy_handeye2 reads",
+    "report.html": "the report: results and accuracy",
+}
+"""Descriptions of the files that `calibrate` writes for tracked poses, by file name."""
+
+
+class PoseResult(NamedTuple):
+    """A fit to tracked poses and what was computed about it.
+
+    Attributes:
+        data: the pairs.
+        name: the data set's name.
+        fit: the joint fit.
+        held_out: errors of held-out pairs; None where they were not computed.
+        notes: remarks on the data, and on what could not be computed.
+        given: the options that state prior knowledge, in words.
+    """
+
+    data: "PoseDataset"
+    name: str
+    fit: "PoseFit"
+    held_out: "HeldOutPoses | None"
+    notes: tuple[str, ...]
+    given: str
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes and warnings as lines for people."""
+        return (*self.notes, *(f"warning: {text}" for text in self.fit.warnings))
+
+
+def calibrated_poses(
+    data: "PoseDataset",
+    name: str,
+    settings: CalibrateSettings,
+    progress: Callable[[str], None],
+) -> PoseResult:
+    """Fit tracked poses, and compute their held-out errors if requested.
+
+    Raises:
+        ValueError: an option that only pictures have, and the errors of `fit_poses`.
+    """
+    from ..evaluation import held_out_poses, without_rejected_views
+    from ..joint import fit_poses
+
+    if settings.diagnose or settings.noise != "estimated":
+        option = "--diagnose" if settings.diagnose else "--noise"
+        raise ValueError(f"{option}: expected a data set with pictures; {name} has tracked poses")
+    options = parse_fit_options(settings.lens, data.mount, settings.known)
+    arguments = _arguments(options)
+    fit = fit_poses(data, progress=progress, **arguments)
+    notes, scores = list(data.notes), None
+    used = cast("PoseDataset", without_rejected_views(data, fit))
+    if settings.held_out and len(used.usable_views()) < 4:
+        notes.append("held-out error needs at least 4 usable pairs: left out")
+    elif settings.held_out:
+        scores = held_out_poses(used, lambda part: fit_poses(part, **arguments), progress=progress)
+        notes += [f"fold {k + 1}: {reason}" for k, reason in scores.failures]
+    return PoseResult(data, name, fit, scores, tuple(notes), options.given)
+
+
+def _arguments(options: FitOptions) -> dict[str, Any]:
+    """Return the keyword arguments of `fit_poses`."""
+    arguments = options.arguments()
+    if "target_scale" in arguments.pop("free", ()):
+        arguments["scale"] = True
+    start = arguments.get("start")
+    if start is not None and not isinstance(start, dict):
+        first, second = start.transform_names
+        arguments["start"] = {first: start.camera_from_mount, second: start.holder_from_world}
+    return arguments
+
+
+def print_pose_result(result: PoseResult) -> None:
+    """Print the hand-eye transform, notes and warnings, errors and the pairs left out."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..joint import fit_text
+    from ..report import pose_error_rows, pose_fit_summary, rejections
+
+    console = Console()
+    console.print(fit_text(result.fit, ()), highlight=False, markup=False)
+    for note in result.remarks:
+        console.print(note, highlight=False, markup=False)
+    table = Table("", "distance", "angle")
+    for row in pose_error_rows(result.fit, result.held_out):
+        table.add_row(*row)
+    console.print(table)
+    console.print(pose_fit_summary(result.fit, result.held_out), highlight=False)
+    left_out = rejections(result.fit, result.data)
+    if left_out:
+        console.print("left out:")
+    for pair, reason in left_out:
+        console.print(f"  pair {pair}: {reason}", highlight=False, markup=False)
+    if not result.fit.has_camera:
+        console.print(
+            "no calibration.yaml: poses do not tell the camera; give it by --camera, which is not "
+            "fitted",
+            highlight=False,
+        )
+
+
+def write_pose_files(result: PoseResult, out: Path, run: str) -> list[Path]:
+    """Write all files of a run, or none, and return the paths written."""
+    from ..io import easy_handeye_calibration
+    from ..report import Origin, write_pose_page
+
+    fit = result.fit
+    parent = "tool0" if fit.calibration.mount == "eye_in_hand" else "base_link"
+    command = shlex.join(["smartview", *sys.argv[1:]])
+    source = f"{result.name}; given: {result.given}" if result.given else result.name
+    with file_transaction(out, tuple(POSE_RESULT_FILES)) as folder:
+        if fit.has_camera:
+            fit.save(folder / "calibration.yaml", run, source)
+        text = easy_handeye_calibration(fit.calibration, parent, "camera_optical_frame")
+        (folder / "hand_eye.calib").write_text(text, encoding="utf-8")
+        write_pose_page(
+            folder / "report.html",
+            fit,
+            result.data,
+            result.held_out,
+            Origin(result.name, command, run, result.given),
+            result.remarks,
+        )
+    return [out / file for file in POSE_RESULT_FILES if (out / file).is_file()]
+
+
+def pose_document(result: PoseResult, run: str, files: list[Path]) -> dict[str, Any]:
+    """Return everything that was computed, as values for programs."""
+    import numpy as np
+
+    from ..report import rejections
+    from .calibrate_document import (
+        calibration_entries,
+        parameter_documents,
+        robot_error_document,
+    )
+
+    fit = result.fit
+    entries = calibration_entries(fit.calibration)
+    if not fit.has_camera:
+        entries["camera"] = None
+    used = np.asarray(fit.inliers).any(axis=1)
+    return {
+        "data_set": result.name,
+        "run": run,
+        "given": result.given,
+        "converged": fit.result.converged,
+        "message": fit.result.message,
+        **entries,
+        "parameters": parameter_documents(fit),
+        "robot_errors": robot_error_document(fit),
+        "tracker_std": _length_and_angle(fit.tracker_noise),
+        "fitted_rms": _length_and_angle(np.sqrt(np.mean(fit.pose_errors[used] ** 2, axis=0))),
+        "held_out_rms": None if result.held_out is None else _length_and_angle(result.held_out.rms),
+        "rejected": [
+            {"view": view, "reason": reason} for view, reason in rejections(fit, result.data)
+        ],
+        "left_out_views": views_left_out(result.data.masked_views),
+        "undetermined": [direction.description for direction in fit.observability.null_directions],
+        "notes": list(result.notes),
+        "warnings": list(fit.warnings),
+        "files": files,
+    }
+
+
+def _length_and_angle(values: Any) -> dict[str, float]:
+    """Return a length (m) and an angle (rad) as they are printed."""
+    import numpy as np
+
+    return {"mm": 1e3 * float(values[0]), "deg": float(np.rad2deg(values[1]))}

@@ -1,0 +1,106 @@
+"""Read a data-set folder whose tracker measured the target's poses: pairs of poses, no pictures.
+
+    smartview_dataset: 1
+    mount: eye_in_hand
+    poses: {file: poses.csv, codec: quaternion_xyzw, length_unit: m, angle_unit: rad,
+            direction: base_from_tool}
+    tracked_poses: {file: tracker.csv, codec: quaternion_xyzw, length_unit: m, angle_unit: rad,
+                    direction: camera_from_world}
+
+Both tables have a column `view`, by whose names they are matched; a view that the tracker's table
+does not have was not seen. The world is the target's frame. The robot's poses may be joint readings
+or the log of a moving robot, as in `dataset_folder`.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..dataset import PoseDataset
+from ..geometry import as_se3, host_matrices
+from .joints import joints_entry, refuse_unreadable_joints, write_joints
+from .poses import poses_entry, read_poses, refuse_unreadable_poses, write_poses
+from .robot_readings import read_robot_readings
+
+TRACKED_POSES_FILE = "tracker.csv"
+"""The name of the file that `tracked_poses_written` writes."""
+
+_DIRECTIONS = {"camera_from_world": "base_from_tool", "world_from_camera": "tool_from_base"}
+"""Directions of the tracker's table by the direction that the robot's table would have."""
+
+
+def read_tracked_folder(
+    folder: Path, content: dict[str, Any], description_path: Path, bad_views: str
+) -> PoseDataset:
+    """Read the pairs of poses of a folder.
+
+    Args:
+        folder: of the data set.
+        content: content of its description, with an entry `tracked_poses`.
+        description_path: path of the description, for error messages.
+        bad_views: `"raise"` an error for a pose that is not rigid, or `"mask"` its view.
+
+    Raises:
+        ValueError: a wrong entry or view; the message names it and the file.
+        FileNotFoundError: a table is missing.
+    """
+    readings = read_robot_readings(folder, content, description_path, bad_views)
+    entry = content["tracked_poses"]
+    stated = {**entry, "direction": _DIRECTIONS[entry["direction"]]}
+    tracked = read_poses(folder, stated, bad_views, "tracked_poses")
+    table = folder / entry["file"]
+    unknown = [view for view in tracked.view_ids if view not in readings.view_ids]
+    if unknown:
+        raise ValueError(f"{table}: view {unknown[0]}: the robot's table has no such view")
+    reasons = {**tracked.masked_views, **readings.masked_views}
+    by_view = dict(zip(tracked.view_ids, host_matrices(tracked.poses), strict=True))
+    unseen = np.full((4, 4), np.nan)
+    measured = [
+        unseen if view in reasons else by_view.get(view, unseen) for view in readings.view_ids
+    ]
+    try:
+        data = PoseDataset.from_poses(
+            readings.poses,
+            np.stack(measured),
+            content.get("mount", "eye_in_hand"),
+            view_ids=readings.view_ids,
+            masked_views=list(reasons.items()),
+            joints=readings.joints,
+            arm=readings.arm,
+        )
+    except ValueError as error:
+        raise ValueError(f"{description_path}: {error}") from error
+    notes = () if tracked.table is None else tracked.table.notes
+    return dataclasses.replace(data, notes=(*readings.notes, *notes))
+
+
+def tracked_poses_written(data: PoseDataset, folder: Path, pose_format: str) -> dict[str, Any]:
+    """Write the tables of a data set, and return the entries that describe them.
+
+    Raises:
+        ValueError: an unknown pose format, or a name or value with which the folder could not be
+            read back; nothing is written.
+    """
+    seen = np.flatnonzero(data.seen)
+    seen_ids = [data.view_ids[view] for view in seen]
+    tracked = as_se3(data.tracked_matrices[seen])
+    refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
+    refuse_unreadable_poses(folder, seen_ids, tracked, TRACKED_POSES_FILE)
+    entries = {
+        "poses": poses_entry(data.view_count, pose_format),
+        "tracked_poses": {
+            **poses_entry(len(seen), pose_format),
+            "file": TRACKED_POSES_FILE,
+            "direction": "camera_from_world",
+        },
+    }
+    if data.arm is not None and data.joints is not None:
+        joints = np.asarray(data.joints)
+        refuse_unreadable_joints(folder, data.view_ids, joints, data.arm)
+        write_joints(folder, data.view_ids, joints, data.arm)
+        entries["joints"] = joints_entry(data.view_count, data.arm)
+    write_poses(folder, data.view_ids, data.base_from_tool, pose_format)
+    write_poses(folder, seen_ids, tracked, pose_format, TRACKED_POSES_FILE)
+    return entries

@@ -1,0 +1,120 @@
+"""Write the report of a fit to tracked poses as one HTML page that contains its plots."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..dataset import PoseDataset
+from ..evaluation import HeldOutPoses
+from ..joint import PoseFit, estimate_groups, tracked_pose_errors
+from ..plots import pose_errors
+from .next_steps import hand_eye_sentence
+from .page import Origin
+from .story import Section, StoryFigure, write_story
+from .tables import rejections, robot_error_row
+
+
+def pose_error_rows(fit: PoseFit, held_out: HeldOutPoses | None) -> list[tuple[str, str, str]]:
+    """Return a row for each kind of error of the tracked poses: its name, distance and angle."""
+    used = np.asarray(fit.inliers).any(axis=1)
+    kinds = [("fitted pairs, RMS", tuple(np.sqrt(np.mean(fit.pose_errors[used] ** 2, axis=0))))]
+    if held_out is not None:
+        kinds.append(("held-out pairs, RMS", held_out.rms))
+    kinds.append(("noise of the tracker, per axis", fit.tracker_noise))
+    if fit.noise is not None:
+        robot = fit.noise.translation, fit.noise.rotation
+        kinds.append(("noise of the robot, per axis", robot))
+    return [
+        (name, f"{1e3 * distance:.3g} mm", f"{np.rad2deg(angle):.3g} deg")
+        for name, (distance, angle) in kinds
+    ]
+
+
+def pose_fit_summary(fit: PoseFit, held_out: HeldOutPoses | None) -> str:
+    """Return the result in a few sentences."""
+    if not fit.result.converged:
+        return f"The joint fit did not converge: {fit.result.message}."
+    text = hand_eye_sentence(fit)
+    if held_out is not None and np.isfinite(held_out.rms).all():
+        distance, angle = held_out.rms
+        text += (
+            f" It predicts tracked poses that it never saw to {1e3 * distance:.3g} mm and "
+            f"{np.rad2deg(angle):.3g} degrees RMS."
+        )
+    return text
+
+
+def write_pose_page(
+    path: Path,
+    fit: PoseFit,
+    data: PoseDataset,
+    held_out: HeldOutPoses | None = None,
+    origin: Origin | None = None,
+    notes: Sequence[str] = (),
+) -> None:
+    """Write the report of a fit to tracked poses as an HTML page.
+
+    Args:
+        path: of the HTML file, which is written completely or not at all.
+        fit: result of `fit_poses`.
+        data: the pairs that it was given.
+        held_out: result of `held_out_poses`; None if not computed.
+        origin: data set and command of the page; None for a script's own data.
+        notes: notes and warnings to print.
+    """
+    sections = [
+        Section(heading, rows=rows)
+        for heading, rows in estimate_groups(fit)
+        if not heading.startswith("arm")
+    ]
+    if notes:
+        sections.append(Section("Warnings and notes", rows=[(note,) for note in notes]))
+    figure = StoryFigure(
+        "Errors of the tracked poses.",
+        "Distance and angle of each tracked pose from its prediction by the chain. A pair that "
+        "stands out was mispaired or measured badly; pairs that get worse together point to the "
+        "robot or to a tracker that was moved.",
+        pose_errors(fit),
+    )
+    sections += [
+        Section(
+            "Errors",
+            figures=[figure],
+            header=("", "distance", "angle"),
+            rows=pose_error_rows(fit, held_out),
+        )
+    ]
+    left_out = rejections(fit, data)
+    if left_out:
+        sections.append(Section("Pairs left out", header=("pair", "reason"), rows=left_out))
+    arm = [group for group in estimate_groups(fit) if group[0].startswith("arm")]
+    sections += [Section(heading, rows=rows) for heading, rows in arm]
+    sections.append(Section("How this was computed", rows=_facts(fit, data, origin)))
+    title = "Calibration" if origin is None else f"Calibration of {origin.source}"
+    write_story(path, title, pose_fit_summary(fit, held_out), sections)
+
+
+def _facts(fit: PoseFit, data: PoseDataset, origin: Origin | None) -> list[tuple[str, str]]:
+    """Return rows of name and text on the data, the command and the fit."""
+    given = [] if origin is None else list(origin._asdict().items())
+    facts = [(name, text) for name, text in given if text]
+    facts += [
+        ("pairs", f"{np.asarray(fit.inliers).any(axis=1).sum()} used of {data.view_count}"),
+        ("mount", data.mount),
+        ("joint fit", fit.result.message),
+    ]
+    if fit.noise_estimate is not None:
+        facts.append(robot_error_row(fit.noise_estimate))
+    if fit.calibration.robot_error is not None:
+        used = np.asarray(fit.inliers).any(axis=1)
+        errors = tracked_pose_errors(data, fit.calibration.uncorrected)[used]
+        distance, angle = np.sqrt(np.mean(errors**2, axis=0))
+        facts.append(
+            (
+                "without the correction",
+                f"{1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} degrees RMS: the error of a "
+                "program that uses these transforms without the robot's correction",
+            )
+        )
+    return facts

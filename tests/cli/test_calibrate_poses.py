@@ -1,0 +1,117 @@
+"""`smartview calibrate` on tracked poses: a file of easy_handeye2, or a folder."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from board_scene import run
+from tracked_scene import MOUNT, tracked
+
+from smartview_jax.calibration import Calibration
+from smartview_jax.cameras import Camera, Pinhole
+from smartview_jax.dataset import PoseDataset
+from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
+from smartview_jax.io import PoseSamples, save_dataset, write_easy_handeye
+
+WRONG = 5
+
+
+def pairs(mount="eye_in_hand"):
+    robot, measured = tracked(3, mount=mount)
+    measured[WRONG] = measured[WRONG] @ host_exponentials(np.array([0.1, 0, 0, 0.5, 0, 0]))
+    return robot, measured
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("tracked")
+    save_dataset(PoseDataset.from_poses(*pairs()), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    return tmp_path_factory.mktemp("out")
+
+
+@pytest.fixture(scope="module")
+def document(folder, out):
+    ended = run("calibrate", folder, "--json", "--out", out)
+    assert ended.exit_code == 0, ended.output
+    return json.loads(ended.stdout)
+
+
+def test_the_document_has_the_transform_both_noises_and_what_was_left_out(document):
+    found = document["transforms"]["camera_from_tool"]
+    np.testing.assert_allclose(found["translation"], MOUNT[:3, 3], atol=2e-3)
+    assert document["camera"] is None
+    assert [entry["view"] for entry in document["rejected"]] == [str(WRONG)]
+    # A tracked pose of 0.5 mm per axis is 0.9 mm off; the held-out error has the fit's own too.
+    assert 0.5 < document["fitted_rms"]["mm"] < document["held_out_rms"]["mm"] < 1.5
+    assert document["tracker_std"]["mm"] == pytest.approx(0.5, rel=0.3)
+
+
+def test_easy_handeye_publishes_the_transform(document, out):
+    """Its publisher sends `transform` from the robot's frame to the tracker's."""
+    content = yaml.safe_load((out / "hand_eye.calib").read_text())
+    assert content["parameters"]["calibration_type"] == "eye_in_hand"
+    assert content["parameters"]["robot_effector_frame"] == "tool0"
+    translation = [content["transform"]["translation"][axis] for axis in "xyz"]
+    expected = np.linalg.inv(MOUNT)[:3, 3]
+    np.testing.assert_allclose(translation, expected, atol=3e-3)
+
+
+def test_the_page_shows_every_pair(document, out):
+    page = (out / "report.html").read_text()
+    assert "held-out pairs, RMS" in page
+    assert "from where the other pairs put it" in page
+    assert "px" not in page.partition("<h1")[2].replace("px;", "").split("<img")[0]
+    assert document["files"] == [str(out / name) for name in ("hand_eye.calib", "report.html")]
+
+
+@pytest.fixture(scope="module")
+def camera_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("camera") / "camera.yaml"
+    camera = Camera(900.0, 900.0, 320.0, 240.0, Pinhole(), (640, 480))
+    Calibration(camera, as_se3(np.eye(4)), as_se3(np.eye(4)), "eye_in_hand").save(path)
+    return path
+
+
+@pytest.fixture
+def samples(tmp_path):
+    robot, measured = pairs("eye_to_hand")
+    path = tmp_path / "arm.samples"
+    write_easy_handeye(path, PoseSamples(as_se3(robot), as_se3(measured), "eye_to_hand"))
+    return path
+
+
+def test_samples_of_easy_handeye_with_a_camera_give_a_calibration(samples, camera_file, tmp_path):
+    ended = run(
+        *("calibrate", samples, "--mount", "eye_to_hand", "--camera", camera_file),
+        *("--no-held-out", "--out", tmp_path),
+    )
+    assert ended.exit_code == 0, ended.output
+    assert "pair 5: not used:" in ended.output
+    calibration = Calibration.load(tmp_path / "calibration.yaml")
+    assert calibration.mount == "eye_to_hand"
+    found = host_matrices(calibration.camera_from_base)
+    np.testing.assert_allclose(found[:3, 3], MOUNT[:3, 3], atol=2e-3)
+
+
+def test_what_the_file_does_not_tell_is_asked(samples, folder):
+    for words, message in {
+        (samples,): "give --mount eye_in_hand",
+        (folder, "--mount", "eye_in_hand"): "a data-set folder states its mount",
+        (folder, "--diagnose"): "--diagnose: expected a data set with pictures",
+        (folder, folder.parent, "--jobs", "1"): "has tracked poses: calibrate it alone",
+    }.items():
+        ended = run("calibrate", *words)
+        assert ended.exit_code, ended.output
+        assert message in " ".join(ended.output.split())
+
+
+def test_other_subcommands_say_that_they_need_pictures(folder):
+    ended = run("check", folder)
+    assert ended.exit_code
+    assert "only smartview calibrate takes it" in " ".join(ended.output.split())
