@@ -33,6 +33,7 @@ from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
 from .robust_hand_eye import chain_errors, robust_hand_eye
+from .undetermined import require_moving_robot
 
 MAX_ROUNDS = 3
 """Largest number of fits after which views that fit again are taken back."""
@@ -207,7 +208,11 @@ def fit_poses(
         )
     )
     prior = _without_target(robot_prior or RobotPrior(), scale)
-    calibration, consistent = _start(data, camera or NO_CAMERA, start, scale)
+    identity = host_transforms(np.eye(4))
+    blank = Calibration(camera or NO_CAMERA, identity, identity, data.mount)
+    check_start(start, data)
+    require_moving_robot(data, blank, fixed, priors)
+    calibration, consistent = _start(data, blank, start, scale)
     options: dict[str, Any] = {
         "fixed": (*fixed, "camera"),
         "free": ("target_scale",) if scale else (),
@@ -263,9 +268,15 @@ def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
 
 
 def _start(
-    data: PoseDataset, camera: Camera, start: Mapping[str, PoseLike] | None, scale: bool
+    data: PoseDataset, blank: Calibration, start: Mapping[str, PoseLike] | None, scale: bool
 ) -> tuple[Calibration, Bool[np.ndarray, "views"]]:
-    """Return a calibration near the solution, and the pairs that agree with it."""
+    """Return a calibration near the solution, and the pairs that agree with it.
+
+    Args:
+        data: the pairs.
+        blank: a calibration with the tracker's camera.
+        start, scale: as in `fit_poses`.
+    """
     mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     measured = data.tracked_matrices
     count = int(data.seen.sum())
@@ -279,9 +290,6 @@ def _start(
     )
     if report.problems:
         raise ValueError("; ".join(report.problems))
-    identity = host_transforms(np.eye(4))
-    blank = Calibration(camera, identity, identity, data.mount)
-    check_start(start, data)
     given = known_transforms(start, data.mount)
     step3 = solve_hand_eye(
         host_transforms(mount_from_holder),

@@ -209,3 +209,9 @@ def test_a_data_set_of_poses_keeps_its_poses():
     assert part.observations.padded().visible.shape == (8, 3)
     assert dataclasses.replace(part, notes=("x",)).units.shape == (2, 2)
     assert WORLD.shape == (4, 4)
+
+
+def test_a_robot_that_never_turns_is_named_with_the_option_that_ends_it():
+    data = data_of(0, views=6, turns=np.zeros((6, 3)))
+    with pytest.raises(ValueError, match=r"never rotates: .* start=\{'camera_from_tool': POSE\}"):
+        sv.fit_poses(data)
