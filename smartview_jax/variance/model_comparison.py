@@ -176,7 +176,9 @@ def compare_models(
         fitted,
         probabilities,
         _candidate_results(fitted, probabilities, views.white_sigma),
-        target_scale_evidence(built, linearised, z, fitted, probabilities) if test_scale else None,
+        target_scale_evidence(built, linearised, z, fitted, probabilities)
+        if any(model.free_scale for model in probabilities)
+        else None,
     )
 
 

@@ -138,8 +138,12 @@ def estimate_noise(
         prior.wrong_target_probability,
     )
     chain, linearised, maximum = average.chain, average.views, average.maximum
-    if (free_scale or field == "auto") and not is_possible(chain, data):
+    # At the better parameters of the second pass a free size may have become improbable.
+    no_free_size = scale_is_group and not any(name.free_scale for name in average.probabilities)
+    is_degenerate = (free_scale or field == "auto") and not is_possible(chain, data)
+    if is_degenerate:
         report_progress("degenerate fit (target or motion shrunk): refit without this model")
+    if no_free_size or is_degenerate:
         return estimate_noise(
             data,
             start,

@@ -14,6 +14,7 @@ from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_adjoints, host_exponentials, host_logarithms, host_matrices
 from smartview_jax.joint import TrackerPrior
 from smartview_jax.joint.robust_hand_eye import robust_hand_eye
+from smartview_jax.simulation import random_scene
 
 
 @pytest.fixture(scope="module")
@@ -215,3 +216,17 @@ def test_a_robot_that_never_turns_is_named_with_the_option_that_ends_it():
     data = data_of(0, views=6, turns=np.zeros((6, 3)))
     with pytest.raises(ValueError, match=r"never rotates: .* start=\{'camera_from_tool': POSE\}"):
         sv.fit_poses(data)
+
+
+def test_a_free_size_may_become_improbable_at_the_better_parameters():
+    """The first comparison frees the target's size, the second one finds it as stated."""
+    views, rng = 16, np.random.default_rng(1)
+    scene = random_scene(1, views=views)
+    robot = host_matrices(scene.base_from_tool)
+    seen = host_matrices(scene.calibration.camera_from_world(scene.base_from_tool))
+    seen[:, :3, :3] = turned(5e-4 * rng.normal(size=(views, 6))[:, 3:])[:, :3, :3] @ seen[:, :3, :3]
+    seen[:, :3, 3] += rng.normal(0.0, 1e-3, (views, 3))
+    errors = host_exponentials(rng.normal(size=(views, 6)) * np.repeat([2e-5, 5e-5], 3))
+    fit = sv.fit_poses(PoseDataset.from_poses(robot @ errors, seen), field=None)
+    assert fit.result.converged
+    assert float(fit.calibration.target_scale) == 1.0
