@@ -60,6 +60,7 @@ class ConventionReport(NamedTuple):
             and m.
         hypotheses: every mistake that was tried, smallest closure error first; empty if the
             data are plausible as given.
+        explained: whether the first of them removes most of the error.
     """
 
     problems: tuple[str, ...]
@@ -68,6 +69,7 @@ class ConventionReport(NamedTuple):
     length_ratio: float
     closure_error: tuple[float, float]
     hypotheses: tuple[ConventionHypothesis, ...]
+    explained: bool = False
 
 
 ANGLE_TOLERANCE = np.deg2rad(4.0)
@@ -155,6 +157,7 @@ def check_conventions(
         ratio,
         (given_error.rotation, given_error.translation),
         hypotheses,
+        _is_explained(given_error, hypotheses),
     )
 
 
@@ -313,6 +316,17 @@ def _misreads_angles(mistake: Mistake) -> bool:
     return "_read_as_" in mistake.name or mistake.name == "kuka_abc_for_fanuc_wpr"
 
 
+def _is_explained(given_error: ClosureError, hypotheses: tuple[ConventionHypothesis, ...]) -> bool:
+    """Return whether the best hypothesis removes most of the error."""
+    if not hypotheses:
+        return False
+    error = hypotheses[0].closure_error
+    return bool(
+        error.rotation < ANGLE_TOLERANCE
+        and error.score < MAX_CORRECTED_SCORE_RATIO * given_error.score
+    )
+
+
 def _convention_problems(
     given_error: ClosureError,
     hypotheses: tuple[ConventionHypothesis, ...],
@@ -321,12 +335,8 @@ def _convention_problems(
 ) -> tuple[str, ...]:
     """Return the best explanation with its closure error, or nothing if the data are acceptable."""
     best = hypotheses[0]
-    explained = (
-        best.closure_error.rotation < ANGLE_TOLERANCE
-        and best.closure_error.score < MAX_CORRECTED_SCORE_RATIO * given_error.score
-    )
     as_given = f"robot and camera do not move alike as given ({_closure_error_text(given_error)})"
-    if not explained:
+    if not _is_explained(given_error, hypotheses):
         weak_robot_angle = min(WEAK_ROBOT_ANGLE_RATIO * min(rotation_angles), MAX_WEAK_ROBOT_ANGLE)
         limit = max(ANGLE_TOLERANCE, weak_robot_angle)
         implausible = max(mismatch, given_error.rotation) > limit

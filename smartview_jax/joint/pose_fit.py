@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera, Pinhole
-from ..data_checks import check_conventions
+from ..data_checks import ConventionReport, check_conventions
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset, chain_residuals
 from ..engine import Prior
 from ..geometry import PoseLike, host_matrices, host_transforms
@@ -43,6 +43,9 @@ CONSISTENT_ERROR = 3.5
 
 Of a normal distribution in three dimensions, one error in two million is larger.
 """
+
+MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
+"""Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost."""
 
 NO_CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
 """The camera of a calibration whose camera nobody stated."""
@@ -208,6 +211,8 @@ def fit_poses(
         )
     )
     prior = _without_target(robot_prior or RobotPrior(), scale)
+    if (count := int(data.seen.sum())) < 3:
+        raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
     identity = host_transforms(np.eye(4))
     blank = Calibration(camera or NO_CAMERA, identity, identity, data.mount)
     check_start(start, data)
@@ -279,17 +284,10 @@ def _start(
     """
     mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     measured = data.tracked_matrices
-    count = int(data.seen.sum())
-    if count < 3:
-        raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
     factor, consistent = robust_hand_eye(mount_from_holder, measured, data.seen, scale)
     measured = measured.copy()
     measured[:, :3, 3] *= factor
-    report = check_conventions(
-        data.base_from_tool, host_transforms(measured), data.mount, consistent.astype(float)
-    )
-    if report.problems:
-        raise ValueError("; ".join(report.problems))
+    _check_conventions(data, measured, consistent)
     given = known_transforms(start, data.mount)
     step3 = solve_hand_eye(
         host_transforms(mount_from_holder),
@@ -304,6 +302,27 @@ def _start(
         target_scale=to_device(np.array(factor)),
     )
     return found, consistent
+
+
+def _check_conventions(
+    data: PoseDataset,
+    measured: Float[np.ndarray, "views 4 4"],
+    consistent: Bool[np.ndarray, "views"],
+) -> None:
+    """Raise a ValueError if robot and tracker do not move alike, with the likeliest mistake."""
+
+    def report_on(views: Bool[np.ndarray, "views"]) -> ConventionReport:
+        poses = data.base_from_tool, host_transforms(measured)
+        return check_conventions(*poses, data.mount, views.astype(float))
+
+    # With a mistake in all pairs some agree by chance.
+    if consistent.sum() < MIN_SHARE_WITHOUT_DOUBT * data.seen.sum():
+        everything = report_on(data.seen)
+        if everything.explained:
+            raise ValueError("; ".join(everything.problems))
+    report = report_on(consistent)
+    if report.problems:
+        raise ValueError("; ".join(report.problems))
 
 
 def _contradictions(

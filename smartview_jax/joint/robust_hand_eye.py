@@ -1,31 +1,42 @@
 """Find which pairs of a robot pose and a tracked pose agree, before any fit.
 
-Closed forms are solved on triples of pairs, drawn at random, and the solution with the least median
-error over all pairs is kept (least median of squares; Rousseeuw, 1984). It is right as long as more
-than half of the pairs are.
+Closed forms are solved on triples of pairs, drawn at random. Each solution predicts all tracked
+poses; the errors of pairs that agree with it are normal, with standard deviations that are
+estimated, and wrong pairs are anywhere in the space of the tracked poses. The solution with the
+largest likelihood is kept, as in MLESAC (Torr and Zisserman, 2000), so that even more than half of
+the pairs may be wrong.
 """
 
 import itertools
 import math
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..dataset import MINIMUM_RELIABLE_VIEWS
+from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION
 from ..geometry import host_logarithms, host_transforms
 from ..hand_eye import CLOSED_FORMS, mean_holder_from_world, motion_pairs, park_martin
 
-TRIPLES = 100
-"""Number of triples: with a third of all pairs wrong, none is right once in 10^15."""
+TRIPLES = 200
+"""Number of triples: with half of all pairs wrong, none is right once in 10^11."""
 
-MAX_ERROR_SIGMAS = 6.0
-"""Largest error of a pair that agrees, in standard deviations by the median."""
-
-MEDIAN_OF_NORM = 1.538
-"""Median length of a vector of three normal numbers of standard deviation one."""
+REFINED = 3
+"""Number of the likeliest solutions that are solved again from all pairs that agree with them."""
 
 ROUNDS = 5
 """Largest number of times that the agreeing pairs are solved and chosen again."""
+
+MIN_AGREEING, MIN_SHARE = 5, 1.0 / 3.0
+"""Smallest number of agreeing pairs, and their smallest share, that are no chance: of pairs in
+random order three agree, those from which a solution was found."""
+
+MIXTURE_ROUNDS = 20
+"""Number of rounds in which errors and membership are estimated in turn."""
+
+PRIOR_NUMBERS = 3.0
+"""Weight of the usual noise of trackers in the estimate of the errors, in numbers observed: those
+of one pair, so that a triple that happens to fit exactly has no likelihood without bound."""
 
 _Matrices = Float[np.ndarray, "views 4 4"]
 
@@ -46,29 +57,38 @@ def robust_hand_eye(
 
     Returns:
         Metres per unit of the tracker, 1 if it is known; and a mask. All pairs that were seen agree
-        if there are at most `MINIMUM_RELIABLE_VIEWS`, or if the motion does not determine the
-        transforms.
+        if there are at most `MINIMUM_RELIABLE_VIEWS`, if the motion does not determine the
+        transforms, or if so few agree with any solution as could by chance.
     """
     views = np.flatnonzero(seen)
     T, C = mount_from_holder[views], camera_from_world[views]
     if len(views) <= MINIMUM_RELIABLE_VIEWS:
         # Too few to tell which are wrong.
-        cost, factor, _ = _solved(T, C, np.arange(len(views)), scale)
-        return factor if np.isfinite(cost) or not scale else _scale_of(T, C), seen
-    best = min(
-        (_solved(T, C, np.array(triple), scale) for triple in _triples(len(views))),
-        key=lambda solution: solution[0],
-    )
-    for _ in range(ROUNDS):
-        if not np.isfinite(best[0]):
-            return _scale_of(T, C) if scale else 1.0, seen
-        again = _solved(T, C, np.flatnonzero(best[2]), scale)
-        if not np.isfinite(again[0]) or (again[2] == best[2]).all():
-            break
-        best = again
+        all_pairs = _solved(T, C, np.arange(len(views)), scale)
+        is_solved = np.isfinite(all_pairs.cost) or not scale
+        return all_pairs.factor if is_solved else _scale_of(T, C), seen
+    solved = [_solved(T, C, np.array(triple), scale) for triple in _triples(len(views))]
+    likeliest = sorted(solved, key=lambda one: one.cost)[:REFINED]
+    best = min((_refined(T, C, one, scale) for one in likeliest), key=lambda one: one.cost)
+    if not np.isfinite(best.cost):
+        return _scale_of(T, C) if scale else 1.0, seen
+    if best.agree.sum() < max(MIN_AGREEING, MIN_SHARE * len(views)):
+        return best.factor, seen
     agree = np.zeros_like(seen)
-    agree[views[best[2]]] = True
-    return best[1], agree
+    agree[views[best.agree]] = True
+    return best.factor, agree
+
+
+def _refined(T: _Matrices, C: _Matrices, solution: "_Solution", scale: bool) -> "_Solution":
+    """Return the solution of all pairs that agree with one, chosen again until they stay."""
+    for _ in range(ROUNDS):
+        if not np.isfinite(solution.cost) or solution.agree.sum() < 3:
+            break
+        again = _solved(T, C, np.flatnonzero(solution.agree), scale)
+        if again.cost >= solution.cost:
+            break
+        solution = again
+    return solution
 
 
 def chain_errors(measured: _Matrices, predicted: _Matrices) -> Float[np.ndarray, "views 2"]:
@@ -87,10 +107,22 @@ def _triples(count: int) -> list[tuple[int, ...]]:
     return [tuple(rng.choice(count, 3, replace=False)) for _ in range(TRIPLES)]
 
 
-def _solved(
-    T: _Matrices, C: _Matrices, chosen: np.ndarray, scale: bool
-) -> tuple[float, float, Bool[np.ndarray, "views"]]:
-    """Return the cost over all pairs, the tracker's unit and the agreeing pairs of a solution.
+class _Solution(NamedTuple):
+    """A solution from some pairs.
+
+    Attributes:
+        cost: minus the logarithm of its likelihood over all pairs; infinite without a solution.
+        factor: metres per unit of the tracker.
+        agree: mask of the pairs that agree with it.
+    """
+
+    cost: float
+    factor: float
+    agree: Bool[np.ndarray, "views"]
+
+
+def _solved(T: _Matrices, C: _Matrices, chosen: np.ndarray, scale: bool) -> _Solution:
+    """Return the likeliest of the closed forms' solutions.
 
     Args:
         T, C: as in `robust_hand_eye`.
@@ -114,12 +146,51 @@ def _solved(
             continue
         world = mean_holder_from_world(hand, T[chosen], scaled[chosen], weights)
         errors = chain_errors(scaled, hand @ T @ world)
-        medians = np.median(errors, axis=0)
-        # Without a unit that metres and radians have in common, their product is compared.
-        cost = float(np.log(np.maximum(medians, 1e-12)).sum())
-        limit = MAX_ERROR_SIGMAS / MEDIAN_OF_NORM * np.maximum(medians, 1e-9)
-        results.append((cost, factor, (errors <= limit).all(axis=1)))
-    return min(results, key=lambda r: r[0], default=(np.inf, 1.0, np.ones(len(T), dtype=bool)))
+        cost, agree = _mixture(errors, _radius(scaled))
+        # The likelihood is of positions in the tracker's unit.
+        cost -= 3.0 * len(T) * np.log(factor)
+        results.append(_Solution(cost, factor, agree))
+    nothing = _Solution(np.inf, 1.0, np.ones(len(T), dtype=bool))
+    return min(results, key=lambda solution: solution.cost, default=nothing)
+
+
+def _radius(poses: _Matrices) -> float:
+    """Return the radius of a ball in which positions of this spread are uniform, m."""
+    positions = poses[:, :3, 3]
+    spread = np.mean(np.sum((positions - np.median(positions, axis=0)) ** 2, axis=1))
+    return float(np.sqrt(5.0 / 3.0 * spread))
+
+
+def _mixture(
+    errors: Float[np.ndarray, "views 2"], radius: float
+) -> tuple[float, Bool[np.ndarray, "views"]]:
+    """Return the cost of some errors under normal errors of good pairs and wrong pairs anywhere.
+
+    The standard deviations of good pairs and their share are estimated by expectation maximisation.
+
+    Args:
+        errors: distance (m) and angle (rad) of each pair.
+        radius: of the ball in which wrong positions are, m; wrong rotations may be any.
+
+    Returns:
+        Minus the logarithm of the posterior density, and which pairs are rather good than wrong.
+    """
+    usual = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
+    wrong = -np.log(4.0 / 3.0 * np.pi * max(radius, UNIT_TRANSLATION) ** 3) - np.log(8.0 * np.pi**2)
+    # Starting with the better quarter, as if most pairs might be wrong.
+    variances = np.maximum(np.quantile(errors, 0.25, axis=0), 1e-3 * usual) ** 2 / 3.0
+    share, cost, weight = 0.5, np.inf, np.ones(len(errors))
+    for _ in range(MIXTURE_ROUNDS):
+        squares = (errors**2 / variances).sum(axis=1)
+        good = np.log(share) - 0.5 * squares - 1.5 * np.log(2.0 * np.pi * variances).sum()
+        either = np.logaddexp(good, np.log1p(-share) + wrong)
+        weight = np.exp(good - either)
+        prior = PRIOR_NUMBERS * (usual**2 / variances + np.log(variances)).sum()
+        cost = 0.5 * prior - float(either.sum())
+        share = np.clip(weight.mean(), 1e-3, 1.0 - 1e-3)
+        squares = weight @ errors**2 + PRIOR_NUMBERS * usual**2
+        variances = squares / (3.0 * weight.sum() + PRIOR_NUMBERS)
+    return cost, weight > 0.5
 
 
 def _closed_form(form, T: _Matrices, C: _Matrices, weights: np.ndarray) -> np.ndarray | None:
