@@ -234,8 +234,8 @@ def test_a_free_size_may_become_improbable_at_the_better_parameters():
 
 def test_pairs_in_no_order_are_refused():
     """Three of them agree with a solution from themselves."""
-    data = data_of(0)
-    order = np.random.default_rng(0).permutation(VIEWS)
+    data = data_of(1)
+    order = np.random.default_rng(1).permutation(VIEWS)
     mixed = PoseDataset.from_poses(data.base_from_tool, data.tracked_matrices[order])
     with pytest.raises(ValueError, match="do not move alike as given"):
-        sv.fit_poses(mixed)
+        sv.fit_poses(mixed, field=None)
