@@ -2,7 +2,7 @@
 
 Peers that are not installed are reported as missing. Ceres in C++ is compiled here where `g++` and
 its headers are found (Debian: libceres-dev). vision-calibration runs all its stages, with a lens of
-its own. jaxls is left out: the package index holds another program by that name.
+its own.
 """
 
 import importlib.util
@@ -29,6 +29,7 @@ PYTHON_PEERS = {
     "pyceres": ("pyceres_lm", "pyceres"),
     "gtsam": ("gtsam_lm", "gtsam"),
     "casadi with ipopt": ("casadi_ipopt", "casadi"),
+    "jaxls": ("jaxls_lm", "jaxls"),
     "vision-calibration": ("vision_calibration_ba", "vision_calibration"),
 }
 """Module here, and the package it needs."""
@@ -41,6 +42,7 @@ ASKED = {
     "pyceres": "abcdef",
     "gtsam": "abcd",
     "casadi with ipopt": "abc",
+    "jaxls": "bcd",
     "vision-calibration": "ab",
     PAPERS_LENS: "abcde",
     SOLVE_ALONE: "abcde",
