@@ -24,7 +24,12 @@ from ..dataset import (
     medians_by_view,
     undetermined_twists,
 )
-from ..geometry import host_logarithms, host_matrices, host_transforms
+from ..geometry import (
+    host_logarithms,
+    host_matrices,
+    host_rotation_angles,
+    host_transforms,
+)
 from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
 
 MAX_MISFIT_RATIO = 10.0
@@ -231,10 +236,7 @@ def _matching_pose_text(
     # The robot pose that this picture needs, from Eq. 10: T = H^-1 C X^-1.
     required = np.linalg.inv(camera_from_mount) @ camera[view] @ np.linalg.inv(holder_from_world)
     offset = required @ np.linalg.inv(robot)
-    # Angle of each rotation: trace = 1 + 2 cos(angle).
-    rotation = np.arccos(
-        np.clip(0.5 * (np.trace(offset[:, :3, :3], axis1=1, axis2=2) - 1.0), -1, 1)
-    )
+    rotation = host_rotation_angles(offset, np.eye(4))
     translation = np.linalg.norm(offset[:, :3, 3], axis=1)
     misfit = np.stack([translation, rotation], axis=1)
     misfit_ratio = np.where(

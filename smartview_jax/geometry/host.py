@@ -81,6 +81,18 @@ def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarr
     return tangents
 
 
+def host_rotation_angles(
+    first: Float[np.ndarray, "*batch 4 4"], second: Float[np.ndarray, "*others 4 4"]
+) -> Float[np.ndarray, "*both"]:
+    """Return the angles between the rotations of poses whose batches broadcast, rad.
+
+    By the chord |A - B| = 2 sqrt(2) sin(angle / 2), which keeps the digits of small angles that the
+    cosine loses.
+    """
+    chord = np.linalg.norm(first[..., :3, :3] - second[..., :3, :3], axis=(-2, -1))
+    return np.asarray(2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0)))
+
+
 def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch 4 4"]:
     """Return the rigid 4x4 matrices of tangents as `SE3.exp` does, translation first."""
     v, w = tangents[..., :3], tangents[..., 3:]

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION
-from ..geometry import host_logarithms, host_transforms
+from ..geometry import host_rotation_angles, host_transforms
 from ..hand_eye import CLOSED_FORMS, mean_holder_from_world, motion_pairs, park_martin
 
 TRIPLES = 200
@@ -94,9 +94,7 @@ def _refined(T: _Matrices, C: _Matrices, solution: "_Solution", scale: bool) -> 
 def chain_errors(measured: _Matrices, predicted: _Matrices) -> Float[np.ndarray, "views 2"]:
     """Return distance (m) and angle (rad) between poses."""
     distance = np.linalg.norm(measured[:, :3, 3] - predicted[:, :3, 3], axis=1)
-    turn = np.tile(np.eye(4), (len(measured), 1, 1))
-    turn[:, :3, :3] = measured[:, :3, :3] @ predicted[:, :3, :3].swapaxes(1, 2)
-    return np.stack([distance, np.linalg.norm(host_logarithms(turn)[:, 3:], axis=1)], axis=1)
+    return np.stack([distance, host_rotation_angles(measured, predicted)], axis=1)
 
 
 def _triples(count: int) -> list[tuple[int, ...]]:

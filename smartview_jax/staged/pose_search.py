@@ -17,6 +17,7 @@ from ..geometry import (
     host_cross_matrices,
     host_exponentials,
     host_nearest_rotation,
+    host_rotation_angles,
 )
 from ..hand_eye import minimum_norm_transforms
 from .planar_poses import MIN_DEPTH, Sight
@@ -161,8 +162,8 @@ def _different_first(
     for k in order[MAX_ALIKE:]:
         if len(chosen) == MAX_REFINED:
             break
-        near = (rotation_angles(cameras[chosen], cameras[k][None]) < MIN_DIFFERENCE) & (
-            rotation_angles(worlds[chosen], worlds[k][None]) < MIN_DIFFERENCE
+        near = (host_rotation_angles(cameras[chosen], cameras[k][None]) < MIN_DIFFERENCE) & (
+            host_rotation_angles(worlds[chosen], worlds[k][None]) < MIN_DIFFERENCE
         )
         if not near.any():
             chosen.append(int(k))
@@ -349,7 +350,7 @@ def _scale_and_deviance(
 def _is_same_answer(one: Transforms, other: Transforms) -> bool:
     """Return whether two pairs of transforms are one answer."""
     return all(
-        rotation_angles(first[None], second[None])[0] < SAME_ANSWER
+        host_rotation_angles(first, second) < SAME_ANSWER
         for first, second in ((one.camera, other.camera), (one.world, other.world))
     )
 
@@ -358,10 +359,4 @@ def nearer_poses(
     candidates: Float[np.ndarray, "2 views 4 4"], predicted: Matrices
 ) -> Int[np.ndarray, "views"]:
     """Return which of its two poses is turned less from the predicted one, for every view."""
-    return np.argmin([rotation_angles(poses, predicted) for poses in candidates], axis=0)
-
-
-def rotation_angles(first: Matrices, second: Matrices) -> Float[np.ndarray, "views"]:
-    """Return the angle between the rotations of two poses, rad."""
-    trace = np.einsum("vab,vab->v", first[:, :3, :3], second[:, :3, :3])
-    return np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+    return np.argmin([host_rotation_angles(poses, predicted) for poses in candidates], axis=0)

@@ -24,6 +24,7 @@ from ..data_checks import MAX_MISFIT_RATIO, MAX_REJECTED_FRACTION
 from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, coplanar, extents
 from ..geometry import (
     host_matrices,
+    host_rotation_angles,
     host_transforms,
 )
 from .planar_poses import MIN_DEPTH, Sight, mirrored_poses, refined_poses
@@ -34,7 +35,6 @@ from .pose_search import (
     Transforms,
     nearer_poses,
     ranked_transforms,
-    rotation_angles,
     spaced_views,
     squared_distances,
 )
@@ -182,7 +182,7 @@ def _is_ambiguous(
     return (
         flat
         & (np.sqrt(left) < 2.0 * MAX_SEPARATION * sigma)
-        & (rotation_angles(other, poses) > 1e-3)
+        & (host_rotation_angles(other, poses) > 1e-3)
     )
 
 

@@ -8,6 +8,7 @@ from smartview_jax.geometry import (
     host_logarithms,
     host_matrices,
     host_nearest_rotation,
+    host_rotation_angles,
     host_transformed,
     host_transforms,
     nearest_rotation,
@@ -29,6 +30,17 @@ def test_host_functions_agree_with_jaxlie(size):
     np.testing.assert_allclose(host_logarithms(matrices), tangents, atol=1e-13)
     np.testing.assert_allclose(host_exponentials(tangents), matrices, atol=1e-14)
     np.testing.assert_allclose(host_transforms(matrices).as_matrix(), matrices, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, np.pi])
+def test_angles_between_rotations_keep_their_digits(angle):
+    axis = np.array([[1.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
+    turned = host_exponentials(np.concatenate([np.ones((2, 3)), angle * axis], axis=1))
+    start = host_exponentials(RNG.normal(size=(2, 6)))
+    angles = host_rotation_angles(start @ turned, start)
+    # The chord changes little with the angle near half a turn.
+    np.testing.assert_allclose(angles, angle, rtol=1e-7, atol=1e-15)
+    assert host_rotation_angles(start[:, None], start).shape == (2, 2)
 
 
 def test_poses_that_are_not_finite_stay_marked_and_spoil_no_others():
