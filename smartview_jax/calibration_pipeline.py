@@ -25,6 +25,7 @@ from .joint import (
 )
 from .robot_errors import RobotError
 from .runtime.compilation import refuse_traced
+from .runtime.double_precision import require_double_precision
 from .staged import (
     StagedFit,
     check_start,
@@ -134,6 +135,8 @@ def calibrate(
             the errors of `fit_staged` and `fit_joint`.
     """
     refuse_traced("calibrate", data, camera)
+    # The second thread has settings of its own: it would compile everything before the refusal.
+    require_double_precision()
     require_instance("data", data, Dataset)
     if isinstance(data, PoseDataset):
         raise TypeError("data: tracked poses have no pixels: fit_poses fits them")

@@ -37,6 +37,10 @@ threadpool_limits(limits=1, user_api="blas")
 
 check_public_signatures()
 
+# What is imported and collected stays: the garbage collector would look through it again and again.
+# `pytest_collection_finish` enables it.
+gc.disable()
+
 # Only now: what is imported before is not checked.
 from smartview_jax.runtime.program_store import forget_programs  # noqa: E402
 
@@ -90,7 +94,8 @@ def pytest_collection_finish():
     """
     gc.collect()
     gc.freeze()
-    gc.set_threshold(20_000, 20, 20)
+    gc.set_threshold(50_000, 20, 20)
+    gc.enable()
 
 
 MAX_MEMORY_MAPS = 4_500

@@ -59,8 +59,8 @@ def test_what_is_rehearsed_is_the_fit_that_is_made(field, monkeypatch):
     """Whatever its numbers: a program is compiled for the structure and the shapes."""
     rehearsed, scene = [], scene_of(0)
     monkeypatch.setattr(sys.modules[precompile.__module__], "solve", rehearsed.append)
-    precompile(scene.data, "weng", field=field)
-    fit = fit_joint(scene.data, scene.calibration, lens="weng", noise="estimated", field=field)
+    precompile(scene.data, "opencv4", field=field)
+    fit = fit_joint(scene.data, scene.calibration, lens="opencv4", noise="estimated", field=field)
     kinds = [
         # How many parameters are free does not matter: the solver pads them.
         (jax.tree.structure(p), jax.tree.map(np.shape, (p.observations, p.prepared_poses)))

@@ -31,7 +31,7 @@ from .closure import (
     length_ratio,
     relative_motions,
 )
-from .mistakes import Mistake, mistakes
+from .mistakes import GivenPoses, Mistake, mistakes
 
 
 class ConventionHypothesis(NamedTuple):
@@ -242,9 +242,9 @@ def _ranked_hypotheses(
         ConventionHypothesis("length", words, ClosureError(*error))
         for words, error in zip(units, closure_errors(motions, scales).tolist(), strict=True)
     ]
-    possible = tuple(mistakes(in_hand, len(robot)))
+    possible, given = tuple(mistakes(in_hand, len(robot))), GivenPoses(robot, camera)
     robots, cameras = map(
-        np.stack, zip(*(mistake.undo(robot, camera) for mistake in possible), strict=True)
+        np.stack, zip(*(mistake.undo(given) for mistake in possible), strict=True)
     )
     distinct, possible = _merge_equal(possible, robots[:, used])
     robots, cameras = robots[distinct], cameras[distinct]
@@ -293,11 +293,12 @@ def _merge_equal(
     # Compared along one random direction, in which poses that differ are hardly ever equal.
     direction = np.random.default_rng(0).normal(size=poses.shape[1])
     along = poses @ direction / np.linalg.norm(direction)
+    misreads_angles = np.array([_misreads_angles(mistake) for mistake in possible])
+    are_equal = np.abs(along[:, None] - along) < _EQUAL_POSES
+    are_equal &= misreads_angles[:, None] & misreads_angles
     others: dict[int, dict[str, None]] = {}
     for k, mistake in enumerate(possible):
-        earlier = (j for j in others if _misreads_angles(possible[j]))
-        equal = (j for j in earlier if abs(along[j] - along[k]) < _EQUAL_POSES)
-        first = next(equal, k) if _misreads_angles(mistake) else k
+        first = next((j for j in np.flatnonzero(are_equal[k, :k]).tolist() if j in others), k)
         others.setdefault(first, {})
         if mistake.name != possible[first].name:
             others[first][mistake.name.replace("_read_as_", " read as ")] = None

@@ -5,9 +5,10 @@ the wrong format are corrected by converting the rotation back to the numbers of
 reading these numbers in the right one. NumPy code, run once on a few dozen matrices.
 """
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,12 +26,58 @@ class Mistake(NamedTuple):
     Attributes:
         name: short, for programs.
         description: what was done wrong, as a clause.
-        undo: maps robot and camera poses with the mistake to poses without it.
+        undo: maps the poses as given to robot and camera poses without the mistake.
     """
 
     name: str
     description: str
-    undo: Callable[[Poses, Poses], tuple[Poses, Poses]]
+    undo: Callable[["GivenPoses"], tuple[Poses, Poses]]
+
+
+class GivenPoses:
+    """The poses as given, and what several mistakes need of the robot's rotations, computed once.
+
+    Attributes:
+        robot: the robot's poses.
+        camera: the camera's poses.
+    """
+
+    def __init__(self, robot: Poses, camera: Poses) -> None:
+        self.robot, self.camera = robot, camera
+        self._numbers: dict[tuple[str, Any, bool], np.ndarray] = {}
+        self._reread: dict[tuple[str, str, bool], np.ndarray] = {}
+
+    @functools.cached_property
+    def rotation(self) -> Rotation:
+        """The robot's rotations."""
+        return Rotation.from_matrix(self.robot[:, :3, :3])
+
+    def with_rotations(self, rotations: np.ndarray) -> tuple[Poses, Poses]:
+        """Return the poses with other rotations of the robot."""
+        corrected = self.robot.copy()
+        corrected[:, :3, :3] = rotations
+        return corrected, self.camera
+
+    def reread(
+        self, read_format: "_RotationFormat", true_format: "_RotationFormat", alternative: bool
+    ) -> np.ndarray:
+        """Return the matrices of the numbers that were read, in the true format.
+
+        Args:
+            read_format: the format in which the numbers were read.
+            true_format: the format in which they were written.
+            alternative: which of two triples of numbers (see `_numbers_in_true_range`).
+        """
+        by_range = read_format.name, true_format.second_angle_range, alternative
+        if by_range not in self._numbers:
+            self._numbers[by_range] = _numbers_in_true_range(
+                self.rotation, read_format, true_format, alternative
+            )
+        key = read_format.name, true_format.name, alternative
+        if key not in self._reread:
+            rotation = true_format.to_rotation(self._numbers[by_range])
+            self._reread[key] = rotation.as_matrix()
+        return self._reread[key]
 
 
 def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
@@ -45,7 +92,7 @@ def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
         "inverted",
         "every pose is inverted: they were given as tool_from_base where base_from_tool is "
         f"expected, or the camera is {other}",
-        lambda robot, camera: (np.linalg.inv(robot), camera),
+        lambda given: (np.linalg.inv(given.robot), given.camera),
     )
     yield _rotation_mistake(
         "transposed", "the rotations are transposed, the positions are not", lambda r: r.inv()
@@ -60,7 +107,7 @@ def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
         "mirrored",
         "the pictures are mirrored (left and right, or top and bottom, are swapped), or the "
         "robot's frame is left-handed, positions and rotations alike (one axis counts backwards)",
-        lambda robot, camera: (robot, _mirror_camera_poses(camera)),
+        lambda given: (given.robot, _mirror_camera_poses(given.camera)),
     )
     yield from _left_handed_positions()
     yield from _angle_format_mistakes()
@@ -71,14 +118,11 @@ def _rotation_mistake(
     name: str, description: str, correction: Callable[[Rotation], Rotation]
 ) -> Mistake:
     """Return a mistake that concerns the robot's rotations only."""
-
-    def undo(robot: Poses, camera: Poses) -> tuple[Poses, Poses]:
-        """Return the poses with corrected robot rotations."""
-        corrected = robot.copy()
-        corrected[:, :3, :3] = correction(Rotation.from_matrix(robot[:, :3, :3])).as_matrix()
-        return corrected, camera
-
-    return Mistake(name, description, undo)
+    return Mistake(
+        name,
+        description,
+        lambda given: given.with_rotations(correction(given.rotation).as_matrix()),
+    )
 
 
 def _mirror_camera_poses(camera: Poses) -> Poses:
@@ -103,11 +147,11 @@ def _left_handed_positions() -> Iterator[Mistake]:
         signs = np.ones(3)
         signs[axis] = -1.0
 
-        def undo(robot: Poses, camera: Poses, signs: np.ndarray = signs) -> tuple[Poses, Poses]:
+        def undo(given: GivenPoses, signs: np.ndarray = signs) -> tuple[Poses, Poses]:
             """Return the poses with one axis of the positions reversed."""
-            corrected = robot.copy()
+            corrected = given.robot.copy()
             corrected[:, :3, 3] *= signs
-            return corrected, camera
+            return corrected, given.camera
 
         yield Mistake(
             f"left_handed_{name}",
@@ -224,20 +268,19 @@ def _angle_format_mistakes() -> Iterator[Mistake]:
         )
         # Defaults bind the loop's values now; the functions are called later.
         for prefer_alternative in (False, True) if ambiguous else (False,):
-            yield _rotation_mistake(
+            yield Mistake(
                 name,
                 description,
-                lambda r, read=read_format, true=true_format, alternative=prefer_alternative: (
-                    true.to_rotation(_numbers_in_true_range(r, read, true, alternative))
+                lambda given, read=read_format, true=true_format, alternative=prefer_alternative: (
+                    given.with_rotations(given.reread(read, true, alternative))
                 ),
             )
         if ambiguous:
             yield Mistake(
                 name,
                 description,
-                lambda robot, camera, read=read_format, true=true_format: (
-                    _fitting_rotations(robot, camera, read, true),
-                    camera,
+                lambda given, read=read_format, true=true_format: given.with_rotations(
+                    _fitting_rotations(given, read, true)
                 ),
             )
     for rotation_format in _FORMATS:
@@ -265,7 +308,7 @@ def _numbers_in_true_range(
     rotation: Rotation,
     read_format: _RotationFormat,
     true_format: _RotationFormat,
-    prefer_alternative: bool = False,
+    prefer_alternative: bool,
 ) -> np.ndarray:
     """Return the numbers that were read, in the form that the true format produces.
 
@@ -300,27 +343,21 @@ def _numbers_in_true_range(
 
 
 def _fitting_rotations(
-    robot: Poses, camera: Poses, read_format: _RotationFormat, true_format: _RotationFormat
-) -> Poses:
-    """Return the poses with the triples of numbers with which the robot turns as the camera does.
+    given: GivenPoses, read_format: _RotationFormat, true_format: _RotationFormat
+) -> Float[np.ndarray, "views 3 3"]:
+    """Return the rotations by the triples of numbers with which the robot turns as the camera does.
 
     Of the two rotations that a view may have, the one is chosen whose angles to the other views are
     closer to the camera's.
     """
-    read = Rotation.from_matrix(robot[:, :3, :3])
     candidates = np.stack(
-        [
-            true_format.to_rotation(
-                _numbers_in_true_range(read, read_format, true_format, alternative)
-            ).as_matrix()
-            for alternative in (False, True)
-        ]
+        [given.reread(read_format, true_format, alternative) for alternative in (False, True)]
     )
     # The trace of R_i^T R_j is 1 + 2 cos of the angle between two views, the camera's as well.
     between = np.einsum("aimn,bjmn->aibj", candidates, candidates)
-    seen = np.einsum("imn,jmn->ij", camera[:, :3, :3], camera[:, :3, :3])
+    seen = np.einsum("imn,jmn->ij", given.camera[:, :3, :3], given.camera[:, :3, :3])
     misfit = np.abs(between - seen[None, :, None, :])
-    views = np.arange(len(robot))
+    views = np.arange(len(given.robot))
     best, best_misfit = candidates[0], np.inf
     # The view that is chosen first decides the others; a second pass asks all of them.
     for first in (0, 1):
@@ -329,9 +366,7 @@ def _fitting_rotations(
         total = misfit[chosen[:, None], views[:, None], chosen[None], views[None]].sum()
         if total < best_misfit:
             best, best_misfit = candidates[chosen, views], total
-    corrected = robot.copy()
-    corrected[:, :3, :3] = best
-    return corrected
+    return best
 
 
 def _is_in_range(numbers: np.ndarray, true_format: _RotationFormat) -> np.ndarray:
@@ -352,7 +387,7 @@ def _pairing_mistakes(view_count: int) -> Iterator[Mistake]:
         return Mistake(
             f"paired_{name}",
             f"the pictures are paired with wrong poses: {description}",
-            lambda robot, camera: (robot[order], camera),
+            lambda given: (given.robot[order], given.camera),
         )
 
     indices = np.arange(view_count)

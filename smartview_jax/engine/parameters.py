@@ -207,6 +207,19 @@ def _rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:
     return (end.rotation() @ start.rotation().inverse()).log()
 
 
+def host_values(start: Calibration) -> Float[np.ndarray, "shared"]:
+    """Return the values of `Parameters(start).values`, computed with NumPy."""
+    error, rotation = start.robot_error, np.zeros(3)
+    mount, holder = (
+        np.asarray(transform.wxyz_xyz)[4:]
+        for transform in (start.camera_from_mount, start.holder_from_world)
+    )
+    camera = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(start.camera)]
+    scale = np.log(np.asarray(start.target_scale))[None]
+    coefficients = np.zeros(0) if error is None else np.asarray(error.coefficients)
+    return np.concatenate([*camera, mount, rotation, holder, rotation, scale, coefficients])
+
+
 def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Calibration:
     """Return the calibration of `Parameters(start).retract` for a step of the shared parameters.
 

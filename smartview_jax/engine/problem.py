@@ -19,7 +19,7 @@ from ..calibration import Calibration, TargetShape
 from ..dataset import AnyObservations, Observations, PoseObservations
 from ..runtime.array_namespace import to_device
 from .losses import AbstractLoss
-from .parameters import Parameters, Step
+from .parameters import Parameters, Step, host_values
 from .pose_jacobians import PoseJacobians, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
@@ -446,6 +446,14 @@ class JointProblem(eqx.Module):
         values, mean = self.parameters.values(), self.prior_mean.shared
         shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
         return Step(shared, step.per_view - jnp.nan_to_num(self.prior_mean.per_view))
+
+    def host_offset_at_start(self) -> Float[np.ndarray, "shared"]:
+        """Return the difference of every shared parameter's start from its prior mean.
+
+        It is computed with NumPy, because compilation would take longer.
+        """
+        mean = np.asarray(self.prior_mean.shared)
+        return np.where(np.isnan(mean), 0.0, host_values(self.parameters.start) - mean)
 
     def prior_cost(self, z: Step) -> Float[Array, ""]:
         """Return the priors' part of the cost at a scaled step."""

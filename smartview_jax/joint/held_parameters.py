@@ -141,12 +141,15 @@ def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -
     problem, z = fit.problem, fit.solution.z
     weight = np.array(problem.prior_weight.shared)
     stds = 1.0 / weight[with_prior]
-    offsets = np.asarray(problem.offset_from_prior(problem.unscaled_step(z)).shared)[with_prior]
+    free, step = np.asarray(problem.free), np.asarray(problem.scale.shared) * np.asarray(z.shared)
+    offsets = problem.host_offset_at_start()
+    offsets[free] += step
+    offsets = offsets[with_prior]
     weight[with_prior] = 0.0
     without = dataclasses.replace(
         problem, prior_weight=problem.prior_weight._replace(shared=to_device(weight))
     )
-    refit = _refit(without, z, np.asarray(problem.free))
+    refit = _refit(without, z, free)
     if refit is None:
         return []
     names = parameter_names(problem.parameters.start)

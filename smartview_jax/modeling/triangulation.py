@@ -23,6 +23,7 @@ from .estimated_features import EstimatedPoints, PointStatus
 from .pixel_jacobians import pixel_jacobians
 from .point_estimation import estimate_points
 from .view_poses import (
+    MAX_PADDED_FEATURES,
     SeenViews,
     padded_count,
     padded_to,
@@ -129,9 +130,9 @@ def solve_points(
     poses = views.poses_for(count)
     shape = (len(poses), padded_count(count))
     safe = np.where(visible[..., None], pixels, 0.0)
-    # A single sigma for all stays one matrix, which is broadcast in the program.
-    if whitening.shape[:2] != (1, 1):
-        whitening = padded_to(whitening, shape)
+    if count <= MAX_PADDED_FEATURES:
+        # One program, whether the observations have one sigma or each its own.
+        whitening = padded_to(np.broadcast_to(whitening, (*visible.shape, 2, 2)), shape)
     solution = estimate_points(
         views.camera,
         to_device(poses),

@@ -11,6 +11,8 @@ alpha either and takes the median alpha of the other views.
 Reference: Weng, Cohen, Herniou, PAMI 14(10), 1992.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,8 +22,9 @@ from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
 from ..dataset import Observations, coplanar, extents
+from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, compiled_optimised
-from ..runtime.padding import without_padding
+from ..runtime.padding import MIN_PADDED_COUNT, without_padding
 from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, view_starts
 
@@ -246,8 +249,26 @@ def _unproject(
     return camera.unproject(pixels)
 
 
+def _fit_all_views(*by_view: Any) -> ViewFit:
+    """Fit every view by `_fit_views`, in batches: one program then serves any number of views.
+
+    Args:
+        by_view: the arguments of `_fit_views`.
+    """
+    view_count = len(by_view[0])
+    # Data sets are padded to a multiple of the batch, unless they are large.
+    if view_count % MIN_PADDED_COUNT or view_count == MIN_PADDED_COUNT:
+        return _fit_views(*by_view)
+    by_view = jax.tree.map(np.asarray, by_view)
+    fits = []
+    for first in range(0, view_count, MIN_PADDED_COUNT):
+        batch = slice(first, first + MIN_PADDED_COUNT)
+        fits.append(_fit_views(*jax.tree.map(lambda x, batch=batch: x[batch], by_view)))
+    return jax.tree.map(lambda *parts: to_device(np.concatenate(parts)), *fits)
+
+
 @compiled_optimised
-def _fit_all_views(
+def _fit_views(
     points: Float[Array | np.ndarray, "views points 3"],
     pixels: Float[Array | np.ndarray, "views points 2"],
     visible: Bool[Array | np.ndarray, "views points"],

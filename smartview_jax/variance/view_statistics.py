@@ -95,8 +95,9 @@ class ViewStatistics:
         self.known_weight: Float[np.ndarray, "free"] = np.where(
             self.group_index < 0, free_weight, 0.0
         )
-        shared, per_view = jax.tree.map(np.asarray, _offset_at_start(padded(problem)))
-        self._offset_at_start = Step(shared[self.free], per_view[: len(self.per_view_free)])
+        at_start = problem.host_offset_at_start()[self.free]
+        per_view_at_start = -np.nan_to_num(problem.prior_mean.per_view)
+        self._offset_at_start = Step(at_start, per_view_at_start)  # pyright: ignore[reportArgumentType]
         if shape is not None:
             self._set_shape(shape)
 
@@ -271,12 +272,6 @@ def with_prior_sigmas(
         pixel_sigma=to_device(sigmas.pixel),
         prior_weight=Step(to_device(shared), to_device(per_view)),
     )
-
-
-@compiled
-def _offset_at_start(problem: JointProblem) -> Step:
-    """Return the differences of all parameters from their prior means at the start."""
-    return problem.offset_from_prior(problem.unscaled_step(problem.zero_step()))
 
 
 def chain_at(problem: JointProblem, z: Step) -> FittedChain:

@@ -23,6 +23,7 @@ from ..robots import (
 )
 from ..runtime.array_namespace import as_float_array
 from ..runtime.compilation import compiled, is_traced
+from ..runtime.padding import padded_counts, repeat_last, without_padding
 from .checks import Checks, Limits, check_views
 
 PREDICTION_BATCH_SIZE = 500
@@ -108,14 +109,19 @@ def viewpoint_commands(
     """
     if arm is not None and near is None:
         raise ValueError("an arm reaches a pose in several ways: give near=joints to begin from")
-    target_poses = as_se3(camera_from_world)
+    target_poses, limits = as_se3(camera_from_world), limits or Limits()
+    views = target_poses.wxyz_xyz.shape[:-1]
     if near is not None:
-        shape = (*target_poses.get_batch_axes(), np.shape(near)[-1])
+        shape = (*views, np.shape(near)[-1])
         near = (
             jnp.broadcast_to(jnp.asarray(near, dtype=float), shape)
             if is_traced(near)
             else as_float_array(np.broadcast_to(near, shape))
         )
+    # Another number of views then needs no other programs.
+    is_padded = len(views) == 1 and not is_traced(calibration, target_poses, points, near, limits)
+    if is_padded:
+        target_poses, near = repeat_last((target_poses, near), padded_counts(views[0])[0])
     if calibration.robot_error is None:
         command = calibration.robot_command_for(target_poses)
     else:
@@ -128,7 +134,14 @@ def viewpoint_commands(
         solution = solve_joints(arm, command, near)
         command = Command(command.base_from_tool, solution.joints)
     points = None if points is None else as_float_array(points)
-    return _commands_with_checks(calibration, command, points, solution, limits or Limits())
+    commands = _commands_with_checks(calibration, command, points, solution, limits)
+    if not is_padded:
+        return commands
+    # The camera's numbers are not by view.
+    camera, poses = calibration.camera, commands.predicted_views.camera_from_world
+    by_view = commands.base_from_tool, commands.xyzoat, commands.joints, poses, commands.checks
+    pose, numbers, joints, poses, checks = without_padding(by_view, views[0])
+    return ViewpointCommands(pose, numbers, joints, ViewCalibration(camera, poses), checks)
 
 
 @compiled

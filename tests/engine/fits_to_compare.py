@@ -8,7 +8,7 @@ from smartview_jax.engine.problem_builder import build_problem
 from smartview_jax.simulation import paper_points, random_scene
 
 NOISE = sv.Noise(0.15, 1e-4, 1e-4)
-POINTS = paper_points((0.0, 0.02))[::5]
+POINTS = paper_points((0.0, 0.02))[::6]
 
 
 def scene():

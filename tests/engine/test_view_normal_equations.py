@@ -46,23 +46,36 @@ def scene():
     return eqx.tree_at(lambda s: (s.data.visible, s.data.pixels), scene, (visible, pixels))
 
 
+# The problem is an argument: what a function encloses is a constant, which takes XLA longer, and
+# makes a program of each problem.
+@eqx.filter_jit
+def dense_jacobian(z, problem):
+    """The derivatives of the residuals, and the residuals."""
+    _, unravel = ravel_pytree(problem.zero_step())
+
+    def residuals(z):
+        r = ravel_pytree(problem.residuals(unravel(z)))[0]
+        return r, r
+
+    return jax.jacfwd(residuals, has_aux=True)(z)
+
+
+@eqx.filter_jit
+def structured(problem, z):
+    return problem.normal_equations(z)
+
+
 def dense_and_structured(problem, size=1e-3):
     """Cost, gradient and Gauss-Newton matrix by `jacfwd`, then ours, at a random step."""
     _, unravel = ravel_pytree(problem.zero_step())
     count = len(problem.free) + problem.per_view_free.size
     z = size * np.random.default_rng(1).normal(size=count)
 
-    def residuals(z):
-        r = ravel_pytree(problem.residuals(unravel(z)))[0]
-        return r, r
-
-    J, r = map(np.asarray, jax.jit(jax.jacfwd(residuals, has_aux=True))(z))
+    J, r = map(np.asarray, dense_jacobian(z, problem))
     dense = J.T @ J
     at = len(problem.free) + np.flatnonzero(~np.asarray(problem.per_view_free))
     dense[at, at] = 1.0
-    found = eqx.filter_jit(lambda problem, z: problem.normal_equations(z))(
-        problem, unravel(jnp.asarray(z))
-    )
+    found = structured(problem, unravel(jnp.asarray(z)))
     gradient = np.concatenate([np.ravel(part) for part in found.gradient])
     return (0.5 * r @ r, J.T @ r, dense), (found.cost, gradient, whole_matrix(found.matrix))
 

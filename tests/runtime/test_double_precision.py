@@ -94,9 +94,15 @@ ENTRIES = {
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_every_entry_refuses_single_precision(name, case):
+def test_every_entry_refuses_single_precision(name, case, monkeypatch):
+    """At once: a second thread has settings of its own, and would go on."""
+    rehearsed = []
+    monkeypatch.setattr(
+        "smartview_jax.calibration_pipeline.precompile", lambda *_, **__: rehearsed.append(name)
+    )
     with (
         jax.enable_x64(False),
         pytest.raises(RuntimeError, match=r"single precision.*jax_enable_x64"),
     ):
         ENTRIES[name](case)
+    assert not rehearsed

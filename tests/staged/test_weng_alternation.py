@@ -2,8 +2,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fit_scenes import MANY_VIEWS, VIEWS, scene_of
 from host_poses import motion_between
 from numpy_camera import moved, project_radial
+from programs import programs_added
 from scipy.optimize import least_squares
 
 from smartview_jax.cameras import Camera, OpenCV4, Radial
@@ -70,6 +72,15 @@ def test_without_noise_each_view_gives_the_truth():
     shift, turn = pose_errors(found.camera_from_world, true_poses(scene))
     assert shift.max() < 1e-8
     assert turn.max() < 1e-8
+
+
+def test_another_number_of_views_needs_no_other_program():
+    few, many = (scene_of(0, views).data.observations for views in (VIEWS, MANY_VIEWS))
+    calibrate_views(few, SIZE)
+    with programs_added() as added:
+        found = calibrate_views(many, SIZE)
+    assert added == []
+    assert found.rms.shape == (MANY_VIEWS,)
 
 
 def test_each_view_reaches_the_optimum_of_eq_8(noisy):

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -72,6 +73,17 @@ def all_lengths_longer(problem, names):
     return np.array([growth[name] for name in names])
 
 
+@eqx.filter_jit
+def without_priors(problem, z):
+    """One program for several problems; operation by operation it would be two hundred."""
+    return problem.normal_equations_without_priors(z)
+
+
+@eqx.filter_jit
+def offset_at_start(problem):
+    return problem.offset_from_prior(problem.unscaled_step(problem.zero_step())).shared
+
+
 def test_no_view_pays_for_another_size_of_the_world():
     """Evaluated at poses less their noise, the field shrinks the motion and not the noise."""
     scene = weak_robot_scene(0, 5.0, 0.0)
@@ -91,7 +103,7 @@ def test_no_view_pays_for_another_size_of_the_world():
             noise_corrections=noise_corrections,
         )
         z = Step(jnp.zeros(len(built.shared_names)), jnp.asarray(corrections))
-        matrix = built.problem.normal_equations_without_priors(z).matrix.shared
+        matrix = without_priors(built.problem, z).matrix.shared
         direction = all_lengths_longer(built.problem, built.shared_names)
         return direction @ np.asarray(matrix) @ direction
 
@@ -103,12 +115,13 @@ def test_a_target_never_loses_its_size():
     parameters = Parameters(calibration)
     place = parameters.layout.target_scale
     step = jnp.zeros(parameters.layout.size).at[place].set(-7.0)
-    retracted, _ = parameters.retract(Step(step, jnp.zeros((0, 6))))
+    retracted, _ = eqx.filter_jit(Parameters.retract)(parameters, Step(step, jnp.zeros((0, 6))))
     assert float(retracted.target_scale) == pytest.approx(np.exp(-7.0))
     assert float(host_retract(calibration, np.asarray(step)).target_scale) == pytest.approx(
         np.exp(-7.0)
     )
-    np.testing.assert_allclose(parameters.step_to(retracted), step, atol=1e-12)
+    back = eqx.filter_jit(Parameters.step_to)(parameters, retracted)
+    np.testing.assert_allclose(back, step, atol=1e-12)
 
 
 def test_a_prior_of_the_size_is_of_its_logarithm():
@@ -119,9 +132,9 @@ def test_a_prior_of_the_size_is_of_its_logarithm():
             scene.data, scene.calibration, free=("target_scale",), priors={"target_scale": prior}
         ).problem
         place = problem.parameters.layout.target_scale
-        step = problem.zero_step()
-        offset = problem.offset_from_prior(problem.unscaled_step(step)).shared[place]
-        return float(problem.prior_weight.shared[place][0]), float(offset[0])
+        offset = problem.host_offset_at_start()
+        np.testing.assert_allclose(offset, offset_at_start(problem), atol=1e-15)
+        return float(np.asarray(problem.prior_weight.shared)[place][0]), float(offset[place][0])
 
     np.testing.assert_allclose(weight_and_mean(Prior(std=0.01)), (100.0, 0.0), atol=1e-9)
     np.testing.assert_allclose(weight_and_mean(Prior(std=0.01, mean=0.5)), (50.0, np.log(2.0)))

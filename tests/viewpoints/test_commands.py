@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from programs import programs_added
 
 from smartview_jax import Calibration
 from smartview_jax.geometry import se3_from_xyzoat
@@ -51,6 +52,20 @@ def arm_setting():
         paper_calibration().camera, flange_from_camera.inverse(), turned
     )
     return calibration, arm, joints
+
+
+def test_another_number_of_views_needs_no_other_programs(erring):
+    five = viewpoint_commands(erring, FIVE, POINTS)
+    three = jax.device_put(np.asarray(FIVE.wxyz_xyz)[:3])
+    with programs_added() as added:
+        found = viewpoint_commands(erring, SE3(three), POINTS)
+    assert added == []
+    for few, all_views in (
+        (found.base_from_tool.wxyz_xyz, five.base_from_tool.wxyz_xyz),
+        (found.checks.measured["in_picture"], five.checks.measured["in_picture"]),
+    ):
+        np.testing.assert_array_equal(few, np.asarray(all_views)[:3])
+    assert found.predicted_views.camera_from_world.get_batch_axes() == (3,)
 
 
 def test_the_camera_gets_where_it_is_wanted_with_the_robots_error_made_up_for(erring):

@@ -71,11 +71,19 @@ def pickled_if_known(tree: Any) -> bytes | None:
 
 def compiler() -> bytes:
     """Return everything except the text that determines how a program is compiled."""
-    irrelevant = ("cache", "log", "traceback")
-    values = jax.config.values.items()
-    settings = {k: v for k, v in values if not any(word in k for word in irrelevant)}
+    values = jax.config.values
+    settings = [(name, values[name]) for name in _relevant_settings(len(values))]
     flags = os.environ.get("XLA_FLAGS", "")
-    return repr((_versions_and_processor(), sorted(settings.items()), flags)).encode()
+    return repr((_versions_and_processor(), settings, flags)).encode()
+
+
+@functools.cache
+def _relevant_settings(_count: int) -> tuple[str, ...]:
+    """Return the names of JAX's settings that may change a program; `_count` is of all settings."""
+    irrelevant = ("cache", "log", "traceback")
+    return tuple(
+        sorted(name for name in jax.config.values if not any(word in name for word in irrelevant))
+    )
 
 
 @functools.cache
