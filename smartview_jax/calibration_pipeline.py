@@ -73,8 +73,17 @@ class CalibrationFit(JointFit):
     joint: JointFit = eqx.field(kw_only=True)
 
     @classmethod
-    def of(cls, staged: StagedFit, joint: JointFit) -> "CalibrationFit":
-        """Return the joint fit with the staged fit that it started from."""
+    def of(
+        cls, staged: StagedFit, joint: JointFit, pose_format: str | None = None
+    ) -> "CalibrationFit":
+        """Return the joint fit with the staged fit that it started from.
+
+        Args:
+            staged: the staged fit.
+            joint: the joint fit.
+            pose_format: format in which the robot's controller writes poses.
+        """
+        joint = dataclasses.replace(joint, pose_format=pose_format)
         values = {field.name: getattr(joint, field.name) for field in dataclasses.fields(JointFit)}
         values |= {"rejected": _all_rejected(staged, joint), "warnings": _warnings(staged, joint)}
         return cls(**values, staged=staged, joint=joint)
@@ -91,16 +100,19 @@ def _all_rejected(staged: StagedFit, joint: JointFit) -> tuple[Rejection, ...]:
 
 
 def _warnings(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
-    """Return the doubts of both fits, and differences between them."""
+    """Return the doubts of both fits, and differences between them, gravest first.
+
+    What the staged fit doubts, and a joint fit that is worse, concern the data as a whole.
+    """
     # The joint fit does not see what the staged fit had set aside.
     repetitions = [
         text for text in repetition_warnings(staged.rejected) if text not in joint.warnings
     ]
     return (
         *staged.warnings,
+        *_staged_comparison_warnings(staged, joint),
         *joint.warnings,
         *repetitions,
-        *_staged_comparison_warnings(staged, joint),
     )
 
 
@@ -193,7 +205,7 @@ def calibrate(
         if not doubts:
             raise
         raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
-    return CalibrationFit.of(staged, joint)
+    return CalibrationFit.of(staged, joint, data.pose_format)
 
 
 def _with_start_doubts(
@@ -286,7 +298,8 @@ def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str
     messages = []
     if joint_rms > MAX_RMS_RATIO_TO_STAGED * staged_rms:
         messages.append(
-            f"the joint fit leaves {joint_rms:.2f} px RMS, the staged fit {staged_rms:.2f} px"
+            f"the joint fit leaves residuals of {joint_rms:.2f} px, the staged fit "
+            f"{staged_rms:.2f} px"
         )
     if joint.calibration.robot_error is not None:
         uncorrected_rms = rms(
@@ -298,8 +311,8 @@ def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str
         )
         if uncorrected_rms > MAX_UNCORRECTED_RMS_RATIO_TO_STAGED * staged_rms:
             messages.append(
-                f"without the robot correction the joint fit leaves {uncorrected_rms:.1f} px RMS "
-                f"(staged: {staged_rms:.1f} px): the correction absorbs an error of camera, "
-                "hand-eye or target; measure the target"
+                f"without the robot correction the joint fit leaves residuals of "
+                f"{uncorrected_rms:.1f} px (staged: {staged_rms:.1f} px): the correction absorbs "
+                "an error of camera, hand-eye or target; measure the target"
             )
     return tuple(messages)

@@ -30,8 +30,8 @@ jax.monitoring.register_event_duration_secs_listener(
     else 0
 )
 
-def counted(*arguments):
-    found = load(*arguments)
+def counted(*arguments, **options):
+    found = load(*arguments, **options)
     counts["loading"] = len(built)
     return found
 

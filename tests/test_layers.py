@@ -24,10 +24,10 @@ PACKAGE = Path(smartview_jax.__file__).parent
 # file.
 FLOORS = """
     argument_checks version files runtime extras fit_result
-    schemas geometry cameras targets robots robot_errors calibration dataset detection
+    schemas export_text geometry cameras targets robots robot_errors calibration dataset detection
     hand_eye data_checks staged engine variance joint arm_identification
     calibration_pipeline time_offset evaluation viewpoints features modeling io simulation
-    fleet localization grasping plots report editor picking cli
+    fleet localization grasping plots report editor picking cli __main__
 """.split()
 
 NO_OPENCV = """

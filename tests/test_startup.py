@@ -1,5 +1,6 @@
 """What is imported, and when: the command and the package start without JAX."""
 
+import dataclasses
 import importlib
 import subprocess
 import sys
@@ -8,6 +9,8 @@ import pytest
 from main_job import main_job, user_environment
 
 import smartview_jax as sv
+from smartview_jax.cameras import lens_by_name
+from smartview_jax.simulation import paper_calibration
 
 SLOW = {"jax", "matplotlib", "cv2", "scipy"}
 """Packages that take a tenth of a second or more to import; typer itself may import pydantic."""
@@ -91,3 +94,16 @@ def test_a_default_calibration_has_few_programs_to_compile(tmp_path_factory):
     programs = main_job(tmp_path_factory).programs
     assert programs["loading"] == 0, "reading the data compiles nothing"
     assert 10 < programs["all"] <= 22, programs
+
+
+@pytest.mark.parametrize("to", ["ros", "urdf", "camera_info", "opencv"])
+def test_a_calibration_is_exported_without_anything_slow(tmp_path, to):
+    """A line of numbers must not cost the seconds that JAX takes to import."""
+    path = tmp_path / "calibration.yaml"
+    calibration = paper_calibration()
+    lens = lens_by_name("opencv5")
+    camera = dataclasses.replace(calibration.camera, lens=lens)
+    dataclasses.replace(calibration, camera=camera).save(path)
+    words = [sys.executable, "-u", "-c", START, " ".join(SLOW), f"export {path} --to {to}"]
+    done = subprocess.run(words, text=True, env=user_environment(), capture_output=True)
+    assert done.stdout.endswith("code 0 set()\n"), done.stdout + done.stderr

@@ -36,19 +36,27 @@ def calibrate(
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(help="Folder for the results; of several folders, one by name in it.")
+        Path,
+        typer.Option(
+            help="Folder for the results, such as calibration; of several folders, one by name "
+            "in it."
+        ),
     ] = Path("calibration"),
     lens: options.LensOption = "opencv4",
     noise: options.NoiseOption = options.NoiseModel.ESTIMATED,
     held_out: Annotated[
         bool,
         typer.Option(
-            help="Cross-validate: refit without some views and measure the error on them."
+            help="Cross-validate: refit without some views and measure the error on them.",
+            show_default="on",
         ),
     ] = True,
     diagnose: Annotated[
         bool,
-        typer.Option(help="Also: error by workspace region, split-half agreement, error budget."),
+        typer.Option(
+            help="Also: error by workspace region, split-half agreement, error budget.",
+            show_default="off",
+        ),
     ] = False,
     *,
     known: FitKnowledge,
@@ -60,8 +68,8 @@ def calibrate(
         int | None,
         typer.Option(
             min=1,
-            help="Folders to calibrate at the same time; by default as many as there are "
-            "processors.",
+            help="Number of folders to calibrate at the same time, such as 4; by default as many "
+            "as there are processors.",
         ),
     ] = None,
     json: options.JsonOption = False,

@@ -122,12 +122,13 @@ def _summary(result: "CalibrateResult", document: dict[str, Any]) -> FolderResul
     mount_path = fit.calibration.transform_names[0]
     stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
     known = [std for std in stds if std is not None]
-    # The last row is the joint fit.
-    held_out = errors[-1]["held_out"]
+    # The staged fit comes first, then the joint fit, and last its chain without the correction.
+    joint = errors[1]
+    held_out = joint["held_out"]
     x, y, z = 1e3 * np.asarray(fit.calibration.camera_from_mount.translation())
     return FolderResult(
         len(result.data.view_ids) - len({entry["view"] for entry in document["left_out_views"]}),
-        errors[-1]["fitted"]["rms_px"],
+        joint["fitted"]["rms_px"],
         None if held_out is None else held_out["rms_px"],
         (float(x), float(y), float(z)),
         1e3 * float(np.linalg.norm(known)) if known else None,
@@ -162,7 +163,7 @@ def _print_table(names: Sequence[str], results: "Sequence[Outcome]", out: Path) 
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("data set", max_width=MAX_NAME_WIDTH, overflow="ellipsis", no_wrap=True)
-    for title in ("views", "RMS px", "held out", "hand-eye x, y, z mm", "+-"):
+    for title in ("views", "RMS px", "held out", "hand-eye (x, y, z) mm", "+-"):
         table.add_column(title, justify="right", no_wrap=True)
     table.add_column("outcome", no_wrap=True)
     for name, outcome in zip(names, results, strict=True):
@@ -182,6 +183,8 @@ def _print_table(names: Sequence[str], results: "Sequence[Outcome]", out: Path) 
 
 def _cells(outcome: "Outcome") -> tuple[str, ...]:
     """Return the cells of a folder's row after its name."""
+    from ..geometry import vector_text
+
     if outcome.error:
         return ("", "", "", "", "", "error")
     result: FolderResult = outcome.result
@@ -189,7 +192,7 @@ def _cells(outcome: "Outcome") -> tuple[str, ...]:
         str(result.views),
         f"{result.rms:.3f}",
         "" if result.held_out_rms is None else f"{result.held_out_rms:.3f}",
-        ", ".join(f"{value:.1f}" for value in result.translation),
+        vector_text(result.translation, 1),
         "held" if result.translation_std is None else f"{result.translation_std:.2f}",
         result.outcome,
     )

@@ -98,9 +98,10 @@ def print_pose_result(result: PoseResult) -> None:
 
     from ..joint import fit_text
     from ..report import pose_error_rows, pose_fit_summary, rejections
+    from .calibrate_tables import verbose
 
     console = Console()
-    console.print(fit_text(result.fit, ()), highlight=False, markup=False)
+    console.print(fit_text(result.fit, (), verbose()), highlight=False, markup=False)
     for note in result.remarks:
         console.print(note, highlight=False, markup=False)
     table = Table("", "distance", "angle")

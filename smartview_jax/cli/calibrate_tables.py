@@ -1,5 +1,6 @@
 """Print the tables of `smartview calibrate`: errors, rejections and the error budget."""
 
+import logging
 from typing import TYPE_CHECKING
 
 import typer
@@ -10,6 +11,7 @@ from rich.table import Table
 from ..report import (
     budget_rows,
     error_summaries,
+    headline,
     rejections,
     remarks,
     repeatability_rows,
@@ -38,6 +40,11 @@ def print_calibrate_result(result: "CalibrateResult") -> None:
         _print_budget(result.budget)
 
 
+def verbose() -> bool:
+    """Return whether the command was called with -v."""
+    return logging.getLogger(__package__).isEnabledFor(logging.INFO)
+
+
 def _print_errors(
     rows: "list[ErrorSummary]", fit: "CalibrationFit", data: "Dataset", notes: "Sequence[str]"
 ) -> None:
@@ -45,7 +52,9 @@ def _print_errors(
     from ..joint import fit_text
 
     console = Console()
-    console.print(fit_text(fit.joint, ()), highlight=False, markup=False)
+    # The forms of other programs are long, and the report has them too.
+    text = fit_text(fit.joint, (), verbose(), headline(rows, fit))
+    console.print(text, highlight=False, markup=False)
     for note in notes:
         console.print(note, highlight=False, markup=False)
     table = Table()

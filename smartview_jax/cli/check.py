@@ -147,6 +147,8 @@ def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
 
 def _motion(figures: DatasetFigures) -> list[str]:
     """Return in words how far the robot moved and turned between the views."""
+    from ..geometry import vector_text
+
     if figures.extent is None or figures.largest_rotation is None:
         return [f"usable views: {figures.usable_views}; take more"]
     largest = math.degrees(figures.largest_rotation)
@@ -159,9 +161,10 @@ def _motion(figures: DatasetFigures) -> list[str]:
     elif largest < MIN_TURN:
         advice = "; turn the tool more"
     more = "; take more" if figures.usable_views < MIN_VIEWS else ""
+    extent_mm = [1e3 * x for x in figures.extent]
     return [
         f"usable views: {figures.usable_views}{more}",
-        f"the tool moved by {', '.join(f'{1e3 * x:.0f}' for x in figures.extent)} mm along x, y, z",
+        f"the tool moved by {vector_text(extent_mm, 0)} mm along x, y, z",
         f"largest rotation between two views: {largest:.0f} degrees{advice}",
     ]
 

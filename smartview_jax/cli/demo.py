@@ -12,11 +12,16 @@ from .terminal import errors_reported, progress_line
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the page and the model.")] = Path("demo"),
+    out: Annotated[
+        Path, typer.Option(help="Folder for the page and the model, such as demo.")
+    ] = Path("demo"),
     seed: Annotated[
-        int, typer.Option(help="Random seed of the cell and of how the objects fall.")
+        int,
+        typer.Option(
+            help="Random seed of the cell and of how the objects fall, a number such as 3."
+        ),
     ] = 0,
-    views: Annotated[int, typer.Option(help="Number of pictures of the board.")] = 16,
+    views: Annotated[int, typer.Option(help="Number of pictures of the board, such as 16.")] = 16,
     debug: DebugOption = False,
 ) -> None:
     """Calibrate, model, localise, verify and grasp in a simulated cell, and write a page about it.

@@ -26,7 +26,10 @@ def evaluate(
     dataset: Annotated[Path, typer.Argument(help="Data-set folder with new pictures and poses.")],
     beside: Annotated[
         list[Path] | None,
-        typer.Option(help="Another calibration to compare with the first; may be repeated."),
+        typer.Option(
+            help="Another calibration to compare with the first, such as old/calibration.yaml. May "
+            "be repeated."
+        ),
     ] = None,
     moved: Annotated[
         bool,

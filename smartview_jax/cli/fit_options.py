@@ -19,35 +19,38 @@ if TYPE_CHECKING:
 CameraOption = Annotated[
     Path | None,
     typer.Option(
-        help="A known camera, which is held: a calibration.yaml, a YAML file of OpenCV or ROS "
-        "(camera_info), an XML file of ViSP. A single tag (four corners) then suffices."
+        help="File of a known camera, which is held, such as calibration.yaml: YAML of OpenCV or "
+        "ROS (camera_info), XML of ViSP. A single tag (four corners) then suffices."
     ),
 ]
 FixedOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="A parameter to hold at its start: camera.lens, camera_from_tool.rotation, ...; "
-        "may be repeated."
+        help="A parameter to hold at its start, such as camera.lens or "
+        "camera_from_tool.rotation. May be repeated."
     ),
 ]
 FreeOption = Annotated[
     list[str] | None,
-    typer.Option(help="A parameter to estimate that is held by default: target_scale."),
+    typer.Option(
+        help="A parameter to estimate that is held by default, such as target_scale. May be "
+        "repeated."
+    ),
 ]
 PriorOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Prior of a parameter: NAME=VALUE+-SIGMA with its unit, such as camera.u0=640+-5px or "
-        "camera_from_tool.translation.x=12+-2mm; NAME=+-SIGMA is centred on the start; or a YAML "
-        "file of such lines. May be repeated."
+        help="Prior of a parameter: NAME=VALUE+-SIGMA with its unit (px, mm, m, deg, rad), such "
+        "as camera.u0=640+-5px or camera_from_tool.translation.x=12+-2mm; NAME=+-SIGMA is centred "
+        "on the start; or a YAML file of such lines. May be repeated."
     ),
 ]
 StartOption = Annotated[
     list[str] | None,
     typer.Option(
         help="Start of the joint fit: a calibration.yaml, or a rough transform as "
-        "camera_from_tool=x,y,z,yaw,pitch,roll (m, degrees; or its inverse, tool_from_camera). May "
-        "be repeated."
+        "camera_from_tool=x,y,z,yaw,pitch,roll in m and degrees, such as "
+        "camera_from_tool=0,0.05,0.06,90,0,0 (or its inverse, tool_from_camera). May be repeated."
     ),
 ]
 

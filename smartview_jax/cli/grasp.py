@@ -25,30 +25,38 @@ _POSE = "x,y,z in m and yaw,pitch,roll in degrees"
 def grasp(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     object_pose: Annotated[
-        str, typer.Option(help=f"world_from_object: pose of the object, {_POSE}.")
+        str,
+        typer.Option(
+            help=f"world_from_object: pose of the object, {_POSE}, such as 0.1,0.02,0,90,0,0."
+        ),
     ] = "0,0,0,0,0,0",
     grasp_pose: Annotated[
         str | None,
-        typer.Option(help=f"object_from_gripper: pose of the grasp on the object, {_POSE}."),
+        typer.Option(
+            help=f"object_from_gripper: pose of the grasp on the object, {_POSE}, such as "
+            "0,0,0.01,0,180,0."
+        ),
     ] = None,
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Instead of --grasp-pose: an object model with grasps (smartview model)."
+            help="Instead of --grasp-pose: an object model with grasps, such as object.json of "
+            "smartview model."
         ),
     ] = None,
     name: Annotated[
-        str | None, typer.Option(help="Which of the model's grasps; by default its first.")
+        str | None,
+        typer.Option(help="Name of one of the model's grasps, such as side; by default its first."),
     ] = None,
     gripper: Annotated[
         str,
         typer.Option(
-            help=f"tool_from_gripper: pose of the gripper's frame on the tool, {_POSE}; by "
-            "default the robot's tool frame, between the fingertips."
+            help=f"tool_from_gripper: pose of the gripper's frame on the tool, {_POSE}, such as "
+            "0,0,0.12,0,0,0; by default the robot's tool frame, between the fingertips."
         ),
     ] = "0,0,0,0,0,0",
     approach: Annotated[
-        float, typer.Option(min=0.0, help="Length of the straight approach, mm.")
+        float, typer.Option(min=0.0, help="Length of the straight approach, mm, such as 50.")
     ] = 100.0,
     *,
     robot: RobotOptions,
@@ -154,12 +162,14 @@ def _error_text(tool: "ToolCommands", path: Path) -> str:
     """Return the tool's error in words: 95 % intervals in mm and degrees."""
     import numpy as np
 
+    from ..geometry import vector_text
+
     errors = _error_document(tool)
     if errors is None:
         return f"{path} has no covariance: the tool's error is not known"
     # 1.96 standard deviations are 95 % of a Gaussian.
-    millimetres = ", ".join(f"{x:.2f}" for x in 1.96e3 * errors["std_m"])
-    degrees = ", ".join(f"{x:.3f}" for x in 1.96 * np.rad2deg(errors["std_rad"]))
+    millimetres = vector_text(1.96e3 * errors["std_m"], 2)
+    degrees = vector_text(1.96 * np.rad2deg(errors["std_rad"]), 3)
     return (
         f"error of the tool: within +- {millimetres} mm and +- {degrees} degrees (95 %) along and "
         "about its own x, y, z,\nfrom the calibration's uncertainty and the robot's noise; the "

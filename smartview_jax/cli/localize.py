@@ -7,6 +7,7 @@ import typer
 
 from .json_document import print_document, transform_document
 from .load import load_views
+from .number_lists import parse_numbers
 from .options import DebugOption, JsonOption
 from .terminal import errors_reported, progress_line
 
@@ -33,14 +34,14 @@ def localize(
         str | None,
         typer.Option(
             help="Box that contains the objects: two opposite corners, x,y,z,x,y,z in m in the "
-            "target's frame; by default unlimited."
+            "target's frame, such as -0.2,-0.2,0,0.2,0.2,0.15; by default unlimited."
         ),
     ] = None,
     occluder: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Mesh (.stl, .obj, .ply) of an obstacle such as a bin, m in the target's frame: "
-            "edges that it occludes do not count as missing."
+            help="Mesh of an obstacle, m in the target's frame, such as bin.stl (or .obj, .ply): "
+            "edges that it occludes do not count as missing. May be repeated."
         ),
     ] = None,
     out: Annotated[
@@ -117,16 +118,7 @@ def _corners(workspace: str | None) -> "np.ndarray | None":
 
     if workspace is None:
         return None
-    try:
-        numbers = np.array([float(word) for word in workspace.split(",")])
-    except ValueError:
-        numbers = np.zeros(0)
-    if numbers.shape != (6,) or not np.isfinite(numbers).all():
-        raise ValueError(
-            "--workspace: expected six numbers between commas, x,y,z,x,y,z (m), "
-            f"found {workspace!r}"
-        )
-    return numbers.reshape(2, 3)
+    return np.array(parse_numbers("--workspace", workspace, 6, "x,y,z,x,y,z (m)")).reshape(2, 3)
 
 
 def _triangles(meshes: list[Path] | None) -> "np.ndarray | None":

@@ -1,5 +1,6 @@
 """Put the subcommands together to the `smartview` command."""
 
+import inspect
 from typing import Annotated, Any
 
 import typer
@@ -42,6 +43,8 @@ app = typer.Typer(
     cls=_LoggingGroup,
     help="Calibrate cameras on robot arms.",
     no_args_is_help=True,
+    # Plain help: rich cuts words that are longer than its columns, such as the syntax of --prior.
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
@@ -67,7 +70,9 @@ def main(
             "--verbose",
             "-v",
             count=True,
-            help="Log progress; -vv also logs what JAX, OpenCV and other libraries report.",
+            help="Log progress, and print the hand-eye transform as matrix, quaternion, angles of "
+            "ROS and in the robot's format; -vv also logs what JAX, OpenCV and other libraries "
+            "report.",
         ),
     ] = 0,
 ) -> None:
@@ -95,4 +100,6 @@ for _subcommand in (
     stylus,
     viewpoint,
 ):
-    app.command()(_subcommand)
+    # The whole first sentence, because a summary of click's own length is cut.
+    _summary = (inspect.getdoc(_subcommand) or "").partition("\n\n")[0]
+    app.command(short_help=_summary)(_subcommand)

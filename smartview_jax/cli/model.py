@@ -18,13 +18,19 @@ def model(
     dataset: Annotated[Path, typer.Argument(help="Data-set folder with pictures of the object.")],
     out: Annotated[
         Path | None,
-        typer.Option(help="The model's file, a .json; by default object.json in the folder."),
+        typer.Option(
+            help="The model's file, such as block.json; by default object.json in the folder."
+        ),
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(help="A calibration.yaml; by default the one in the folder."),
+        typer.Option(
+            help="The calibration, such as calibration.yaml; by default the one in the folder."
+        ),
     ] = None,
-    port: Annotated[int, typer.Option(help="Port of the page; 0 takes a free one.")] = 0,
+    port: Annotated[
+        int, typer.Option(help="Port of the page, such as 8765; 0 takes a free one.")
+    ] = 0,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,

@@ -15,11 +15,18 @@ DEFAULT_SIZE = (1280, 1024)
 def new(
     folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
     robot: Annotated[
-        str, typer.Option(help="abb, fanuc, kawasaki, kuka, puma, ros, ur, or matrix.")
+        str,
+        typer.Option(
+            help="The robot's pose format, such as ur: abb, fanuc, kawasaki, kuka, puma, ros, ur, "
+            "or matrix."
+        ),
     ] = "matrix",
     target: Annotated[
         str,
-        typer.Option(help="chessboard, circle_grid, charuco, tag_grid, or Kalibr's aprilgrid."),
+        typer.Option(
+            help="The target, such as chessboard: chessboard, circle_grid, charuco, tag_grid, or "
+            "Kalibr's aprilgrid."
+        ),
     ] = "charuco",
     eye_to_hand: Annotated[
         bool, typer.Option("--eye-to-hand", help="Fixed camera; the target is on the tool.")

@@ -25,7 +25,11 @@ DatasetArgument = Annotated[
     Path | None, typer.Argument(help="Data-set folder; the sample of the package if not given.")
 ]
 LensOption = Annotated[
-    str, typer.Option(help="pinhole, radial, weng, opencv4, opencv5, opencv8 or fisheye.")
+    str,
+    typer.Option(
+        help="Lens model, such as radial: pinhole, radial, weng, opencv4, opencv5, opencv8 or "
+        "fisheye."
+    ),
 ]
 NoiseOption = Annotated[
     NoiseModel,
@@ -44,7 +48,8 @@ BaseFromWorldOption = Annotated[
     str | None,
     typer.Option(
         help="Rough pose of the target, needed if its pattern looks the same when turned: "
-        "x,y,z in m and yaw,pitch,roll in degrees (tool_from_world for a fixed camera)."
+        "x,y,z in m and yaw,pitch,roll in degrees, such as 0.5,0,0.02,90,0,180 (tool_from_world "
+        "for a fixed camera)."
     ),
 ]
 TimeOffsetOption = Annotated[
@@ -74,15 +79,15 @@ PoseFormatOption = Annotated[
     str,
     typer.Option(
         "--format",
-        help="Pose format of the robot's manufacturer: val_oat, kawasaki_oat, kuka_abc, ur, "
-        "fanuc_wpr, abb, staubli_val3, yaskawa, ..., or euler_XYZ_fixed to euler_ZYZ_moving; "
-        ".val files use VAL's own.",
+        help="Pose format of the robot's manufacturer, such as kuka_abc: val_oat, kawasaki_oat, "
+        "kuka_abc, ur, fanuc_wpr, abb, staubli_val3, yaskawa, ..., or euler_XYZ_fixed to "
+        "euler_ZYZ_moving; .val files use VAL's own.",
     ),
 ]
 ArmOption = Annotated[
     str | None,
     typer.Option(
-        help="Also compute joint readings, for an arm by name (puma_560, ...) or a .urdf file."
+        help="Also compute joint readings, for an arm by name, such as puma_560, or a .urdf file."
     ),
 ]
 NearOption = Annotated[
@@ -93,7 +98,8 @@ NearOption = Annotated[
     ),
 ]
 CommandsOutOption = Annotated[
-    Path | None, typer.Option(help="Also write the commands: a .val, .csv or .json file.")
+    Path | None,
+    typer.Option(help="Also write the commands to a file, such as commands.val; or .csv, .json."),
 ]
 
 

@@ -9,6 +9,7 @@ import typer
 from . import options
 from .fit_options import StartOption
 from .json_document import print_document
+from .number_lists import parse_numbers
 from .option_groups import with_option_groups
 from .plan_situation import ViewLimits, first_views, next_views
 from .plan_words import plan_entries, plan_words
@@ -32,29 +33,40 @@ def plan(
     ],
     start: StartOption = None,
     camera: Annotated[
-        Path | None, typer.Option(help="With --start: a known camera, as for calibrate.")
+        Path | None,
+        typer.Option(
+            help="With --start: a known camera, as for calibrate, such as calibration.yaml."
+        ),
     ] = None,
     views: Annotated[
         int | None,
-        typer.Option(min=1, max=50, help="Most views; by default 10, or 15 with --start."),
+        typer.Option(
+            min=1, max=50, help="Most views, a number such as 8; by default 10, or 15 with --start."
+        ),
     ] = None,
     goal: Annotated[
-        float | None, typer.Option(min=0.0, help="Stop when the error is this small, mm.")
+        float | None,
+        typer.Option(min=0.0, help="Stop when the error is this small, mm, such as 0.5."),
     ] = None,
     gain: Annotated[
-        float, typer.Option(min=0.0, max=100.0, help="Stop when one more view gains less, %.")
+        float,
+        typer.Option(min=0.0, max=100.0, help="Stop when one more view gains less, %, such as 2."),
     ] = 5.0,
     distance: Annotated[
-        tuple[float, float] | None,
-        typer.Option(help="Smallest and largest distance from the target, m."),
+        str | None,
+        typer.Option(help="Smallest and largest distance from the target, m, such as 0.3,0.5."),
     ] = None,
     tilt: Annotated[
         float,
-        typer.Option(min=1.0, max=80.0, help="Largest tilt of the camera from vertical, degrees."),
+        typer.Option(
+            min=1.0, max=80.0, help="Largest tilt of the camera from vertical, degrees, such as 30."
+        ),
     ] = 40.0,
     roll: Annotated[
         float,
-        typer.Option(min=1.0, max=180.0, help="Largest roll about the optical axis, degrees."),
+        typer.Option(
+            min=1.0, max=180.0, help="Largest roll about the optical axis, degrees, such as 180."
+        ),
     ] = 90.0,
     below: options.BelowOption = None,
     *,
@@ -75,12 +87,14 @@ def plan(
         from ..viewpoints import SAFETY_CHECKS, plan_views, unchecked, viewpoint_commands
 
         codec = robot.codec()
-        span = ViewLimits(distance, math.radians(tilt), math.radians(roll), below)
+        span = ViewLimits(_distance_range(distance), math.radians(tilt), math.radians(roll), below)
         with progress_line() as progress:
             if start:
+                progress("reading the description of the data set")
                 situation = first_views(paths, start, camera, span)
             else:
-                situation = next_views(paths, camera, span, robot)
+                progress("reading the calibration and its data set")
+                situation = next_views(paths, camera, span, robot, progress)
             arm, readings = robot.arm_and_readings(situation.calibration)
             view_plan = plan_views(
                 _with_readings(situation.model, readings),
@@ -115,6 +129,14 @@ def plan(
         sheet.give(
             "plan", robot.out, robot.allow, json, say, **plan_entries(view_plan), words=words
         )
+
+
+def _distance_range(text: str | None) -> tuple[float, float] | None:
+    """Return the smallest and the largest distance, m; None to choose them."""
+    if text is None:
+        return None
+    smallest, largest = parse_numbers("--distance", text, 2, "smallest,largest (m)")
+    return smallest, largest
 
 
 def _give_nothing(view_plan: "ViewPlan", words: tuple[str, ...], json: bool) -> None:

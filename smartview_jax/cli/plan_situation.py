@@ -1,5 +1,6 @@
 """Collect what is known before views are planned: a calibration, or rough transforms."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -58,9 +59,21 @@ class Situation(NamedTuple):
 
 
 def next_views(
-    paths: list[Path], camera: Path | None, limits: ViewLimits, robot: RobotOptions
+    paths: list[Path],
+    camera: Path | None,
+    limits: ViewLimits,
+    robot: RobotOptions,
+    progress: Callable[[str], None],
 ) -> Situation:
-    """Return the situation given a calibration and its data set."""
+    """Return the situation given a calibration and its data set.
+
+    Args:
+        paths: the calibration, and the folder of its data set.
+        camera: a known camera, which is refused.
+        limits: limits of the views.
+        robot: the robot's arm and readings.
+        progress: called with a line of text for each stage.
+    """
     import numpy as np
 
     from ..io import load_dataset
@@ -74,10 +87,11 @@ def next_views(
             "expected calibration.yaml and its data-set folder; or, with --start, the folder alone"
         )
     estimate = load_estimate(paths[0])
-    data = load_dataset(paths[1], "mask", keep_detections=False)
+    data = load_dataset(paths[1], "mask", progress=progress, keep_detections=False)
     points = np.asarray(data.points[0])
     _, readings = robot.arm_and_readings(estimate.calibration)
     # Without an arm there are no readings, and the robot is commanded by poses.
+    progress("computing what the views so far tell")
     model = model_from_estimate(estimate, points, readings)
     # New views stay near the calibrated ones.
     region = estimate.calibration.region

@@ -10,6 +10,7 @@ import typer
 from ..files import refuse_unwritable
 from . import options
 from .json_document import print_document
+from .number_lists import parse_numbers
 
 if TYPE_CHECKING:
     import numpy as np
@@ -192,13 +193,17 @@ def numbered_names(count: int) -> tuple[str, ...]:
 
 def _arm(text: str | None, calibration: "Calibration") -> "SerialArm | None":
     """Return the named arm; by default the arm whose errors the calibration corrects, or None."""
-    from ..io import load_urdf
     from ..robot_errors import nominal_arm
+
+    return nominal_arm(calibration.field) if text is None else named_arm(text)
+
+
+def named_arm(text: str) -> "SerialArm":
+    """Return the arm of a name or of a .urdf file."""
+    from ..io import load_urdf
     from ..robots import arm_by_name
 
-    if text is not None:
-        return load_urdf(text) if text.endswith(".urdf") else arm_by_name(text)
-    return nominal_arm(calibration.field)
+    return load_urdf(text) if text.endswith(".urdf") else arm_by_name(text)
 
 
 def _joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
@@ -214,12 +219,6 @@ def _joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | 
             "--near: missing; an arm reaches a pose in several ways, and the solution nearest to "
             "these joint readings is taken"
         )
-    try:
-        readings = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        readings = np.array([])
-    if len(readings) != arm.joint_count or not np.isfinite(readings).all():
-        raise ValueError(
-            f"--near: expected {arm.joint_count} numbers between commas, found {text!r}"
-        )
+    form = "degrees (m for a sliding joint)"
+    readings = np.array(parse_numbers("--near", text, arm.joint_count, form))
     return np.where(arm.prismatic, readings, np.deg2rad(readings))

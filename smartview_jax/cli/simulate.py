@@ -15,24 +15,32 @@ TRUTH_FILE = "truth.yaml"
 
 def simulate(
     folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
-    views: Annotated[int, typer.Option(min=3, max=1000, help="Number of views.")] = 15,
+    views: Annotated[int, typer.Option(min=3, max=1000, help="Number of views, such as 20.")] = 15,
     pixel_noise: Annotated[
-        float, typer.Option(min=0.0, help="Standard deviation of u and of v, px.")
+        float, typer.Option(min=0.0, help="Standard deviation of u and of v, px, such as 0.2.")
     ] = 0.15,
     position_noise: Annotated[
-        float, typer.Option(min=0.0, help="Standard deviation of reported positions, mm.")
+        float,
+        typer.Option(min=0.0, help="Standard deviation of reported positions, mm, such as 0.3."),
     ] = 0.1,
     angle_noise: Annotated[
-        float, typer.Option(min=0.0, help="Standard deviation of reported angles, degrees.")
+        float,
+        typer.Option(min=0.0, help="Standard deviation of reported angles, degrees, such as 0.05."),
     ] = 0.01,
     outliers: Annotated[
-        float, typer.Option(min=0.0, max=0.5, help="Fraction of points that are gross errors.")
+        float,
+        typer.Option(
+            min=0.0, max=0.5, help="Fraction of points that are gross errors, such as 0.02."
+        ),
     ] = 0.0,
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Render pictures, with sensor noise.")
     ] = False,
     pose_format: PoseFormatOption = "matrix",
-    seed: Annotated[int, typer.Option(help="The same seed gives the same data.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(help="Random seed, a number such as 3: the same seed gives the same data."),
+    ] = 0,
     debug: DebugOption = False,
 ) -> None:
     """Write a simulated data set of a chessboard seen by the paper's camera, and the truth.

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options
+from .number_lists import parse_numbers
 from .option_groups import with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
@@ -24,20 +25,30 @@ SURPRISING_P_VALUE = 0.01
 def stylus(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     tip: Annotated[
-        tuple[float, float, float], typer.Option(help="Tip of the stylus in the tool's frame, m.")
+        str,
+        typer.Option(
+            help="Tip of the stylus, x,y,z in m in the tool's frame, such as 0,0.01,0.15."
+        ),
     ],
     at: Annotated[
-        tuple[float, float, float], typer.Option(help="Point to touch, in the world's frame, m.")
-    ] = (0.0, 0.0, 0.0),
+        str,
+        typer.Option(help="Point to touch, x,y,z in m in the world's frame, such as 0.1,0,0.02."),
+    ] = "0,0,0",
     gap: Annotated[
         float,
-        typer.Option(min=0.0, help="Distance to stop before the point, along the stylus, mm."),
+        typer.Option(
+            min=0.0, help="Distance to stop before the point, along the stylus, mm, such as 5."
+        ),
     ] = 0.0,
-    tilt: Annotated[float, typer.Option(help="Tilt of the stylus from upright, degrees.")] = 0.0,
+    tilt: Annotated[
+        float, typer.Option(help="Tilt of the stylus from upright, degrees, such as 15.")
+    ] = 0.0,
     azimuth: Annotated[
-        float, typer.Option(help="Direction of the tilt, about z from x, degrees.")
+        float, typer.Option(help="Direction of the tilt, about z from x, degrees, such as 90.")
     ] = 0.0,
-    turn: Annotated[float, typer.Option(help="Rotation about the stylus, degrees.")] = 0.0,
+    turn: Annotated[
+        float, typer.Option(help="Rotation about the stylus, degrees, such as 45.")
+    ] = 0.0,
     five: Annotated[
         bool, typer.Option("--five", help="Five touches: upright, and tilted to four sides.")
     ] = False,
@@ -45,7 +56,8 @@ def stylus(
     misses: Annotated[
         Path | None,
         typer.Option(
-            help="Measured misses: .csv (view,x_mm,y_mm,z_mm) or .yaml, in the world's axes."
+            help="File of measured misses in the world's axes, mm, such as misses.csv with the "
+            "columns view,x_mm,y_mm,z_mm; or .yaml."
         ),
     ] = None,
     *,
@@ -67,12 +79,14 @@ def stylus(
         from ..viewpoints import unchecked
 
         codec = robot.codec()
+        tip_position = np.array(parse_numbers("--tip", tip, 3, "x,y,z (m)"))
+        point = np.array(parse_numbers("--at", at, 3, "x,y,z (m)"))
         loaded_calibration, estimate = load_with_uncertainty(calibration)
         arm, readings = robot.arm_and_readings(loaded_calibration)
         poses = _touching_poses(
             loaded_calibration,
-            np.array(tip),
-            np.array(at),
+            tip_position,
+            point,
             1e-3 * gap,
             (tilt, azimuth, turn),
             five,
@@ -86,7 +100,7 @@ def stylus(
             near=readings,
         )
         names = numbered_names(len(poses))
-        factor = tip_error_factor(touches, np.array(tip))
+        factor = tip_error_factor(touches, tip_position)
         notes: list[str] = []
         measured = None if misses is None else read_misses(misses, names, notes.append)
         sheet = CommandSheet(
@@ -120,8 +134,7 @@ def _touching_poses(
     """Return `world_from_tool` with the tip at the gap before the point, `(n, 4, 4)`."""
     import numpy as np
 
-    from ..evaluation import touching_pose
-    from ..geometry import host_matrices, host_transforms
+    from ..geometry import host_matrices
     from ..grasping import stylus_orientations
 
     # The stylus points as a camera would look, so that the same options apply.
@@ -130,7 +143,9 @@ def _touching_poses(
     poses = np.tile(np.eye(4), (len(world_from_stylus), 1, 1))
     poses[:, :3, :3] = stylus_orientations(tip, world_from_stylus)
     points = point - gap * world_from_stylus[:, :, 2]
-    return host_matrices(touching_pose(tip, host_transforms(poses).rotation(), points))
+    # By NumPy: the tip's place by `touching_pose` would compile a program for each operation.
+    poses[:, :3, 3] = points - poses[:, :3, :3] @ tip
+    return poses
 
 
 def _judgement(
@@ -177,7 +192,7 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     for note in judged["notes"]:
         typer.echo(f"note: {note}")
     measured = "rms_m" in judged
-    columns = ["touch", *(["miss x, y, z mm", "distance mm"] if measured else [])]
+    columns = ["touch", *(["miss (x, y, z) mm", "distance mm"] if measured else [])]
     table = Table(
         *columns, "its 95 % ellipse mm", *(["inside"] if measured else []), box=box.SIMPLE
     )
@@ -209,7 +224,9 @@ def _semi(half_axes: "np.ndarray") -> str:
 
 def _millimetres(numbers: "np.ndarray") -> str:
     """Return lengths as text, mm."""
-    return ", ".join(f"{1e3 * x:.2f}" for x in numbers)
+    from ..geometry import vector_text
+
+    return vector_text(1e3 * numbers, 2)
 
 
 def _verdict(comparison: dict[str, Any]) -> str:

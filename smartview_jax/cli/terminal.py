@@ -17,6 +17,7 @@ from ..runtime.interrupts import (
 )
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -24,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def progress_line() -> Iterator[Callable[[str], None]]:
-    """Report progress on stderr: a bar with the time left on a terminal, plain lines elsewhere.
+    """Report progress on stderr: a bar with the time left on a terminal, else a line a stage.
 
     A text that counts, such as "fold 2 of 5", moves the bar; any other starts a bar without an end.
     """
@@ -38,7 +39,7 @@ def progress_line() -> Iterator[Callable[[str], None]]:
         yield lambda text: _log.info("%s", text)
         return
     if not console.is_terminal:
-        yield lambda text: console.print(text, highlight=False, soft_wrap=True, markup=False)
+        yield StageLines(console)
         return
     columns = (
         SpinnerColumn(),
@@ -48,6 +49,32 @@ def progress_line() -> Iterator[Callable[[str], None]]:
     )
     with Progress(*columns, console=console, transient=True) as bar:
         yield BarUpdate(bar)
+
+
+class StageLines:
+    """A function that prints the first line of every stage, for files and logs."""
+
+    def __init__(self, console: "Console"):
+        self._console = console
+        self._stage = ""
+
+    def __call__(self, text: str) -> None:
+        stage = stage_of(text)
+        if stage != self._stage:
+            self._stage = stage
+            self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+def stage_of(text: str) -> str:
+    """Return what the lines of one stage have in common.
+
+    Lines that count, as "fold 2 of 5", have the words before their colon; others, such as the
+    passes of a filter, differ in their numbers only.
+    """
+    counted = _COUNTED.search(text)
+    if counted is not None and ":" in text:
+        return f"{text.partition(':')[0]} of {counted[2]}"
+    return _NUMBERS.sub("#", text)
 
 
 class BarUpdate:
@@ -75,6 +102,9 @@ class BarUpdate:
 
 _COUNTED = re.compile(r"\b(\d+) of (\d+)\)?$")
 """The end of a text that counts, such as "fold 2 of 5"."""
+
+_NUMBERS = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+"""The numbers in a text."""
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options
+from .number_lists import parse_numbers
 from .option_groups import with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
@@ -21,20 +22,25 @@ if TYPE_CHECKING:
 def viewpoint(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
     at: Annotated[
-        tuple[float, float, float], typer.Option(help="Point to look at, in the world's frame, m.")
-    ] = (0.0, 0.0, 0.0),
+        str,
+        typer.Option(help="Point to look at, x,y,z in m in the world's frame, such as 0.1,0,0.02."),
+    ] = "0,0,0",
     distance: Annotated[
         float | None,
         typer.Option(
-            help="Distance from the camera to the point, m; by default the mean of the calibration "
-            "views."
+            help="Distance from the camera to the point, m, such as 0.35; by default the mean of "
+            "the calibration views."
         ),
     ] = None,
-    tilt: Annotated[float, typer.Option(help="Tilt of the camera from vertical, degrees.")] = 0.0,
-    azimuth: Annotated[
-        float, typer.Option(help="Where the camera stands, about z from x, degrees.")
+    tilt: Annotated[
+        float, typer.Option(help="Tilt of the camera from vertical, degrees, such as 15.")
     ] = 0.0,
-    roll: Annotated[float, typer.Option(help="Roll about the optical axis, degrees.")] = 0.0,
+    azimuth: Annotated[
+        float, typer.Option(help="Where the camera stands, about z from x, degrees, such as 90.")
+    ] = 0.0,
+    roll: Annotated[
+        float, typer.Option(help="Roll about the optical axis, degrees, such as -30.")
+    ] = 0.0,
     five: Annotated[
         bool, typer.Option("--five", help="The paper's five viewpoints; --tilt is their step.")
     ] = False,
@@ -58,7 +64,7 @@ def viewpoint(
 
         codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
-        point = np.array(at)
+        point = np.array(parse_numbers("--at", at, 3, "x,y,z (m)"))
         camera_from_world = requested_camera_poses(
             loaded_calibration, point, distance, (tilt, azimuth, roll), five, below
         )
@@ -111,13 +117,15 @@ def _error_document(
 
 def _error_text(names: tuple[str, ...], covariance: "np.ndarray | None", path: Path) -> str:
     """Return the camera's position error in words: 95 % intervals in mm."""
+    from ..geometry import vector_text
+
     errors = _error_document(names, covariance)
     if errors is None:
         return f"{path} has no covariance: the camera's error is not known"
     lines = []
     for entry in errors:
         # 1.96 standard deviations are 95 % of a Gaussian.
-        millimetres = ", ".join(f"{x:.2f}" for x in 1.96e3 * entry["std_m"])
+        millimetres = vector_text(1.96e3 * entry["std_m"], 2)
         lines.append(f"{entry['name']}: error of the camera within +- {millimetres} mm (95 %)")
     return "\n".join([*lines, "along its own x, y, z, from the calibration and the robot's noise"])
 

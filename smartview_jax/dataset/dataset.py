@@ -15,7 +15,9 @@ from ..calibration import mount_frames
 from ..geometry import PoseLike, as_se3, check_rigid
 from ..robots import Command, SerialArm
 from ..runtime.array_namespace import to_device
-from ..runtime.compilation import refuse_traced
+from ..runtime.compilation import is_traced, refuse_traced
+from ..schemas.messages import spelling_suggestion
+from .dataset_text import dataset_text
 from .input_checks import (
     check_forward_kinematics,
     checked_view_ids,
@@ -52,6 +54,8 @@ class Dataset(eqx.Module):
         joints: as in `Observations`.
         arm: the arm whose joints these are, if known.
         notes: sentences on assumptions made when the data were read.
+        pose_format: format in which the robot's controller writes poses, a key of `POSE_CODECS`;
+            None if it is not known.
     """
 
     points: Float[Array, "views points 3"]
@@ -67,6 +71,7 @@ class Dataset(eqx.Module):
     joints: Float[Array, "views joints"] | None = None
     arm: SerialArm | None = None
     notes: tuple[str, ...] = eqx.field(static=True, default=())
+    pose_format: str | None = eqx.field(static=True, default=None)
 
     @classmethod
     def from_arrays(
@@ -198,6 +203,10 @@ class Dataset(eqx.Module):
             arm=arm,
         )
 
+    def __repr__(self) -> str:
+        # A traced data set, inside `jit`, has no numbers to show.
+        return super().__repr__() if is_traced(self) else dataset_text(self)
+
     @property
     def observations(self) -> Observations:
         """The arrays of the data set, without names."""
@@ -261,6 +270,21 @@ class Dataset(eqx.Module):
             masked_views=tuple(entry for entry in self.masked_views if entry[0] in ids),
             pictures=None if self.pictures is None else tuple(self.pictures[i] for i in index),
         )
+
+    def without(self, views: str | Sequence[str]) -> "Dataset":
+        """Return the data set without some views, to fit the others.
+
+        Args:
+            views: names of the views, as in `view_ids`, such as `data.without(["3", "7"])`.
+
+        Raises:
+            ValueError: the data set has no view of such a name.
+        """
+        names = {views} if isinstance(views, str) else set(views)
+        if unknown := sorted(names - set(self.view_ids)):
+            hint = spelling_suggestion(unknown[0], self.view_ids)
+            raise ValueError(f"views: no view is called {', '.join(map(repr, unknown))}{hint}")
+        return self.select(np.array([view not in names for view in self.view_ids], dtype=bool))
 
     def _arrays_of(self, index: np.ndarray) -> dict[str, Any]:
         """Return the arrays of the given views, by name."""

@@ -9,15 +9,15 @@ near the usual views. Definitions by an upright direction are singular where the
 straight down.
 """
 
-import jax
+from types import ModuleType
+
 import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..runtime.array_namespace import as_float_array, to_device
+from ..runtime.array_namespace import AnyArray, as_float_array, to_device
 from ..runtime.compilation import compiled, is_traced
-from ..runtime.padding import over_padded_views
 
 FIVE_VIEWPOINT_STEP = float(np.deg2rad(9.5))
 """Angle between neighbours of the paper's five viewpoints from the object, rad (Section 5)."""
@@ -54,15 +54,9 @@ def look_at(
     arguments = tuple(as_float_array(x) for x in (point, direction, distance, roll))
     if is_traced(arguments):
         return _look_at(*arguments)
-    # Outside of a transformation, padding lets one program serve many numbers of views.
-    vectors, numbers = jax.tree.map(np.asarray, (arguments[:2], arguments[2:]))
-    views = np.broadcast_shapes(*(x.shape[:-1] for x in vectors), *(x.shape for x in numbers))
-    by_view = (
-        *(to_device(np.broadcast_to(x, (*views, 3)).reshape(-1, 3)) for x in vectors),
-        *(to_device(np.broadcast_to(x, views).ravel()) for x in numbers),
-    )
-    poses = over_padded_views(lambda padded: _look_at(*padded), by_view)
-    return SE3(to_device(np.reshape(poses.wxyz_xyz, (*views, 7))))
+    # Outside of a transformation NumPy is faster: there is no program to compile or to load.
+    numbers = _look_at_numbers(*(np.asarray(argument) for argument in arguments), xp=np)
+    return SE3(to_device(numbers))
 
 
 @compiled
@@ -73,30 +67,60 @@ def _look_at(
     rolls: Float[Array, "*#views"],
 ) -> SE3:
     """Compute `look_at` as one program instead of about thirty operations."""
-    # With d the unit direction and S (`smallest_rotation`) the smallest rotation to d from the
+    numbers = _look_at_numbers(point, direction, distances, rolls, jnp)
+    return SE3(numbers)  # pyright: ignore[reportArgumentType]
+
+
+def _look_at_numbers(
+    point: Float[AnyArray, "*#views 3"],
+    direction: Float[AnyArray, "*#views 3"],
+    distances: Float[AnyArray, "*#views"],
+    rolls: Float[AnyArray, "*#views"],
+    xp: ModuleType,
+) -> Float[AnyArray, "*views 7"]:
+    """Return the numbers `wxyz_xyz` of `look_at`, computed with NumPy or JAX (`xp`)."""
+    # With d the unit direction and S the smallest rotation to d from the
     # nearer of +z and -z:
     #   camera_from_world = (R, t),   R = Rz(-roll) R0 S^-1,   t = (0, 0, distance) - R point,
-    # where R0 (`zero_roll_rotation`) is the identity for +z and half a rotation about x for -z.
-    views = jnp.broadcast_shapes(
+    # where R0 is the identity for +z and half a rotation about x for -z.
+    views = np.broadcast_shapes(
         point.shape[:-1], direction.shape[:-1], distances.shape, rolls.shape
     )
-    point = jnp.broadcast_to(point, (*views, 3))
-    direction = jnp.broadcast_to(direction, (*views, 3))
-    distances, rolls = jnp.broadcast_to(distances, views), jnp.broadcast_to(rolls, views)
-    x, y, z = jnp.moveaxis(direction / jnp.linalg.norm(direction, axis=-1, keepdims=True), -1, 0)
-    zero = jnp.zeros_like(z)
+    point = xp.broadcast_to(point, (*views, 3))
+    direction = xp.broadcast_to(direction, (*views, 3))
+    distances, rolls = xp.broadcast_to(distances, views), xp.broadcast_to(rolls, views)
+    length = xp.linalg.norm(direction, axis=-1, keepdims=True)
+    # A direction of length zero gives NaN, without NumPy's warning of a division by zero.
+    x, y, z = xp.moveaxis(direction / xp.where(length > 0.0, length, np.nan), -1, 0)
     # The smallest rotation from +-z to (x, y, z) has the quaternion (1 + |z|, -+y, +-x, 0) before
     # normalisation. With the nearer axis the angle is at most 90 degrees and the real part not
     # below 1, so that the norm cannot vanish.
-    upward = jnp.stack([1.0 + jnp.abs(z), -y, x, zero], axis=-1)
-    downward = jnp.stack([1.0 + jnp.abs(z), y, -x, zero], axis=-1)
     looks_up = z > 0.0
-    quaternion = jnp.where(looks_up[..., None], upward, downward)
-    smallest_rotation = SO3(quaternion / jnp.linalg.norm(quaternion, axis=-1, keepdims=True))
-    zero_roll_rotation = SO3.from_x_radians(jnp.where(looks_up, 0.0, jnp.pi))
-    rotation = SO3.from_z_radians(-rolls) @ zero_roll_rotation @ smallest_rotation.inverse()
-    offset = jnp.stack([zero, zero, distances], axis=-1)
-    return SE3.from_rotation_and_translation(rotation, offset - rotation.apply(point))
+    sign = xp.where(looks_up, 1.0, -1.0)
+    w = 1.0 + xp.abs(z)
+    norm = xp.sqrt(w * w + x * x + y * y)
+    # With the inverse (a, b, c, 0) of this rotation and the roll's half angle, R is
+    # (cos, 0, 0, -sin) (a, b, c, 0) for +z, and (cos, 0, 0, -sin) (0, 1, 0, 0) (a, b, c, 0) for -z.
+    a, b, c = w / norm, sign * y / norm, -sign * x / norm
+    zero = xp.zeros_like(a)
+    turned = (
+        xp.where(looks_up, a, -b),
+        xp.where(looks_up, b, a),
+        xp.where(looks_up, c, zero),
+        xp.where(looks_up, zero, c),
+    )
+    cosine, sine = xp.cos(0.5 * rolls), -xp.sin(0.5 * rolls)
+    w, x, y, z = (
+        cosine * turned[0] - sine * turned[3],
+        cosine * turned[1] - sine * turned[2],
+        cosine * turned[2] + sine * turned[1],
+        cosine * turned[3] + sine * turned[0],
+    )
+    vector = xp.stack([x, y, z], axis=-1)
+    # R p = p + 2 v x (w p + v x p) for the quaternion (w, v).
+    rotated = point + 2.0 * xp.cross(vector, w[..., None] * point + xp.cross(vector, point))
+    offset = xp.stack([zero, zero, distances], axis=-1)
+    return xp.concatenate([w[..., None], vector, offset - rotated], axis=-1)
 
 
 def viewing_direction(

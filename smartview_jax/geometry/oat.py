@@ -13,14 +13,17 @@ meaningful: the O of one pose with the T of another gives an orientation near ne
 Reference: UNIMATION, VAL, 1977; the paper's Eq. 18.
 """
 
+from types import ModuleType
+
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
-from ..runtime.array_namespace import AnyArray
-from ..runtime.compilation import one_program
+from ..runtime.array_namespace import AnyArray, to_device
+from ..runtime.compilation import is_traced, one_program
 from .euler import GIMBAL_LOCK_TOLERANCE
+from .host import host_matrices
 from .rigid_transforms import PoseLike, as_se3
 
 _M0 = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
@@ -52,29 +55,39 @@ def oat_from_rotation(
     # An array, because a program would be compiled for each Python number.
     if not isinstance(gimbal_o, Array):
         gimbal_o = np.asarray(gimbal_o, dtype=float)
-    return _oat_from_rotation(rotation, other_branch, gimbal_o)
+    if is_traced(rotation, gimbal_o):
+        return jnp.asarray(_oat_angles(rotation.as_matrix(), other_branch, gimbal_o, jnp))
+    # Outside of a transformation NumPy is faster: there is no program to compile or to load.
+    numbers = np.asarray(rotation.wxyz)
+    at_origin = np.concatenate([numbers, np.zeros((*numbers.shape[:-1], 3))], axis=-1)
+    poses = SE3(at_origin)  # pyright: ignore[reportArgumentType]
+    matrices = host_matrices(poses)[..., :3, :3]
+    return to_device(_oat_angles(matrices, other_branch, np.asarray(gimbal_o), np))
 
 
-@one_program
-def _oat_from_rotation(
-    rotation: SO3, other_branch: bool, gimbal_o: Float[AnyArray, "*#batch"]
-) -> Float[Array, "*batch 3"]:
-    """Compute the angles of `oat_from_rotation` as one program."""
+def _oat_angles(
+    R: Float[AnyArray, "*batch 3 3"],
+    other_branch: bool,
+    gimbal_o: Float[AnyArray, "*#batch"],
+    xp: ModuleType,
+) -> Float[AnyArray, "*batch 3"]:
+    """Return the angles of `oat_from_rotation`, computed with NumPy or JAX (`xp`)."""
     # R = Rz(O) M0 Ry(A) Rz(T) has the last column (sin O cos A, -cos O cos A, -sin A).
-    R = rotation.as_matrix()
-    cosine = jnp.hypot(R[..., 0, 2], R[..., 1, 2])
+    cosine = xp.hypot(R[..., 0, 2], R[..., 1, 2])
     gimbal = cosine < GIMBAL_LOCK_TOLERANCE
-    A = jnp.arctan2(-R[..., 2, 2], cosine)
+    A = xp.arctan2(-R[..., 2, 2], cosine)
     # The inner `where` keeps the derivative of the unused branch finite: JAX differentiates both.
-    O = jnp.arctan2(jnp.where(gimbal, 1.0, R[..., 0, 2]), -R[..., 1, 2])
-    O = jnp.where(gimbal, jnp.broadcast_to(jnp.asarray(gimbal_o, R.dtype), O.shape), O)
+    O = xp.arctan2(xp.where(gimbal, 1.0, R[..., 0, 2]), -R[..., 1, 2])
+    O = xp.where(gimbal, xp.broadcast_to(xp.asarray(gimbal_o, R.dtype), O.shape), O)
     # The first row of Rz(-O) R = M0 Ry(A) Rz(T) is (sin T, cos T, 0), so T is consistent with the
     # chosen O, also at gimbal lock.
-    s, c = jnp.sin(O), jnp.cos(O)
-    T = jnp.arctan2(c * R[..., 0, 0] + s * R[..., 1, 0], c * R[..., 0, 1] + s * R[..., 1, 1])
+    s, c = xp.sin(O), xp.cos(O)
+    T = xp.arctan2(c * R[..., 0, 0] + s * R[..., 1, 0], c * R[..., 0, 1] + s * R[..., 1, 1])
     if other_branch:
-        O, A, T = _wrap_to_pi(O + jnp.pi), jnp.pi - A, _wrap_to_pi(T + jnp.pi)
-    return jnp.stack([O, A, T], axis=-1)
+        # The sine and the cosine bring an angle to [-pi, pi].
+        O, T = (xp.arctan2(xp.sin(angle + xp.pi), xp.cos(angle + xp.pi)) for angle in (O, T))
+        A = xp.pi - A
+    return xp.stack([O, A, T], axis=-1)
 
 
 def xyzoat(
@@ -88,8 +101,14 @@ def xyzoat(
             `oat_from_rotation`.
     """
     pose = as_se3(base_from_tool)
-    angles = oat_from_rotation(pose.rotation(), gimbal_o=gimbal_o)
-    return jnp.concatenate([pose.translation(), angles], axis=-1)
+    numbers = pose.wxyz_xyz
+    if is_traced(numbers, gimbal_o):
+        angles = oat_from_rotation(pose.rotation(), gimbal_o=gimbal_o)
+        return jnp.concatenate([pose.translation(), angles], axis=-1)
+    numbers = np.asarray(numbers)
+    rotation = SO3(numbers[..., :4])  # pyright: ignore[reportArgumentType]
+    angles = oat_from_rotation(rotation, gimbal_o=gimbal_o)
+    return to_device(np.concatenate([numbers[..., 4:], angles], axis=-1))
 
 
 @one_program
@@ -97,8 +116,3 @@ def se3_from_xyzoat(numbers: Float[Array, "*batch 6"]) -> SE3:
     """Return the pose with the given x, y, z (m) and O, A, T (rad)."""
     rotation = rotation_from_oat(numbers[..., 3:])
     return SE3.from_rotation_and_translation(rotation, numbers[..., :3])
-
-
-def _wrap_to_pi(angle: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Return the same angle in [-pi, pi], rad."""
-    return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))

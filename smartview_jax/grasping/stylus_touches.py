@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from ..geometry import host_cross_matrices
 from .tool_commands import ToolCommands
@@ -82,7 +82,7 @@ def ellipse_axes(
 ) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d d"]]:
     """Return half axes, longest first, and their directions as columns, of an error ellipse."""
     eigenvalues, vectors = np.linalg.eigh(covariance)
-    radius = np.sqrt(chi2.ppf(ELLIPSE_PROBABILITY, len(covariance)))
+    radius = np.sqrt(chdtri(len(covariance), 1.0 - ELLIPSE_PROBABILITY))
     return radius * np.sqrt(eigenvalues[::-1].clip(0.0)), vectors[:, ::-1]
 
 
@@ -114,10 +114,10 @@ def compare_misses(
     chi_square = _chi_square(stacked @ stacked.T, misses.ravel())
     return MissComparison(
         float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean())),
-        single <= chi2.ppf(ELLIPSE_PROBABILITY, size),
+        single <= chdtri(size, 1.0 - ELLIPSE_PROBABILITY),
         chi_square,
         count * size,
-        float(chi2.sf(chi_square, count * size)),
+        float(chdtrc(count * size, chi_square)),
     )
 
 

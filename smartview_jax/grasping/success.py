@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from ..robots import Gripper
 from .candidates import Candidate
@@ -123,6 +123,9 @@ def success_probability(
 @cache
 def _normal_draws(dimension: int) -> Float[np.ndarray, "draws dimension"]:
     """Return points that fill a standard normal distribution evenly, always the same ones."""
+    # Imported here: it takes longer than the rest of SciPy, and few commands need it.
+    from scipy.stats import qmc
+
     sobol = qmc.Sobol(dimension, scramble=True, rng=np.random.default_rng(0))
     # Never exactly 0 or 1, where the normal distribution's quantile is infinite.
-    return norm.ppf(sobol.random_base2(LOG2_DRAWS).clip(1e-12, 1.0 - 1e-12))
+    return ndtri(sobol.random_base2(LOG2_DRAWS).clip(1e-12, 1.0 - 1e-12))

@@ -45,6 +45,7 @@ from .pose_format import pose_columns as pose_columns
 from .pose_log import PoseLog as PoseLog
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
+from .robot_urdf import robot_urdf as robot_urdf
 from .rough_pose import parse_rough_pose as parse_rough_pose
 from .sample import object_sample_folder as object_sample_folder
 from .sample import sample_folder as sample_folder

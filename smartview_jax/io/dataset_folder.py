@@ -156,7 +156,7 @@ def load_dataset_folder(
 
 
 def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path) -> Dataset:
-    """Return the data set with the joint readings, and with the notes on the robot's tables.
+    """Return the data set with joint readings, pose format and notes of the robot's tables.
 
     An error names the description file.
     """
@@ -164,7 +164,9 @@ def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path)
         data = readings.with_joints(data)
     except ValueError as error:
         raise ValueError(f"{description_path}: joints: {error}") from error
-    return dataclasses.replace(data, notes=(*readings.notes, *data.notes))
+    return dataclasses.replace(
+        data, notes=(*readings.notes, *data.notes), pose_format=readings.pose_format
+    )
 
 
 def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix") -> None:

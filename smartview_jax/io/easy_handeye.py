@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxlie import SE3
 
-from ..argument_checks import require_readable
 from ..calibration import Calibration, mount_frames, mount_from_holder
+from ..export_text import easy_handeye_text
 from ..files import dump_yaml, read_yaml, write_atomically
 from ..geometry import pose_codec
-from .export import mount_from_camera, require_frame_name
+from .export import mount_from_camera
 
 if TYPE_CHECKING:
     from ..schemas.external_formats import TransformMessage
@@ -105,28 +105,10 @@ def easy_handeye_calibration(
         optical: as in `mount_from_camera`.
 
     Raises:
-        ValueError: a frame's name that ROS does not accept.
+        ValueError: a name that ROS does not accept.
     """
-    in_hand = calibration.mount == "eye_in_hand"
-    for frame in (parent, child):
-        require_frame_name(frame)
-    require_readable("name", [name])
-    row = _CODEC.encode(mount_from_camera(calibration, optical))
-    content = {
-        "parameters": {
-            "name": name,
-            "calibration_type": "eye_in_hand" if in_hand else "eye_on_base",
-            "robot_base_frame": "base_link" if in_hand else parent,
-            "robot_effector_frame": parent if in_hand else "tool0",
-            "tracking_base_frame": child,
-            "tracking_marker_frame": "marker",
-            "freehand_robot_movement": True,
-            "move_group_namespace": "/",
-            "move_group": "manipulator",
-        },
-        "transform": _transform_message(np.asarray(row)),
-    }
-    return dump_yaml(content)
+    pose = mount_from_camera(calibration, optical)
+    return easy_handeye_text(pose, calibration.mount, parent, child, name)
 
 
 def _decode_transforms(path: str | Path, entry: str, transforms: "list[TransformMessage]") -> SE3:

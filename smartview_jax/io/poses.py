@@ -41,12 +41,14 @@ class ReadPoses(NamedTuple):
         poses: reported `base_from_tool`, `(views)`.
         masked_views: reason by view id, for the views whose row is not a valid pose.
         table: the file as a table; None for a file in JSON.
+        pose_format: name of the poses' format; None if it is not known.
     """
 
     view_ids: list[str]
     poses: SE3
     masked_views: dict[str, str]
     table: Table | None = None
+    pose_format: str | None = None
 
 
 def read_poses(
@@ -90,7 +92,8 @@ def read_poses(
     rows = np.where(
         np.array(is_valid)[:, None], rows, rows[is_valid.index(True) if any(is_valid) else 0]
     )
-    return ReadPoses(view_ids, decoded_poses(path, form, rows, view_ids), masked_views, table)
+    poses = decoded_poses(path, form, rows, view_ids)
+    return ReadPoses(view_ids, poses, masked_views, table, codec.name)
 
 
 def write_poses(
@@ -159,7 +162,9 @@ def _read_commands(path: Path, content: dict[str, Any]) -> ReadPoses:
     codec = pose_codec(commands.pose_format)
     stated_format(PoseFormat(codec, *codec.units, codec.columns), content, path)
     refuse_truncated(path, commands.names, content.get("rows"))
-    return ReadPoses(list(commands.names), commands.base_from_tool, {})
+    return ReadPoses(
+        list(commands.names), commands.base_from_tool, {}, pose_format=commands.pose_format
+    )
 
 
 def _decoding_errors(form: PoseFormat, rows: np.ndarray, view_ids: list[str]) -> dict[str, str]:

@@ -29,6 +29,7 @@ class RobotReadings(NamedTuple):
         notes: sentences on what was recognised or repaired in the tables.
         name_suffix: suffix of the view names in the tables that `view_ids` do not have.
         table: the table that has a row for each view; None if the poses are in a file in JSON.
+        pose_format: name of the format of the reported poses; None if it is not known.
     """
 
     view_ids: Sequence[str]
@@ -39,6 +40,7 @@ class RobotReadings(NamedTuple):
     notes: tuple[str, ...] = ()
     name_suffix: str = ""
     table: Table | None = None
+    pose_format: str | None = None
 
     @property
     def command(self) -> Command:
@@ -123,14 +125,26 @@ def _read_tables(
     if "poses" in content:
         if content["poses"].get("picture_times") is not None:
             log = read_pose_log(folder, content["poses"])
-            poses = ReadPoses(list(log.view_ids), log.poses(), log.views_in_gaps(), log.table)
+            poses = ReadPoses(
+                list(log.view_ids),
+                log.poses(),
+                log.views_in_gaps(),
+                log.table,
+                content["poses"].get("codec"),
+            )
             notes = log.notes
         else:
             poses = read_poses(folder, content["poses"], bad_views)
             notes = () if poses.table is None else poses.table.notes
         if "joints" not in content:
-            view_ids, reported, masked_views, table = poses
-            return RobotReadings(view_ids, reported, masked_views, notes=notes, table=table)
+            return RobotReadings(
+                poses.view_ids,
+                poses.poses,
+                poses.masked_views,
+                notes=notes,
+                table=poses.table,
+                pose_format=poses.pose_format,
+            )
     # Without reported poses the arm's forward kinematics gives them.
     joints = read_joints(
         folder, content["joints"], description_path, None if poses is None else poses.view_ids
@@ -143,4 +157,5 @@ def _read_tables(
         joints.arm,
         (*notes, *joints.notes),
         table=joints.table if poses is None else poses.table,
+        pose_format=None if poses is None else poses.pose_format,
     )

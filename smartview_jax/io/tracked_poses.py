@@ -73,7 +73,9 @@ def read_tracked_folder(
     except ValueError as error:
         raise ValueError(f"{description_path}: {error}") from error
     notes = () if tracked.table is None else tracked.table.notes
-    return dataclasses.replace(data, notes=(*readings.notes, *notes))
+    return dataclasses.replace(
+        data, notes=(*readings.notes, *notes), pose_format=readings.pose_format
+    )
 
 
 def tracked_poses_written(data: PoseDataset, folder: Path, pose_format: str) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from .fit import fit_joint as fit_joint
 from .fit_text import estimate_groups as estimate_groups
 from .fit_text import fit_html as fit_html
 from .fit_text import fit_text as fit_text
+from .fit_text import hand_eye_forms as hand_eye_forms
+from .fit_text import outcome as outcome
 from .influence import Influence as Influence
 from .joint_fit import JointFit as JointFit
 from .joint_fit import view_influence as view_influence

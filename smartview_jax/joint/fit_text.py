@@ -8,6 +8,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..cameras import lens_name
+from ..geometry import TransformForm, host_matrices, transform_forms
 from .parameter_estimates import ParameterEstimate, parameter_estimates
 
 if TYPE_CHECKING:
@@ -25,24 +26,36 @@ def outcome(fit: "JointFit") -> str:
 
 
 def points_and_residual(fit: "JointFit") -> str:
-    """Return the number of points and views, and the residual."""
+    """Return the number of points and views that the fit used, and the size of their residuals.
+
+    It is not called RMS: the RMS of `evaluation.reprojection_errors` and of all tables includes
+    points that the fit left out as gross errors.
+    """
     visible = np.asarray(fit.problem.observations.visible)
     squares = np.sum(np.asarray(fit.residuals) ** 2, axis=-1)[visible]
     rms = float(np.sqrt(squares.mean())) if squares.size else float("nan")
     return (
         f"joint fit of {visible.sum()} points in {visible.any(axis=1).sum()} views, "
-        f"{rms:.3g} px RMS"
+        f"residuals of {rms:.3g} px"
     )
 
 
-def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
+def fit_text(
+    fit: "JointFit", warnings: Sequence[str], forms: bool = True, line: str | None = None
+) -> str:
     """Return camera, transforms and target with their 95 % intervals, the noise and the warnings.
 
     Args:
         fit: the fit.
         warnings: reasons to doubt the result, a sentence each.
+        forms: whether to begin with the hand-eye transform in the forms of other programs.
+        line: the first line; by default `fit_line`.
     """
-    lines = [fit_line(fit)]
+    lines = [fit_line(fit) if line is None else line]
+    for name, group in hand_eye_forms(fit) if forms else ():
+        lines.append(name)
+        for label, text in group:
+            lines += [f"  {label}:", *(f"    {line}" for line in text.splitlines())]
     for heading, rows in estimate_groups(fit):
         lines.append(heading)
         width = 2 + max(len(label) for label, _ in rows)
@@ -52,9 +65,30 @@ def fit_text(fit: "JointFit", warnings: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
+def hand_eye_forms(fit: "JointFit") -> list[tuple[str, list[TransformForm]]]:
+    """Return the hand-eye transform and its inverse by name, in the forms of other programs."""
+    calibration = fit.calibration
+    name = calibration.transform_names[0]
+    target, source = name.split("_from_")
+    matrix = host_matrices(calibration.camera_from_mount)
+    if not np.isfinite(matrix).all():
+        return []
+    return [
+        (name, transform_forms(matrix, fit.pose_format)),
+        (f"{source}_from_{target}", transform_forms(np.linalg.inv(matrix), fit.pose_format)),
+    ]
+
+
 def fit_html(fit: "JointFit", warnings: Sequence[str]) -> str:
     """Return the same as `fit_text`, as a table in HTML for notebooks."""
     rows = []
+    for name, forms in hand_eye_forms(fit):
+        rows.append(f"<tr><th colspan='2' style='text-align:left'>{html.escape(name)}</th></tr>")
+        rows += [
+            f"<tr><td>{html.escape(label)}</td><td style='text-align:left'>"
+            f"<pre style='margin:0'>{html.escape(text)}</pre></td></tr>"
+            for label, text in forms
+        ]
     for heading, group in estimate_groups(fit):
         rows.append(f"<tr><th colspan='2' style='text-align:left'>{html.escape(heading)}</th></tr>")
         rows += [

@@ -58,6 +58,7 @@ class JointFit(eqx.Module):
         solution: the final step, with iterations and costs.
         result: whether the fit converged.
         warnings: reasons to doubt the result, a sentence each.
+        pose_format: format in which the robot's controller writes poses; None if it is not known.
     """
 
     calibration: Calibration
@@ -80,6 +81,7 @@ class JointFit(eqx.Module):
     view_ids: tuple[str, ...] = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    pose_format: str | None = eqx.field(static=True, default=None)
 
     def __repr__(self) -> str:
         # A traced fit, inside `jit`, has no figures to show.

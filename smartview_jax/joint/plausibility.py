@@ -17,7 +17,7 @@ from ..dataset import (
     repetition_warnings,
 )
 from ..engine import Direction
-from ..geometry import host_matrices
+from ..geometry import host_matrices, vector_text
 from ..staged import mistaken_unit
 from ..variance import TARGET_SCALE, TargetScaleEvidence
 from .joint_fit import JointFit, half_width
@@ -65,20 +65,26 @@ distortion that the lens model does not describe."""
 def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     """Return the reasons to doubt the result of a joint fit, a sentence each.
 
+    They are in the order in which a person should look at them: a result that is none, then causes
+    of a wrong result that can be measured or changed (the target, the lens, the robot), then an
+    uncertainty that is stated but large.
+
     Args:
         fit: the fit to judge.
     """
     warnings = [] if fit.result.converged else [fit.result.message]
-    if not isinstance(fit.problem.observations, PoseObservations):
-        warnings += _residual_warnings(fit)
-    warnings += _lens_warnings(fit)
-    warnings += _target_warnings(fit)
-    warnings += _robot_warnings(fit)
-    warnings += _mount_warnings(fit)
+    has_pixels = not isinstance(fit.problem.observations, PoseObservations)
+    warnings += _chain_warnings(fit) if has_pixels else []
     warnings += [
         f"the data do not determine: {direction.description}; {_advice(direction, fit.calibration)}"
         for direction in fit.observability.null_directions
     ]
+    warnings += _target_warnings(fit)
+    warnings += _lens_warnings(fit)
+    # Without a cause that is named above, this is the only sign of one.
+    warnings += _disagreement_warnings(fit) if has_pixels else []
+    warnings += _robot_warnings(fit)
+    warnings += _mount_warnings(fit)
     warnings += repetition_warnings(fit.rejected)
     # Several pictures from one pose have no more information on the robot than one.
     poses = host_matrices(fit.problem.observations.base_from_tool)
@@ -110,30 +116,34 @@ def _advice(direction: Direction, calibration: Calibration) -> str:
     )
 
 
-def _residual_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the residuals: a bad fit, or views that disagree."""
+def _chain_warnings(fit: JointFit) -> list[str]:
+    """Return a warning if poses and pictures do not belong together."""
     inliers = np.asarray(fit.inliers)
     # NumPy's sum over an axis of two entries takes four times as long.
     squares = np.einsum("vpk,vpk->vp", fit.residuals, fit.residuals)
     rms = float(np.sqrt(np.mean(squares[inliers]))) if inliers.any() else np.nan
-    warnings = []
-    # Negated, so that NaN gives a warning too.
-    if not rms <= MAX_CHAIN_RMS:
-        warnings.append(
-            f"the chain leaves {rms:.0f} px RMS: poses and pictures do not belong together; "
-            f"mirrored pictures, a wrong pose convention, or mispaired views?"
-        )
+    if rms <= MAX_CHAIN_RMS:
+        return []
+    # NaN gives a warning too.
+    return [
+        f"the chain leaves residuals of {rms:.0f} px: poses and pictures do not belong together; "
+        f"mirrored pictures, a wrong pose convention, or mispaired views?"
+    ]
+
+
+def _disagreement_warnings(fit: JointFit) -> list[str]:
+    """Return a warning if views disagree by much more than the noise within a view."""
     noise = fit.noise
     if (
-        noise is not None
-        and noise.white_pixel
-        and noise.pixel > MAX_EFFECTIVE_TO_WHITE_SIGMA * noise.white_pixel
+        noise is None
+        or not noise.white_pixel
+        or noise.pixel <= MAX_EFFECTIVE_TO_WHITE_SIGMA * noise.white_pixel
     ):
-        warnings.append(
-            f"views disagree by {noise.pixel / noise.white_pixel:.0f} times the pixel noise within "
-            f"a view: the model of the lens, or of the target, is wrong"
-        )
-    return warnings
+        return []
+    return [
+        f"views disagree by {noise.pixel / noise.white_pixel:.0f} times the pixel noise within "
+        f"a view: the model of the lens, or of the target, is wrong"
+    ]
 
 
 def _lens_warnings(fit: JointFit) -> list[str]:
@@ -224,10 +234,10 @@ def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:
     position = host_matrices(fit.calibration.camera_from_mount)[:3, 3]
     fitted_log_size = np.log(float(fit.calibration.target_scale))
     stated, other = (
-        ", ".join(f"{1e3 * x:.2f}" for x in position + by_log_size * (log_size - fitted_log_size))
+        vector_text(1e3 * (position + by_log_size * (log_size - fitted_log_size)), 2)
         for log_size in (0.0, np.log(scale.scale))
     )
-    return f"; {mount} is ({stated}) mm for the stated size, ({other}) mm for this one"
+    return f"; {mount} is {stated} mm for the stated size, {other} mm for this one"
 
 
 def _robot_warnings(fit: JointFit) -> list[str]:

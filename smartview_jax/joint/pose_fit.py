@@ -113,6 +113,7 @@ class PoseFit(JointFit):
         values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
         # Also of the pairs that the fit does not use.
         values["residuals"] = chain_residuals(fit.calibration, data.observations)
+        values["pose_format"] = data.pose_format
         errors = tracked_pose_errors(data, fit.calibration)
         errors[~data.seen] = np.nan
         noise = float(fit.pixel_sigma) * np.asarray(data.units)[0]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..features import EdgePoints
 from ..geometry import host_exponentials, host_logarithms
@@ -32,7 +32,7 @@ CONVERGED = 0.02
 FINAL_RADIUS = 4.0
 """Search radius of edge points in the final fit, px: calibration errors shift edges by some px."""
 
-CONSISTENT_SQUARE = float(chi2.ppf(0.999, 2))
+CONSISTENT_SQUARE = float(chdtri(2, 0.001))
 """Largest squared error of a consistent edge (two numbers), relative to its scale."""
 
 EXPLAINED_REACH = 3.0

@@ -18,6 +18,7 @@ from .tables import ErrorSummary as ErrorSummary
 from .tables import budget_rows as budget_rows
 from .tables import comparison_row as comparison_row
 from .tables import error_summaries as error_summaries
+from .tables import headline as headline
 from .tables import rejections as rejections
 from .tables import remarks as remarks
 from .tables import repeatability_rows as repeatability_rows

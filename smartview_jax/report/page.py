@@ -22,12 +22,15 @@ from ..evaluation import (
     without_rejected_views,
 )
 from ..files import write_atomically
-from ..joint import estimate_groups
+from ..joint import estimate_groups, hand_eye_forms
 from ..version import __version__
 from . import tables
 from .next_steps import hand_eye_sentence, next_steps
 from .story import PageFigure, Section, StoryFigure, get_template, page_figure, write_story
 from .tables import ErrorSummary
+
+WARNING = "warning: "
+"""Beginning of a note that is a reason to doubt the result; the gravest comes first."""
 
 
 class Origin(NamedTuple):
@@ -76,18 +79,24 @@ def write_page(
     remarks = [
         tables.remarks(row.name, row.reprojection_errors, row.held_out_report) for row in rows
     ]
+    warnings = [note.removeprefix(WARNING) for note in notes if note.startswith(WARNING)]
+    other_notes = [note for note in notes if not note.startswith(WARNING)]
     report_progress("drawing the report")
     page = get_template("page.html").render(
         title="Calibration" if origin is None else f"Calibration of {origin.source}",
         run_line=_run_line(origin),
         verdict=[hand_eye_sentence(fit.joint), tables.result_summary(rows, fit)],
+        headline=tables.headline(rows, fit),
+        warnings=warnings,
+        hand_eye_forms=hand_eye_forms(fit.joint),
+        data_set="data given by a script" if origin is None else origin.source,
         next_steps=next_steps(fit, data, rows),
         estimate_groups=estimate_groups(fit.joint)[:3],
         names=[row.name for row in rows],
         table_rows=tables.table_rows(rows),
         budget=budget,
         budget_rows=[] if budget is None else tables.budget_rows(budget),
-        notes=[*notes, *(line for lines in remarks for line in lines)],
+        notes=[*other_notes, *(line for lines in remarks for line in lines)],
         scale_hypothesis_rows=[] if budget is None else tables.scale_hypothesis_rows(budget),
         rejections=tables.rejections(fit, data),
         null_directions=[d.description for d in fit.joint.observability.null_directions],

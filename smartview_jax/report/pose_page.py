@@ -7,7 +7,7 @@ import numpy as np
 
 from ..dataset import PoseDataset
 from ..evaluation import HeldOutPoses
-from ..joint import PoseFit, estimate_groups, tracked_pose_errors
+from ..joint import PoseFit, estimate_groups, hand_eye_forms, tracked_pose_errors
 from ..plots import pose_errors
 from .next_steps import hand_eye_sentence
 from .page import Origin
@@ -92,7 +92,7 @@ def write_pose_page(
     sections += [Section(heading, rows=rows) for heading, rows in arm]
     sections.append(Section("How this was computed", rows=_facts(fit, data, origin)))
     title = "Calibration" if origin is None else f"Calibration of {origin.source}"
-    write_story(path, title, pose_fit_summary(fit, held_out), sections)
+    write_story(path, title, pose_fit_summary(fit, held_out), sections, hand_eye_forms(fit))
 
 
 def _facts(fit: PoseFit, data: PoseDataset, origin: Origin | None) -> list[tuple[str, str]]:

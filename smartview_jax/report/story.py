@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..files import write_atomically
+from ..geometry import TransformForm
 from ..plots import PlotFigure
 
 # Text is escaped, since names of views and folders come from the user's files.
@@ -60,7 +61,13 @@ class Section(NamedTuple):
     rows: Sequence[Sequence[str]] = ()
 
 
-def write_story(path: Path, title: str, verdict: str, sections: Sequence[Section]) -> None:
+def write_story(
+    path: Path,
+    title: str,
+    verdict: str,
+    sections: Sequence[Section],
+    hand_eye_forms: Sequence[tuple[str, Sequence[TransformForm]]] = (),
+) -> None:
     """Write a page that contains its pictures, completely or not at all.
 
     Args:
@@ -68,6 +75,8 @@ def write_story(path: Path, title: str, verdict: str, sections: Sequence[Section
         title: of the page.
         verdict: the result in a sentence.
         sections: in their order.
+        hand_eye_forms: the hand-eye transform in the forms of other programs, to copy
+            (`joint.hand_eye_forms`).
     """
     shown = [
         {
@@ -79,7 +88,9 @@ def write_story(path: Path, title: str, verdict: str, sections: Sequence[Section
         }
         for section in sections
     ]
-    page = get_template("story.html").render(title=title, verdict=verdict, sections=shown)
+    page = get_template("story.html").render(
+        title=title, verdict=verdict, sections=shown, hand_eye_forms=hand_eye_forms
+    )
     write_atomically(path, page)
 
 

@@ -22,7 +22,7 @@ from ..evaluation import (
     reprojection_errors,
     without_rejected_views,
 )
-from ..joint import JointFit, parameter_estimates
+from ..joint import JointFit, outcome, parameter_estimates
 from ..variance import NoiseEstimate
 
 
@@ -321,6 +321,19 @@ def parameter_rows(fit: CalibrationFit) -> list[tuple[str, str, str]]:
             std_text = f"{estimate.std:.2g}" if np.isfinite(estimate.std) else "not determined"
         rows.append((estimate.name, f"{estimate.value:.6g} {estimate.unit}".strip(), std_text))
     return rows
+
+
+def headline(rows: Sequence[ErrorSummary], fit: CalibrationFit) -> str:
+    """Return the outcome of the joint fit in one line, with the RMS of the tables."""
+    errors = rows[1].reprojection_errors
+    seen = errors.values.size
+    left_out = seen - int(np.asarray(fit.joint.inliers).sum())
+    # Points left out as gross errors count in the RMS, as in the column of every other method.
+    but = f", {left_out} of them left out of the fit" if left_out > 0 else ""
+    return (
+        f"joint fit: {errors.rms:.2f} px RMS over {seen} points in "
+        f"{int(np.isfinite(errors.rms_per_view).sum())} views{but}; {outcome(fit.joint)}"
+    )
 
 
 def result_summary(rows: list[ErrorSummary], fit: CalibrationFit) -> str:

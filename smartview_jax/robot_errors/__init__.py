@@ -1,5 +1,6 @@
 """Model the difference between reported and true robot poses: robot error fields and priors."""
 
+from .arm_errors import AbstractArmErrors as AbstractArmErrors
 from .arm_errors import DHErrors as DHErrors
 from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios

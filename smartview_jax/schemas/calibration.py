@@ -1,12 +1,15 @@
 """Define the schema of `calibration.yaml`, the file that `Calibration.save` writes."""
 
+import os
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
 
+from ..files import read_yaml
 from .arm import ArmEntry, TransformEntry
 from .entry import Entry, Expected, FiniteNumber, FocalLength, PrintableText, check_pixel_shape
+from .validation import validate_content
 
 SUPPORTED_VERSIONS = (1, 2)
 """Versions of the format that can be read; version 2 has an end mark."""
@@ -283,5 +286,18 @@ class EyeToHandFile(_CalibrationFile):
 CALIBRATION_SCHEMA: TypeAdapter[EyeInHandFile | EyeToHandFile] = TypeAdapter(
     Annotated[EyeInHandFile | EyeToHandFile, Field(discriminator="mount")]
 )
+
+
+def read_calibration_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the checked content of a calibration file as plain numbers.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: naming the file and the entry that is wrong.
+    """
+    content = read_yaml(path)
+    validate_content(content, CALIBRATION_SCHEMA, path)
+    return content
+
 
 PINHOLE_SCHEMA = TypeAdapter(PinholeEntry)

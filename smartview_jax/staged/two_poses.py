@@ -26,6 +26,7 @@ from ..geometry import (
     host_matrices,
     host_rotation_angles,
     host_transforms,
+    vector_text,
 )
 from .planar_poses import MIN_DEPTH, Sight, mirrored_poses, refined_poses
 from .pose_search import (
@@ -218,11 +219,11 @@ def _rival_warning(found: list[Transforms], alpha: float) -> str:
         return ""
     rival = min(rivals, key=lambda pair: pair.deviance)
     place, other = (1e3 * pair.camera[:3, 3] for pair in (best, rival))
-    numbers = [", ".join(f"{x:.0f}" for x in values) for values in (place, other)]
+    numbers = [vector_text(values, 0) for values in (place, other)]
     return (
         "a small flat target has two poses in every view, and two answers explain the pictures "
-        f"about as well: hand-eye translations ({numbers[0]}) mm, which leaves "
-        f"{alpha * best.scale:.2f} px, and ({numbers[1]}) mm, which leaves "
+        f"about as well: hand-eye translations {numbers[0]} mm, which leaves "
+        f"{alpha * best.scale:.2f} px, and {numbers[1]} mm, which leaves "
         f"{alpha * rival.scale:.2f} px. Say roughly which (start=), tilt the target more, or use "
         "a larger one"
     )

@@ -97,6 +97,8 @@ def choose_views(
         candidates = views.poses(coordinates)
     else:
         coordinates, candidates = None, views
+    number = candidates.wxyz_xyz.shape[0]
+    say(f"checking {number} candidate views")
     admissible = is_admissible(candidates)
     admissible_count = int(np.sum(admissible))
     if admissible_count < count or count < 1:
@@ -104,13 +106,15 @@ def choose_views(
             f"{count} views requested, but only {admissible_count} of {len(admissible)} candidates "
             "may be taken"
         )
-    say(f"choosing {count} of {admissible_count} candidates")
+    say("computing what each candidate would tell")
     information = information_model.information(candidates)
+    say(f"choosing {count} of {admissible_count} candidates")
     # Greedy selection is fast but depends on the order; exchange corrects its early choices. Then
     # the gradient moves the views away from their candidates.
     index = greedy_selection(
         information, information_model.prior_information, criterion, count, admissible
     )
+    say(f"exchanging chosen views for better ones among {admissible_count} candidates")
     index = exchange_selection(
         information, information_model.prior_information, criterion, index, admissible
     )
@@ -133,6 +137,7 @@ def choose_views(
             _total_criterion(criterion, selected_information, information_model)
         ):
             poses, selected_information = refined_poses, refined_information
+    say("ordering them, best first")
     # Sorted by how much each view reduces the criterion, so that the first few are a good choice
     # too.
     order = greedy_selection(

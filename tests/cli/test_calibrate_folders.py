@@ -2,11 +2,14 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import pytest
 from board_scene import LENS, board_folder, run
 
 from smartview_jax import Calibration
+from smartview_jax.cli.calibrate_folders import _summary
+from smartview_jax.simulation import paper_calibration
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +39,7 @@ def test_a_table_shows_all_and_each_has_its_files(folders, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["left", "right"]
     saved = Calibration.load(tmp_path / "left" / "calibration.yaml")
     x = 1e3 * float(saved.camera_from_tool.translation()[0])
-    assert f" {x:.1f}, " in ended.stdout
+    assert f" ({x:.1f}, " in ended.stdout
     assert "report.html" in {path.name for path in (tmp_path / "right").iterdir()}
     assert "3 of 3" in ended.stderr
 
@@ -54,3 +57,12 @@ def test_results_of_folders_of_one_name_are_not_mixed(folders, tmp_path):
     ended = run("calibrate", folders[0], folders[0] / ".." / "left", "--out", tmp_path)
     assert ended.exit_code == 2
     assert "2 folders are called left" in ended.stderr.replace("\n", " ")
+
+
+def test_the_row_of_a_folder_is_of_the_joint_fit_with_its_correction():
+    calibration = paper_calibration()
+    fit = SimpleNamespace(calibration=calibration, std={}, result=SimpleNamespace(converged=True))
+    result = SimpleNamespace(fit=fit, data=SimpleNamespace(view_ids=("a",)), warnings=())
+    errors = [{"fitted": {"rms_px": x}, "held_out": {"rms_px": 2.0 * x}} for x in (3.0, 0.4, 2.5)]
+    row = _summary(result, {"errors": errors, "left_out_views": []})
+    assert (row.rms, row.held_out_rms) == (0.4, 0.8)

@@ -17,6 +17,7 @@ def test_good_data_can_begin(tmp_path_factory):
     assert ended.exit_code == 0, ended.output
     assert "board: 8 views, eye_in_hand" in ended.output
     assert "usable views: 8; take more" in ended.output
+    assert re.search(r"the tool moved by \(\d+, \d+, \d+\) mm along x, y, z", ended.output)
     assert "camera and robot agree" in ended.output
 
 

@@ -17,7 +17,7 @@ from smartview_jax.io import object_sample_folder, save_object_model
 from smartview_jax.localization import Localization, Localizations
 from smartview_jax.modeling import ObjectModel
 
-TIP = "--tip 0 0 0.1 --above"
+TIP = "--tip 0,0,0.1 --above"
 GRASP = "--grasp-pose 0,0,0.01,0,180,0"
 VIEWS = "object/calibration.yaml object"
 ROUGH = "--start camera_from_tool=0,0.05,0.06,0,0,0 --start base_from_world=0.5,0.1,0,0,0,180"
@@ -52,6 +52,9 @@ CASES = (
     Case("evaluate", "data/truth.yaml data", 0, "truth predicts the target in data to"),
     Case("evaluate", "nowhere.yaml data", 2, "nowhere.yaml"),
     Case("export", "data/truth.yaml --to urdf", 0, "<origin xyz="),
+    Case("export", "data/truth.yaml --to robot_urdf --arm puma_560", 0, '<link name="tool0"/>'),
+    Case("export", "data/truth.yaml --to robot_urdf", 2, "the calibration knows no arm"),
+    Case("export", "data/truth.yaml --to ros --arm puma_560", 2, "only with --to robot_urdf"),
     Case("export", "data/truth.yaml --to ouija", 2, "'ouija' is not one of"),
     Case("export", "data/dataset.yaml --to urdf", 2, "data/dataset.yaml"),
     Case("grasp", f"data/truth.yaml {GRASP}", 0, "approach"),

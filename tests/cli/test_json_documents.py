@@ -28,7 +28,7 @@ def folder(board):
 def calibrated(board):
     """The document of the calibration, and where its files are."""
     # Everything that people watch meanwhile is on the other stream.
-    assert "fold 2 of 5" in board.stderr
+    assert "fold 1 of 5" in board.stderr
     return document(board), board.out
 
 

@@ -136,8 +136,8 @@ def test_what_is_not_in_the_box_is_not_found(folder, tmp_path):
 @pytest.mark.parametrize(
     ("more", "models", "said"),
     [
-        (["--workspace", "0,0,0,1,1"], ("block.json",), "--workspace: expected six numbers"),
-        (["--workspace", "0,0,0,1,1,nan"], ("block.json",), "--workspace: expected six numbers"),
+        (["--workspace", "0,0,0,1,1"], ("block.json",), "--workspace: expected 6 numbers"),
+        (["--workspace", "0,0,0,1,1,nan"], ("block.json",), "--workspace: expected 6 numbers"),
         (["--occluder", "nowhere.stl"], ("block.json",), "nowhere.stl: no such file"),
         ([], ("nowhere.json",), "nowhere.json"),
         (["--out", "{folder}/block.json/found.html"], ("block.json",), "--out"),

@@ -40,7 +40,7 @@ def test_rows_of_the_robot_are_read_as_its_poses(tmp_path, robot):
     with open(tmp_path / "poses.csv", "a") as table:
         for view, row in enumerate(rows):
             table.write(",".join([str(view), *map(repr, row.tolist())]) + "\n")
-    view_ids, found, masked, _ = read_poses(tmp_path, entry, "raise")
+    view_ids, found, masked, *_ = read_poses(tmp_path, entry, "raise")
     assert len(view_ids) == len(rows)
     assert not masked
     np.testing.assert_allclose(host_matrices(found), host_matrices(poses), atol=1e-9)

@@ -101,6 +101,9 @@ def test_the_words_say_from_what_to_what_and_why_to_stop(board):
     )
     assert said is not None
     assert float(said[2]) < float(said[1])
+    # It takes minutes where programs are compiled: each stage is said when it begins.
+    stages = ("reading the calibration", "views so far tell", "checking 1000", "choosing 2 of")
+    assert all(stage in ended.stderr for stage in (*stages, "exchanging", "best first"))
     enough = run("plan", *given, "--goal", "50", "--json")
     assert enough.exit_code == 0
     document = json.loads(enough.stdout)
@@ -159,7 +162,7 @@ def test_first_views_come_from_rough_transforms_alone(tmp_path):
         ((".", "--start", TABLE), "--start camera_from_tool=x,y,z,yaw,pitch,roll"),
         ((".", *ROUGH, "base_from_world=0,0,0,0,90,0"), "from which side is the target seen"),
         (
-            (".", *ROUGH, TABLE, "--distance", "0.01", "0.02"),
+            (".", *ROUGH, TABLE, "--distance", "0.01,0.02"),
             "only 0 of 1000 candidates may be taken",
         ),
     ],

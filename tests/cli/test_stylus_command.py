@@ -11,7 +11,7 @@ from smartview_jax.io import read_viewpoints
 from smartview_jax.simulation import paper_calibration
 
 TIP = np.array([0.01, -0.02, 0.15])
-WORDS = ("--tip", *map(str, TIP), "--five", "--tilt", "10")
+WORDS = ("--tip", ",".join(map(str, TIP)), "--five", "--tilt", "10")
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_the_tip_is_on_the_point(tmp_path):
     truth = paper_calibration()
     truth.save(path)
     point = np.array([0.02, 0.01, 0.004])
-    words = (*WORDS, "--above", "--at", *map(str, point), "--out", str(out))
+    words = (*WORDS, "--above", "--at", ",".join(map(str, point)), "--out", str(out))
     ended = touched(path, *words)
     assert ended.exit_code == 0, ended.output
     assert "has no covariance" in ended.stdout
@@ -89,7 +89,7 @@ def test_what_is_wrong_is_said(fitted, tmp_path):
     (tmp_path / "m.csv").write_text("view,x_mm,y_mm\nv1,1,2\n")
     for words, message in (
         ((*WORDS, "--misses", str(tmp_path / "m.csv")), "expected the touches v1, v2"),
-        ((*WORDS, "--at", "9", "0", "0", "--arm", "puma_560", "--near=0,90,-90,0,60,0"), "refused"),
+        ((*WORDS, "--at", "9,0,0", "--arm", "puma_560", "--near=0,90,-90,0,60,0"), "refused"),
         ((), "--tip"),
     ):
         ended = touched(fitted, *words)

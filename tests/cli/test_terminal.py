@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from smartview_jax.cli.terminal import BarUpdate
+from smartview_jax.cli.terminal import BarUpdate, StageLines
 
 
 @pytest.fixture
@@ -35,3 +35,25 @@ def test_every_stage_has_a_bar_of_its_own(bar):
     assert len(bar.tasks) == 1
     assert bar.tasks[0].id != first
     assert bar.tasks[0].total is None
+
+
+def test_without_a_terminal_every_stage_is_one_line():
+    printed = io.StringIO()
+    show = StageLines(Console(file=printed))
+    for k in range(3):
+        show(f"looking for the target: view v{k}a ({k + 1} of 3)")
+    for k in range(4):
+        show(f"pass {k + 1}: sigma {0.7 / (1 + k):.3g} px, changed by {10.0**-k:.2g} sigma")
+    show("Step 3: hand-eye and world transforms")
+    for k in range(2):
+        show(f"held-out: fold {k + 1} of 2")
+    for name in ("left", "right"):
+        show(f"{name} done: {1 + (name == 'right')} of 2")
+    assert printed.getvalue().splitlines() == [
+        "looking for the target: view v0a (1 of 3)",
+        "pass 1: sigma 0.7 px, changed by 1 sigma",
+        "Step 3: hand-eye and world transforms",
+        "held-out: fold 1 of 2",
+        "left done: 1 of 2",
+        "right done: 2 of 2",
+    ]

@@ -259,3 +259,44 @@ def test_joints_and_arm_go_together(by_joints, arrays):
         Dataset.from_arrays(**{**arrays, "base_from_tool": None})
     with pytest.raises(ValueError, match=r"joints: expected shape \(4, 7\).*found \(4, 6\)"):
         Dataset.from_arrays(**{**by_joints, "joints": by_joints["joints"][:, :6]})
+
+
+def test_views_are_left_out_by_name(arrays):
+    data = Dataset.from_arrays(**arrays, view_ids=["a", "b", "c", "d"])
+    rest = data.without(["c", "a"])
+    assert rest.view_ids == ("b", "d")
+    np.testing.assert_array_equal(rest.pixels, data.pixels[np.array([1, 3])])
+    assert data.without("b").view_ids == ("a", "c", "d")
+    assert data.without([]).view_ids == data.view_ids
+    with pytest.raises(ValueError, match="no view is called 'e', 'f'"):
+        data.without(["a", "f", "e"])
+
+
+def test_a_data_set_is_printed_in_ten_lines(arrays):
+    views, notes = 40, [f"note {k}" for k in range(9)]
+    arrays["pixels"] = np.tile(arrays["pixels"][:1], (views, 1, 1))
+    arrays["base_from_tool"] = np.tile(np.eye(4), (views, 1, 1))
+    arrays["base_from_tool"][:, 0, 3] = np.linspace(0.0, 0.25, views)
+    masked = [(str(k), "blurred") for k in range(1, 8)]
+    text = str(Dataset.from_arrays(**arrays, masked_views=masked, notes=notes, target="a board"))
+    assert len(text.splitlines()) <= 10
+    assert max(map(len, text.splitlines())) <= 100
+    for words in (
+        "eye_in_hand data set: 40 views (7 of them not used), 640 x 480 px",
+        "points: 198 seen, 6 in every view",
+        "robot: poses over (250, 0, 0) mm",
+        "0, 1, 2, 3, 4, ..., 35, 36, 37, 38, 39",
+        "view 2: blurred (and 5 more)",
+        "note: note 1 (and 7 more)>",
+    ):
+        assert words in text
+    # Without any view that is used there is nothing to measure.
+    none = [(str(k), "blurred") for k in range(views)]
+    assert "no points are seen" in str(Dataset.from_arrays(**arrays, masked_views=none))
+
+
+def test_a_traced_data_set_can_be_printed(arrays):
+    data = Dataset.from_arrays(**arrays)
+    shown = []
+    eqx.filter_jit(lambda traced: shown.append(repr(traced)) or traced.pixels)(data)
+    assert "f64[4,6,2]" in shown[0]

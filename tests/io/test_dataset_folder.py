@@ -79,6 +79,15 @@ def test_what_is_saved_is_loaded(folder, tmp_path):
     )
 
 
+@pytest.mark.parametrize("pose_format", ["kuka_abc", "matrix"])
+def test_the_robots_format_is_known(folder, tmp_path, pose_format):
+    """In it the hand-eye transform is reported."""
+    save_dataset(load_dataset(folder), tmp_path / "saved", pose_format)
+    data = load_dataset(tmp_path / "saved")
+    assert data.pose_format == pose_format
+    assert data.without([data.view_ids[0]]).pose_format == pose_format
+
+
 def test_a_view_without_detection_stays_an_empty_view(folder):
     cv2.imwrite(str(folder / "images/2.png"), np.full((480, 640), 255, dtype=np.uint8))
     data = load_dataset(folder)

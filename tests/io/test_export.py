@@ -8,9 +8,11 @@ import pytest
 import yaml
 from jaxlie import SE3
 from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
 
 from smartview_jax import Calibration, Camera
 from smartview_jax.cameras import Fisheye, OpenCV5, OpenCV8, Radial
+from smartview_jax.cli import app
 from smartview_jax.io import (
     opencv_coefficients,
     opencv_yaml,
@@ -129,3 +131,30 @@ def test_frames_of_ros_are_taken():
     assert words[words.index("--frame-id") + 1] == "robot_1/tool0"
     assert words[words.index("--child-frame-id") + 1] == "~cam"
     assert "'~cam'" in line
+
+
+@pytest.mark.parametrize("to", ["camera_info", "opencv"])
+def test_a_file_with_a_lens_that_is_none_is_refused(tmp_path, to):
+    path = tmp_path / "calibration.yaml"
+    calibration(LENSES["plumb_bob"]).save(path)
+    text = path.read_text()
+    assert text.count("k3: ") == 1
+    path.write_text(text.replace("k3: ", "k9: "))
+    ended = CliRunner().invoke(app, ["export", str(path), "--to", to])
+    assert ended.exit_code == 2
+    assert "calibration.yaml: camera.lens: expected the numbers" in ended.stderr
+
+
+@pytest.mark.parametrize("optical", [True, False])
+@pytest.mark.parametrize("pitch", [0.3, 0.5 * np.pi, -0.5 * np.pi, 0.5 * np.pi - 1e-9])
+def test_the_angles_are_the_rotation_also_where_two_of_them_are_one(pitch, optical):
+    """Straight down, as a camera looks at a table, only yaw minus roll is determined."""
+    rotation = Rotation.from_euler("xyz", [0.4, pitch, -0.7])
+    mount_from_camera = np.eye(4)
+    mount_from_camera[:3, :3] = rotation.as_matrix()
+    cal = calibration(LENSES["plumb_bob"])
+    cal = Calibration.eye_in_hand(cal.camera, np.linalg.inv(mount_from_camera), cal.base_from_world)
+    rpy = re.search(r'rpy="([^"]*)"', urdf_origin(cal, optical))
+    found = Rotation.from_euler("xyz", np.array(rpy[1].split(), dtype=float)).as_matrix()
+    link = np.eye(3) if optical else np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    np.testing.assert_allclose(found, rotation.as_matrix() @ link, atol=1e-14)

@@ -25,7 +25,9 @@ def test_what_is_written_is_read(folder):
     assert views.image_size == (16, 12)
     for written, read in zip(PICTURES, views.pictures, strict=True):
         np.testing.assert_array_equal(read, written)
-    np.testing.assert_array_equal(host_matrices(views.base_from_tool), host_matrices(POSES))
+    np.testing.assert_allclose(
+        host_matrices(views.base_from_tool), host_matrices(POSES), rtol=0.0, atol=1e-15
+    )
 
 
 def test_what_was_recognised_in_the_table_is_said(folder, capsys):

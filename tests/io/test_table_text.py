@@ -63,7 +63,8 @@ WRITTEN = {
 
 def poses(path):
     """The views and poses of a table, and what was seen in it."""
-    views, found, masked, table = read_poses(path.parent, {"file": path.name, **STATED}, "raise")
+    entry = {"file": path.name, **STATED}
+    views, found, masked, table, _ = read_poses(path.parent, entry, "raise")
     assert not masked
     return views, host_matrices(found), table.notes
 

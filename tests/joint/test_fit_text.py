@@ -6,6 +6,7 @@ import re
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from smartview_jax import fit_joint
 from smartview_jax.joint import parameter_estimates
@@ -29,6 +30,44 @@ def test_every_transform_is_said_in_mm_and_degrees_with_its_interval(fit):
     assert "base_from_world (+- 95 %)" in text
     assert "8 views" in text.splitlines()[0]
     assert "converged" in text.splitlines()[0]
+
+
+def numbers_after(text, label):
+    """The numbers in the lines after a label, up to the next label."""
+    lines = text[text.index(label) :].splitlines()[1:5]
+    block = [line for line in lines if re.match(r"[\s\[(]*-?\d", line)]
+    return np.array([float(x) for x in re.findall(r"-?\d+\.\d+", " ".join(block))])
+
+
+def test_the_hand_eye_transform_comes_first_and_in_the_forms_of_others(fit):
+    """Both directions, against SciPy."""
+    robot = dataclasses.replace(fit, pose_format="kuka_abc")
+    text = str(robot)
+    forward, backward = text.split("\ntool_from_camera\n")
+    matrix = np.asarray(fit.calibration.camera_from_tool.as_matrix())
+    assert forward.splitlines()[1] == "camera_from_tool"
+    for part, expected in ((forward, matrix), (backward, np.linalg.inv(matrix))):
+        rotation = Rotation.from_matrix(expected[:3, :3])
+        np.testing.assert_allclose(
+            numbers_after(part, "matrix, m:")[:16].reshape(4, 4), expected, atol=6e-10
+        )
+        found = numbers_after(part, "translation x, y, z, m:")[:3]
+        np.testing.assert_allclose(found, expected[:3, 3], atol=6e-10)
+        quaternion = numbers_after(part, "quaternion x, y, z, w:")[:4]
+        assert abs(quaternion @ rotation.as_quat()) == pytest.approx(1.0, abs=1e-8)
+        angles = numbers_after(part, "roll, pitch, yaw of ROS")[:3]
+        np.testing.assert_allclose(angles, rotation.as_euler("xyz"), atol=1e-9)
+        kuka = numbers_after(part, "kuka_abc: x mm, y mm, z mm, A deg, B deg, C deg:")[:6]
+        np.testing.assert_allclose(kuka[:3], 1e3 * expected[:3, 3], atol=1e-6)
+        np.testing.assert_allclose(kuka[3:], rotation.as_euler("ZYX", degrees=True), atol=1e-7)
+    assert "kuka_abc" in robot._repr_html_()
+    assert "kuka_abc" not in str(fit)
+
+
+def test_only_the_tables_say_rms(fit):
+    """They count points that the fit left out; two figures of one name would contradict."""
+    assert "RMS" not in str(fit)
+    assert "residuals of " in str(fit).splitlines()[0]
 
 
 def test_every_warning_is_said_in_text_and_in_a_notebook(fit):

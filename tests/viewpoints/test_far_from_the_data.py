@@ -85,4 +85,4 @@ def test_views_about_the_board_are_not_refused(tmp_path_factory, tmp_path):
     path = calibrated_board(tmp_path_factory).calibration
     ended = run("viewpoint", path, "--five", "--tilt", "15", "--out", tmp_path / "v.csv")
     assert ended.exit_code == 0, ended.output
-    assert "v5: error of the camera within +- " in ended.stdout
+    assert "v5: error of the camera within +- (" in ended.stdout

@@ -1,0 +1,5 @@
+"""Run the `smartview` command as `python -m smartview_jax`."""
+
+from .cli import app
+
+app(prog_name="smartview")

@@ -1,0 +1,76 @@
+"""Write a rigid transform in the forms that other programs take, as text to be copied."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..export_text import roll_pitch_yaw
+from .host import host_transforms
+from .pose_codecs import pose_codec
+from .transform_text import vector_text
+
+DECIMALS = 9
+"""Digits after the point: a nanometre, less than any calibration is known to."""
+
+_SHOWN = ("matrix", "quaternion_xyzw", "quaternion_wxyz")
+"""Pose formats that repeat a form that is written for every robot."""
+
+
+class TransformForm(NamedTuple):
+    """A transform in one form.
+
+    Attributes:
+        label: name of the form, with the order of its numbers and their units.
+        text: the numbers; a matrix has one line for each row.
+    """
+
+    label: str
+    text: str
+
+
+def transform_forms(
+    matrix: Float[np.ndarray, "4 4"], pose_format: str | None = None
+) -> list[TransformForm]:
+    """Return a transform as matrix, quaternion, ROS's angles, and in the robot's own format.
+
+    Args:
+        matrix: the transform, m.
+        pose_format: the robot's format, a key of `POSE_CODECS`; None if it is not known.
+    """
+    transform = host_transforms(matrix)
+    w, x, y, z = np.asarray(transform.wxyz_xyz)[:4]
+    forms = [
+        TransformForm("matrix, m", _matrix_text(matrix)),
+        TransformForm("translation x, y, z, m", _numbers_text(matrix[:3, 3])),
+        TransformForm("quaternion x, y, z, w", _numbers_text([x, y, z, w])),
+        TransformForm(
+            "roll, pitch, yaw of ROS and URDF (fixed axes x, y, z), rad",
+            _numbers_text(roll_pitch_yaw(matrix[:3, :3])),
+        ),
+    ]
+    if pose_format is not None and pose_format not in _SHOWN:
+        codec = pose_codec(pose_format)
+        length, angle = codec.units
+        units = dict.fromkeys(codec.length_columns, length)
+        units |= dict.fromkeys(codec.angle_columns, angle)
+        names = [f"{name} {units.get(k, '')}".strip() for k, name in enumerate(codec.columns)]
+        numbers = codec.encode(transform, *codec.units)
+        forms.append(TransformForm(f"{pose_format}: {', '.join(names)}", _numbers_text(numbers)))
+    return forms
+
+
+def _numbers_text(numbers: "np.ndarray | list[float] | tuple[float, ...]") -> str:
+    """Return numbers as all vectors are printed."""
+    # Adding zero to a rounded number makes a negative zero positive.
+    return vector_text([round(float(number), DECIMALS) + 0.0 for number in numbers], DECIMALS)
+
+
+def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
+    """Return a matrix with one row on each line, as Python, JSON and YAML read it."""
+    width = DECIMALS + 3
+    rows = [
+        ", ".join(f"{round(float(x), DECIMALS) + 0.0:{width}.{DECIMALS}f}" for x in row)
+        for row in matrix
+    ]
+    return "[" + ",\n ".join(f"[{row}]" for row in rows) + "]"
