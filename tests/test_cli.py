@@ -15,7 +15,7 @@ from detected_sample import copied_views, detected_sample
 from main_job import main_job
 from typer.testing import CliRunner
 
-from smartview_jax import Calibration
+from smartview_jax import Calibration, report
 from smartview_jax.cli import app
 from smartview_jax.evaluation import ErrorBudget, reprojection_errors
 from smartview_jax.evaluation.diagnosis.budget import ErrorCause
@@ -112,7 +112,7 @@ def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
         return ErrorBudget(0.75, causes, (), "too few views", "Take twelve more views.")
 
     monkeypatch.setattr(evaluation, "error_budget", budget)
-    monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
+    monkeypatch.setattr(LOAD, lambda *_, **__: (three_views(), "three views"))
     (tmp_path / "calibration_uncorrected.yaml").write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--diagnose", "--out", str(tmp_path)])
     assert run.exit_code == 0, run.output
@@ -195,12 +195,12 @@ def test_where_results_go_is_looked_at_before_the_work(tmp_path, monkeypatch):
 
 def test_a_report_that_fails_leaves_the_last_runs_files(tmp_path, monkeypatch):
     """Not a new calibration beside an old report."""
-    monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
+    monkeypatch.setattr(LOAD, lambda *_, **__: (three_views(), "three views"))
 
     def broken(*_):
         raise ValueError("no report")
 
-    monkeypatch.setattr(sys.modules["smartview_jax.report"], "write_page", broken)
+    monkeypatch.setattr(report, "write_page", broken)
     for name in ("calibration.yaml", "report.html"):
         (tmp_path / name).write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--no-held-out", "--out", str(tmp_path)])
@@ -232,7 +232,7 @@ def test_an_interrupted_run_writes_nothing(tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(LOAD, lambda *_: (three_views(), "three views"))
+    monkeypatch.setattr(LOAD, lambda *_, **__: (three_views(), "three views"))
     monkeypatch.setattr("smartview_jax.calibration_pipeline.fit_staged", interrupted)
     run = RUNNER.invoke(app, ["calibrate", "--out", str(tmp_path / "out")])
     assert run.exit_code == 130

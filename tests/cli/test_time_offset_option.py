@@ -78,7 +78,9 @@ def test_without_a_log_there_is_nothing_to_estimate(tmp_path_factory, monkeypatc
     board = board_folder(tmp_path_factory)
     data = sv.load_dataset(board)
     # The sample's circles need not be looked for.
-    monkeypatch.setattr("smartview_jax.cli.calibrate_folder.load_named", lambda *_: (data, "data"))
+    monkeypatch.setattr(
+        "smartview_jax.cli.calibrate_folder.load_named", lambda *_, **__: (data, "data")
+    )
     for named in ((board,), ()):
         ended = run("calibrate", *named, "--time-offset")
         assert ended.exit_code == 2
