@@ -26,6 +26,7 @@ from smartview_jax.localization import localize
 
 from .grasping import calibrated
 from .localization_cells import KINDS, cell_scene, true_calibration, workspace_of
+from .localization_other_kinds import print_other_kinds
 from .localization_pictures import print_real_pictures
 from .localization_scenes import model_of, solids
 from .localization_spoilt import print_spoilt_pictures
@@ -132,6 +133,7 @@ def run(smoke: bool = False, results: Path | None = None) -> bool:
             work(path, 0, 1, dict.fromkeys(SMOKE_SCENES, 1))
             good = print_tables(list(done(path).values()), smoke=True)
         good = print_spoilt_pictures(smoke=True) and good
+        good = print_other_kinds({"apart25": 1}) and good
         print_real_pictures(smoke=True)
         return good
     path = RESULTS if results is None else results
@@ -139,6 +141,7 @@ def run(smoke: bool = False, results: Path | None = None) -> bool:
     good = print_tables(list(done(path).values()))
     good = print_seconds(seconds_a_scene(TIMED)) and good
     good = print_spoilt_pictures() and good
+    good = print_other_kinds() and good
     return print_real_pictures() and good
 
 

@@ -116,7 +116,7 @@ def localization_scene(
     )
     world_from_object = resting(solid, rng) if kind != "tilted" else _tilted(solid, rng)
     placed = solid.moved(world_from_object)
-    poses = _viewpoints(placed.vertices.mean(axis=0), rng, view_count)
+    poses = viewpoints(placed.vertices.mean(axis=0), rng, view_count)
     others = []
     if kind in ("clutter", "occluded"):
         others += clutter(placed, rng)
@@ -198,7 +198,7 @@ def _tilted(solid: Polyhedron, rng: np.random.Generator) -> np.ndarray:
     return pose
 
 
-def _viewpoints(aim: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+def viewpoints(aim: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
     """Return poses of cameras that look at the object from above, 20 to 35 degrees apart."""
     tilt, azimuth = rng.uniform(0.25, 0.75), rng.uniform(0.0, 2.0 * np.pi)
     poses = []

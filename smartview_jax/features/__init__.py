@@ -18,4 +18,5 @@ from .picture_evidence import UNSEEN as UNSEEN
 from .picture_evidence import EdgeMaps as EdgeMaps
 from .picture_evidence import PictureEvidence as PictureEvidence
 from .picture_evidence import edge_maps as edge_maps
+from .picture_evidence import evidence_of_points as evidence_of_points
 from .picture_evidence import picture_evidence as picture_evidence

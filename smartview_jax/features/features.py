@@ -56,6 +56,21 @@ class Features(NamedTuple):
     line_covariances: Float[np.ndarray, "segments 3 3"]
     image_size: tuple[int, int]
 
+    def with_segments(self, kept: Bool[np.ndarray, "segments"]) -> "Features":
+        """Return some of the segments, and all corners without the other segments."""
+        # Index -1, for "no segment", selects the last entry.
+        index = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)
+        joined = index[self.corner_segments]
+        # The padding stays behind the segments of a corner.
+        order = np.argsort(joined < 0, axis=1, kind="stable")
+        return self._replace(
+            corner_segments=np.take_along_axis(joined, order, axis=1),
+            segments=self.segments[kept],
+            end_covariances=self.end_covariances[kept],
+            lines=self.lines[kept],
+            line_covariances=self.line_covariances[kept],
+        )
+
 
 def find(picture: np.ndarray, camera: Camera) -> Features:
     """Find straight segments and corners in a picture, with their covariances.

@@ -14,6 +14,7 @@ import cv2
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy.spatial import KDTree
 
 from ..cameras import Camera, in_picture
 from .edge_points import EdgePoints, find_edge_points
@@ -37,6 +38,9 @@ DISTANCE_STEP = 1.0 / 16.0
 
 FAR, UNSEEN = 254, 255
 """Distance of cells far from all edge points, and value of cells outside the picture."""
+
+PLACES_ON_SEGMENT = 16
+"""Number of places along a segment at which its edge points are looked up."""
 
 MAX_WIDENING = 1.5
 """Largest extent of the maps over the picture's extent; wider views of a lens are cut off."""
@@ -102,6 +106,28 @@ def picture_evidence(picture: np.ndarray, camera: Camera) -> PictureEvidence:
     features = features_from_edge_points(grey, gradient, edge_points, camera)
     lone = lone_points(edge_points)
     return PictureEvidence(features, edge_points, lone, edge_maps(features, camera))
+
+
+def evidence_of_points(
+    evidence: PictureEvidence, free: Bool[np.ndarray, "points"], camera: Camera
+) -> PictureEvidence:
+    """Return the evidence of a picture without the segments along edge points that are taken.
+
+    Args:
+        evidence: of the picture; its edge points stay.
+        free: which edge points are not taken.
+        camera: intrinsics and lens of the camera that took it.
+    """
+    segments, pixels = evidence.features.segments, evidence.edge_points.pixels
+    if free.all() or not len(segments):
+        return evidence
+    # A segment is taken if the edge points next to most of it are.
+    shares = np.linspace(0.0, 1.0, PLACES_ON_SEGMENT)[:, None]
+    places = segments[:, None, 0] + shares * (segments[:, 1] - segments[:, 0])[:, None]
+    _, nearest = KDTree(pixels).query(places.reshape(-1, 2))
+    is_free = free[nearest].reshape(len(segments), -1).mean(axis=1) > 0.5
+    features = evidence.features.with_segments(is_free)
+    return evidence._replace(features=features, maps=edge_maps(features, camera))
 
 
 def edge_maps(features: Features, camera: Camera) -> EdgeMaps:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ..modeling import ObjectModel
 from .distinct_poses import pose_distances
 from .evidence import TYPICAL_CHANCE, log_likelihood_of
-from .hypotheses import MAX_HYPOTHESES, Hypothesis
+from .hypotheses import Hypothesis
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES
 from .scene import Scene
@@ -71,8 +71,7 @@ def converged_candidates(
     """Return hypotheses refined on the edges, without duplicates, the likeliest first."""
     candidates = []
     for index, entry in enumerate(prepared):
-        # The hypotheses are ranked, so that the limit leaves out the least likely.
-        starts = [h.world_from_object for h in hypotheses if h.model == index][:MAX_HYPOTHESES]
+        starts = [h.world_from_object for h in hypotheses if h.model == index]
         if not starts:
             continue
         poses, lengths = poses_on_edges(entry.coarse, scene.views, scene.lookup, np.stack(starts))

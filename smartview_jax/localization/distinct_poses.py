@@ -3,29 +3,82 @@
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import host_transformed
 from ..modeling import ObjectModel
+from .solid_overlap import overlap_depth, thickness
+from .wireframe import HIDING_MARGIN
 
 SAME_POSE_DISTANCE = 0.06
 """RMS vertex distance of two poses, over the object's extent, below which they are the same."""
 
 SAME_PLACE = 0.5
-"""Distance between the middles of two objects, over the smaller extent, below which they overlap.
-"""
+"""Distance between the middles of two objects, over the smaller extent, below which they are near.
+
+A flat object has no volume that could overlap: it is in one place with what is near."""
+
+MAX_TOLERANCE = 0.5
+"""Largest tolerated overlap of two solids, over the thickness of the thinner one: two equal poses
+overlap whatever their uncertainty."""
+
+TOLERATED_SIGMAS = 3.0
+"""Overlap of two solids in standard deviations of their poses that is tolerated."""
 
 
 def in_one_place(
     model: ObjectModel,
     pose: Float[np.ndarray, "4 4"],
     other: ObjectModel,
-    its_pose: Float[np.ndarray, "4 4"],
+    other_pose: Float[np.ndarray, "4 4"],
+    tolerance: float = 0.0,
 ) -> bool:
-    """Return whether two objects, each at its world_from_object, would occupy the same place."""
+    """Return whether two objects would occupy the same space.
+
+    Args:
+        model, other: of the objects.
+        pose, other_pose: their world_from_object.
+        tolerance: overlap that errors of the poses explain, m; see `overlap_tolerance`.
+    """
+    thinner = min(thickness(m) for m in (model, other))
+    if thinner <= 0.0:
+        return middles_are_near(model, pose, other, other_pose)
+    # Touching objects overlap by the errors of their vertices.
+    allowed = tolerance + HIDING_MARGIN * (model.extent + other.extent)
+    depth = overlap_depth(model, pose, other, other_pose)
+    return depth > min(allowed, MAX_TOLERANCE * thinner)
+
+
+def middles_are_near(
+    model: ObjectModel,
+    pose: Float[np.ndarray, "4 4"],
+    other: ObjectModel,
+    other_pose: Float[np.ndarray, "4 4"],
+) -> bool:
+    """Return whether the middles of two objects are nearer than half of the smaller extent."""
     middles = [
-        p[:3, :3] @ m.vertices.mean(axis=0) + p[:3, 3]
-        for m, p in ((model, pose), (other, its_pose))
+        host_transformed(p, m.vertices.mean(axis=0))
+        for m, p in ((model, pose), (other, other_pose))
     ]
     smaller = min(m.extent for m in (model, other))
     return bool(np.linalg.norm(middles[0] - middles[1]) < SAME_PLACE * smaller)
+
+
+def overlap_tolerance(*sigmas: float) -> float:
+    """Return the overlap of objects that standard deviations of their surfaces explain, m."""
+    return TOLERATED_SIGMAS * float(np.linalg.norm(sigmas))
+
+
+def surface_sigma(model: ObjectModel, covariance: Float[np.ndarray, "6 6"]) -> float:
+    """Return the largest standard deviation of a vertex in any direction at a pose, m.
+
+    Args:
+        model: of the object.
+        covariance: of the pose's tangent at the object, translation first.
+    """
+    # A tangent (v, w) moves the vertex p by v + w x p.
+    turns = np.cross(np.eye(3)[None], model.vertices[:, None])
+    moves = np.concatenate([np.tile(np.eye(3), (len(turns), 1, 1)), turns], axis=1)
+    spread = moves.swapaxes(1, 2) @ covariance @ moves
+    return float(np.sqrt(np.linalg.eigvalsh(spread)[:, -1].max()))
 
 
 def pose_distances(

@@ -57,6 +57,9 @@ MIN_EDGE_PX = 8.0
 MIN_SHARE = 0.25
 """Smallest share of an edge's visible length with edge points for a line to be fitted."""
 
+MIN_LINE_POINTS = 4.0
+"""Smallest number of samples in a line: two more than its two numbers."""
+
 HIDING_DEPTH = 0.01
 """Share of its depth by which a point must be behind a known surface to be hidden by it.
 
@@ -177,7 +180,8 @@ def edge_lines(
         [variance / independent + MODEL_SIGMA**2, variance / independent + tilt**2], axis=1
     )
     visible_px = over_edges(px)
-    measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px) & (W >= 4.0)
+    measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
+    measured &= W >= MIN_LINE_POINTS
     keep = measured[:, None]
     strengths = lookup.strengths[point]
     in_picture = (wireframe.vertex_mask & within_picture(view.vertices, camera)).sum()

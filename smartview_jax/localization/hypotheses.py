@@ -27,7 +27,8 @@ MAX_PATHS_ALONE, MAX_PATHS = 300, 40
 """Largest number of paths of a picture: of a single picture, and of each of several."""
 
 MAX_HYPOTHESES = 24
-"""Largest number of hypotheses of each model by default; as many are refined on the edges."""
+"""Largest number of hypotheses of each model by default; as many are refined on the edges at a
+time."""
 
 WIDENED = 32
 """Number of the best proposals of a single picture near which distant junctions are searched."""
@@ -45,6 +46,9 @@ allows more wrong poses, whose edges all lie within some px of others, but not w
 COMPARED, FINER_SCORED, POLISHED = 1024, 192, 64
 """Numbers of the best proposals: compared with one another, to remove near duplicates; scored again
 with all samples; and polished."""
+
+ALL_HYPOTHESES = 4 * POLISHED
+"""Number of all polished poses: from corners and from distant junctions, each with two gates."""
 
 
 class Hypothesis(NamedTuple):
@@ -152,7 +156,8 @@ def _best(
     box: Float[np.ndarray, "2 3"] | None,
 ) -> tuple[Float[np.ndarray, "best 4 4"], PoseScores]:
     """Return the best distinct poses after polishing, with their scores."""
-    coarse, fine = Wireframe.of(model, COARSE_SAMPLES), Wireframe.of(model)
+    # One sample of a short edge is enough: the scores are lengths, and no line is fitted.
+    coarse, fine = Wireframe.of(model, COARSE_SAMPLES, per_edge=1), Wireframe.of(model)
     poses = _coarse_ranked(maps, coarse, model, poses, box)
     # A distinct object is proposed a hundred times, which would leave no room for the others.
     poses = poses[distinct_poses(model, poses, FINER_SCORED)]

@@ -5,29 +5,51 @@ accepted object hides do not count as missing in the others.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..modeling import CalibrationUncertainty
 from .candidates import Candidate, Prepared, measured_candidates
 from .chance import Chance, ChancePoses, chance_of, chance_poses
 from .corrected_views import corrected_views
-from .distinct_poses import in_one_place, pose_distances
+from .distinct_poses import (
+    in_one_place,
+    middles_are_near,
+    overlap_tolerance,
+    pose_distances,
+    surface_sigma,
+)
 from .evidence import Evidence
 from .localization import Localization, Rival
 from .moved_faces import likeliest_moved_face
 from .pose_convergence import lengths_of_poses
 from .pose_equations import UndeterminedPoseError
-from .refinement import refine_pose
-from .scene import Scene
+from .refinement import RefinedPose, refine_pose
+from .scene import Scene, explained_among
 from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, may_be_another_size, relative_std
 
-MAX_JUDGED = 12
-"""Largest number of poses that are judged, all models together."""
+MAX_REJECTED = 12
+"""Number of poses in a row without an accepted one, all models together, after which no further
+poses are judged."""
 
 CLOSE_RIVAL = 30.0
 """Rivals within this log-likelihood of the best rival are measured with all samples."""
+
+
+class Judgement(NamedTuple):
+    """The verdicts on candidates, and the candidates that were not judged.
+
+    Attributes:
+        results: verdicts, known objects first.
+        left: candidates that might be objects, after `MAX_REJECTED` that are not.
+        tried: for each model, where chance was measured.
+    """
+
+    results: list[Localization]
+    left: list[Candidate]
+    tried: dict[int, ChancePoses]
 
 
 def judged(
@@ -36,31 +58,50 @@ def judged(
     candidates: Sequence[Candidate],
     uncertainty: CalibrationUncertainty,
     tested: int,
-) -> list[Localization]:
+    known: Sequence[Localization] = (),
+    tried: dict[int, ChancePoses] | None = None,
+) -> Judgement:
     """Return the verdicts on candidates, one after the other, the likeliest first.
 
     Once an object of a model is found, its further candidates that would be rejected anyway are
     left out.
 
     Args:
-        scene: edge points of the pictures, from which found objects take theirs.
+        scene: edge points of the pictures that the known objects leave, from which found objects
+            take theirs.
         prepared: the models.
         candidates: the likeliest first.
         uncertainty: of the calibration in these views.
         tested: number of poses that were examined.
+        known: objects that were accepted before.
+        tried: where chance was measured before, with more edge points.
     """
-    judging = _Judging(scene, prepared, uncertainty, tested)
-    results = judging.in_order(candidates, [])
-    accepted = [obj for obj in results if obj.accepted]
+    judging = _Judging(scene, prepared, uncertainty, tested, tried or {})
+    judgement = judging.in_order(candidates, known)
+    accepted = [obj for obj in judgement.results if obj.accepted]
     # Poses judged before their neighbours were known are judged again, with the neighbours as
     # occluders.
-    if not accepted or all(obj.accepted for obj in results[: len(accepted)]):
-        return results
-    untouched = scene.untouched()
-    judging = _Judging(untouched, prepared, uncertainty, tested)
-    for obj in accepted:
-        judging.take(obj)
-    return judging.in_order(measured_candidates(untouched, prepared, candidates), accepted)
+    if not accepted or all(obj.accepted for obj in judgement.results[: len(accepted)]):
+        return judgement
+    free = scene_without(scene, prepared, accepted)
+    judging = _Judging(free, prepared, uncertainty, tested, judgement.tried)
+    return judging.in_order(measured_candidates(free, prepared, candidates), accepted)
+
+
+def scene_without(
+    scene: Scene, prepared: Sequence[Prepared], objects: Sequence[Localization]
+) -> Scene:
+    """Return the scene without the edge points of objects; accepted ones occlude the others."""
+    free = scene.untouched()
+    for obj in objects:
+        _take(free, prepared, obj)
+    return free
+
+
+def _take(scene: Scene, prepared: Sequence[Prepared], obj: Localization) -> None:
+    """Take away the edge points that an object explains; an accepted one then occludes."""
+    wireframe = prepared[obj.model_index].coarse if obj.accepted else None
+    scene.take(scene.claim(obj.refined.lines, wireframe, obj.world_from_object))
 
 
 class _Judging:
@@ -72,21 +113,22 @@ class _Judging:
         prepared: Sequence[Prepared],
         uncertainty: CalibrationUncertainty,
         tested: int,
+        tried_before: dict[int, ChancePoses],
     ):
         self.scene, self._prepared = scene, prepared
         self._uncertainty, self._tested = uncertainty, tested
+        # Where chance was measured in this scene, and before more edge points were taken.
         self._tried: dict[int, ChancePoses] = {}
-        self._tried_before: dict[int, ChancePoses] = {}
+        self._tried_before = dict(tried_before)
+        self._measured_again: dict[int, ChancePoses] = {}
 
-    def in_order(
-        self, candidates: Sequence[Candidate], known: Sequence[Localization]
-    ) -> list[Localization]:
+    def in_order(self, candidates: Sequence[Candidate], known: Sequence[Localization]) -> Judgement:
         """Return the known objects and the verdicts on candidates at other places, in order."""
         results, waiting = list(known), list(candidates)
         for obj in known:
             waiting = self._elsewhere(obj, waiting)
         count = 0
-        while waiting and count < MAX_JUDGED:
+        while waiting and count < MAX_REJECTED:
             best, waiting = waiting[0], waiting[1:]
             # The order is by likelihood, which grows with length: a later candidate may explain a
             # larger share.
@@ -101,31 +143,35 @@ class _Judging:
                 continue
             results.append(obj)
             if obj.accepted:
-                waiting = self._elsewhere(obj, waiting)
+                count, waiting = 0, self._elsewhere(obj, waiting)
             if waiting and obj.verdict.decision != "rejected":
                 # Its edge points are no evidence for the others, which are measured again without
                 # them.
                 self.take(obj)
                 waiting = measured_candidates(self.scene, self._prepared, waiting)
-        return results
+        left = [c for c in waiting if c.explained >= REJECTED_SHARE]
+        return Judgement(results, left, self._tried_before | self._tried)
 
     def _elsewhere(self, obj: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the candidates that do not overlap with an object."""
-        model, pose = self._prepared[obj.model_index].model, obj.world_from_object
-        return [
-            c
-            for c in candidates
-            if not in_one_place(model, pose, self._prepared[c.model].model, c.pose)
-        ]
+        return [c for c in candidates if not self._overlap(obj.model_index, obj.refined, c)]
+
+    def _overlap(self, model: int, refined: RefinedPose, candidate: Candidate) -> bool:
+        """Return whether an object at its refined pose and a candidate occupy the same space."""
+        entry, other = self._prepared[model], self._prepared[candidate.model]
+        # A candidate stands for all poses that count as the same.
+        sigma = surface_sigma(entry.model, refined.covariance)
+        tolerance = overlap_tolerance(sigma) + other.same
+        pose = refined.world_from_object
+        return in_one_place(entry.model, pose, other.model, candidate.pose, tolerance)
 
     def take(self, obj: Localization) -> None:
         """Take away the edge points that an object explains; an accepted one then occludes."""
-        wireframe = self._prepared[obj.model_index].coarse if obj.accepted else None
-        claim = self.scene.claim(obj.refined.lines, wireframe, obj.world_from_object)
-        self.scene.take(claim)
+        _take(self.scene, self._prepared, obj)
         # Kept, because lengths at these places can be measured again without a search.
         self._tried_before |= self._tried
         self._tried.clear()
+        self._measured_again.clear()
 
     def _chance(self, candidate: Candidate) -> Chance:
         """Return how much of a model clutter at other places explains."""
@@ -144,10 +190,12 @@ class _Judging:
             # These poses converged to edge points that have been taken since, so that they
             # explain less than newly converged ones: a candidate that even this chance rejects is
             # rejected.
-            poses = before.world_from_object
-            lengths = lengths_of_poses(entry.coarse, scene.views, scene.lookup, poses)
-            least = chance_of(candidate.pose, entry.model, ChancePoses(poses, lengths))
-            if self._is_rejected_by(candidate, least):
+            if candidate.model not in self._measured_again:
+                poses = before.world_from_object
+                lengths = lengths_of_poses(entry.coarse, scene.views, scene.lookup, poses)
+                self._measured_again[candidate.model] = ChancePoses(poses, lengths)
+            least = self._measured_again[candidate.model]
+            if self._is_rejected_by(candidate, chance_of(candidate.pose, entry.model, least)):
                 return True
         return self._is_rejected_by(candidate, self._chance(candidate))
 
@@ -190,7 +238,7 @@ class _Judging:
         pose, chance = refined.world_from_object, self._chance(best)
         lines, middle = scene.lines(pose, entry.fine), entry.middle_at(pose)
         evidence = scene.evidence(lines, entry.fine, middle, chance.mean)
-        rivals = self._rivals(best, pose, others, chance)
+        rivals = self._rivals(best, refined, others, chance)
         rivals = self._distinct(best, pose, evidence, chance, rivals)
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
         name = ""
@@ -216,16 +264,21 @@ class _Judging:
     def _rivals(
         self,
         best: Candidate,
-        pose: Float[np.ndarray, "4 4"],
+        refined: RefinedPose,
         others: Sequence[Candidate],
         chance: Chance,
     ) -> list[Rival]:
-        """Return the other explanations of the edges at one place."""
-        entry = self._prepared[best.model]
+        """Return the other explanations of the edges at one place.
+
+        Two poses cannot both be right if they overlap, or if without the edge points that one
+        explains the other would be rejected.
+        """
+        entry, pose = self._prepared[best.model], refined.world_from_object
+        left = self.scene.claim(refined.lines).free
         near = [
             c
             for c in others
-            if in_one_place(entry.model, pose, self._prepared[c.model].model, c.pose)
+            if self._overlap(best.model, refined, c) or self._needs_edges_of(best, pose, left, c)
         ]
         near = [
             c
@@ -243,6 +296,26 @@ class _Judging:
             else:
                 rivals.append(Rival(other.model, other.pose, likelihood))
         return rivals
+
+    def _needs_edges_of(
+        self,
+        best: Candidate,
+        pose: Float[np.ndarray, "4 4"],
+        left: Sequence[Bool[np.ndarray, "_"]],
+        candidate: Candidate,
+    ) -> bool:
+        """Return whether a candidate near an object would be rejected without its edge points.
+
+        Args:
+            best, pose: the object, and its refined pose.
+            left: for each view, which edge points it does not explain.
+            candidate: another pose.
+        """
+        model, other = self._prepared[best.model].model, self._prepared[candidate.model]
+        if not middles_are_near(model, pose, other.model, candidate.pose):
+            return False
+        lines = self.scene.lines(candidate.pose, other.coarse)
+        return explained_among(lines, left) < REJECTED_SHARE * candidate.visible_px
 
     def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
         """Return a pose as a rival, measured with all samples."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..calibration import Calibration
 from ..features import PictureEvidence
 from ..modeling import ObjectModel
 from ..robots import Command
@@ -143,14 +144,17 @@ class Localizations(tuple[Localization, ...]):
     "rejected".
 
     Attributes:
-        messages: for each model that was not accepted, the reason.
+        messages: for each model that was not accepted, the reason; and where the search ended
+            before all poses were judged.
         pictures: of all views so far.
         command: what the robot reported in these views.
+        calibration: with which they were read; None if unknown.
     """
 
     messages: tuple[str, ...]
     pictures: tuple[PictureEvidence, ...]
     command: Command
+    calibration: Calibration | None
 
     def __new__(
         cls,
@@ -158,17 +162,25 @@ class Localizations(tuple[Localization, ...]):
         messages: tuple[str, ...],
         pictures: tuple[PictureEvidence, ...],
         command: Command,
+        calibration: Calibration | None = None,
     ) -> "Localizations":
-        """Return the localizations with their messages, pictures and command."""
+        """Return the localizations with their messages, pictures, command and calibration."""
         self = super().__new__(cls, found)
         self.messages, self.pictures, self.command = messages, pictures, command
+        self.calibration = calibration
         return self
 
     def __getnewargs__(
         self,
-    ) -> tuple[tuple[Localization, ...], tuple[str, ...], tuple[PictureEvidence, ...], Command]:
+    ) -> tuple[
+        tuple[Localization, ...],
+        tuple[str, ...],
+        tuple[PictureEvidence, ...],
+        Command,
+        Calibration | None,
+    ]:
         """Return the arguments of `__new__`, for copies and pickles."""
-        return tuple(self), self.messages, self.pictures, self.command
+        return tuple(self), self.messages, self.pictures, self.command, self.calibration
 
     @property
     def accepted(self) -> tuple[Localization, ...]:

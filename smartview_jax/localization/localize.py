@@ -7,8 +7,8 @@ The poses of accepted objects are refined together at the end.
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -17,15 +17,17 @@ from ..engine import Noise
 from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence
 from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
-from ..robots import Command, CommandLike
-from .candidates import Prepared, converged_candidates
+from ..robots import CommandLike
+from .candidates import Prepared
 from .depth_buffers import checked_triangles
-from .hypotheses import Hypothesis, checked_box, find_hypotheses
-from .judging import judged
+from .earlier_views import check_calibration, hypotheses_of, joined_commands, own_command
+from .hypotheses import ALL_HYPOTHESES, Hypothesis, checked_box, find_hypotheses
+from .judging import MAX_REJECTED
 from .localization import Localization, Localizations, model_name
 from .pose_convergence import THREADS
 from .refining_together import refined_together
 from .scene import Scene
+from .search_rounds import Found, judged_in_rounds
 
 
 def localize(
@@ -54,7 +56,8 @@ def localize(
         noise: sizes of the robot's noise in these views; by default the noise of the fit.
         previous: result for earlier views of the same scene. Their pictures are used together with
             the new ones, and every pose that is accepted, open or a rival is judged again. Models
-            without such a pose are searched again in all pictures.
+            without such a pose are searched again in all pictures. It must have been found with the
+            same calibration, with which the pictures of the earlier views are read again.
         hypotheses: initial poses; by default they are searched in the pictures.
         workspace: two opposite corners of a box in the world, m, that contains the objects, such as
             a bin; nothing outside is found. None for anywhere.
@@ -67,8 +70,8 @@ def localize(
     Raises:
         ValueError: no views, numbers of poses and pictures that differ, a model without edges, a
             picture without usable edges or given twice, a workspace that is not a box, occluders
-            that are not triangles, or a hypothesis of an unknown model; the message names the view,
-            model or argument.
+            that are not triangles, a hypothesis of an unknown model, or `previous` found with
+            another calibration; the message names the view, model or argument.
     """
     prepared, triangles = _prepared(models), checked_triangles(occluders)
     box = None if workspace is None else checked_box(workspace)
@@ -80,28 +83,25 @@ def localize(
         found_in = pool.map(_evidence, range(count), pictures_or_features, [calibration] * count)
         pictures = tuple(found_in)
     if previous is not None:
-        command = _joined_commands(previous.command, _own_command(views))
+        check_calibration(previous, calibration)
+        command = joined_commands(previous.command, own_command(views))
         pictures = (*previous.pictures, *pictures)
         views = SeenViews.of(calibration, command)
     _check_distinct(pictures)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
     # With earlier results only their remaining poses are judged in the new views, without a
     # search.
-    starts = _hypotheses_of(previous) if hypotheses is None else list(hypotheses)
+    given, missing = list(hypotheses or ()), list[int]()
     if hypotheses is None:
-        starts += _searched(pictures, views, prepared, {h.model for h in starts}, box)
+        given = hypotheses_of(previous)
+        known = {h.model for h in given}
+        missing = [k for k in range(len(prepared)) if k not in known]
+    search = partial(_searched, views, prepared, box)
     scene = Scene(views, pictures, triangles)
-    candidates = converged_candidates(scene, prepared, starts)
-    # Checked again after the fit, which may have moved a pose out of the box. Only the middle is
-    # checked: the vertices were when the pose was proposed, and the walls are not exact.
-    if box is not None:
-        middles = [prepared[c.model].middle_at(c.pose) for c in candidates]
-        inside = [bool(((box[0] <= m) & (m <= box[1])).all()) for m in middles]
-        candidates = [c for c, is_in in zip(candidates, inside, strict=True) if is_in]
-    results = judged(scene, prepared, candidates, uncertainty, len(starts))
-    results = refined_together(results, scene, prepared, uncertainty)
+    found = judged_in_rounds(scene, prepared, given, missing, search, uncertainty, box)
+    results = refined_together(found.results, scene, prepared, uncertainty)
     return Localizations(
-        _reported(results), _messages(prepared, results, starts), pictures, _own_command(views)
+        _reported(results), _messages(prepared, found), pictures, own_command(views), calibration
     )
 
 
@@ -163,19 +163,6 @@ def _check_distinct(pictures: Sequence[PictureEvidence]) -> None:
             raise ValueError(f"views {first[points]} and {k}: the same picture, given twice")
 
 
-def _own_command(views: SeenViews) -> Command:
-    """Return the reported poses of the views, without padding, on the host."""
-    count = len(views.camera_from_world)
-    return jax.tree.map(lambda x: np.asarray(x)[:count], views.command)
-
-
-def _joined_commands(first: Command, second: Command) -> Command:
-    """Return two batches of commands as one, with joint readings where both have them."""
-    if first.joints is None or second.joints is None:
-        first, second = Command(first.base_from_tool), Command(second.base_from_tool)
-    return jax.tree.map(lambda a, b: np.concatenate([a, b]), first, second)
-
-
 def _check_models(
     hypotheses: Sequence[Hypothesis] | None, previous: Localizations | None, count: int
 ) -> None:
@@ -188,28 +175,19 @@ def _check_models(
             raise ValueError(f"{name}: of model {unknown[0]}, where there are {count} models")
 
 
-def _hypotheses_of(previous: Localizations | None) -> list[Hypothesis]:
-    """Return every pose that earlier views left open or accepted, rivals included."""
-    kept = [result for result in previous or () if result.verdict.decision != "rejected"]
-    poses = [(result.model_index, result.world_from_object) for result in kept]
-    poses += [(rival.model, rival.world_from_object) for result in kept for rival in result.rivals]
-    return [Hypothesis(model, pose, 0.0, 0.0) for model, pose in poses]
-
-
 def _searched(
-    pictures: Sequence[PictureEvidence],
     views: SeenViews,
     prepared: Sequence[Prepared],
-    known: set[int],
     box: Float[np.ndarray, "2 3"] | None,
+    pictures: Sequence[PictureEvidence],
+    indices: Sequence[int],
 ) -> list[Hypothesis]:
-    """Return hypotheses of the models not known yet, with their indices among all models."""
-    missing = [k for k in range(len(prepared)) if k not in known]
-    if not missing:
+    """Return hypotheses of some models, with their indices among all models."""
+    if not indices:
         return []
-    models = [prepared[k].model for k in missing]
-    hypotheses = find_hypotheses(pictures, views, models, workspace=box)
-    return [h._replace(model=missing[h.model]) for h in hypotheses]
+    models = [prepared[k].model for k in indices]
+    hypotheses = find_hypotheses(pictures, views, models, ALL_HYPOTHESES, workspace=box)
+    return [h._replace(model=indices[h.model]) for h in hypotheses]
 
 
 def _reported(results: Sequence[Localization]) -> list[Localization]:
@@ -223,24 +201,26 @@ def _reported(results: Sequence[Localization]) -> list[Localization]:
     return sorted(kept, key=lambda result: order[result.verdict.decision])
 
 
-def _messages(
-    prepared: Sequence[Prepared],
-    found: Sequence[Localization],
-    hypotheses: Sequence[Hypothesis],
-) -> tuple[str, ...]:
-    """Return the reason for every model that was not accepted."""
+def _messages(prepared: Sequence[Prepared], found: Found) -> tuple[str, ...]:
+    """Return the reason for every model that was not accepted, and where the search ended early."""
     messages = []
     for index, entry in enumerate(prepared):
-        results = [result for result in found if result.model_index == index]
-        if any(result.accepted for result in results):
-            continue
-        name = model_name(entry.model, index)
+        results = [result for result in found.results if result.model_index == index]
+        name, left = model_name(entry.model, index), found.left[index]
         undecided = [result for result in results if result.verdict.decision == "open"]
-        if undecided:
+        if any(result.accepted for result in results):
+            pass
+        elif undecided:
             messages += [result.message for result in undecided]
         elif results:
             messages.append(f"{name}: not found: {'; '.join(results[0].verdict.reasons)}")
         else:
-            tried = sum(h.model == index for h in hypotheses)
-            messages.append(f"{name}: not found: {tried} hypotheses, none with enough edges")
+            messages.append(
+                f"{name}: not found: {found.tried[index]} hypotheses, none with enough edges"
+            )
+        if left:
+            messages.append(
+                f"{name}: the search ended after {MAX_REJECTED} rejected poses in a row; "
+                f"{left} more were not judged"
+            )
     return tuple(messages)

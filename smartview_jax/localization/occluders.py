@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import power_of_two_from
-from .distinct_poses import in_one_place
+from .distinct_poses import in_one_place, overlap_tolerance, surface_sigma
 from .edge_lines import HIDING_DEPTH
 from .localization import Localization
 from .prediction import faces_before, triangle_crossings
@@ -112,4 +112,11 @@ def _are_behind(
 
 def _one_place(one: Localization, other: Localization) -> bool:
     """Return whether two localizations are at the same place."""
-    return in_one_place(one.model, one.world_from_object, other.model, other.world_from_object)
+    sigmas = [surface_sigma(obj.model, obj.covariance) for obj in (one, other)]
+    return in_one_place(
+        one.model,
+        one.world_from_object,
+        other.model,
+        other.world_from_object,
+        overlap_tolerance(*sigmas),
+    )

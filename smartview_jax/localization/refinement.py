@@ -236,13 +236,22 @@ def explained_edge_points(
 ) -> Int[np.ndarray, "explained"]:
     """Return the indices of the edge points of a view that an object's edges explain.
 
-    They lie within `EXPLAINED_REACH` of measured edge points and have the same direction.
+    They lie within `EXPLAINED_REACH` of the edge through a measured point, as far along it as the
+    point's sample reaches, and have the same direction.
     """
-    measured = np.unique(lines.points[view][np.isfinite(lines.distances[view])])
-    if not len(measured):
-        return measured
-    # Points between two samples of an edge were not measured, but are explained too.
-    tree = KDTree(points.pixels[measured])
+    found = np.flatnonzero(np.isfinite(lines.distances[view]))
+    if not len(found):
+        return np.zeros(0, dtype=int)
+    # Points between two samples of an edge were not measured, but are explained too: each sample
+    # stands for a part of its edge, along which further places are `EXPLAINED_REACH` apart.
+    half_px = 0.5 * lines.sample_px[view][found]
+    most = int(np.ceil(half_px.max() / EXPLAINED_REACH))
+    offsets = EXPLAINED_REACH * np.arange(-most, most + 1)
+    sample, k = np.nonzero(np.abs(offsets) <= half_px[:, None])
+    measured = lines.points[view][found][sample]
+    n = lines.normals[view][found][sample]
+    along = np.column_stack([n[:, 1], -n[:, 0]])
+    tree = KDTree(points.pixels[measured] + offsets[k, None] * along)
     gap, nearest = tree.query(points.pixels, distance_upper_bound=EXPLAINED_REACH)
     near = np.flatnonzero(np.isfinite(gap))
     normals = points.normals[measured[np.asarray(nearest)[near]]]

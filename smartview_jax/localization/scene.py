@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..features import PictureEvidence
+from ..features import PictureEvidence, evidence_of_points
 from ..modeling import SeenViews
 from .depth_buffers import DepthBuffers
 from .edge_lines import EXPLAINED_DISTANCE, EdgeLines
@@ -51,6 +51,11 @@ class Scene:
         self._claims: list[Claim] = []
         self.lookup: EdgeLookup = self.lookup_among(self._claims)
 
+    @property
+    def has_claims(self) -> bool:
+        """Whether an object has taken edge points."""
+        return bool(self._claims)
+
     def untouched(self) -> "Scene":
         """Return the scene before any object took edge points."""
         scene = copy.copy(self)
@@ -88,12 +93,7 @@ class Scene:
 
     def lookup_among(self, claims: Sequence[Claim]) -> EdgeLookup:
         """Return the edge points that some objects leave free, and the occluding surfaces."""
-        free = [
-            np.logical_and.reduce([np.ones(len(picture.edge_points.pixels), bool), *claimed])
-            for picture, *claimed in zip(
-                self.pictures, *(claim.free for claim in claims), strict=True
-            )
-        ]
+        free = self._free(claims)
         depths = [self._surfaces.inverse_depth, *(claim.inverse_depth for claim in claims)]
         return EdgeLookup.of(
             [picture.edge_points for picture in self.pictures],
@@ -102,6 +102,22 @@ class Scene:
             np.maximum.reduce(depths),
             [picture.lone for picture in self.pictures],
         )
+
+    def _free(self, claims: Sequence[Claim]) -> list[Bool[np.ndarray, "_"]]:
+        """Return which edge points of each picture some objects leave free."""
+        return [
+            np.logical_and.reduce([np.ones(len(picture.edge_points.pixels), bool), *claimed])
+            for picture, *claimed in zip(
+                self.pictures, *(claim.free for claim in claims), strict=True
+            )
+        ]
+
+    def free_pictures(self) -> list[PictureEvidence]:
+        """Return the pictures without the segments along edge points that are taken."""
+        return [
+            evidence_of_points(picture, free, self.views.camera)
+            for picture, free in zip(self.pictures, self._free(self._claims), strict=True)
+        ]
 
     def lines(
         self,
@@ -125,3 +141,13 @@ class Scene:
         strengths = [picture.edge_points.strengths for picture in self.pictures]
         is_alone = are_one_direction(self.views.camera_from_world, middle)
         return evidence_of(lines, wireframe, strengths, chance, is_alone, absorbed)
+
+
+def explained_among(lines: EdgeLines, usable: Sequence[Bool[np.ndarray, "_"]]) -> float:
+    """Return the length that lines explain with usable edge points, all views together, px."""
+    total = 0.0
+    for view, is_usable in enumerate(usable):
+        found = np.isfinite(lines.distances[view])
+        kept = is_usable[lines.points[view][found]]
+        total += float(lines.sample_px[view][found][kept].sum())
+    return total

@@ -28,6 +28,7 @@ from jaxtyping import Float
 
 from ..modeling import ObjectModel
 from .chance import Chance
+from .distinct_poses import surface_sigma
 from .evidence import MAX_CHANCE, Evidence, log_likelihood_of_found
 from .moved_faces import MovedFace
 
@@ -171,11 +172,7 @@ class Verdict(NamedTuple):
 
 def relative_std(model: ObjectModel, covariance: Float[np.ndarray, "6 6"]) -> float:
     """Return the largest standard deviation of a vertex at a pose, over the object's extent."""
-    # A tangent (v, w) moves the vertex p by v + w x p.
-    turns = np.cross(np.eye(3)[None], model.vertices[:, None])
-    moves = np.concatenate([np.tile(np.eye(3), (len(turns), 1, 1)), turns], axis=1)
-    spread = moves.swapaxes(1, 2) @ covariance @ moves
-    return float(np.sqrt(np.linalg.eigvalsh(spread)[:, -1].max())) / model.extent
+    return surface_sigma(model, covariance) / model.extent
 
 
 def judge(

@@ -15,6 +15,16 @@ from ..runtime.compilation import one_program
 EDGE_SAMPLES = 128
 """Default for the smallest number of samples along all edges together."""
 
+MIN_EDGE_SAMPLES = 6
+"""Default for the smallest number of samples of an edge: the four that a line needs
+(`edge_lines.MIN_LINE_POINTS`) remain when the samples next to both vertices are left out."""
+
+MIN_DENSITY = 0.5
+"""Smallest density of samples on long edges, over the density without `MIN_EDGE_SAMPLES`.
+
+Where short edges would take more of the samples, the number of all samples is doubled.
+"""
+
 MIN_VERTICES, MIN_EDGES, MIN_TRIANGLES, MIN_FACES = 16, 32, 32, 16
 """Smallest sizes of the arrays; larger ones are rounded up to this times a power of two."""
 
@@ -69,31 +79,34 @@ class Wireframe(eqx.Module):
     margin: Float[Array, ""]
 
     @classmethod
-    def of(cls, model: ObjectModel, samples: int = EDGE_SAMPLES) -> "Wireframe":
+    def of(
+        cls, model: ObjectModel, samples: int = EDGE_SAMPLES, per_edge: int = MIN_EDGE_SAMPLES
+    ) -> "Wireframe":
         """Return the arrays of a model.
 
         Args:
             model: with at least one edge.
-            samples: number of samples along all edges together; more if needed for one on each
-                edge.
+            samples: number of samples along all edges together, in proportion to their lengths;
+                doubled as often as short edges need it.
+            per_edge: smallest number of samples of an edge, whatever its share of the length.
 
         Raises:
-            ValueError: the model has no edges, or edges without length, or `samples` is not
-                positive.
+            ValueError: the model has no edges, or edges without length, or `samples` or `per_edge`
+                is not positive.
         """
         if not len(model.edges):
             raise ValueError(f"model {model.name!r} has no edges, so it cannot be searched for")
-        if samples < 1:
-            raise ValueError(f"samples: expected a positive number, found {samples}")
+        for name, number in (("samples", samples), ("per_edge", per_edge)):
+            if number < 1:
+                raise ValueError(f"{name}: expected a positive number, found {number}")
         # All on the host, so that preparing a model compiles nothing.
         faces = model.faces
-        owners, lengths, parts = _sampled_edges(model, samples)
+        S, owners, lengths, parts = _sampled_edges(model, samples, per_edge)
         starts, ends = model.vertices[model.edges[owners]].transpose(1, 0, 2)
         tangents = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
         corners, triangle_faces = _fans(model)
         V = _rounded(len(model.vertices), MIN_VERTICES)
         E = _rounded(len(model.edges), MIN_EDGES)
-        S = _rounded(len(owners), samples)
         T, F = _rounded(len(corners), MIN_TRIANGLES), _rounded(len(faces), MIN_FACES)
         planes = [model.plane(k) for k in range(len(faces))]
         arrays = (
@@ -136,20 +149,38 @@ def _padded(array: np.ndarray, *shape: int) -> np.ndarray:
 
 
 def _sampled_edges(
-    model: ObjectModel, samples: int
-) -> tuple[Int[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S"]]:
-    """Return each sample's edge, the length of its part, and its position on the edge (0 to 1)."""
+    model: ObjectModel, samples: int, per_edge: int
+) -> tuple[int, Int[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S"]]:
+    """Return the padded number of samples; and the edge, part and position of each sample.
+
+    A part is a length in m, a position runs from 0 to 1 along the edge.
+    """
     starts, ends = model.vertices[model.edges].transpose(1, 0, 2)
     lengths = np.linalg.norm(ends - starts, axis=1)
     if not (lengths > 0.0).all():
         raise ValueError(f"edge {int(np.argmin(lengths))} of model {model.name!r} has no length")
-    # Rounded down, so that together they do not exceed the given number, with at least one per
-    # edge.
-    counts = np.maximum(1, np.floor(samples * lengths / lengths.sum()).astype(int))
+    size, counts = samples, _counts(lengths, samples, per_edge)
+    while counts is None:
+        size *= 2
+        counts = _counts(lengths, size, per_edge)
     owners = np.repeat(np.arange(len(lengths)), counts)
     # The rank of each sample on its edge.
     order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return owners, (lengths / counts)[owners], (order + 0.5) / counts[owners]
+    return size, owners, (lengths / counts)[owners], (order + 0.5) / counts[owners]
+
+
+def _counts(
+    lengths: Float[np.ndarray, "E"], samples: int, per_edge: int
+) -> Int[np.ndarray, "E"] | None:
+    """Return the number of samples of each edge, or None where long edges would get too few."""
+    share = lengths / lengths.sum()
+    least = np.maximum(per_edge, np.floor(MIN_DENSITY * samples * share).astype(int))
+    if least.sum() > samples:
+        return None
+    # The largest density at which all samples together do not exceed their number.
+    densities = np.linspace(1.0, MIN_DENSITY, 65) * samples
+    counts = np.maximum(per_edge, np.floor(densities[:, None] * share).astype(int))
+    return counts[np.argmax(counts.sum(axis=1) <= samples)]
 
 
 def _vertices_on_faces(model: ObjectModel) -> Bool[np.ndarray, "V F"]:

@@ -1,5 +1,6 @@
 """Run the paper's whole story in a simulated cell: calibrate, model, localise, verify, grasp."""
 
+import dataclasses
 import tempfile
 import time
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from ..files import write_atomically
 from ..geometry import host_matrices, host_transformed, host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
-from ..modeling import Face, ObjectModel, face_plane
+from ..modeling import Face, ObjectModel, face_plane, find_symmetry
 from ..report import write_story
 from ..robots import Command
 from ..simulation import (
@@ -51,10 +52,10 @@ class DemoResult(NamedTuple):
 
     Attributes:
         page: the HTML page.
-        held: whether the object is in the hand, by the physics.
+        held: whether the chosen object is in the hand, by the physics.
         pick: the attempt.
         calibration: of the cell.
-        model: the clicked model.
+        model: the clicked model of one of the objects.
         position_error: distance of the localised object from the true one, m; NaN without one.
     """
 
@@ -69,7 +70,10 @@ class DemoResult(NamedTuple):
 def run_demo(
     out: Path, seed: int = 0, views: int = 16, progress: Callable[[str], None] | None = None
 ) -> DemoResult:
-    """Calibrate a simulated cell, model an object, find, verify and grasp it, and write a page.
+    """Calibrate a simulated cell, model an object, find, verify and grasp one, and write a page.
+
+    The object that was modelled falls into a bin with two others, whose exact models are known; the
+    one with the safest grasp is picked.
 
     Args:
         out: folder of the page and the model.
@@ -107,6 +111,7 @@ def run_demo(
     say("three objects fall into the bin")
     others = [CellObject("box", box(0.05, 0.035, 0.03)), CellObject("house", roofed_block(0.045))]
     cell.drop([block, *others], seed)
+    models = [model, *(exact_model(obj) for obj in others)]
     strip = [("before", watched(cell))]
     region = Region(cell.centre, (0.24, 0.18, 0.12))
     fit = calibrated.fit
@@ -120,14 +125,19 @@ def run_demo(
         link_radius=0.04,
     )
     # Ask the judge before the grasp moves the object.
-    before = cell.judge().world_from_object[block.name]
+    before = cell.judge().world_from_object
     attempt = pick(
-        cell, [model], cell.gripper, region, scene,
+        cell, models, cell.gripper, region, scene,
         progress=progress, after=lambda phase: strip.append((phase, watched(cell))),
     )  # fmt: skip
     done("looking, verifying, planning and grasping")
-    held = block.name in cell.judge().held
-    error = position_error(attempt.target, before, cell.centre)
+    held, error = False, float("nan")
+    if attempt.target is not None:
+        chosen = attempt.target.model
+        held = chosen.name in cell.judge().held
+        # The clicked model's frame is the world's at the place where the object stood alone.
+        origin = cell.centre if chosen is model else np.zeros(3)
+        error = position_error(attempt.target, before[chosen.name], origin)
     page = out / "demo.html"
     say("writing the page")
     sections = [model_section(model, model_pictures, model_poses, calibrated)]
@@ -140,6 +150,14 @@ def run_demo(
         page, "From a board to an object in the hand", verdict_sentence(attempt, held), sections
     )
     return DemoResult(page, held, attempt, calibrated, model, error)
+
+
+def exact_model(known: CellObject) -> ObjectModel:
+    """Return the exact model of an object, as from its drawing."""
+    solid = known.solid
+    faces = tuple(Face(tuple(loop)) for loop in solid.faces)
+    model = ObjectModel(solid.vertices, solid.edges, faces, name=known.name)
+    return dataclasses.replace(model, symmetry=find_symmetry(model))
 
 
 def modelled(

@@ -26,6 +26,8 @@ class Pick(NamedTuple):
         grasp: the executed grasp.
         width: distance of the closed fingers, m; NaN if nothing was executed.
         outcome: what happened, in words.
+        considered: for each accepted object, its best grasp or why it has none; `look.found` has
+            the messages on the others.
     """
 
     look: Look | None
@@ -34,6 +36,7 @@ class Pick(NamedTuple):
     grasp: PlannedGrasp | None
     width: float
     outcome: str
+    considered: tuple[str, ...] = ()
 
 
 def pick(
@@ -51,9 +54,9 @@ def pick(
 ) -> Pick:
     """Look for objects, choose the one with the safest grasp, and execute it.
 
-    Found objects that are not chosen are obstacles, even if their verdict is open, unless their
-    model has no faces: the outcome says so. Objects that were not found are unknown, and not
-    avoided.
+    An object without a safe grasp does not keep the others from being grasped. Found objects that
+    are not chosen are obstacles, even if their verdict is open, unless their model has no faces:
+    the outcome says so. Objects that were not found are unknown, and not avoided.
 
     Args:
         cell: with an empty gripper.
@@ -81,9 +84,18 @@ def pick(
     if not look.found.accepted:
         return Pick(look, None, None, None, nothing, "; ".join(look.found.messages))
     say("planning grasps")
-    target, plan, reasons = _safest(look.found, gripper, scene, motion)
-    if target is None or plan is None:
-        return Pick(look, None, plan, None, nothing, "; ".join(reasons))
+    planned = [_planned(obj, look.found, gripper, scene, motion) for obj in look.found.accepted]
+    plans = [(obj, plan) for obj, plan, _ in planned if plan is not None]
+    undecided = [
+        f"{obj.name} is not grasped: {obj.message.partition(': ')[2]}" for obj in look.found.open
+    ]
+    considered = (*(clause for *_, clause in planned), *undecided)
+    safe = [(obj, plan) for obj, plan in plans if len(plan)]
+    if not safe:
+        last = plans[-1][1] if plans else None
+        reasons = "; ".join(clause for *_, clause in planned)
+        return Pick(look, None, last, None, nothing, reasons, considered)
+    target, plan = max(safe, key=lambda entry: entry[1].best.success_probability)
     say(plan.summary)
     # The gripper may touch objects that are no obstacles: the outcome says so.
     bare = [obj.name for obj in _obstacles(look.found) if not obj.model.faces]
@@ -93,42 +105,29 @@ def pick(
     except CellError as error:
         # It is unknown what the fingers hold then.
         width, outcome = nothing, f"not executed to the end: {error}"
-    return Pick(look, target, plan, plan.best, width, outcome + note)
+    return Pick(look, target, plan, plan.best, width, outcome + note, considered)
 
 
-def _safest(
-    found: Localizations, gripper: Gripper, scene: GraspScene, motion: Motion | None
-) -> tuple[Localization | None, GraspPlan | None, list[str]]:
-    """Return the object with the most probable grasp of all, with its plan.
-
-    If no grasp is safe the object is None, the plan is the last one, and the sentences say why.
-    """
-    best: tuple[Localization, GraspPlan] | None = None
-    plan, reasons = None, []
-    for obj in found.accepted:
-        # A wireframe without faces has no width for the fingers.
-        if not obj.model.faces:
-            reasons.append(f"no safe grasp of {obj.name}: its model has no faces")
-            continue
-        # Compared by identity, since two objects may be of one model.
-        others = [other for other in _obstacles(found) if other is not obj and other.model.faces]
-        plan = grasps_for(obj, gripper, scene.with_objects(others), motion)
-        # Each object without a safe grasp has its own reason.
-        if not len(plan):
-            reasons.append(plan.summary)
-        elif best is None or _chance(plan) > _chance(best[1]):
-            best = obj, plan
-    return (None, plan, reasons) if best is None else (*best, reasons)
+def _planned(
+    obj: Localization,
+    found: Localizations,
+    gripper: Gripper,
+    scene: GraspScene,
+    motion: Motion | None,
+) -> tuple[Localization, GraspPlan | None, str]:
+    """Return an accepted object with its plan, and a clause on its grasps or why there is none."""
+    # A wireframe without faces has no width for the fingers.
+    if not obj.model.faces:
+        return obj, None, f"no safe grasp of {obj.name}: its model has no faces"
+    # Compared by identity, since two objects may be of one model.
+    others = [other for other in _obstacles(found) if other is not obj and other.model.faces]
+    plan = grasps_for(obj, gripper, scene.with_objects(others), motion)
+    return obj, plan, plan.summary
 
 
 def _obstacles(found: Localizations) -> tuple[Localization, ...]:
     """Return the objects that may be at their poses: accepted and open ones."""
     return (*found.accepted, *found.open)
-
-
-def _chance(plan: GraspPlan) -> float:
-    """Return the probability of success of the best grasp."""
-    return plan.best.success_probability
 
 
 def execute(

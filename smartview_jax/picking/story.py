@@ -88,7 +88,7 @@ def localised_section(
     # The last phase reached, wherever the run ended.
     phase, picture = strip[-1]
     figures.append(StoryFigure("(f)", f"the bin, last seen: {_phase_name(phase)}", picture))
-    text = "Two views are searched for the model."
+    text = "Two views are searched for the models."
     if look.verification is not None:
         text += f" A further one verifies it. Why it was chosen: {look.verification.reason}."
     return Section("Localised, verified, grasped (Fig. 8)", text, figures)
@@ -127,7 +127,7 @@ def numbers_section(
         ("board pictures", str(len(calibrated.pictures))),
         ("pixel sigma of the calibration", f"{fit.pixel_sigma:.3f} px"),
         ("views of the bin", str(0 if look is None else len(look.pictures))),
-        ("model", f"{len(model.vertices)} vertices, {len(model.faces)} faces"),
+        ("clicked model", f"{len(model.vertices)} vertices, {len(model.faces)} faces"),
     ]
     if target is not None:
         evidence = target.verdict.evidence
@@ -149,7 +149,9 @@ def numbers_section(
     rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
     rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
     # Without a look only the outcome can be reported.
-    notes = (attempt.outcome,) if look is None else (*look.notes, *look.found.messages)
+    notes = (attempt.outcome,)
+    if look is not None:
+        notes = (*look.notes, *look.found.messages, *attempt.considered)
     rows += [("note", text) for text in notes]
     return Section("What happened", "", (), (), rows)
 

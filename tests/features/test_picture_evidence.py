@@ -12,6 +12,7 @@ from smartview_jax.features import (
     ORIENTATIONS,
     UNSEEN,
     IdealPlane,
+    evidence_of_points,
     picture_evidence,
 )
 from smartview_jax.features.picture_evidence import MAX_CELLS, ORIENTATION_TOLERANCE
@@ -133,3 +134,28 @@ def test_large_pictures_have_maps_of_bounded_size():
 def test_a_picture_that_nothing_can_be_found_in_is_refused():
     with pytest.raises(ValueError, match="blank"):
         picture_evidence(np.full(SIZE[::-1], 90, np.uint8), camera())
+
+
+def test_segments_along_taken_edge_points_are_left_out():
+    """As when an object is found: half of the picture is taken."""
+    picture = np.full((240, 320), 60, np.uint8)
+    picture[60:180, 40:120] = 180
+    picture[60:180, 200:280] = 180
+    camera = sv.Camera(300.0, 300.0, 160.0, 120.0, Pinhole(), (320, 240))
+    evidence = picture_evidence(picture, camera)
+    free = evidence.edge_points.pixels[:, 0] > 160.0
+    left = evidence_of_points(evidence, free, camera)
+    middles = left.features.segments.mean(axis=1)
+    assert len(middles) == 4
+    assert (middles[:, 0] > 160.0).all()
+    assert len(evidence.features.segments) == 8
+    # Corners keep the segments that they still have, with their new indices.
+    joined = left.features.corner_segments
+    assert joined.max() == 3
+    corners, of_two = left.features.corners, (joined >= 0).sum(axis=1) == 2
+    assert of_two.sum() == 4
+    for corner, pair in zip(corners[of_two], joined[of_two], strict=True):
+        ends = left.features.segments[pair[:2]]
+        assert np.linalg.norm(ends - corner, axis=2).min(axis=1).max() < 1e-6
+    assert (left.maps.distances <= evidence.maps.distances).sum() < left.maps.distances.size
+    assert evidence_of_points(evidence, np.ones_like(free), camera) is evidence

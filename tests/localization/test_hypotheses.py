@@ -182,4 +182,4 @@ def test_pose_distances_are_those_of_the_vertices(scene):
 
 
 def test_wireframes_for_the_search_are_small(scene):
-    assert len(Wireframe.of(scene.models[0], 24).samples) <= 48
+    assert len(Wireframe.of(scene.models[0], 24, per_edge=1).samples) <= 48

@@ -12,6 +12,7 @@ class Recorded(judging._Judging):
     """Verdicts that reject everything, and a list of the poses that were judged."""
 
     def __init__(self):
+        super().__init__(None, [], None, 0, {})
         self.asked = []
 
     def is_rejected_unrefined(self, candidate):
@@ -38,5 +39,8 @@ def test_a_short_pose_that_explains_little_does_not_end_the_search():
 def test_what_is_skipped_leaves_the_others_their_places():
     good, poor = candidate(0.9, 1000.0), candidate(0.3, 10.0)
     recorded = Recorded()
-    recorded.in_order([good, *[poor] * judging.MAX_JUDGED, *[good] * judging.MAX_JUDGED], [])
-    assert recorded.asked == [good] * judging.MAX_JUDGED
+    most = judging.MAX_REJECTED
+    judgement = recorded.in_order([good, *[poor] * most, *[good] * (most + 2)], [])
+    assert recorded.asked == [good] * most
+    # The others are not forgotten without a word.
+    assert judgement.left == [good] * 3

@@ -6,6 +6,7 @@ import inspect
 import pickle
 import sys
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -290,6 +291,20 @@ def test_a_further_view_counts_together_with_the_first(pictures, found, first):
     assert sizes[1] < 0.8 * sizes[0]
 
 
+def test_earlier_views_are_not_read_again_with_another_calibration(pictures, first):
+    camera = eqx.tree_at(lambda tree: tree.alpha_u, CALIBRATION.camera, 1400.0)
+    wider = sv.Calibration.eye_in_hand(camera, np.eye(4), np.eye(4))
+    moved = sv.Calibration.eye_in_hand(
+        CALIBRATION.camera, host_exponentials(np.array([0.01, 0, 0, 0, 0, 0])), np.eye(4)
+    )
+    for other, difference in (
+        (wider, "with alpha_u 1500, not 1400"),
+        (moved, "camera poses that differ by up to 10 mm in translation"),
+    ):
+        with pytest.raises(ValueError, match=f"^previous: its views .*, {difference}; give"):
+            localize(evidence(pictures[1:]), POSES[1:], other, MODEL, previous=first)
+
+
 def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatch):
     solid = prism(6)
     other = dataclasses.replace(solid, name="prism", symmetry=find_symmetry(solid))
@@ -304,7 +319,7 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
     )
     assert {one.model.name for one in first} == {"box"}
 
-    def find_hypotheses(pictures, views, models, workspace):
+    def find_hypotheses(pictures, views, models, count, *, workspace):
         assert [one.name for one in models] == ["prism"]
         assert len(pictures) == 2
         return starts(beside)

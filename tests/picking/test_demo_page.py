@@ -64,7 +64,7 @@ def test_two_views_that_were_enough_have_no_reason():
     section = localised_section(look_of(2, None, seen(MODEL)), CALIBRATED, REGION, strip_of("lift"))
     assert [one.name for one in section.figures] == [f"({letter})" for letter in "abcdef"]
     assert section.figures[2].text == "the last view"
-    assert section.text == "Two views are searched for the model."
+    assert section.text == "Two views are searched for the models."
 
 
 def test_an_outcome_is_a_sentence_with_its_names():

@@ -81,6 +81,18 @@ def test_what_is_accepted_is_verified_from_one_view(look):
     assert result.notes == ("view 3: it separates the object from 1 remaining rival",)
 
 
+def test_a_view_that_brings_less_than_it_costs_is_not_taken(look):
+    """The view of `look` gains one nat."""
+    cell = FakeCell()
+    for found in (ACCEPTED, OPEN):
+        result = look(cell, [found], view_cost=1.5)
+        assert len(result.pictures) == 2
+        assert result.verification is None
+        assert result.notes[0].startswith(
+            "no further view: view 3 would gain 1 nats and costs 1.5: it separates"
+        )
+
+
 def test_what_is_open_is_looked_at_after_what_is_accepted(look):
     result = look(FakeCell(), [ACCEPTED, OPEN], [ACCEPTED, OPEN], [ACCEPTED, ACCEPTED])
     assert look.looked_at == [["accepted"], ["open"]]

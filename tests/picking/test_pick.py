@@ -112,6 +112,16 @@ def test_the_object_with_the_most_probable_grasp_is_chosen(attempt):
     assert result.width == FakeCell().width
 
 
+def test_the_next_object_is_tried_and_every_object_says_why(attempt):
+    second = box(name="second")
+    result = attempt([seen(BOX), seen(second)], {"second": [GRASP]})
+    assert result.target.model is second
+    assert result.considered == (
+        "no safe grasp: the model of box has no place for this gripper",
+        "second: 1 of 1 grasps are safe; the best () succeeds with 90.0%",
+    )
+
+
 def test_every_object_without_a_safe_grasp_says_why(attempt):
     result = attempt([seen(BOX), seen(WIRE), seen(box(name="second"))], {})
     assert result.outcome == (

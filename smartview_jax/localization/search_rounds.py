@@ -1,0 +1,165 @@
+"""Try hypotheses in rounds, until a round brings no further object.
+
+In most scenes the first few hypotheses contain all objects. Where there are many objects, those
+that are found take their edge points away, and the next hypotheses are tried on what is left. Where
+one search has found very many, what is left is searched again.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..features import PictureEvidence
+from ..modeling import CalibrationUncertainty
+from .candidates import Candidate, Prepared, converged_candidates, measured_candidates
+from .chance import ChancePoses
+from .hypotheses import MAX_HYPOTHESES, Hypothesis
+from .judging import judged, scene_without
+from .localization import Localization
+from .pose_convergence import lengths_of_poses
+from .scene import Scene
+from .verdict import HIDDEN_SHARE
+
+SEARCHED_AGAIN = 8
+"""Number of objects of a model that one search finds, from which on it is searched for again.
+
+A search polishes `POLISHED` proposals, and several of them are of one object.
+"""
+
+Search = Callable[[Sequence[PictureEvidence], Sequence[int]], list[Hypothesis]]
+"""Return the hypotheses of some models, given by their indices, in pictures; the best first."""
+
+
+class Found(NamedTuple):
+    """The verdicts on a scene, and where the search ended.
+
+    Attributes:
+        results: verdicts.
+        tried: number of hypotheses of each model that were tried.
+        left: number of poses of each model that might be objects, but were not judged.
+    """
+
+    results: list[Localization]
+    tried: list[int]
+    left: list[int]
+
+
+def judged_in_rounds(
+    scene: Scene,
+    prepared: Sequence[Prepared],
+    given: Sequence[Hypothesis],
+    searched: Sequence[int],
+    search: Search,
+    uncertainty: CalibrationUncertainty,
+    box: Float[np.ndarray, "2 3"] | None,
+) -> Found:
+    """Return the verdicts on hypotheses, round after round until one brings no further object.
+
+    Args:
+        scene: edge points of the pictures, from which found objects take theirs.
+        prepared: the models.
+        given: hypotheses that are all tried in the first round.
+        searched: indices of the models that are searched for.
+        search: how they are.
+        uncertainty: of the calibration in these views.
+        box: two corners of the workspace; None for anywhere.
+    """
+    tried, left = [0] * len(prepared), [0] * len(prepared)
+    results: list[Localization] = []
+    accepted: list[Localization] = []
+    chance_poses: dict[int, ChancePoses] = {}
+    waiting = search(scene.pictures, searched)
+    # Objects of each model: found by the latest search, and in the last round.
+    by_search: Counter[int] = Counter()
+    by_round: Counter[int] = Counter(range(len(prepared)))
+    while True:
+        free = scene_without(scene, prepared, accepted)
+        # There may be more objects only of models that the last round found.
+        waiting = _worth_trying(free, prepared, [h for h in waiting if by_round[h.model]])
+        many = [model for model in searched if by_search[model] >= SEARCHED_AGAIN]
+        if many and not waiting:
+            waiting = _worth_trying(free, prepared, search(free.free_pictures(), many))
+            by_search.clear()
+        batch, waiting = _first_of_each_model(waiting)
+        batch, given = [*given, *batch], ()
+        if not batch:
+            return Found(results, tried, left)
+        tried = _added(tried, batch)
+        candidates = _within(converged_candidates(free, prepared, batch), prepared, box)
+        # Poses left open are judged again, with the objects found since as neighbours.
+        undecided = [obj for obj in results if obj.verdict.decision == "open"]
+        if undecided:
+            poses = [
+                Candidate(obj.model_index, obj.world_from_object, 0.0, 0.0) for obj in undecided
+            ]
+            candidates = measured_candidates(free, prepared, [*candidates, *poses])
+        rejected = [obj for obj in results if obj.verdict.decision == "rejected"]
+        judgement = judged(
+            free, prepared, candidates, uncertainty, sum(tried), accepted, chance_poses
+        )
+        chance_poses = judgement.tried
+        left = _added(left, judgement.left)
+        results = [*judgement.results, *rejected]
+        now = [obj for obj in results if obj.accepted]
+        by_round = Counter(
+            obj.model_index for obj in now if not any(obj is other for other in accepted)
+        )
+        by_search += by_round
+        accepted = now
+
+
+def _first_of_each_model(
+    hypotheses: Sequence[Hypothesis],
+) -> tuple[list[Hypothesis], list[Hypothesis]]:
+    """Return the hypotheses of a round, and the others."""
+    counts: Counter[int] = Counter()
+    batch, others = list[Hypothesis](), list[Hypothesis]()
+    for hypothesis in hypotheses:
+        counts[hypothesis.model] += 1
+        is_first = counts[hypothesis.model] <= MAX_HYPOTHESES
+        (batch if is_first else others).append(hypothesis)
+    return batch, others
+
+
+def _worth_trying(
+    scene: Scene, prepared: Sequence[Prepared], hypotheses: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Return the hypotheses that might be accepted by the edge points that are still free."""
+    if not scene.has_claims:
+        return list(hypotheses)
+    kept = []
+    for index, entry in enumerate(prepared):
+        waiting = [h for h in hypotheses if h.model == index]
+        if not waiting:
+            continue
+        poses = np.stack([h.world_from_object for h in waiting])
+        visible, explained = lengths_of_poses(entry.coarse, scene.views, scene.lookup, poses).T
+        is_kept = explained >= HIDDEN_SHARE * np.maximum(visible, 1.0)
+        kept += [h for h, keep in zip(waiting, is_kept, strict=True) if keep]
+    return kept
+
+
+def _within(
+    candidates: Sequence[Candidate],
+    prepared: Sequence[Prepared],
+    box: Float[np.ndarray, "2 3"] | None,
+) -> list[Candidate]:
+    """Return the candidates whose middle is in the workspace.
+
+    Checked again after the fit, which may have moved a pose out of the box. Only the middle is
+    checked: the vertices were when the pose was proposed, and the walls are not exact.
+    """
+    if box is None:
+        return list(candidates)
+    middles = [prepared[c.model].middle_at(c.pose) for c in candidates]
+    inside = [bool(((box[0] <= m) & (m <= box[1])).all()) for m in middles]
+    return [c for c, is_in in zip(candidates, inside, strict=True) if is_in]
+
+
+def _added(counts: Sequence[int], of_models: Sequence[Hypothesis | Candidate]) -> list[int]:
+    """Return numbers by model, with further hypotheses or candidates counted in."""
+    more = Counter(entry.model for entry in of_models)
+    return [count + more[model] for model, count in enumerate(counts)]

@@ -1,0 +1,193 @@
+"""Tell whether two objects at given poses would occupy the same space.
+
+A solid is a union of convex parts: a convex model is one part, any other is cut along the planes of
+its faces until no face passes through a part. Two solids overlap as deep as the diameter of the
+largest ball that fits into a part of each, which a linear program finds (Chebyshev centre).
+"""
+
+import functools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+from ..geometry import host_transformed
+from ..modeling import Face, ObjectModel, face_plane, open_edges
+from .wireframe import HIDING_MARGIN
+
+EXACT_MARGIN = 1e-4
+"""Distance of an exact model's vertices from the planes of their faces, over its extent, that is
+rounding; for a measured model it is `HIDING_MARGIN`."""
+
+MAX_CUT_FACES = 100
+"""Largest number of faces of a model that is cut into parts, which takes up to some seconds.
+
+The convex hull stands for other solids. It is larger, so that an object in a hollow of such a solid
+counts as its rival.
+"""
+
+
+class ConvexPart(NamedTuple):
+    """The points x of a model with `normals @ x <= offsets`.
+
+    Attributes:
+        normals, offsets: outward unit normals, and distances of the planes from the origin, m.
+        corners: m.
+        radius: of the largest ball inside, m.
+    """
+
+    normals: Float[np.ndarray, "planes 3"]
+    offsets: Float[np.ndarray, "planes"]
+    corners: Float[np.ndarray, "corners 3"]
+    radius: float
+
+    def at(self, pose: Float[np.ndarray, "4 4"]) -> "ConvexPart":
+        """Return the part in the world."""
+        normals, t = self.normals @ pose[:3, :3].T, pose[:3, 3]
+        return self._replace(
+            normals=normals,
+            offsets=self.offsets + normals @ t,
+            corners=host_transformed(pose, self.corners),
+        )
+
+    def depth_of(self, other: "ConvexPart") -> float:
+        """Return how deep another part reaches into this one, along the face where it is least."""
+        outside = other.corners @ self.normals.T - self.offsets
+        return float(-outside.min(axis=0).max())
+
+
+@functools.lru_cache(maxsize=256)
+def convex_parts(model: ObjectModel) -> tuple[ConvexPart, ...]:
+    """Return the convex parts of a model; none for a flat one.
+
+    The convex hull stands for a model whose faces do not enclose a volume.
+    """
+    try:
+        hull = ConvexHull(model.vertices).equations
+    except QhullError:
+        return ()
+    # A face of several triangles is one plane.
+    whole = np.unique(hull.round(9), axis=0)
+    tolerance = _margin(model)
+    planes = [_plane(model, face) for face in model.faces]
+    is_convex = all((model.vertices @ p[:3] + p[3] <= tolerance).all() for p in planes)
+    can_be_cut = 3 < len(model.faces) <= MAX_CUT_FACES and not len(open_edges(model.faces))
+    if is_convex or not can_be_cut:
+        cells = [whole]
+    else:
+        inner = list(zip(model.faces, planes, strict=True))
+        cells = [c for c in _cells(model, whole, inner) if _winding(model, _ball(c)[0]) > 0.5]
+        # All parts of a measured model may be thinner than its errors.
+        cells = cells or [whole]
+    return tuple(_part(cell) for cell in cells)
+
+
+def overlap_depth(
+    model: ObjectModel,
+    pose: Float[np.ndarray, "4 4"],
+    other: ObjectModel,
+    other_pose: Float[np.ndarray, "4 4"],
+) -> float:
+    """Return the diameter of the largest ball that is in both solids, m; zero if they are apart."""
+    parts, other_parts = (
+        [part.at(p) for part in convex_parts(m)] for m, p in ((model, pose), (other, other_pose))
+    )
+    deepest = 0.0
+    for a in parts:
+        for b in other_parts:
+            # No ball inside both is larger than the parts, or than one reaches into the other.
+            largest = min(2.0 * a.radius, 2.0 * b.radius, a.depth_of(b), b.depth_of(a))
+            if largest > deepest:
+                planes = [np.column_stack([part.normals, -part.offsets]) for part in (a, b)]
+                deepest = max(deepest, 2.0 * _ball(np.concatenate(planes))[1])
+    return deepest
+
+
+def thickness(model: ObjectModel) -> float:
+    """Return the diameter of the largest ball inside a convex part, m; zero for a flat model."""
+    return 2.0 * max((part.radius for part in convex_parts(model)), default=0.0)
+
+
+def _margin(model: ObjectModel) -> float:
+    """Return the distance of vertices from their faces' planes that counts as zero, m."""
+    return (EXACT_MARGIN if model.is_exact else HIDING_MARGIN) * model.extent
+
+
+def _plane(model: ObjectModel, face: Face) -> Float[np.ndarray, "4"]:
+    """Return the outward unit normal n of a face and d, with n . x + d = 0 on its plane."""
+    plane = face_plane(model.vertices, face)
+    return np.append(plane.normal, -plane.normal @ plane.origin)
+
+
+def _part(planes: Float[np.ndarray, "planes 4"]) -> ConvexPart:
+    """Return the part within planes."""
+    middle, radius = _ball(planes)
+    corners = HalfspaceIntersection(planes, middle).intersections
+    return ConvexPart(planes[:, :3], -planes[:, 3], corners, radius)
+
+
+def _cells(
+    model: ObjectModel,
+    planes: Float[np.ndarray, "planes 4"],
+    faces: list[tuple[Face, Float[np.ndarray, "4"]]],
+) -> Iterator[Float[np.ndarray, "planes 4"]]:
+    """Yield the planes of the cells into which faces cut a cell; no face passes through them."""
+    tolerance = _margin(model)
+    for k, (face, plane) in enumerate(faces):
+        if not _passes_through(model.vertices[list(face.loop)], planes, tolerance):
+            continue
+        for side in (plane, -plane):
+            cell = np.vstack([planes, side])
+            if _ball(cell)[1] > tolerance:
+                yield from _cells(model, cell, faces[k + 1 :])
+        return
+    yield planes
+
+
+def _passes_through(
+    corners: Float[np.ndarray, "corners 3"],
+    planes: Float[np.ndarray, "planes 4"],
+    tolerance: float,
+) -> bool:
+    """Return whether the convex hull of a face has points inside a cell."""
+    # x = sum w_k c_k with w_k >= 0 and sum w_k = 1; the largest distance r from all planes.
+    distances = planes[:, :3] @ corners.T + planes[:, 3:]
+    program = linprog(
+        np.append(np.zeros(len(corners)), -1.0),
+        np.column_stack([distances, np.ones(len(planes))]),
+        np.zeros(len(planes)),
+        np.append(np.ones(len(corners)), 0.0)[None],
+        np.ones(1),
+        bounds=[*[(0.0, None)] * len(corners), (None, None)],
+    )
+    return bool(program.status == 0 and program.x[-1] > tolerance)
+
+
+def _ball(planes: Float[np.ndarray, "planes 4"]) -> tuple[Float[np.ndarray, "3"], float]:
+    """Return the middle and the radius of the largest ball within planes, zero if there is none."""
+    # The largest r with n . x + d + r <= 0 for all planes.
+    program = linprog(
+        np.array([0.0, 0.0, 0.0, -1.0]),
+        np.column_stack([planes[:, :3], np.ones(len(planes))]),
+        -planes[:, 3],
+        bounds=[(None, None)] * 3 + [(0.0, None)],
+    )
+    return (program.x[:3], float(program.x[3])) if program.status == 0 else (np.zeros(3), 0.0)
+
+
+def _winding(model: ObjectModel, point: Float[np.ndarray, "3"]) -> float:
+    """Return how often the faces wind about a point: once inside, not at all outside."""
+    # tan(w / 2) = a . (b x c) / (abc + (a . b) c + (b . c) a + (c . a) b), the solid angle w of a
+    # triangle (van Oosterom and Strackee, 1983). Triangles of a fan outside the face cancel.
+    total = 0.0
+    for face in model.faces:
+        apex = model.vertices[face.loop[0]] - point
+        ends = model.vertices[np.array(face.directed_edges)] - point
+        b, c = ends[:, 0], ends[:, 1]
+        la, lb, lc = np.linalg.norm(apex), np.linalg.norm(b, axis=1), np.linalg.norm(c, axis=1)
+        below = la * lb * lc + b @ apex * lc + (b * c).sum(axis=1) * la + c @ apex * lb
+        total += 2.0 * float(np.arctan2(np.cross(b, c) @ apex, below).sum())
+    return total / (4.0 * np.pi)
