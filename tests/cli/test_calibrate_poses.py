@@ -17,8 +17,8 @@ from smartview_jax.io import PoseSamples, save_dataset, write_easy_handeye
 WRONG = 5
 
 
-def pairs(mount="eye_in_hand"):
-    robot, measured = tracked(3, mount=mount)
+def pairs():
+    robot, measured = tracked(3)
     measured[WRONG] = measured[WRONG] @ host_exponentials(np.array([0.1, 0, 0, 0.5, 0, 0]))
     return robot, measured
 
@@ -80,22 +80,21 @@ def camera_file(tmp_path_factory):
 
 @pytest.fixture
 def samples(tmp_path):
-    robot, measured = pairs("eye_to_hand")
+    robot, measured = pairs()
     path = tmp_path / "arm.samples"
-    write_easy_handeye(path, PoseSamples(as_se3(robot), as_se3(measured), "eye_to_hand"))
+    write_easy_handeye(path, PoseSamples(as_se3(robot), as_se3(measured), "eye_in_hand"))
     return path
 
 
 def test_samples_of_easy_handeye_with_a_camera_give_a_calibration(samples, camera_file, tmp_path):
     ended = run(
-        *("calibrate", samples, "--mount", "eye_to_hand", "--camera", camera_file),
+        *("calibrate", samples, "--mount", "eye_in_hand", "--camera", camera_file),
         *("--no-held-out", "--out", tmp_path),
     )
     assert ended.exit_code == 0, ended.output
     assert "pair 5: not used:" in ended.output
     calibration = Calibration.load(tmp_path / "calibration.yaml")
-    assert calibration.mount == "eye_to_hand"
-    found = host_matrices(calibration.camera_from_base)
+    found = host_matrices(calibration.camera_from_tool)
     np.testing.assert_allclose(found[:3, 3], MOUNT[:3, 3], atol=2e-3)
 
 
