@@ -64,30 +64,29 @@ def main(path: Path, repeats: int) -> None:
         world.with_value(_pose(data.base_from_world)),
     ]
 
-    @jaxls.Cost.factory
     def reported(values, camera, hand, world, robot, pixels):
         return _residual(values[camera], values[hand], robot, values[world], points, pixels)
 
-    @jaxls.Cost.factory
     def corrected(values, camera, hand, world, correction, robot, pixels):
         moved = jaxlie.SE3.exp(values[correction]) @ robot
         return _residual(values[camera], values[hand], moved, values[world], points, pixels)
 
-    @jaxls.Cost.factory
     def prior(values, correction):
         return values[correction] / jnp.asarray(peer.PRIOR)
 
-    shared = [
-        kind(jnp.full(views, k, dtype=jnp.int32))
-        for kind, k in ((CameraVar, 0), (jaxls.SE3Var, 0), (jaxls.SE3Var, 1))
-    ]
+    # Each view's cost names the variables that all views share.
+    first, second = (jnp.full(views, k, dtype=jnp.int32) for k in (0, 1))
+    cameras, hands, worlds = CameraVar(first), jaxls.SE3Var(first), jaxls.SE3Var(second)
     if data.corrected:
         corrections = Correction(jnp.arange(views, dtype=jnp.int32))
-        costs = [corrected(*shared, corrections, robot, pixels), prior(corrections)]
+        costs = [
+            jaxls.Cost.factory(corrected)(cameras, hands, worlds, corrections, robot, pixels),
+            jaxls.Cost.factory(prior)(corrections),
+        ]
         variables.append(corrections)
         start.append(corrections)
     else:
-        costs = [reported(*shared, robot, pixels)]
+        costs = [jaxls.Cost.factory(reported)(cameras, hands, worlds, robot, pixels)]
     graph = jaxls.LeastSquaresProblem(costs, variables).analyze()
     values = jaxls.VarValues.make(start)
 
