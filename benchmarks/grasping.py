@@ -14,7 +14,6 @@ A grasp succeeded if the object is between the fingers and above the bin after t
 physics; not by a formula.
 """
 
-import dataclasses
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -34,10 +33,8 @@ from smartview_jax.geometry import (
 from smartview_jax.grasping import GraspScene, Motion, NoSafeGraspError, Obstacle, grasps_for
 from smartview_jax.modeling import (
     CalibrationUncertainty,
-    Face,
     ObjectModel,
     SeenViews,
-    find_symmetry,
 )
 from smartview_jax.picking import Region, execute, pick
 from smartview_jax.picking.calibrating import stacked_commands
@@ -88,10 +85,7 @@ def solids() -> dict:
 
 def model_of(name: str) -> ObjectModel:
     """The exact model of an object."""
-    solid = solids()[name]
-    faces = tuple(Face(tuple(loop)) for loop in solid.faces)
-    model = ObjectModel(solid.vertices, solid.edges, faces, name=name)
-    return dataclasses.replace(model, symmetry=find_symmetry(model))
+    return solids()[name].exact_model(name)
 
 
 def calibrated(seed: int) -> dict[str, Rig]:

@@ -28,7 +28,7 @@ from .grasping import calibrated
 from .localization_cells import KINDS, cell_scene, true_calibration, workspace_of
 from .localization_other_kinds import print_other_kinds
 from .localization_pictures import print_real_pictures
-from .localization_scenes import model_of, solids
+from .localization_scenes import solids
 from .localization_spoilt import print_spoilt_pictures
 from .localization_tables import SceneSeconds, print_seconds, print_tables
 from .localization_trials import trial
@@ -114,7 +114,7 @@ def seconds_a_scene(count: int) -> list[SceneSeconds]:
             pictures,
             poses,
             true_calibration(cell),
-            model_of(solids()[name], name),
+            solids()[name].exact_model(name),
             workspace=workspace_of(cell),
         )
         ended = time.perf_counter()

@@ -27,7 +27,6 @@ from smartview_jax.simulation.cell import CellError, CellObject, SimulatedCell
 from .localization_scenes import (
     clutter,
     hidden_shares,
-    model_of,
     occluder,
     plain_surfaces,
     printed_table,
@@ -102,7 +101,7 @@ def cell_scene(cell: SimulatedCell, kind: str, seed: int) -> CellScene:
     # Each object equally often, whatever the order in which scenes are made.
     order = names[seed % len(names) :] + names[: seed % len(names)]
     present = {"empty": 0, "similar": 0, "bin": 1 + (seed // len(names)) % 8}.get(kind, 1)
-    objects = [model_of(solids()[name], name) for name in (2 * order)[:present]]
+    objects = [solids()[name].exact_model(name) for name in (2 * order)[:present]]
     others = order[1:2] if kind == "bin" and present == 1 else order[present : present + 1]
     if kind in ("wrong", "empty"):
         others = order[1:3]

@@ -28,7 +28,7 @@ from smartview_jax.simulation import (
 )
 
 from .hypotheses import pose_errors
-from .localization_scenes import camera, model_of, printed_table, resting, viewpoints
+from .localization_scenes import camera, printed_table, resting, viewpoints
 from .localization_trials import is_right
 
 SCENES = {
@@ -117,7 +117,7 @@ def kind_scene(kind: str, seed: int) -> KindScene:
         render_solids(calibration, pose, scene, exposure=1.2, seed=seed + k, samples=8)
         for k, pose in enumerate(cameras)
     ]
-    return KindScene(model_of(solid, kind), poses, pictures, cameras, calibration)
+    return KindScene(solid.exact_model(kind), poses, pictures, cameras, calibration)
 
 
 def _side_by_side(distance: float, rng: np.random.Generator) -> list[np.ndarray]:

@@ -17,7 +17,7 @@ from smartview_jax.simulation import Polyhedron
 from .grasping import interval
 from .hypotheses import REAL_NEAR, pose_errors
 from .localization_real import RealCase, real_cases
-from .localization_scenes import model_of, solids
+from .localization_scenes import solids
 
 ABSENT = ("stepped", "roofed", "random12", "random14")
 """The solids that are on none of the pictures; a box is a cube or a tower but for its lengths."""
@@ -120,9 +120,8 @@ def _absent(case: RealCase, evidence: Sequence[PictureEvidence]) -> list[bool]:
 
 def _of_size(solid: Polyhedron, name: str, size: float) -> ObjectModel:
     """Return the model of a solid brought to an extent."""
-    return model_of(
-        solid._replace(vertices=solid.vertices * (size / _extent(solid.vertices))), name
-    )
+    scaled = solid._replace(vertices=solid.vertices * (size / _extent(solid.vertices)))
+    return scaled.exact_model(name)
 
 
 def _extent(vertices: np.ndarray) -> float:

@@ -14,7 +14,7 @@ import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
 from smartview_jax.geometry import host_matrices, look_at
 from smartview_jax.localization import Wireframe, predict_view
-from smartview_jax.modeling import Face, ObjectModel, find_symmetry
+from smartview_jax.modeling import ObjectModel
 from smartview_jax.runtime.compilation import compiled
 from smartview_jax.simulation import (
     Polyhedron,
@@ -78,16 +78,6 @@ def solids() -> dict[str, Polyhedron]:
     }
 
 
-def model_of(solid: Polyhedron, name: str = "") -> ObjectModel:
-    """Return the exact model of a solid, with its symmetry."""
-    model = ObjectModel(
-        solid.vertices, solid.edges, tuple(Face(tuple(loop)) for loop in solid.faces), name=name
-    )
-    return ObjectModel(
-        model.vertices, model.edges, model.faces, name=name, symmetry=find_symmetry(model)
-    )
-
-
 def camera() -> sv.Camera:
     """Return the camera of all scenes."""
     lens = OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0)
@@ -120,7 +110,7 @@ def localization_scene(
     others = []
     if kind in ("clutter", "occluded"):
         others += clutter(placed, rng)
-    model = model_of(solid, name)
+    model = solid.exact_model(name)
     if kind == "occluded":
         others.append(occluder(model, world_from_object, poses, calibration, rng, others))
     grain = speckled(rng.uniform(0.55, 0.8), rng.uniform(0.0, 0.03), 0.003, seed=seed)

@@ -41,7 +41,7 @@ from .localization_cells import (
     walls_of,
     workspace_of,
 )
-from .localization_scenes import model_of, solids
+from .localization_scenes import solids
 
 RIGHT = (3.0, 5e-3)
 """Largest errors of a right pose, degrees and m; a calibration alone may put it off by 1 mm."""
@@ -106,7 +106,7 @@ def trial(rigs: dict[str, Rig], kind: str, seed: int) -> dict[str, Any]:
 def _models(scene: CellScene) -> list[ObjectModel]:
     """Return the models to look for: of present and of absent objects."""
     there = {} if scene.kind == "wrong" else {one.name: one for one in scene.objects}
-    return [*there.values(), *(model_of(solids()[name], name) for name in scene.others)]
+    return [*there.values(), *(solids()[name].exact_model(name) for name in scene.others)]
 
 
 def _evidence(views: list[View], calibration: sv.Calibration) -> list[PictureEvidence]:

@@ -21,6 +21,9 @@ Pose = Float[np.ndarray, "7"]
 
 _FRAME_NAME_PATTERN = re.compile(r"[A-Za-z0-9_/~][A-Za-z0-9_/~.-]{0,199}")
 
+MOUNT_FRAMES = {"eye_in_hand": "tool0", "eye_to_hand": "base_link"}
+"""ROS's usual frame of the mount, by where the camera is: the robot's tool, or its base."""
+
 _COEFFICIENTS = {
     "pinhole": ("plumb_bob", ()),
     "opencv4": ("plumb_bob", ("k1", "k2", "p1", "p2")),
@@ -144,9 +147,10 @@ def easy_handeye_text(
         ValueError: a name that ROS does not accept.
     """
     in_hand = mount == "eye_in_hand"
+    mounts = {**MOUNT_FRAMES, mount: parent}
     frames = {
-        "robot_base_frame": "base_link" if in_hand else parent,
-        "robot_effector_frame": parent if in_hand else "tool0",
+        "robot_base_frame": mounts["eye_to_hand"],
+        "robot_effector_frame": mounts["eye_in_hand"],
         "tracking_base_frame": child,
         "tracking_marker_frame": "marker",
     }

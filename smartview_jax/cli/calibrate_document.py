@@ -30,15 +30,7 @@ def calibrate_document(
     """
     fit, data = result.fit, result.data
     return {
-        "data_set": result.name,
-        "run": run,
-        "given": given,
-        "converged": fit.result.converged,
-        "message": fit.result.message,
-        **calibration_entries(fit.calibration),
-        # Rotations are rotation vectors here, as on the terminal.
-        "parameters": parameter_documents(fit.joint),
-        "robot_errors": robot_error_document(fit.joint),
+        **fit_entries(result.name, run, given, fit.joint),
         "errors": [
             summary_document(summary)
             for summary in error_summaries(fit, data, dict(result.held_out_reports))
@@ -51,6 +43,21 @@ def calibrate_document(
         "notes": list(result.notes),
         "warnings": list(result.warnings),
         "files": files,
+    }
+
+
+def fit_entries(name: str, run: str, given: str, joint: "JointFit") -> dict[str, Any]:
+    """Return the entries that the documents of all joint fits begin with."""
+    return {
+        "data_set": name,
+        "run": run,
+        "given": given,
+        "converged": joint.result.converged,
+        "message": joint.result.message,
+        **calibration_entries(joint.calibration),
+        # Rotations are rotation vectors here, as on the terminal.
+        "parameters": _parameters(joint),
+        "robot_errors": _robot_errors(joint),
     }
 
 
@@ -68,7 +75,7 @@ def calibration_entries(calibration: "Calibration") -> dict[str, Any]:
     }
 
 
-def parameter_documents(joint: "JointFit") -> list[dict[str, Any]]:
+def _parameters(joint: "JointFit") -> list[dict[str, Any]]:
     """Return every parameter with its unit, standard deviation and 95 % half width."""
     from ..joint import parameter_estimates
 
@@ -86,7 +93,7 @@ def parameter_documents(joint: "JointFit") -> list[dict[str, Any]]:
     ]
 
 
-def robot_error_document(joint: "JointFit") -> dict[str, Any] | None:
+def _robot_errors(joint: "JointFit") -> dict[str, Any] | None:
     """Return the estimated standard deviations and models of error; None if not estimated."""
     noise, estimate = joint.noise, joint.noise_estimate
     if noise is None or estimate is None:

@@ -88,6 +88,16 @@ def run_name() -> str:
     return f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}-{secrets.token_hex(3)}"
 
 
+def command_line() -> str:
+    """Return the command that runs, as a person would type it."""
+    return shlex.join(["smartview", *sys.argv[1:]])
+
+
+def provenance(name: str, given: str) -> str:
+    """Return where the numbers come from: the data set, and values that were given."""
+    return f"{name}; given: {given}" if given else name
+
+
 def write_files(
     result: "CalibrateResult",
     out: Path,
@@ -106,7 +116,7 @@ def write_files(
             result.fit,
             result.data,
             result.held_out_reports,
-            Origin(result.name, shlex.join(["smartview", *sys.argv[1:]]), run, given),
+            Origin(result.name, command_line(), run, given),
             progress,
             result.split_half,
             result.budget,
@@ -123,8 +133,7 @@ def _save_calibrations(result: "CalibrateResult", folder: Path, run: str, given:
     # A view without points has no digest.
     pictures = [digest for digest in picture_digests(result.data) if digest]
     fit = result.fit
-    # Values that were given, not estimated, belong to the provenance of the numbers.
-    source = f"{result.name}; given: {given}" if given else result.name
+    source = provenance(result.name, given)
     fit.joint.save(folder / "calibration.yaml", run, source, result.warnings, pictures)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run, pictures=pictures)
     if fit.calibration.robot_error is not None:

@@ -1,13 +1,11 @@
 """Calibrate tracked poses for `smartview calibrate`: pairs of poses in place of pictures."""
 
-import shlex
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from ..files import file_transaction
-from .calibrate_folder import CalibrateSettings
+from .calibrate_folder import CalibrateSettings, command_line, provenance
 from .error_documents import views_left_out
 from .fit_options import FitOptions, parse_fit_options
 
@@ -124,16 +122,15 @@ def print_pose_result(result: PoseResult) -> None:
 
 def write_pose_files(result: PoseResult, out: Path, run: str) -> list[Path]:
     """Write all files of a run, or none, and return the paths written."""
+    from ..export_text import MOUNT_FRAMES
     from ..io import easy_handeye_calibration
     from ..report import Origin, write_pose_page
 
     fit = result.fit
-    parent = "tool0" if fit.calibration.mount == "eye_in_hand" else "base_link"
-    command = shlex.join(["smartview", *sys.argv[1:]])
-    source = f"{result.name}; given: {result.given}" if result.given else result.name
+    parent = MOUNT_FRAMES[fit.calibration.mount]
     with file_transaction(out, tuple(POSE_RESULT_FILES)) as folder:
         if fit.has_camera:
-            fit.save(folder / "calibration.yaml", run, source)
+            fit.save(folder / "calibration.yaml", run, provenance(result.name, result.given))
         text = easy_handeye_calibration(fit.calibration, parent, "camera_optical_frame")
         (folder / "hand_eye.calib").write_text(text, encoding="utf-8")
         write_pose_page(
@@ -141,7 +138,7 @@ def write_pose_files(result: PoseResult, out: Path, run: str) -> list[Path]:
             fit,
             result.data,
             result.held_out,
-            Origin(result.name, command, run, result.given),
+            Origin(result.name, command_line(), run, result.given),
             result.remarks,
         )
     return [out / file for file in POSE_RESULT_FILES if (out / file).is_file()]
@@ -149,31 +146,17 @@ def write_pose_files(result: PoseResult, out: Path, run: str) -> list[Path]:
 
 def pose_document(result: PoseResult, run: str, files: list[Path]) -> dict[str, Any]:
     """Return everything that was computed, as values for programs."""
-    import numpy as np
-
     from ..report import rejections
-    from .calibrate_document import (
-        calibration_entries,
-        parameter_documents,
-        robot_error_document,
-    )
+    from .calibrate_document import fit_entries
 
     fit = result.fit
-    entries = calibration_entries(fit.calibration)
+    entries = fit_entries(result.name, run, result.given, fit)
     if not fit.has_camera:
         entries["camera"] = None
-    used = np.asarray(fit.inliers).any(axis=1)
     return {
-        "data_set": result.name,
-        "run": run,
-        "given": result.given,
-        "converged": fit.result.converged,
-        "message": fit.result.message,
         **entries,
-        "parameters": parameter_documents(fit),
-        "robot_errors": robot_error_document(fit),
         "tracker_std": _length_and_angle(fit.tracker_noise),
-        "fitted_rms": _length_and_angle(np.sqrt(np.mean(fit.pose_errors[used] ** 2, axis=0))),
+        "fitted_rms": _length_and_angle(fit.rms),
         "held_out_rms": None if result.held_out is None else _length_and_angle(result.held_out.rms),
         "rejected": [
             {"view": view, "reason": reason} for view, reason in rejections(fit, result.data)

@@ -81,6 +81,7 @@ def export(
 def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, child: str) -> str:
     """Return the pose of the camera in its mount's frame, for ROS, easy_handeye2 or URDF."""
     from ..export_text import (
+        MOUNT_FRAMES,
         easy_handeye_text,
         inverse_pose,
         origin_text,
@@ -88,16 +89,15 @@ def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, ch
         static_transform_text,
     )
 
-    on_hand = content["mount"] == "eye_in_hand"
-    name, frame = ("camera_from_tool", "tool0") if on_hand else ("camera_from_base", "base_link")
+    mount = content["mount"]
+    name = "camera_from_tool" if mount == "eye_in_hand" else "camera_from_base"
+    frame = parent or MOUNT_FRAMES[mount]
     mount_from_camera = inverse_pose(_pose(content[name]))
     if to is ExportFormat.URDF:
         return f"{origin_text(pose_matrix(mount_from_camera))}\n"
     if to is ExportFormat.EASY_HANDEYE:
-        return easy_handeye_text(
-            mount_from_camera, content["mount"], parent or frame, child, "smartview"
-        )
-    return static_transform_text(mount_from_camera, parent or frame, child)
+        return easy_handeye_text(mount_from_camera, mount, frame, child, "smartview")
+    return static_transform_text(mount_from_camera, frame, child)
 
 
 def _robot_text(path: Path, arm: str | None, parent: str | None, child: str) -> str:

@@ -85,8 +85,7 @@ class BarUpdate:
         self._stage, self._task = "", bar.add_task("starting", total=None)
 
     def __call__(self, text: str) -> None:
-        counted = _COUNTED.search(text)
-        stage = text if counted is None else f"{text.partition(':')[0]} of {counted[2]}"
+        counted, stage = _COUNTED.search(text), stage_of(text)
         if stage != self._stage:
             # The time left is estimated from the speed, which differs between stages.
             self._bar.remove_task(self._task)

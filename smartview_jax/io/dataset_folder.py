@@ -48,13 +48,10 @@ from .poses import poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose
 from .target_file import read_target
-from .tracked_poses import read_tracked_folder, tracked_poses_written
+from .tracked_poses import read_tracked_folder, write_tracked_poses
 
 FORMAT_VERSION = 1
 """Version of the format of `dataset.yaml`."""
-
-END_MARK = "smartview_dataset"
-"""The last entry of a description that states `end_mark`, so that a truncated file is an error."""
 
 DESCRIPTION_FILE = "dataset.yaml"
 """The name of the file that describes the folder."""
@@ -184,21 +181,21 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """
     folder, target = Path(folder), data.target
     if isinstance(data, PoseDataset):
-        entries = tracked_poses_written(data, folder, pose_format)
-        _write_description(folder, {"mount": data.mount, **entries})
+        _refuse_unreadable_robot(folder, data)
+        entries = {
+            "mount": data.mount,
+            "poses": poses_entry(data.view_count, pose_format),
+            "tracked_poses": write_tracked_poses(data, folder, pose_format),
+            **_written_joints(folder, data),
+        }
+        _write_folder(folder, data.view_ids, data.base_from_tool, entries, pose_format)
         return
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
-    refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
-    if data.arm is not None and data.joints is not None:
-        refuse_unreadable_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
+    _refuse_unreadable_robot(folder, data)
     # A point that was hidden, such as a gross error, has no row, so it stays hidden when read back.
     visible_pixels = np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan)
     rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, visible_pixels)
-    extra_entries: dict[str, Any] = {"detections": {"rows": rows}}
-    if data.arm is not None and data.joints is not None:
-        write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
-        extra_entries["joints"] = joints_entry(len(data.view_ids), data.arm)
     write_dataset_folder(
         folder,
         data.view_ids,
@@ -206,9 +203,24 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         data.image_size,
         target,
         data.mount,
-        extra_entries,
+        {"detections": {"rows": rows}, **_written_joints(folder, data)},
         pose_format,
     )
+
+
+def _refuse_unreadable_robot(folder: Path, data: Dataset) -> None:
+    """Raise a ValueError for names, poses or readings that could not be read back."""
+    refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
+    if data.arm is not None and data.joints is not None:
+        refuse_unreadable_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
+
+
+def _written_joints(folder: Path, data: Dataset) -> dict[str, Any]:
+    """Write the joint readings, if there are any, and return the entry that describes them."""
+    if data.arm is None or data.joints is None:
+        return {}
+    write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
+    return {"joints": joints_entry(data.view_count, data.arm)}
 
 
 def write_dataset_folder(
@@ -244,32 +256,27 @@ def write_dataset_folder(
         "poses": poses_entry(len(view_ids), pose_format),
         **(extra_entries or {}),
     }
-    _refuse_unreadable_description(folder, entries)
+    _write_folder(folder, view_ids, base_from_tool, entries, pose_format)
+
+
+def _write_folder(
+    folder: Path,
+    view_ids: Sequence[str],
+    base_from_tool: SE3,
+    entries: Mapping[str, Any],
+    pose_format: str,
+) -> None:
+    """Write `poses.csv` and then the description with the given entries."""
+    from ..schemas.dataset import DATASET_SCHEMA, END_MARK
+    from ..schemas.validation import refuse_unreadable, write_validated
+
+    # Declares that the last line is an end mark, so that a truncated file is an error.
+    marks = {"smartview_dataset": FORMAT_VERSION, "end_mark": True}
+    description = {**marks, **entries, "end": END_MARK}
+    refuse_unreadable(description, DATASET_SCHEMA, folder / DESCRIPTION_FILE)
     write_poses(folder, view_ids, base_from_tool, pose_format)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
-    _write_description(folder, entries)
-
-
-def _description(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of a description, with the marks by which a truncated file is known."""
-    marks = {"smartview_dataset": FORMAT_VERSION, "end_mark": True}
-    return {**marks, **entries, "end": END_MARK}
-
-
-def _refuse_unreadable_description(folder: Path, entries: Mapping[str, Any]) -> None:
-    """Raise a ValueError for a description that could not be read back."""
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import refuse_unreadable
-
-    refuse_unreadable(_description(entries), DATASET_SCHEMA, folder / DESCRIPTION_FILE)
-
-
-def _write_description(folder: Path, entries: Mapping[str, Any]) -> None:
-    """Write `dataset.yaml`, which marks the folder as a data set."""
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import write_validated
-
-    write_validated(folder / DESCRIPTION_FILE, _description(entries), DATASET_SCHEMA)
+    write_validated(folder / DESCRIPTION_FILE, description, DATASET_SCHEMA)
 
 
 def picture_files(

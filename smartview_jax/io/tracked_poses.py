@@ -20,12 +20,11 @@ import numpy as np
 
 from ..dataset import PoseDataset
 from ..geometry import as_se3, host_matrices
-from .joints import joints_entry, refuse_unreadable_joints, write_joints
-from .poses import poses_entry, read_poses, refuse_unreadable_poses, write_poses
+from .poses import poses_entry, read_poses, write_poses
 from .robot_readings import read_robot_readings
 
 TRACKED_POSES_FILE = "tracker.csv"
-"""The name of the file that `tracked_poses_written` writes."""
+"""The name of the file that `write_tracked_poses` writes."""
 
 _DIRECTIONS = {"camera_from_world": "base_from_tool", "world_from_camera": "tool_from_base"}
 """Directions of the tracker's table by the direction that the robot's table would have."""
@@ -78,31 +77,19 @@ def read_tracked_folder(
     )
 
 
-def tracked_poses_written(data: PoseDataset, folder: Path, pose_format: str) -> dict[str, Any]:
-    """Write the tables of a data set, and return the entries that describe them.
+def write_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> dict[str, Any]:
+    """Write the table of a tracker, and return the entry that describes it.
 
     Raises:
-        ValueError: an unknown pose format, or a name or value with which the folder could not be
+        ValueError: an unknown pose format, or a name or position with which the table could not be
             read back; nothing is written.
     """
     seen = np.flatnonzero(data.seen)
     seen_ids = [data.view_ids[view] for view in seen]
     tracked = as_se3(data.tracked_matrices[seen])
-    refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
-    refuse_unreadable_poses(folder, seen_ids, tracked, TRACKED_POSES_FILE)
-    entries = {
-        "poses": poses_entry(data.view_count, pose_format),
-        "tracked_poses": {
-            **poses_entry(len(seen), pose_format),
-            "file": TRACKED_POSES_FILE,
-            "direction": "camera_from_world",
-        },
-    }
-    if data.arm is not None and data.joints is not None:
-        joints = np.asarray(data.joints)
-        refuse_unreadable_joints(folder, data.view_ids, joints, data.arm)
-        write_joints(folder, data.view_ids, joints, data.arm)
-        entries["joints"] = joints_entry(data.view_count, data.arm)
-    write_poses(folder, data.view_ids, data.base_from_tool, pose_format)
     write_poses(folder, seen_ids, tracked, pose_format, TRACKED_POSES_FILE)
-    return entries
+    return {
+        **poses_entry(len(seen), pose_format),
+        "file": TRACKED_POSES_FILE,
+        "direction": "camera_from_world",
+    }

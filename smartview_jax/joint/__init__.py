@@ -23,6 +23,7 @@ from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WID
 from .pose_fit import PoseFit as PoseFit
 from .pose_fit import TrackerPrior as TrackerPrior
 from .pose_fit import fit_poses as fit_poses
+from .pose_fit import pose_rms as pose_rms
 from .pose_fit import tracked_pose_errors as tracked_pose_errors
 from .precompile import precompile as precompile
 from .saved_estimate import SavedEstimate as SavedEstimate

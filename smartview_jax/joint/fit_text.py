@@ -55,7 +55,7 @@ def fit_text(
     for name, group in hand_eye_forms(fit) if forms else ():
         lines.append(name)
         for label, text in group:
-            lines += [f"  {label}:", *(f"    {line}" for line in text.splitlines())]
+            lines += [f"  {label}:", *(f"    {row}" for row in text.splitlines())]
     for heading, rows in estimate_groups(fit):
         lines.append(heading)
         width = 2 + max(len(label) for label, _ in rows)

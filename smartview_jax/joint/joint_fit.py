@@ -98,6 +98,11 @@ class JointFit(eqx.Module):
         return fit_html(self, self.warnings)
 
     @property
+    def used_views(self) -> Bool[np.ndarray, "views"]:
+        """Mask of the views of which any observation agrees with the fit."""
+        return np.asarray(np.asarray(self.inliers).any(axis=1))
+
+    @property
     def fits_camera(self) -> bool:
         """Whether the camera is fitted and shown."""
         return True

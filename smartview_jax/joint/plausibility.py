@@ -88,7 +88,7 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
     warnings += repetition_warnings(fit.rejected)
     # Several pictures from one pose have no more information on the robot than one.
     poses = host_matrices(fit.problem.observations.base_from_tool)
-    used_views = len(distinct_poses(poses[np.asarray(fit.inliers).any(axis=1)]))
+    used_views = len(distinct_poses(poses[fit.used_views]))
     if used_views < MINIMUM_RELIABLE_VIEWS:
         warnings.append(
             f"{used_views} views are few: no figure is reliable with fewer than "
@@ -259,9 +259,8 @@ def _robot_warnings(fit: JointFit) -> list[str]:
     ]
     if fit.calibration.robot_error is not None:
         twists = np.asarray(fit.field_corrections)
-        used_views = np.asarray(fit.inliers).any(axis=1)
         # The mean correction is removed, because it cannot be separated from the mount.
-        centred = twists[used_views] - twists[used_views].mean(axis=0)
+        centred = twists[fit.used_views] - twists[fit.used_views].mean(axis=0)
         translation, rotation = (
             np.linalg.norm(part, axis=1).max() for part in (centred[:, :3], centred[:, 3:])
         )

@@ -130,12 +130,16 @@ class PoseFit(JointFit):
         return False
 
     @property
+    def rms(self) -> tuple[float, float]:
+        """RMS distance (m) and angle (rad) of the fitted pairs from their predictions."""
+        return pose_rms(self.pose_errors[self.used_views])
+
+    @property
     def described(self) -> str:
         """The number of pairs and their errors, in words."""
-        used = np.asarray(self.inliers).any(axis=1)
-        distance, angle = np.sqrt(np.mean(self.pose_errors[used] ** 2, axis=0))
+        distance, angle = self.rms
         return (
-            f"joint fit of {used.sum()} pairs of poses, {1e3 * distance:.3g} mm and "
+            f"joint fit of {self.used_views.sum()} pairs of poses, {1e3 * distance:.3g} mm and "
             f"{np.rad2deg(angle):.3g} deg RMS"
         )
 
@@ -262,6 +266,12 @@ def tracked_pose_errors(
     return chain_errors(measured, predicted)
 
 
+def pose_rms(errors: Float[np.ndarray, "views 2"]) -> tuple[float, float]:
+    """Return the RMS distance (m) and angle (rad) of some errors."""
+    distance, angle = np.sqrt(np.mean(errors**2, axis=0))
+    return float(distance), float(angle)
+
+
 def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
     """Return the prior without a target's shape and a lens, which tracked poses do not have."""
     return dataclasses.replace(
@@ -343,8 +353,7 @@ def _contradictions(
 def _consistent_again(data: PoseDataset, fit: JointFit) -> Bool[np.ndarray, "views"]:
     """Return the pairs that agree with a fit, among all that were measured."""
     errors = tracked_pose_errors(data, fit.calibration)
-    used = np.asarray(fit.inliers).any(axis=1)
-    typical = np.sqrt(np.mean(errors[used] ** 2, axis=0))
+    typical = np.array(pose_rms(errors[fit.used_views]))
     return data.seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)
 
 

@@ -1,6 +1,5 @@
 """Run the paper's whole story in a simulated cell: calibrate, model, localise, verify, grasp."""
 
-import dataclasses
 import tempfile
 import time
 from collections.abc import Callable
@@ -15,7 +14,7 @@ from ..files import write_atomically
 from ..geometry import host_matrices, host_transformed, host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
-from ..modeling import Face, ObjectModel, face_plane, find_symmetry
+from ..modeling import Face, ObjectModel, face_plane
 from ..report import write_story
 from ..robots import Command
 from ..simulation import (
@@ -111,7 +110,7 @@ def run_demo(
     say("three objects fall into the bin")
     others = [CellObject("box", box(0.05, 0.035, 0.03)), CellObject("house", roofed_block(0.045))]
     cell.drop([block, *others], seed)
-    models = [model, *(exact_model(obj) for obj in others)]
+    models = [model, *(obj.solid.exact_model(obj.name) for obj in others)]
     strip = [("before", watched(cell))]
     region = Region(cell.centre, (0.24, 0.18, 0.12))
     fit = calibrated.fit
@@ -150,14 +149,6 @@ def run_demo(
         page, "From a board to an object in the hand", verdict_sentence(attempt, held), sections
     )
     return DemoResult(page, held, attempt, calibrated, model, error)
-
-
-def exact_model(known: CellObject) -> ObjectModel:
-    """Return the exact model of an object, as from its drawing."""
-    solid = known.solid
-    faces = tuple(Face(tuple(loop)) for loop in solid.faces)
-    model = ObjectModel(solid.vertices, solid.edges, faces, name=known.name)
-    return dataclasses.replace(model, symmetry=find_symmetry(model))
 
 
 def modelled(

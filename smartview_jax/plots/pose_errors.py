@@ -14,7 +14,7 @@ def pose_errors(fit: PoseFit) -> PlotFigure:
     thousand times as far away as a right one.
     """
     figure = PlotFigure(figsize=(9.6, 4.4), layout="constrained")
-    used = np.asarray(fit.inliers).any(axis=1)
+    used = fit.used_views
     positions = np.arange(len(fit.view_ids))
     axes = figure.subplots(2, 1, sharex=True)
     units = (("distance (mm)", 1e3), ("angle (degrees)", np.rad2deg(1.0)))

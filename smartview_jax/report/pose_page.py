@@ -7,7 +7,7 @@ import numpy as np
 
 from ..dataset import PoseDataset
 from ..evaluation import HeldOutPoses
-from ..joint import PoseFit, estimate_groups, hand_eye_forms, tracked_pose_errors
+from ..joint import PoseFit, estimate_groups, hand_eye_forms, pose_rms, tracked_pose_errors
 from ..plots import pose_errors
 from .next_steps import hand_eye_sentence
 from .page import Origin
@@ -17,8 +17,7 @@ from .tables import rejections, robot_error_row
 
 def pose_error_rows(fit: PoseFit, held_out: HeldOutPoses | None) -> list[tuple[str, str, str]]:
     """Return a row for each kind of error of the tracked poses: its name, distance and angle."""
-    used = np.asarray(fit.inliers).any(axis=1)
-    kinds = [("fitted pairs, RMS", tuple(np.sqrt(np.mean(fit.pose_errors[used] ** 2, axis=0))))]
+    kinds = [("fitted pairs, RMS", fit.rms)]
     if held_out is not None:
         kinds.append(("held-out pairs, RMS", held_out.rms))
     kinds.append(("noise of the tracker, per axis", fit.tracker_noise))
@@ -63,11 +62,10 @@ def write_pose_page(
         origin: data set and command of the page; None for a script's own data.
         notes: notes and warnings to print.
     """
-    sections = [
-        Section(heading, rows=rows)
-        for heading, rows in estimate_groups(fit)
-        if not heading.startswith("arm")
-    ]
+    groups = [Section(heading, rows=rows) for heading, rows in estimate_groups(fit)]
+    # The many numbers of an arm follow the errors.
+    arm = [group for group in groups if group.title.startswith("arm")]
+    sections = [group for group in groups if group not in arm]
     if notes:
         sections.append(Section("Warnings and notes", rows=[(note,) for note in notes]))
     figure = StoryFigure(
@@ -77,19 +75,12 @@ def write_pose_page(
         "robot or to a tracker that was moved.",
         pose_errors(fit),
     )
-    sections += [
-        Section(
-            "Errors",
-            figures=[figure],
-            header=("", "distance", "angle"),
-            rows=pose_error_rows(fit, held_out),
-        )
-    ]
+    errors = pose_error_rows(fit, held_out)
+    sections.append(Section("Errors", "", [figure], ("", "distance", "angle"), errors))
     left_out = rejections(fit, data)
     if left_out:
         sections.append(Section("Pairs left out", header=("pair", "reason"), rows=left_out))
-    arm = [group for group in estimate_groups(fit) if group[0].startswith("arm")]
-    sections += [Section(heading, rows=rows) for heading, rows in arm]
+    sections += arm
     sections.append(Section("How this was computed", rows=_facts(fit, data, origin)))
     title = "Calibration" if origin is None else f"Calibration of {origin.source}"
     write_story(path, title, pose_fit_summary(fit, held_out), sections, hand_eye_forms(fit))
@@ -100,16 +91,15 @@ def _facts(fit: PoseFit, data: PoseDataset, origin: Origin | None) -> list[tuple
     given = [] if origin is None else list(origin._asdict().items())
     facts = [(name, text) for name, text in given if text]
     facts += [
-        ("pairs", f"{np.asarray(fit.inliers).any(axis=1).sum()} used of {data.view_count}"),
+        ("pairs", f"{fit.used_views.sum()} used of {data.view_count}"),
         ("mount", data.mount),
         ("joint fit", fit.result.message),
     ]
     if fit.noise_estimate is not None:
         facts.append(robot_error_row(fit.noise_estimate))
     if fit.calibration.robot_error is not None:
-        used = np.asarray(fit.inliers).any(axis=1)
-        errors = tracked_pose_errors(data, fit.calibration.uncorrected)[used]
-        distance, angle = np.sqrt(np.mean(errors**2, axis=0))
+        errors = tracked_pose_errors(data, fit.calibration.uncorrected)
+        distance, angle = pose_rms(errors[fit.used_views])
         facts.append(
             (
                 "without the correction",

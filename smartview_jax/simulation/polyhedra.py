@@ -4,6 +4,7 @@ Each stands on the plane z = 0, in metres, with z upwards. A face is a loop of v
 counter-clockwise as seen from outside, so that its normal points outwards.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,7 +13,14 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..geometry import host_transformed
-from ..modeling import Face, edges_of_faces, face_array, face_plane
+from ..modeling import (
+    Face,
+    ObjectModel,
+    edges_of_faces,
+    face_array,
+    face_plane,
+    find_symmetry,
+)
 
 MIN_EDGE_RATIO = 0.12
 """Shortest edge of a random polyhedron over its radius; shorter ones are too small to see."""
@@ -44,6 +52,12 @@ class Polyhedron(NamedTuple):
     def triangles(self) -> Int[np.ndarray, "triangles 3"]:
         """The faces cut into triangles, for ray casting and mesh files."""
         return np.concatenate([_triangulated(self.vertices, face) for face in self.faces])
+
+    def exact_model(self, name: str = "") -> ObjectModel:
+        """Return the model of this solid as from its drawing, with its symmetry."""
+        faces = tuple(Face(tuple(loop)) for loop in self.faces)
+        model = ObjectModel(self.vertices, self.edges, faces, name=name)
+        return dataclasses.replace(model, symmetry=find_symmetry(model))
 
     def moved(self, matrix: Float[np.ndarray, "4 4"]) -> "Polyhedron":
         """Return the same solid at another pose, given as a 4 x 4 matrix."""

@@ -27,6 +27,15 @@ def test_the_bar_shows_what_is_done_of_what_is_counted(bar):
     assert bar.tasks[0].id == first
 
 
+def test_a_stage_without_a_colon_keeps_its_bar(bar):
+    show = BarUpdate(bar)
+    show("fold 1 of 5")
+    first = bar.tasks[0].id
+    show("fold 2 of 5")
+    assert bar.tasks[0].id == first
+    assert (bar.tasks[0].completed, bar.tasks[0].total) == (1, 5)
+
+
 def test_every_stage_has_a_bar_of_its_own(bar):
     show = BarUpdate(bar)
     show("held-out: fold 5 of 5")

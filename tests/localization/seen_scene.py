@@ -16,7 +16,7 @@ import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5
 from smartview_jax.features import PictureEvidence, picture_evidence
 from smartview_jax.geometry import host_matrices, look_at
-from smartview_jax.modeling import Face, ObjectModel, SeenViews, find_symmetry
+from smartview_jax.modeling import ObjectModel, SeenViews
 from smartview_jax.simulation import (
     SolidScene,
     Surface,
@@ -40,11 +40,6 @@ class SeenScene(NamedTuple):
     views: SeenViews
     models: list[ObjectModel]
     world_from_object: list[np.ndarray]
-
-
-def model_of(solid):
-    model = ObjectModel(solid.vertices, solid.edges, tuple(Face(loop) for loop in solid.faces))
-    return ObjectModel(model.vertices, model.edges, model.faces, symmetry=find_symmetry(model))
 
 
 def placed(x, y, angle):
@@ -71,7 +66,7 @@ def seen_scene():
     pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in PICTURES]
     evidence = [picture_evidence(one, CAMERA) for one in pictures]
     views = SeenViews.of(CALIBRATION, base_from_tool())
-    return SeenScene(pictures, evidence, views, [model_of(solid) for solid in SOLIDS], POSES)
+    return SeenScene(pictures, evidence, views, [solid.exact_model() for solid in SOLIDS], POSES)
 
 
 def render():

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...dataset import PoseDataset
-from ...joint import PoseFit, tracked_pose_errors
+from ...joint import PoseFit, pose_rms, tracked_pose_errors
 from .held_out import fit_folds
 
 
@@ -29,10 +29,7 @@ class HeldOutPoses(NamedTuple):
     def rms(self) -> tuple[float, float]:
         """RMS distance (m) and angle (rad); NaN if no fold succeeded."""
         scored = self.errors[np.isfinite(self.errors).all(axis=1)]
-        if not len(scored):
-            return float("nan"), float("nan")
-        distance, angle = np.sqrt(np.mean(scored**2, axis=0))
-        return float(distance), float(angle)
+        return pose_rms(scored) if len(scored) else (float("nan"), float("nan"))
 
 
 def held_out_poses(
