@@ -32,6 +32,7 @@ BENCHMARKS = {
     "kinhec": "poses without pixels: KinHEC's eight tracks, with its eleven reference solvers",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit against Ceres, gtsam, casadi, SciPy: time, memory, cost",
+    "gpu": "the engine on a graphics processor, if there is one, against the CPU",
     "growth": "time and memory of fits and of the whole calibration by points, views, devices",
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",

@@ -146,9 +146,11 @@ def python(module: str, *more: str) -> Callable[[Path, int], list[str]]:
     return lambda path, repeats: [*start, str(path), str(repeats), *more]
 
 
-def measured(command: list[str]) -> dict:
-    """What a peer printed, run in a process of its own."""
+def measured(command: list[str], platform: str | None = None) -> dict:
+    """What a peer printed, run in a process of its own, on a platform such as "cpu" or "cuda"."""
     environment = {**os.environ, "JAX_ENABLE_COMPILATION_CACHE": "0"}
+    if platform is not None:
+        environment["JAX_PLATFORMS"] = platform
     done = subprocess.run(command, capture_output=True, text=True, cwd=HERE.parent, env=environment)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-2000:]}")

@@ -25,10 +25,13 @@ def timed(fit: Callable[[], Found], repeats: int, start: float) -> tuple[Found, 
     return found, seconds, cold
 
 
-def report(seconds: list[float], cost: float | None, iterations: float, cold: float) -> None:
+def report(
+    seconds: list[float], cost: float | None, iterations: float, cold: float, **more: float
+) -> None:
     """Seconds of each repeat, final cost, iterations, and the first answer from process start.
 
-    The cost is None of a peer whose lens is another: it has another optimum.
+    The cost is None of a peer whose lens is another: it has another optimum. Further figures are
+    printed by their names.
     """
     print(
         json.dumps(
@@ -38,6 +41,7 @@ def report(seconds: list[float], cost: float | None, iterations: float, cold: fl
                 "iterations": iterations,
                 "cold": cold,
                 "peak_mb": _peak_mb(),
+                **more,
             }
         )
     )

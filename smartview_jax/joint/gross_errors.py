@@ -147,6 +147,8 @@ def remove_gross_errors(
 
 def without_views(data: _Data, reasons: Mapping[int, str]) -> _Data:
     """Return the data with some views hidden, given their reasons by index."""
+    if not reasons:
+        return data
     masked = [(data.view_ids[view], text) for view, text in reasons.items()]
     hidden = cast(_Data, data.mask_views(list(reasons)))
     return dataclasses.replace(hidden, masked_views=(*data.masked_views, *masked))

@@ -1,9 +1,9 @@
 """Fit many data sets at once: simulations, bootstraps, a fleet of robots.
 
-Data sets of about the same size are padded to the same shape and share a program. The fits run one
-after the other in one compiled loop, which on a CPU is several times faster than `vmap` over small
-matrices, and in parallel on several devices. The program takes a batch at a time, while the host
-prepares the next one, so that it serves any number of fits.
+Data sets of about the same size are padded to the same shape and share a program. On a
+CPU the fits run one after the other in one compiled loop, which is several times faster than `vmap`
+over small matrices; other devices run a batch at once, by `vmap`. The program takes a batch at a
+time, while the host prepares the next one, so that it serves any number of fits.
 """
 
 import dataclasses
@@ -64,7 +64,10 @@ The last refits change it very little; the number is fixed so that all fits shar
 """
 
 FITS_AT_A_TIME = 128
-"""The largest batch of fits of the compiled program, on each device."""
+"""The largest batch of fits of the compiled program, on each device, if it runs them in turn."""
+
+FITS_AT_ONCE = 2048
+"""The largest batch that a graphics processor runs at once."""
 
 FITS_AXIS = "fits"
 """The name of the mesh axis along which fits are distributed over devices."""
@@ -288,12 +291,13 @@ def _solve_group(
         inputs,
         len(numbers),
         _batch_size(len(numbers), 1 if mesh is None else mesh.size),
-        lambda stacked, count: _solve_all(
+        lambda stacked, count: solve_all(
             eqx.tree_at(_per_fit_inputs, built.problem, stacked),
             count,
             built.sigma_known,
             sigma_iterations,
             mesh,
+            _in_turn(),
         ),
     )
     return tuple(results), unprojectable
@@ -384,7 +388,12 @@ def _with_checked_poses(
 def _batch_size(count: int, devices: int) -> int:
     """Return the batch size of the program, rounded up so that many counts share a program."""
     on_each = power_of_two_from(-(-count // devices))
-    return devices * min(on_each, FITS_AT_A_TIME)
+    return devices * min(on_each, FITS_AT_A_TIME if _in_turn() else FITS_AT_ONCE)
+
+
+def _in_turn() -> bool:
+    """Return whether this process's devices run fits one after the other, not a batch at once."""
+    return jax.default_backend() == "cpu"
 
 
 def _in_batches(
@@ -420,14 +429,18 @@ def _in_batches(
 
 
 @compiled_optimised
-def _solve_all(
+def solve_all(
     problems: JointProblem,
     count: Int[AnyArray, ""],
     sigma_known: bool,
     sigma_iterations: int,
     mesh: Mesh | None,
+    in_turn: bool,
 ) -> tuple:
-    """Solve the first `count` fits, distributed over the devices of a mesh."""
+    """Solve the first `count` fits, distributed over the devices of a mesh.
+
+    Each device solves its fits in turn, or all at once.
+    """
     inputs = _per_fit_inputs(problems)
 
     def solve_inputs(fit_inputs: PerFitInputs) -> tuple:
@@ -435,13 +448,18 @@ def _solve_all(
             eqx.tree_at(_per_fit_inputs, problems, fit_inputs), sigma_known, sigma_iterations
         )
 
+    def solve_batch(batch: PerFitInputs, count_here: Int[AnyArray, ""]) -> tuple:
+        if in_turn:
+            return _one_after_the_other(solve_inputs, batch, count_here)
+        return jax.vmap(solve_inputs)(batch)
+
     if mesh is None:
-        return _one_after_the_other(solve_inputs, inputs, count)
+        return solve_batch(inputs, count)
 
     def solve_on_device(batch: PerFitInputs) -> tuple:
         size = len(batch[1].visible)
         count_here = jnp.clip(count - size * jax.lax.axis_index(FITS_AXIS), 0, size)
-        return _one_after_the_other(solve_inputs, batch, count_here)
+        return solve_batch(batch, count_here)
 
     solve_sharded = jax.shard_map(
         solve_on_device,
@@ -458,7 +476,7 @@ def _one_after_the_other(
 ) -> tuple:
     """Solve the first `count` fits; the results of the others are zero."""
 
-    # `vmap` over small matrices was several times slower, and `lax.map` would solve all.
+    # On a CPU `vmap` was several times slower, and `lax.map` would solve all.
     def with_result(k: Int[Array, ""], results: tuple) -> tuple:
         result = solve(jax.tree.map(lambda x: x[k], inputs))
         return jax.tree.map(lambda stacked, leaf: stacked.at[k].set(leaf), results, result)

@@ -28,6 +28,17 @@ MIN_OPTIMISED_ELEMENTS = 30_000
 It corresponds to about five thousand observations.
 """
 
+CPU_OPTIONS = {
+    # The emitters are left out to save time (see the module's docstring).
+    "xla_cpu_use_fusion_emitters": False,
+    # LLVM could compile parts in threads, but splitting costs more time than the threads save.
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
+"""XLA's options for programs on CPUs."""
+
+FIRST_VERSION_TO_ASK = (0, 11)
+"""The first version of JAX that is asked which compiler options it has; earlier ones have all."""
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
@@ -103,16 +114,14 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
     # A user's setting of JAX for all programs applies here too.
     if jax.config.values["jax_disable_most_optimizations"]:
         optimisation_level = 0
-    # Level 0 takes the least time to compile; the emitters are left out for the same reason (see
-    # the module's docstring).
-    options = {
-        "xla_backend_optimization_level": optimisation_level,
-        "xla_cpu_use_fusion_emitters": False,
-        # LLVM could compile parts in threads, but splitting costs more time than the threads save.
-        "xla_cpu_parallel_codegen_split_count": 1,
-    }
-    store = ProgramStore and ProgramStore(function, options)
-    top_level = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
+
+    # At the first call, because an import must not start JAX's devices.
+    @functools.cache
+    def prepared() -> tuple[Any, Callable[_P, _R]]:
+        options = {"xla_backend_optimization_level": optimisation_level, **_known_cpu_options()}
+        store = ProgramStore and ProgramStore(function, options)
+        return store, eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
+
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.
     nested = eqx.filter_jit(function)
 
@@ -122,6 +131,7 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
             return nested(*args, **kwargs)
         require_double_precision()
         keep_compiled_programs()
+        store, top_level = prepared()
         if store is not None:
             program, arrays = store.find(args, kwargs)
             if program is not None:
@@ -129,3 +139,20 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
         return top_level(*args, **kwargs)
 
     return call
+
+
+@functools.cache
+def _known_cpu_options() -> dict[str, Any]:
+    """Return the compiler options for CPUs, without those that this version of XLA lacks."""
+    if jax.__version_info__ < FIRST_VERSION_TO_ASK:
+        return CPU_OPTIONS
+    return {name: value for name, value in CPU_OPTIONS.items() if _is_option(name, value)}
+
+
+def _is_option(name: str, value: Any) -> bool:
+    """Return whether XLA has a compiler option; it refuses to compile with one that it lacks."""
+    try:
+        jax.jit(lambda x: x).lower(0.0).compile(compiler_options={name: value})
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True

@@ -65,10 +65,12 @@ KNOWN = Noise(0.15, 1e-4, np.inf)
 
 
 @pytest.mark.parametrize("noise", ["trusted", KNOWN], ids=["trusted", "noise"])
-def test_each_is_what_one_fit_finds(scenes, bent, noise):
-    """With the field of the start, or without it where that is asked for."""
+def test_each_is_what_one_fit_finds(scenes, bent, noise, monkeypatch):
+    """With the field of the start, or without it where that is asked for; in turn or at once."""
     options = {"noise": noise, "field": None}
     if noise != "trusted":
+        monkeypatch.setattr("smartview_jax.joint.many._in_turn", lambda: False)
+        monkeypatch.setattr("smartview_jax.joint.many.FITS_AT_ONCE", 2)
         options = {"noise": noise, "fixed": ("camera_from_tool",)}
     starts = [nudged(bent, size) for size in (1e-3, 5e-4, -1e-3)]
     starts = [dataclasses.replace(one, robot_error=bent.robot_error) for one in starts]

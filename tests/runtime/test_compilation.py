@@ -14,6 +14,9 @@ from smartview_jax.runtime.compilation import compiled, compiled_optimised
 
 PACKAGE = Path(smartview_jax.__file__).parent
 
+OPTIONS_OF_ALL = {"xla_backend_optimization_level": 2}
+"""A compiler option that all versions of XLA have."""
+
 AS_XLA_DOES = {"compilation.py", "store.py", "commands.py"}
 """The last predicts a million viewpoints a second, where the fusion emitters pay."""
 
@@ -54,6 +57,13 @@ def test_what_is_given_decides(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     function(jnp.zeros(compilation.MIN_OPTIMISED_ELEMENTS - 1))
     assert levels == [0, 2, 2]
+
+
+def test_options_that_the_compiler_lacks_are_left_out(monkeypatch):
+    """XLA would refuse to compile anything with them."""
+    monkeypatch.setattr(compilation, "FIRST_VERSION_TO_ASK", (0,))
+    monkeypatch.setattr(compilation, "CPU_OPTIONS", {"no_such_option": 1, **OPTIONS_OF_ALL})
+    assert compilation._known_cpu_options.__wrapped__() == OPTIONS_OF_ALL
 
 
 def test_no_program_is_compiled_otherwise():

@@ -33,6 +33,8 @@ import smartview_jax as sv
 from smartview_jax.runtime.compilation import compiled
 from smartview_jax.geometry import host_transforms
 {before}
+# The first call asks which compiler options there are.
+compiled(lambda x: x)(np.zeros(1))
 timed, hits = [], []
 jax.monitoring.register_event_duration_secs_listener(lambda event, *_, **__: timed.append(event))
 jax.monitoring.register_event_listener(lambda event, **_: hits.append(event))

@@ -31,6 +31,7 @@ _PROGRAM_CLASSES = {
     ("jax._src.core", "ShapedArray"),
     ("jax._src.interpreters.pxla", "AllArgsInfo"),
     ("jax._src.interpreters.pxla", "UnloadedMeshExecutable"),
+    ("jax._src.layout", "AutoLayoutSingleton"),
     ("jax._src.layout", "Layout"),
     ("jax._src.linear_util", "DebugInfo"),
     ("jax._src.mesh", "AbstractMesh"),
