@@ -123,11 +123,32 @@ def static_transform_text(mount_from_camera: Pose, parent: str, child: str) -> s
             checked and quoted.
     """
     parent, child = (shlex.quote(checked_frame_name(name)) for name in (parent, child))
-    qw, qx, qy, qz, x, y, z = mount_from_camera.tolist()
+    words = _publisher_words(mount_from_camera, parent, child)
+    return f"ros2 run tf2_ros static_transform_publisher {words}\n"
+
+
+def static_transform_launch_text(mount_from_camera: Pose, parent: str, child: str) -> str:
+    """Return a launch file of ROS 2 that publishes a pose: `ros2 launch camera.launch.xml`.
+
+    Raises:
+        ValueError: a frame's name that ROS does not accept.
+    """
+    parent, child = (checked_frame_name(name) for name in (parent, child))
+    words = _publisher_words(mount_from_camera, parent, child)
     return (
-        "ros2 run tf2_ros static_transform_publisher "
+        "<launch>\n"
+        '  <node pkg="tf2_ros" exec="static_transform_publisher" name="hand_eye_publisher"\n'
+        f'        args="{words}"/>\n'
+        "</launch>\n"
+    )
+
+
+def _publisher_words(pose: Pose, parent: str, child: str) -> str:
+    """Return the arguments of `static_transform_publisher`."""
+    qw, qx, qy, qz, x, y, z = pose.tolist()
+    return (
         f"--x {x!r} --y {y!r} --z {z!r} --qx {qx!r} --qy {qy!r} --qz {qz!r} --qw {qw!r} "
-        f"--frame-id {parent} --child-frame-id {child}\n"
+        f"--frame-id {parent} --child-frame-id {child}"
     )
 
 

@@ -4,6 +4,10 @@ import importlib
 from typing import Any
 
 
+class MissingExtraError(ImportError):
+    """An optional package that is not installed; the message states what to install."""
+
+
 def import_extra(module: str, extra: str, purpose: str) -> Any:
     """Return a module of an optional package.
 
@@ -13,12 +17,12 @@ def import_extra(module: str, extra: str, purpose: str) -> Any:
         purpose: what needs it, for the message.
 
     Raises:
-        ImportError: it is not installed; the message states what to install.
+        MissingExtraError: it is not installed.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0].replace("_", "-")
-        raise ImportError(
+        raise MissingExtraError(
             f"{purpose} needs {package}: pip install 'smartview-jax[{extra}]'"
         ) from error

@@ -107,6 +107,37 @@ def file_transaction(folder: str | os.PathLike[str], names: Sequence[str]) -> It
 
 
 @contextmanager
+def folder_transaction(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Provide a temporary folder, and give it its final name when everything in it is written.
+
+    A run that fails or is interrupted leaves nothing.
+
+    Args:
+        folder: final folder, which must not exist yet or be empty.
+
+    Raises:
+        FileExistsError: it has files already; nothing is overwritten.
+    """
+    folder = Path(folder).absolute()
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise FileExistsError(f"{folder}: exists already; nothing is overwritten")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # In the same parent, because a rename is atomic only within one file system.
+    temporary_folder = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    _temporary_folders.add(temporary_folder)
+    try:
+        yield temporary_folder
+        # `mkdtemp` makes a folder that only its owner can open.
+        os.chmod(temporary_folder, 0o755)
+        with _write_lock:
+            # An empty folder is replaced by this; one that was filled meanwhile is not.
+            os.replace(temporary_folder, folder)
+    finally:
+        shutil.rmtree(temporary_folder, ignore_errors=True)
+        _temporary_folders.discard(temporary_folder)
+
+
+@contextmanager
 def _deferred_interrupt() -> Iterator[None]:
     """Postpone an interrupt until a set of files is moved completely."""
     pending_signals: list[int] = []

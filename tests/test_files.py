@@ -4,7 +4,14 @@ import signal
 import pytest
 import yaml
 
-from smartview_jax.files import dump_json, dump_yaml, file_transaction, read_yaml, write_atomically
+from smartview_jax.files import (
+    dump_json,
+    dump_yaml,
+    file_transaction,
+    folder_transaction,
+    read_yaml,
+    write_atomically,
+)
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -40,6 +47,25 @@ def test_an_interrupted_write_leaves_the_old_file_and_no_other(tmp_path, monkeyp
         write_atomically(path, "new: 2\n")
     assert path.read_text() == "old: 1\n"
     assert [p.name for p in tmp_path.iterdir()] == ["result.yaml"]
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_folder_is_written_whole_or_not_at_all(tmp_path, exists):
+    folder = tmp_path / "new" / "data"
+    if exists:
+        folder.mkdir(parents=True)
+    interrupted = folder_transaction(folder)
+    (interrupted.__enter__() / "half.txt").write_text("half")
+    assert not interrupted.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert list((tmp_path / "new").iterdir()) == [folder][: int(exists)]
+    with folder_transaction(folder) as temporary:
+        (temporary / "images").mkdir()
+        (temporary / "images" / "1.png").write_bytes(b"1")
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["data"]
+    assert (folder / "images" / "1.png").read_bytes() == b"1"
+    assert folder.stat().st_mode & 0o777 == 0o755
+    with pytest.raises(FileExistsError, match="nothing is overwritten"):
+        folder_transaction(folder).__enter__()
 
 
 def test_a_missing_file_is_named(tmp_path):

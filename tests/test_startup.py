@@ -96,7 +96,7 @@ def test_a_default_calibration_has_few_programs_to_compile(tmp_path_factory):
     assert 10 < programs["all"] <= 22, programs
 
 
-@pytest.mark.parametrize("to", ["ros", "urdf", "camera_info", "opencv"])
+@pytest.mark.parametrize("to", ["ros", "ros_launch", "urdf", "camera_info", "opencv"])
 def test_a_calibration_is_exported_without_anything_slow(tmp_path, to):
     """A line of numbers must not cost the seconds that JAX takes to import."""
     path = tmp_path / "calibration.yaml"

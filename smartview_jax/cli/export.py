@@ -17,6 +17,7 @@ class ExportFormat(StrEnum):
     """The formats that `export` writes."""
 
     ROS = "ros"
+    ROS_LAUNCH = "ros_launch"
     CAMERA_INFO = "camera_info"
     URDF = "urdf"
     ROBOT_URDF = "robot_urdf"
@@ -29,9 +30,9 @@ def export(
     to: Annotated[
         ExportFormat,
         typer.Option(
-            help="Format to write: the camera's pose for ROS, for easy_handeye2 or as a URDF "
-            "origin, the camera for ROS, everything for OpenCV, or the calibrated arm with its "
-            "camera (robot_urdf)."
+            help="Format to write: the camera's pose for ROS (a command, or a launch file), for "
+            "easy_handeye2 or as a URDF origin, the camera for ROS, everything for OpenCV, or the "
+            "calibrated arm with its camera (robot_urdf)."
         ),
     ],
     parent: Annotated[
@@ -71,7 +72,7 @@ def export(
                 "export calibration_uncorrected.yaml, which was fitted without the correction",
                 err=True,
             )
-        if to in (ExportFormat.ROS, ExportFormat.URDF, ExportFormat.EASY_HANDEYE):
+        if to not in (ExportFormat.CAMERA_INFO, ExportFormat.OPENCV):
             text = _pose_text(content, to, parent, child)
         else:
             text = _camera_text(calibration, content, to)
@@ -86,6 +87,7 @@ def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, ch
         inverse_pose,
         origin_text,
         pose_matrix,
+        static_transform_launch_text,
         static_transform_text,
     )
 
@@ -97,6 +99,8 @@ def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, ch
         return f"{origin_text(pose_matrix(mount_from_camera))}\n"
     if to is ExportFormat.EASY_HANDEYE:
         return easy_handeye_text(mount_from_camera, mount, frame, child, "smartview")
+    if to is ExportFormat.ROS_LAUNCH:
+        return static_transform_launch_text(mount_from_camera, frame, child)
     return static_transform_text(mount_from_camera, frame, child)
 
 

@@ -14,6 +14,7 @@ from .evaluate import evaluate
 from .export import export
 from .garbage import rare_collections
 from .grasp import grasp
+from .import_bag import import_
 from .localize import localize
 from .logs import configure_logs
 from .model import model
@@ -91,6 +92,7 @@ for _subcommand in (
     evaluate,
     export,
     grasp,
+    import_,
     localize,
     model,
     new,
@@ -102,4 +104,5 @@ for _subcommand in (
 ):
     # The whole first sentence, because a summary of click's own length is cut.
     _summary = (inspect.getdoc(_subcommand) or "").partition("\n\n")[0]
-    app.command(short_help=_summary)(_subcommand)
+    # The name of a function may not be a word of Python, such as import.
+    app.command(_subcommand.__name__.rstrip("_"), short_help=_summary)(_subcommand)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from ..extras import MissingExtraError
 from ..runtime.interrupts import (
     INTERRUPT_EXIT_CODE,
     INTERRUPT_MESSAGE,
@@ -117,7 +118,7 @@ def errors_reported(debug: bool) -> Iterator[None]:
             message_printed.set()
             typer.echo(INTERRUPT_MESSAGE, err=True)
         sys.exit(INTERRUPT_EXIT_CODE)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, MissingExtraError) as error:
         if debug:
             raise
         typer.echo(f"smartview: {error}", err=True)

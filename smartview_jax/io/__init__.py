@@ -2,6 +2,7 @@
 
 from .correspondences import import_correspondences as import_correspondences
 from .dataset_folder import DESCRIPTION_FILE as DESCRIPTION_FILE
+from .dataset_folder import marked_entries as marked_entries
 from .dataset_folder import save_dataset as save_dataset
 from .dataset_folder import write_dataset_folder as write_dataset_folder
 from .easy_handeye import PoseSamples as PoseSamples
@@ -11,11 +12,14 @@ from .easy_handeye import write_easy_handeye as write_easy_handeye
 from .export import opencv_coefficients as opencv_coefficients
 from .export import opencv_yaml as opencv_yaml
 from .export import ros_camera_info as ros_camera_info
+from .export import ros_launch_file as ros_launch_file
 from .export import ros_static_transform as ros_static_transform
 from .export import urdf_origin as urdf_origin
 from .folder_description import FolderDescription as FolderDescription
 from .folder_description import read_folder_description as read_folder_description
 from .hand_steps import HandSteps as HandSteps
+from .joints import joints_entry as joints_entry
+from .joints import write_joints as write_joints
 from .known_camera import read_camera as read_camera
 from .load import load_dataset as load_dataset
 from .load import load_pose_log as load_pose_log
@@ -28,6 +32,7 @@ from .meshes import read_mesh as read_mesh
 from .meshes import to_trimesh as to_trimesh
 from .meshes import write_mesh as write_mesh
 from .misses import read_misses as read_misses
+from .new_dataset import TARGETS as TARGETS
 from .new_dataset import FoundPictures as FoundPictures
 from .new_dataset import found_pictures as found_pictures
 from .new_dataset import write_new_dataset as write_new_dataset
@@ -43,6 +48,9 @@ from .opencv_camera import read_opencv_camera as read_opencv_camera
 from .pictures import dataset_from_pictures as dataset_from_pictures
 from .pose_format import pose_columns as pose_columns
 from .pose_log import PoseLog as PoseLog
+from .pose_log import write_pose_log as write_pose_log
+from .poses import poses_entry as poses_entry
+from .poses import write_poses as write_poses
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .robot_urdf import robot_urdf as robot_urdf
@@ -50,7 +58,10 @@ from .rough_pose import parse_rough_pose as parse_rough_pose
 from .sample import object_sample_folder as object_sample_folder
 from .sample import sample_folder as sample_folder
 from .target_file import read_april_grid as read_april_grid
+from .target_file import read_target as read_target
+from .tracked_poses import TRACKED_POSES_FILE as TRACKED_POSES_FILE
 from .urdf import load_urdf as load_urdf
+from .urdf import urdf_joint_names as urdf_joint_names
 from .view_pictures import ViewPictures as ViewPictures
 from .view_pictures import load_view_pictures as load_view_pictures
 from .viewpoints import Viewpoints as Viewpoints

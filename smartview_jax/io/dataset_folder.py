@@ -267,16 +267,25 @@ def _write_folder(
     pose_format: str,
 ) -> None:
     """Write `poses.csv` and then the description with the given entries."""
-    from ..schemas.dataset import DATASET_SCHEMA, END_MARK
+    from ..schemas.dataset import DATASET_SCHEMA
     from ..schemas.validation import refuse_unreadable, write_validated
 
-    # Declares that the last line is an end mark, so that a truncated file is an error.
-    marks = {"smartview_dataset": FORMAT_VERSION, "end_mark": True}
-    description = {**marks, **entries, "end": END_MARK}
+    description = marked_entries(entries)
     refuse_unreadable(description, DATASET_SCHEMA, folder / DESCRIPTION_FILE)
     write_poses(folder, view_ids, base_from_tool, pose_format)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
     write_validated(folder / DESCRIPTION_FILE, description, DATASET_SCHEMA)
+
+
+def marked_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of a description with the version of its format and the mark of its end.
+
+    The mark at the beginning declares the one on the last line, so that a truncated file is an
+    error.
+    """
+    from ..schemas.dataset import END_MARK
+
+    return {"smartview_dataset": FORMAT_VERSION, "end_mark": True, **entries, "end": END_MARK}
 
 
 def picture_files(

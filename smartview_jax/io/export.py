@@ -25,6 +25,7 @@ from ..export_text import (
     opencv_text,
     origin_text,
     pose_matrix,
+    static_transform_launch_text,
     static_transform_text,
 )
 from ..geometry import host_matrices
@@ -103,6 +104,16 @@ def ros_static_transform(
             checked and quoted.
     """
     return static_transform_text(mount_from_camera(calibration, optical), parent, child)
+
+
+def ros_launch_file(calibration: Calibration, parent: str, child: str, optical: bool = True) -> str:
+    """Return a launch file of ROS 2 (XML) that publishes the camera's pose as a static transform.
+
+    Raises:
+        ValueError: a frame's name that ROS does not accept.
+    """
+    pose = mount_from_camera(calibration, optical)
+    return static_transform_launch_text(pose, parent, child)
 
 
 def ros_camera_info(calibration: Calibration, name: str = "camera") -> str:

@@ -8,7 +8,7 @@ The clocks of camera and robot may differ: `time_offset` (by default 0) is added
 pictures; `estimate_time_offset` estimates it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,8 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
-from ..geometry import LENGTH_UNITS, as_se3
+from ..argument_checks import require_readable
+from ..geometry import LENGTH_UNITS, as_se3, pose_codec
 from ..robots import Trajectory, times_in_gaps
 from .csv_tables import (
     Table,
@@ -25,8 +26,12 @@ from .csv_tables import (
     read_table,
     refuse_out_of_range,
     refuse_truncated,
+    write_table,
 )
 from .pose_format import decoded_poses, table_format
+
+LOG_FILE, TIMES_FILE = "log.csv", "times.csv"
+"""The names of the files that `write_pose_log` writes."""
 
 _TIME_ZONE_STEP = 900.0
 """Time zones differ by multiples of this, s."""
@@ -128,6 +133,48 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
     offset = content.get("time_offset") or 0.0
     notes = (*table.notes, *times_table.notes, *notes)
     return PoseLog(trajectory, view_ids, np.array(times), offset, times_path, notes, times_table)
+
+
+def write_pose_log(
+    folder: Path,
+    times: Float[np.ndarray, "logged"],
+    base_from_tool: SE3,
+    view_ids: Sequence[str],
+    picture_times: Float[np.ndarray, "views"],
+    pose_format: str = "quaternion_xyzw",
+) -> dict[str, Any]:
+    """Write the two tables of a log, and return the entry `poses` that describes them.
+
+    Args:
+        folder: of the data set.
+        times: times of the poses by the robot's clock, s.
+        base_from_tool: poses, `(logged)`.
+        view_ids: names of the views.
+        picture_times: a time for each view by the camera's clock, s.
+        pose_format: one of `POSE_CODECS`, written in its manufacturer's units.
+
+    Raises:
+        ValueError: an unknown format, or a name or position with which the tables could not be
+            read back.
+    """
+    codec = pose_codec(pose_format)
+    # Before the first of the two tables is written.
+    require_readable(f"{folder / TIMES_FILE}: view", view_ids)
+    labels = [f"at {time:.6g} s" for time in times]
+    refuse_out_of_range(folder / LOG_FILE, np.asarray(base_from_tool.translation()), labels)
+    rows = np.column_stack([times, codec.encode(base_from_tool, *codec.units)]).tolist()
+    write_table(folder / LOG_FILE, ("time", *codec.columns), rows)
+    views = list(zip(view_ids, np.asarray(picture_times).tolist(), strict=True))
+    write_table(folder / TIMES_FILE, ("view", "time"), views)
+    return {
+        "file": LOG_FILE,
+        "codec": codec.name,
+        "length_unit": codec.units[0],
+        "angle_unit": codec.units[1],
+        "direction": "base_from_tool",
+        "rows": len(rows),
+        "picture_times": TIMES_FILE,
+    }
 
 
 def _in_order(

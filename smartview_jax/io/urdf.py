@@ -40,12 +40,7 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
         ImportError: `urdf-parser-py` is not installed.
     """
     path = Path(path)
-    text = read_text(path)
-    # Nested entities can expand a small file to one that fills the memory.
-    if "<!ENTITY" in text:
-        raise ValueError(f"{path}: entity declarations are not accepted")
-    robot = _parse_urdf(text.encode("utf-8"), path)
-    chain = _joint_chain(robot, base, tip, path)
+    chain = _read_chain(path, base, tip)
     # At zero readings joints add no motion, so the product of the origins is the pose of the
     # joint's frame in the base. The joint axis passes through the origin of this frame.
     pose, points, directions, prismatic, limits = np.eye(4), [], [], [], []
@@ -74,6 +69,30 @@ def load_urdf(path: str | Path, base: str | None = None, tip: str | None = None)
     except ValueError as error:
         names = ", ".join(joint.name for joint in chain if joint.type != "fixed")
         raise ValueError(f"{path}: joints {names}: {error}") from error
+
+
+def urdf_joint_names(
+    path: str | Path, base: str | None = None, tip: str | None = None
+) -> tuple[str, ...]:
+    """Return the names of the joints that move, in the order of `load_urdf`'s arm.
+
+    Args:
+        path, base, tip: as in `load_urdf`.
+
+    Raises:
+        ValueError: as `load_urdf`.
+    """
+    chain = _read_chain(Path(path), base, tip)
+    return tuple(joint.name for joint in chain if joint.type != "fixed")
+
+
+def _read_chain(path: Path, base: str | None, tip: str | None) -> list[Any]:
+    """Return the joints between two links of a file, in order."""
+    text = read_text(path)
+    # Nested entities can expand a small file to one that fills the memory.
+    if "<!ENTITY" in text:
+        raise ValueError(f"{path}: entity declarations are not accepted")
+    return _joint_chain(_parse_urdf(text.encode("utf-8"), path), base, tip, path)
 
 
 def _parse_urdf(content: bytes, path: Path) -> Any:

@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from smartview_jax.localization import Localization, Localizations
 from smartview_jax.modeling import ObjectModel
 
 TIP = "--tip 0,0,0.1 --above"
+FRAMES = "--base base --tool tool0"
 GRASP = "--grasp-pose 0,0,0.01,0,180,0"
 VIEWS = "object/calibration.yaml object"
 ROUGH = "--start camera_from_tool=0,0.05,0.06,0,0,0 --start base_from_world=0.5,0.1,0,0,0,180"
@@ -59,6 +61,9 @@ CASES = (
     Case("export", "data/dataset.yaml --to urdf", 2, "data/dataset.yaml"),
     Case("grasp", f"data/truth.yaml {GRASP}", 0, "approach"),
     Case("grasp", "data/truth.yaml", 2, "give either --grasp-pose or --model"),
+    Case("import", f"run.bag mine {FRAMES} --target charuco", 0, "mine: 2 views; next steps:"),
+    Case("import", f"nowhere.bag mine {FRAMES} --target charuco", 2, "nowhere.bag: no such bag"),
+    Case("import", f"run.bag mine {FRAMES}", 2, "--target: expected the target in the pictures"),
     Case("localize", f"{VIEWS} object/block.json", 0, "Found for certain in 0 pictures: block."),
     Case("localize", f"{VIEWS} object/absent.json", 1, "Nothing was found for certain."),
     Case("localize", f"{VIEWS} nowhere.json", 2, "nowhere.json"),
@@ -96,6 +101,11 @@ def folder(tmp_path_factory):
     for name in ("block", "absent"):
         model = ObjectModel(np.eye(3), np.array([[0, 1], [1, 2]]), name=name)
         save_object_model(model, path / "object" / f"{name}.json")
+    if find_spec("rosbags") is not None:
+        from bag_recordings import recording, stop_poses
+        from written_bags import write_bag
+
+        write_bag(path / "run.bag", "ros1", recording(stop_poses(2)))
     return path
 
 
@@ -130,6 +140,9 @@ def test_words_and_exit_code(folder, short_work, tmp_path, monkeypatch, case):
     for part in ("data", "inverted", "object"):
         # A copy for each case: some verbs write next to their input.
         shutil.copytree(folder / part, tmp_path / part)
+    if case.words.startswith("run.bag"):
+        pytest.importorskip("rosbags", reason="rosbags is not installed")
+        shutil.copy(folder / "run.bag", tmp_path)
     monkeypatch.chdir(tmp_path)
     ended = run(case.verb, *case.words.split())
     assert ended.exit_code == case.code, ended.output
@@ -137,7 +150,7 @@ def test_words_and_exit_code(folder, short_work, tmp_path, monkeypatch, case):
     said = ended.stderr if case.code == 2 else ended.stdout
     assert case.said in said.replace("\n", " ")
     assert "Traceback" not in ended.output
-    assert (Path("mine").exists()) == (case.verb == "new" and case.code == 0)
+    assert (Path("mine").exists()) == (case.verb in ("new", "import") and case.code == 0)
 
 
 def test_no_verb_is_without_a_good_and_a_bad_case():

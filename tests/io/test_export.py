@@ -1,5 +1,6 @@
 import re
 import shlex
+from xml.etree import ElementTree
 
 import cv2
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from smartview_jax.io import (
     opencv_coefficients,
     opencv_yaml,
     ros_camera_info,
+    ros_launch_file,
     ros_static_transform,
     urdf_origin,
 )
@@ -95,6 +97,16 @@ def test_the_static_transform_is_the_camera_in_the_tool():
     rotation = Rotation.from_quat([values[f"q{a}"] for a in "xyzw"]).as_matrix()
     np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-12)
     assert "--frame-id tool0 --child-frame-id camera_optical_frame" in text
+
+
+def test_the_launch_file_starts_the_same_publisher():
+    cal = calibration(Radial(0.1))
+    (node,) = ElementTree.fromstring(ros_launch_file(cal, "tool0", "camera_link", False))
+    assert (node.get("pkg"), node.get("exec")) == ("tf2_ros", "static_transform_publisher")
+    line = ros_static_transform(cal, "tool0", "camera_link", False)
+    assert line.split()[4:] == node.get("args").split()
+    with pytest.raises(ValueError, match="frame"):
+        ros_launch_file(cal, 'tool"0', "camera_link")
 
 
 def test_urdf_and_the_body_frame():

@@ -16,7 +16,7 @@ import smartview_jax as sv
 from smartview_jax.detection import Detection
 from smartview_jax.editor.document import Document, apply_change
 from smartview_jax.editor.edit_history import EditHistory
-from smartview_jax.files import read_yaml, write_atomically
+from smartview_jax.files import dump_yaml, read_yaml, write_atomically
 from smartview_jax.geometry import host_transforms
 from smartview_jax.io import (
     import_correspondences,
@@ -29,6 +29,7 @@ from smartview_jax.io import (
     save_object_model,
     write_dataset_folder,
     write_object_views,
+    write_pose_log,
     write_viewpoints,
 )
 from smartview_jax.io.csv_tables import write_table
@@ -197,16 +198,11 @@ def _views(name):
 
 
 def picture_times(folder, name):
-    write_table(folder / "times.csv", ("view", "time"), [(name, 0.5)])
-    rows = [[0.1 * k, *map(float, POSES[0].ravel())] for k in range(10)]
-    write_table(folder / "poses.csv", ("time", *MATRIX), rows)
-    write_atomically(
-        folder / "dataset.yaml",
-        "smartview_dataset: 1\ncamera: {image_size: [640, 480]}\n"
-        "target: {kind: chessboard, rows: 9, columns: 6, square: 0.01}\n"
-        "poses: {file: poses.csv, picture_times: times.csv, codec: matrix, length_unit: m, "
-        "angle_unit: rad, direction: base_from_tool}\n",
-    )
+    logged = host_transforms(np.repeat(POSES[:1], 10, axis=0))
+    entry = write_pose_log(folder, 0.1 * np.arange(10.0), logged, [name], np.array([0.5]))
+    target = {"kind": "chessboard", "rows": 9, "columns": 6, "square": 0.01}
+    entries = {"camera": {"image_size": [640, 480]}, "target": target, "poses": entry}
+    write_atomically(folder / "dataset.yaml", dump_yaml({"smartview_dataset": 1, **entries}))
     return load_pose_log(folder).view_ids[0]
 
 
@@ -258,9 +254,14 @@ WRITERS = {
     "io/new_dataset.py write_new_dataset": "(a table without rows)",
     "io/object_models.py save_object_model": "object",
     "io/object_views.py write_object_views": "object views",
+    "io/pose_log.py write_pose_log": "times of pictures",
     "io/poses.py write_poses": "data set",
     "io/viewpoints.py write_viewpoints": "viewpoints in JSON",
     "io/visp.py write_visp_pose": "(one pose)",
+    "ros_bags/import_bag.py _write_description": "(views are numbered)",
+    "ros_bags/import_bag.py _write_pictures": "(views are numbered)",
+    "ros_bags/import_bag.py _write_record": "(views are numbered)",
+    "ros_bags/import_bag.py write": "(views are numbered)",
     "picking/demo.py run_demo": "(the package's own)",
     "runtime/program_store/store.py _write_program": "(programs)",
     "runtime/program_store/store.py _write_trace": "(programs)",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smartview_jax.io import load_urdf
+from smartview_jax.io import load_urdf, urdf_joint_names
 
 pytest.importorskip("urdf_parser_py")
 
@@ -151,3 +151,16 @@ def test_wrong_files_are_named(tmp_path):
     (tmp_path / "other.urdf").write_text("not xml")
     with pytest.raises(ValueError, match=r"other\.urdf: not a URDF file"):
         load_urdf(tmp_path / "other.urdf")
+
+
+def test_the_joints_that_move_are_named_in_the_order_of_the_arm(tmp_path):
+    joints = (
+        joint("wrist", "upper", "hand"),
+        joint("weld", "hand", "tool", "fixed"),
+        joint("shoulder", "base", "upper"),
+        joint("finger", "tool", "tip", "prismatic"),
+    )
+    path = urdf(tmp_path, *joints)
+    assert urdf_joint_names(path) == ("shoulder", "wrist", "finger")
+    assert urdf_joint_names(path, "base", "tool") == ("shoulder", "wrist")
+    assert load_urdf(path, "base", "tool").joint_count == 2

@@ -1,0 +1,234 @@
+"""Define `smartview import`, which turns a recording of ROS into a data-set folder."""
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .number_lists import parse_numbers
+from .option_groups import with_option_groups
+from .options import DebugOption
+from .terminal import errors_reported, progress_line
+
+if TYPE_CHECKING:
+    from ..robots import SerialArm
+    from ..ros_bags import BagImport, BagSources, MomentChoice
+
+
+@dataclasses.dataclass(frozen=True)
+class SourceOptions:
+    """The options that name topics and frames of a bag."""
+
+    image: Annotated[
+        str | None,
+        typer.Option(
+            help="Topic of the pictures, such as /camera/color/image_raw; by default the only one."
+        ),
+    ] = None
+    camera_info: Annotated[
+        str | None,
+        typer.Option(
+            help="Topic of the known camera, such as /camera/color/camera_info; by default the one "
+            "next to the pictures."
+        ),
+    ] = None
+    base: Annotated[
+        str | None,
+        typer.Option(help="Frame of the robot's base in tf, such as base_link; with --tool."),
+    ] = None
+    tool: Annotated[
+        str | None,
+        typer.Option(help="Frame of the robot's tool in tf, such as tool0; with --base."),
+    ] = None
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            help="Topic of the tool's poses in the base frame, such as /tcp_pose, instead of tf."
+        ),
+    ] = None
+    joints: Annotated[
+        str | None,
+        typer.Option(
+            help="Topic of joint readings, such as /joint_states; needs --arm. Without frames and "
+            "topic of poses, the arm's kinematics gives the robot's poses."
+        ),
+    ] = None
+    joint_names: Annotated[
+        str | None,
+        typer.Option(
+            help="Names of the arm's joints in its order, such as j1,j2,j3,j4,j5,j6; by default "
+            "from the .urdf file."
+        ),
+    ] = None
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            help="Arm of the joint readings: a name, such as puma_560, or a .urdf file (its links "
+            "from --base to --tool)."
+        ),
+    ] = None
+    tag: Annotated[
+        str | None,
+        typer.Option(
+            help="Topic or tf frame of a tag, such as /tag_pose or tag_7: import its poses instead "
+            "of pictures."
+        ),
+    ] = None
+    tag_id: Annotated[
+        int | None,
+        typer.Option(help="The tag's number, such as 7, in messages with several tags."),
+    ] = None
+    camera_frame: Annotated[
+        str | None,
+        typer.Option(
+            help="Frame of the camera, such as camera_optical_frame, for a tag in tf; by default "
+            "the tag's parent frame."
+        ),
+    ] = None
+    received: Annotated[
+        bool,
+        typer.Option(
+            "--received", help="Use the times of recording, not the stamps of the messages."
+        ),
+    ] = False
+
+    def sources(self) -> "BagSources":
+        """Return the topics and frames, with the arm read from its file."""
+        from ..ros_bags import BagSources
+
+        arm, names = self._arm_and_names()
+        return BagSources(
+            image=self.image,
+            camera_info=self.camera_info,
+            base=self.base,
+            tool=self.tool,
+            robot=self.robot,
+            joints=self.joints,
+            joint_names=names,
+            arm=arm,
+            tag=self.tag,
+            tag_id=self.tag_id,
+            camera=self.camera_frame,
+            received=self.received,
+        )
+
+    def _arm_and_names(self) -> "tuple[SerialArm | None, tuple[str, ...]]":
+        """Return the arm of the joint readings and the names of its joints."""
+        from ..io import load_urdf, urdf_joint_names
+        from ..robots import arm_by_name
+
+        if self.arm is None:
+            return None, ()
+        names = tuple(self.joint_names.split(",")) if self.joint_names is not None else ()
+        if not self.arm.endswith(".urdf"):
+            return arm_by_name(self.arm), names
+        # The links of a robot's file have the names of its frames in tf.
+        links = {"base": self.base, "tip": self.tool}
+        return load_urdf(self.arm, **links), names or urdf_joint_names(self.arm, **links)
+
+
+@dataclasses.dataclass(frozen=True)
+class MomentOptions:
+    """The options that choose which pictures become views."""
+
+    every: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Take every N-th picture, also in motion, such as 30 (a number); by default one "
+            "of every stop of the robot.",
+        ),
+    ] = None
+    still_for: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            help="Shortest stop of the robot, a number of seconds such as 1; half of it has to "
+            "pass before and after the picture.",
+        ),
+    ] = 0.5
+    still_within: Annotated[
+        str,
+        typer.Option(
+            help="Largest motion of a robot that stands, in mm and degrees, such as 0.5,0.2 for an "
+            "arm with rough encoders."
+        ),
+    ] = "0.1,0.023"
+
+    def choice(self) -> "MomentChoice":
+        """Return the rules, in the library's units."""
+        from ..ros_bags import MomentChoice
+
+        millimetres, degrees = parse_numbers(
+            "--still-within", self.still_within, 2, "mm and degrees"
+        )
+        return MomentChoice(self.every, self.still_for, 1e-3 * millimetres, math.radians(degrees))
+
+
+@with_option_groups
+def import_(
+    bag: Annotated[
+        Path,
+        typer.Argument(help="A .bag file of ROS 1, a folder or .db3 file of ROS 2, or .mcap."),
+    ],
+    folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="The target in the pictures: a file, such as another data set's dataset.yaml, or "
+            "Kalibr's target.yaml; or chessboard, circle_grid, charuco, tag_grid or aprilgrid, "
+            "whose lengths are then to be filled in."
+        ),
+    ] = None,
+    eye_to_hand: Annotated[
+        bool, typer.Option("--eye-to-hand", help="Fixed camera; the target is on the tool.")
+    ] = False,
+    *,
+    source: SourceOptions,
+    moments: MomentOptions,
+    debug: DebugOption = False,
+) -> None:
+    """Turn a recording of ROS (a bag) into a data set: pictures, robot poses, known camera.
+
+    smartview import run.mcap my_folder --base base_link --tool tool0 --target charuco
+
+    One picture of every stop of the robot is taken, because there the clocks of camera and robot
+    do not matter. Needs pip install 'smartview-jax[ros]', but no installation of ROS.
+    """
+    with errors_reported(debug):
+        from ..ros_bags import import_bag
+
+        if target is None and source.tag is None:
+            raise ValueError(
+                "--target: expected the target in the pictures, such as charuco (or --tag for "
+                "poses of a tag instead of pictures)"
+            )
+        mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
+        choice = moments.choice()
+        with progress_line() as progress:
+            written = import_bag(bag, folder, source.sources(), target, mount, choice, progress)
+        _print_summary(written)
+
+
+def _print_summary(written: "BagImport") -> None:
+    """Print what was used, what was left out and why, and the next steps."""
+    for note in written.notes:
+        typer.echo(note)
+    for reason, count in written.left_out.items():
+        typer.echo(f"left out: {count} ({reason})")
+    typer.echo(f"{written.folder}: {len(written.view_ids)} views; next steps:")
+    steps = []
+    if written.target_is_template:
+        steps.append(
+            f"measure the target and write its size into {written.folder / 'dataset.yaml'}: a 1 % "
+            "error there makes a 1 % error in every distance"
+        )
+    # In motion a picture's pose depends on how late its stamp is.
+    clock = " --time-offset" if written.in_motion else ""
+    steps += [f"smartview check {written.folder}", f"smartview calibrate {written.folder}{clock}"]
+    if written.camera_file is not None:
+        steps[-1] += f" (or, with the camera held: --camera {written.camera_file})"
+    for number, step in enumerate(steps, start=1):
+        typer.echo(f"  {number}. {step}")

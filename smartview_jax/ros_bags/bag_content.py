@@ -1,0 +1,396 @@
+"""Read from a bag the robot's motion, tracked poses, the camera, and the pictures' stamps.
+
+One pass is enough. Of the pictures only stamps are kept, so that the memory needed does not grow
+with their size.
+"""
+
+import dataclasses
+from array import array
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from ..robots import SerialArm
+from .bag import Bag, Message
+from .picture_messages import COMPRESSED, IMAGE
+from .robot_log import JointRecord, RobotLog
+from .tag_messages import POSE_KINDS, pose_of, tag_poses
+from .transform_tree import Chain, Samples, TransformTree, stamp_of
+
+TF_KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+CAMERA_INFO, JOINT_STATE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointState"
+
+_STATIC_TOPIC = "tf_static"
+_BASE, _TOOL = "base", "tool"
+"""Names of the frames of a topic of poses, which is looked up as tf is."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BagSources:
+    """Topics and frames of a bag, by their meaning.
+
+    Attributes:
+        image: topic of the pictures; None for the only one.
+        camera_info: topic of the known camera; None for the one next to the pictures, if there is.
+        base, tool: frames of tf whose relative pose is the robot's; a bag without tf needs joint
+            readings instead.
+        robot: topic of the robot's poses, `base_from_tool`, instead of frames of tf.
+        joints: topic of joint readings, which need an arm.
+        joint_names: names of the arm's joints in its order, from base to tool; in the messages
+            they may have another order, and further joints.
+        arm: the arm of the joint readings. Without frames and without a topic of poses its
+            kinematics gives the robot's poses.
+        tag: topic or frame of a tag, whose poses are used instead of pictures.
+        tag_id: id of the tag in messages that have several.
+        camera: frame of the camera, in which the tag's pose is looked up; None for the frame in
+            which it is published.
+        received: whether the times of recording are used instead of the stamps of the messages.
+    """
+
+    image: str | None = None
+    camera_info: str | None = None
+    base: str | None = None
+    tool: str | None = None
+    robot: str | None = None
+    joints: str | None = None
+    joint_names: tuple[str, ...] = ()
+    arm: SerialArm | None = None
+    tag: str | None = None
+    tag_id: int | None = None
+    camera: str | None = None
+    received: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse contradictions, and a robot that is not stated."""
+        if (self.base is None) != (self.tool is None):
+            raise ValueError("base and tool: expected both frames or none")
+        if self.base is not None and self.robot is not None:
+            raise ValueError("robot: expected a topic of poses, or the frames base and tool")
+        if (self.joints is None) != (self.arm is None):
+            raise ValueError("joints and arm: expected both or none")
+        if self.base is None and self.robot is None and self.joints is None:
+            raise ValueError(
+                "the robot's pose: expected the frames base and tool, a topic of poses (robot), or "
+                "a topic of joint readings (joints) with the arm"
+            )
+        if self.tag is not None and (self.image is not None or self.camera_info is not None):
+            raise ValueError("tag: poses of a tag are used instead of pictures: expected no image")
+        if self.tag is None and (self.tag_id is not None or self.camera is not None):
+            raise ValueError("tag_id and camera: expected with a tag only")
+
+
+class BagContent(NamedTuple):
+    """Everything that the first pass over a bag finds.
+
+    Attributes:
+        moments: times of the pictures, or of the measurements of the tag, ns, increasing.
+        received: when each was recorded, ns.
+        robot: the robot's motion.
+        tracked: `camera_from_world` of the tag at each moment; None for pictures.
+        camera: a message with the known camera; None if there is none.
+        image: topic of the pictures; None for a tag.
+        notes: sentences on what was used.
+    """
+
+    moments: Int64[np.ndarray, "moments"]
+    received: Int64[np.ndarray, "moments"]
+    robot: RobotLog
+    tracked: Float[np.ndarray, "moments 4 4"] | None
+    camera: Any | None
+    image: str | None
+    notes: tuple[str, ...]
+
+
+def read_content(
+    bag: Bag, sources: BagSources, progress: Callable[[str], None] | None = None
+) -> BagContent:
+    """Read everything but the pictures.
+
+    Raises:
+        ValueError: a topic or frame is missing, or a message is wrong; the message names the bag,
+            and lists the topics, frames or names that there are.
+    """
+    reader = _ContentReader(bag, sources)
+    topics = reader.topics()
+    for message in bag.messages(topics, "reading", progress):
+        try:
+            reader.add(message)
+        except (ValueError, AttributeError) as error:
+            raise ValueError(f"{bag.path}: topic {message.topic}: {error}") from error
+    try:
+        return reader.finished()
+    except ValueError as error:
+        prefix = "" if str(bag.path) in str(error) else f"{bag.path}: "
+        raise ValueError(f"{prefix}{error}") from error
+
+
+class _ContentReader:
+    """Sorts the messages of one pass into what they are for."""
+
+    def __init__(self, bag: Bag, sources: BagSources):
+        self._bag, self._sources = bag, sources
+        self._tree, self._robot_tree = TransformTree(), TransformTree()
+        self._moments, self._received = array("q"), array("q")
+        self._tag_poses = TransformTree()
+        self._tag_ids: set[int | None] = set()
+        self._tag_frames: set[str] = set()
+        self._camera: Any | None = None
+        self._lags: dict[str, array[int]] = {}
+        self._image = self._info = self._tag = None
+        self._robot = self._joints = None
+        self._joint_record: JointRecord | None = None
+
+    def topics(self) -> set[str]:
+        """Return the topics to be read; a ValueError names one that is missing."""
+        bag, sources = self._bag, self._sources
+        if sources.tag is None:
+            self._image = self._image_topic()
+            self._info = self._camera_topic(self._image)
+        elif sources.tag in bag.kinds or f"/{sources.tag}" in bag.kinds:
+            self._tag = bag.required(sources.tag, set(bag.kinds.values()), "tag")
+            if bag.kinds[self._tag] in TF_KINDS:
+                raise ValueError(f"{bag.path}: tag: for a pose in tf name the tag's frame")
+        if sources.robot is not None:
+            self._robot = bag.required(sources.robot, POSE_KINDS, "robot")
+        if sources.joints is not None:
+            assert sources.arm is not None
+            self._joints = bag.required(sources.joints, (JOINT_STATE,), "joints")
+            self._joint_record = JointRecord(self._joint_names(), sources.arm)
+        found = {self._image, self._info, self._tag, self._robot, self._joints} - {None}
+        if sources.base is not None or self._tag_is_frame:
+            tf = bag.topics_of(TF_KINDS)
+            if not tf and (self._joints is None or self._tag_is_frame):
+                raise ValueError(
+                    f"{bag.path}: no topic of tf ({TF_KINDS[0]}), where the frames would be; the "
+                    f"bag has {bag.listed_topics()}"
+                )
+            found |= set(tf)
+        return {topic for topic in found if topic is not None}
+
+    def _joint_names(self) -> tuple[str, ...]:
+        """Return the names of the arm's joints; a ValueError lists the topic's."""
+        arm, names = self._sources.arm, self._sources.joint_names
+        assert arm is not None
+        assert self._joints is not None
+        if len(names) == arm.joint_count == len(set(names)):
+            return names
+        # Drivers sort them by the alphabet, so that their order is not the arm's.
+        first = next(self._bag.messages({self._joints}), None)
+        listed = ", ".join(first.content.name) if first is not None else "none"
+        raise ValueError(
+            f"{self._bag.path}: joint_names: expected {arm.joint_count} different names, in the "
+            f"order of the arm from its base, found {', '.join(names) or 'none'}; the topic has "
+            f"{listed}"
+        )
+
+    @property
+    def _tag_is_frame(self) -> bool:
+        return self._sources.tag is not None and self._tag is None
+
+    def _image_topic(self) -> str:
+        """Return the topic of the pictures; a ValueError lists them if it is not clear which."""
+        bag = self._bag
+        kinds = (IMAGE, COMPRESSED)
+        if self._sources.image is not None:
+            return bag.required(self._sources.image, kinds, "image")
+        topics = bag.topics_of(kinds)
+        if len(topics) != 1:
+            listed = ", ".join(topics) if topics else f"none; the bag has {bag.listed_topics()}"
+            raise ValueError(
+                f"{bag.path}: image: expected the name of a topic of pictures; there are {listed}"
+            )
+        return topics[0]
+
+    def _camera_topic(self, image: str) -> str | None:
+        """Return the topic of the known camera, by default the one next to the pictures."""
+        bag, stated = self._bag, self._sources.camera_info
+        if stated is not None:
+            return bag.required(stated, (CAMERA_INFO,), "camera_info")
+        above = image.split("/")[:-1]
+        # Compressed pictures are one level further down, at image_raw/compressed.
+        candidates = ["/".join([*above[:k], "camera_info"]) for k in (len(above), len(above) - 1)]
+        known = bag.topics_of((CAMERA_INFO,))
+        return next((topic for topic in candidates if topic in known), None)
+
+    def add(self, message: Message) -> None:
+        """Sort in one message."""
+        topic, content = message.topic, message.content
+        if topic == self._image:
+            self._add_moment(message)
+        elif topic == self._info:
+            self._camera = content if self._camera is None else self._camera
+        elif topic == self._tag:
+            self._add_tags(message)
+        elif topic == self._robot:
+            stamp = self._stamp(message)
+            self._robot_tree.add(_BASE, _TOOL, stamp, pose_of(content))
+        elif topic == self._joints:
+            assert self._joint_record is not None
+            self._joint_record.add(content, self._stamp(message))
+        else:
+            self._add_transforms(message)
+
+    def _stamp(self, message: Message) -> int:
+        """Return the time of a message, ns, and keep how late it was recorded."""
+        stamp = stamp_of(message.content.header)
+        self._lags.setdefault(message.topic, array("q")).append(message.received - stamp)
+        return message.received if self._sources.received else stamp
+
+    def _add_moment(self, message: Message) -> None:
+        self._moments.append(self._stamp(message))
+        self._received.append(message.received)
+
+    def _add_tags(self, message: Message) -> None:
+        """Keep the pose of the tag with the wanted id, or of the only tag."""
+        stamp = self._stamp(message)
+        self._tag_frames.add(message.content.header.frame_id)
+        for identity, numbers in tag_poses(message.content):
+            self._tag_ids.add(identity)
+            if self._sources.tag_id in (None, identity):
+                self._tag_poses.add(_BASE, _TOOL, stamp, numbers)
+        if self._sources.tag_id is None and len(self._tag_ids) > 1:
+            ids = ", ".join(map(str, sorted(self._tag_ids, key=str)))
+            raise ValueError(f"tag_id: expected the id of one of several tags; there are {ids}")
+
+    def _add_transforms(self, message: Message) -> None:
+        """Keep the transforms of tf."""
+        static = message.topic.rstrip("/").endswith(_STATIC_TOPIC)
+        transforms = message.content.transforms
+        if not static and len(transforms):
+            lag = message.received - stamp_of(transforms[0].header)
+            self._lags.setdefault("tf", array("q")).append(lag)
+        received = message.received if self._sources.received else None
+        self._tree.add_message(message.content, static, received)
+
+    def finished(self) -> BagContent:
+        """Return what was found."""
+        notes: list[str] = []
+        robot = self._finished_robot(notes)
+        if self._image is not None:
+            moments, received = self._finished_moments(notes)
+            tracked = None
+        else:
+            samples_times, tracked = self._finished_tags(notes)
+            moments = received = samples_times
+        stamps = robot.stamps
+        if not len(stamps):
+            raise ValueError("the robot's pose is known at no time")
+        notes += self._clock_notes()
+        self._refuse_apart(moments, stamps)
+        return BagContent(
+            moments, received, robot, tracked, self._camera, self._image, tuple(notes)
+        )
+
+    def _finished_robot(self, notes: list[str]) -> RobotLog:
+        sources = self._sources
+        chain: Chain | None = None
+        if sources.base is not None and (self._tree.frames or self._joints is None):
+            assert sources.tool is not None
+            chain = self._tree.chain(sources.base, sources.tool)
+            if all(link.static for link in chain.links):
+                raise ValueError(
+                    f"frames {chain.words()}: all transforms are static: the robot does not move "
+                    "between these frames"
+                )
+            notes.append(f"robot: tf from {chain.words()}")
+            notes += self._dropped_notes(chain)
+        elif self._robot is not None:
+            if not self._robot_tree.frames:
+                raise ValueError(f"topic {self._robot} has no messages")
+            chain = self._robot_tree.chain(_BASE, _TOOL)
+            notes.append(f"robot: poses of {self._robot}")
+        joints = None
+        if self._joint_record is not None:
+            try:
+                joints = self._joint_record.finished()
+            except ValueError as error:
+                raise ValueError(f"topic {self._joints}: {error}") from error
+            notes.append(f"joints: {', '.join(sources.joint_names)} of {self._joints}")
+        if chain is None:
+            notes.append("robot: poses by the arm's kinematics")
+        return RobotLog(chain, joints)
+
+    def _finished_moments(
+        self, notes: list[str]
+    ) -> tuple[Int64[np.ndarray, "moments"], Int64[np.ndarray, "moments"]]:
+        """Return times of the pictures, and when they were recorded, sorted and without repeats."""
+        stamps = np.frombuffer(self._moments, dtype=np.int64)
+        received = np.frombuffer(self._received, dtype=np.int64)
+        if not len(stamps):
+            raise ValueError(f"topic {self._image} has no pictures")
+        if (unstamped := stamps == 0).any():
+            raise ValueError(
+                f"topic {self._image}: {int(unstamped.sum())} of {len(stamps)} pictures have no "
+                "stamp; use the times of recording"
+            )
+        notes.append(f"pictures: {len(stamps)} of {self._image}")
+        stamps, order = np.unique(stamps, return_index=True)
+        return stamps, received[order]
+
+    def _finished_tags(
+        self, notes: list[str]
+    ) -> tuple[Int64[np.ndarray, "moments"], Float[np.ndarray, "moments 4 4"]]:
+        """Return the times and the poses of the tag in the camera's frame."""
+        tag, camera = self._sources.tag, self._sources.camera
+        assert tag is not None
+        if self._tag is not None:
+            if not self._tag_poses.frames:
+                wanted = "" if self._sources.tag_id is None else f" with id {self._sources.tag_id}"
+                ids = ", ".join(map(str, sorted(self._tag_ids, key=str))) or "none"
+                raise ValueError(f"topic {self._tag}: no tag{wanted}; there are {ids}")
+            samples = self._tag_poses.chain(_BASE, _TOOL).links[0].samples
+            frames = ", ".join(sorted(self._tag_frames))
+            notes.append(f"tag: poses of {self._tag} in the frame {frames}")
+            if camera is not None and self._tag_frames != {camera}:
+                raise ValueError(f"topic {self._tag}: its poses are in {frames}, not in {camera}")
+            return samples.stamps, samples.at(samples.stamps)
+        try:
+            parent = self._tree.parent_of(tag.lstrip("/"))
+            chain = self._tree.chain(camera or parent or tag, tag)
+        except ValueError as error:
+            listed = self._bag.listed_topics()
+            raise ValueError(f"tag: {error}; no topic has this name; there are {listed}") from error
+        moving = [link.samples for link in chain.links if not link.static]
+        if not moving:
+            raise ValueError(f"tag: {chain.words()}: expected measurements over time in tf")
+        # The last link is the detector's; the ones before, if any, are of the camera's mount.
+        samples: Samples = moving[-1]
+        poses = chain.at(samples.stamps)
+        known = ~np.isnan(poses).any(axis=(1, 2))
+        notes.append(f"tag: tf from {chain.words()}")
+        notes += self._dropped_notes(chain)
+        return samples.stamps[known], poses[known]
+
+    def _dropped_notes(self, chain: Chain) -> list[str]:
+        """Return sentences on the transforms of a chain that were dropped."""
+        counts = (
+            (link, self._tree.dropped.get((link.parent, link.child), 0)) for link in chain.links
+        )
+        return [
+            f"tf: {count} transforms of {link.child} in {link.parent} are no poses: left out"
+            for link, count in counts
+            if count
+        ]
+
+    def _clock_notes(self) -> list[str]:
+        """Return how late messages were recorded after their stamps, by topic."""
+        lags = {topic: float(np.median(lag)) / 1e6 for topic, lag in self._lags.items()}
+        if self._sources.received:
+            return ["clock: times of recording, not stamps"]
+        listed = ", ".join(f"{topic} {lag:.3g} ms" for topic, lag in lags.items())
+        return [f"clock: recorded after their stamps: {listed}"] if lags else []
+
+    def _refuse_apart(
+        self, moments: Int64[np.ndarray, "moments"], stamps: Int64[np.ndarray, "stamps"]
+    ) -> None:
+        """Raise a ValueError if no moment is within the robot's log."""
+        if moments[0] > stamps[-1] or moments[-1] < stamps[0]:
+            begin, end = (moments[[0, -1]] - stamps[0]) / 1e9
+            raise ValueError(
+                f"the stamps of {self._image or self._sources.tag} are from {begin:.6g} to "
+                f"{end:.6g} s after the robot's first pose, its poses from 0 to "
+                f"{(stamps[-1] - stamps[0]) / 1e9:.6g} s: do the computers' clocks differ? Then "
+                "use the times of recording"
+            )

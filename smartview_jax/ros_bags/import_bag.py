@@ -1,0 +1,259 @@
+"""Turn a bag into a data-set folder that every other function and command reads.
+
+    images/            pictures without loss, one for each view
+    poses.csv          the robot's pose for each view; or log.csv and times.csv, see `io.pose_log`
+    joints.csv         joint readings, if they were asked for
+    tracker.csv        poses of a tag, instead of pictures
+    camera_info.yaml   the known camera, if the bag has it
+    import.yaml        what was taken from where, what was left out and why, and the stamps
+    dataset.yaml       the description
+
+The folder is written whole or not at all.
+"""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from ..files import dump_yaml, folder_transaction, parse_yaml, write_atomically
+from ..geometry import as_se3
+from ..io import (
+    DESCRIPTION_FILE,
+    TRACKED_POSES_FILE,
+    joints_entry,
+    marked_entries,
+    poses_entry,
+    write_joints,
+    write_pose_log,
+    write_poses,
+)
+from ..targets import AbstractTarget
+from .bag import Bag, open_bag
+from .bag_content import BagSources, read_content
+from .camera_message import CAMERA_FILE, camera_text
+from .moments import NANOSECONDS, MomentChoice, choose_moments, log_step, thinned
+from .picture_messages import PictureFile, picture_file
+from .target_text import TargetText, target_text
+from .transform_tree import stamp_of
+
+RECORD_FILE = "import.yaml"
+"""The name of the file that says what was taken from where."""
+
+_FORMAT = "quaternion_xyzw"
+"""Pose format of the tables, as in ROS."""
+
+
+class BagImport(NamedTuple):
+    """The result of an import.
+
+    Attributes:
+        folder: the data-set folder.
+        view_ids: names of the views.
+        left_out: number of pictures that are no views, by reason.
+        notes: sentences on what was used and found.
+        camera_file: the file of the known camera; None if the bag has none.
+        in_motion: whether the robot's poses are a log, from which each view's is interpolated.
+        target_is_template: whether the target's lengths are examples, still to be measured.
+    """
+
+    folder: Path
+    view_ids: tuple[str, ...]
+    left_out: dict[str, int]
+    notes: tuple[str, ...]
+    camera_file: Path | None
+    in_motion: bool
+    target_is_template: bool
+
+
+def import_bag(
+    bag: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    sources: BagSources,
+    target: AbstractTarget | str | Path | None = None,
+    mount: str = "eye_in_hand",
+    choice: MomentChoice | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> BagImport:
+    """Write a data-set folder from a recording of ROS.
+
+    Args:
+        bag: a `.bag` file of ROS 1, a folder or `.db3` file of ROS 2, or an `.mcap` file.
+        folder: the new folder, which must not exist yet or be empty.
+        sources: topics and frames.
+        target: the target in the pictures; or its kind, such as `"charuco"`, whose lengths are
+            then to be filled in; or a file, as in `target_text`. Not with poses of a tag.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        choice: which pictures become views; by default `MomentChoice()`, one of every stop.
+        progress: called with a line of text for each step of the work.
+
+    Raises:
+        FileNotFoundError: there is no such bag or file of a target.
+        FileExistsError: the folder has files already.
+        ValueError: something is missing or wrong in the bag; the message names the bag, what was
+            expected, and what there is. Nothing is written.
+        ImportError: `rosbags` is not installed.
+    """
+    choice = choice or MomentChoice()
+    if (target is None) != (sources.tag is not None):
+        raise ValueError("target: expected for pictures, and not with poses of a tag")
+    text = None if target is None else target_text(target)
+    with folder_transaction(folder) as temporary, open_bag(Path(bag)) as recording:
+        written = _Import(recording, sources, mount, choice, text, progress).write(temporary)
+    folder = Path(folder)
+    camera = None if written.camera_file is None else folder / CAMERA_FILE
+    return written._replace(folder=folder, camera_file=camera)
+
+
+class _Import:
+    """An import, whose steps share its options."""
+
+    def __init__(
+        self,
+        bag: Bag,
+        sources: BagSources,
+        mount: str,
+        choice: MomentChoice,
+        target: TargetText | None,
+        progress: Callable[[str], None] | None,
+    ):
+        self._bag, self._sources, self._mount = bag, sources, mount
+        self._choice, self._target, self._progress = choice, target, progress
+
+    def write(self, folder: Path) -> BagImport:
+        """Write everything to a folder."""
+        content = read_content(self._bag, self._sources, self._progress)
+        robot, notes = content.robot, list(content.notes)
+        stamps = thinned(robot.stamps, log_step(self._choice))
+        poses, at_moments = robot.at(stamps), robot.at(content.moments)
+        known = np.isfinite(at_moments[:, 0, 3])
+        try:
+            chosen = choose_moments(content.moments, known, stamps, poses, self._choice)
+        except ValueError as error:
+            raise ValueError(f"{self._bag.path}: {error}") from error
+        notes += chosen.notes
+        digits = max(4, len(str(len(chosen.indices))))
+        view_ids = tuple(f"{1 + k:0{digits}d}" for k in range(len(chosen.indices)))
+        moments = content.moments[chosen.indices]
+        entries: dict[str, Any] = {"mount": self._mount}
+        camera = None
+        if content.image is not None:
+            named = dict(zip(moments.tolist(), view_ids, strict=True))
+            until = int(content.received[chosen.indices].max()) + 1
+            first = self._write_pictures(folder, content.image, named, until)
+            entries["camera"] = {"image_size": list(first.size)}
+            entries["pictures"] = {"pattern": f"images/{{view}}{first.suffix}"}
+            if first.bits > 8:
+                notes.append(f"pictures: {first.bits} bits, kept; detection stretches them to 8")
+            if content.camera is not None:
+                camera, note = camera_text(content.camera, first.size, _is_rectified(content.image))
+                notes.append(note)
+        if camera is not None:
+            write_atomically(folder / CAMERA_FILE, camera)
+        if content.tracked is not None:
+            tracked = as_se3(content.tracked[chosen.indices])
+            write_poses(folder, view_ids, tracked, _FORMAT, TRACKED_POSES_FILE)
+            entries["tracked_poses"] = {
+                **poses_entry(len(view_ids), _FORMAT),
+                "file": TRACKED_POSES_FILE,
+                "direction": "camera_from_world",
+            }
+        if robot.joints is not None:
+            write_joints(folder, view_ids, robot.joints.at(moments), robot.joints.arm)
+            entries["joints"] = joints_entry(len(view_ids), robot.joints.arm)
+        if robot.chain is not None and self._choice.every is None:
+            write_poses(folder, view_ids, as_se3(at_moments[chosen.indices]), _FORMAT)
+            entries["poses"] = poses_entry(len(view_ids), _FORMAT)
+        elif robot.chain is not None:
+            # From the beginning of the log: since 1970 it is too many digits for a float.
+            logged, wanted = ((times - stamps[0]) / NANOSECONDS for times in (stamps, moments))
+            entries["poses"] = write_pose_log(
+                folder, logged, as_se3(poses), view_ids, wanted, _FORMAT
+            )
+        self._write_record(folder, notes, chosen.left_out, view_ids, moments)
+        self._write_description(folder, entries)
+        is_template = self._target is not None and self._target.is_template
+        camera_file = None if camera is None else folder / CAMERA_FILE
+        in_motion = robot.chain is not None and self._choice.every is not None
+        return BagImport(
+            folder, view_ids, chosen.left_out, tuple(notes), camera_file, in_motion, is_template
+        )
+
+    def _write_pictures(
+        self, folder: Path, topic: str, views: Mapping[int, str], until: int
+    ) -> PictureFile:
+        """Write the chosen pictures one after the other, and return the first.
+
+        Args:
+            folder: of the data set.
+            topic: of the pictures.
+            views: names of the views by the time of their picture, ns.
+            until: time of recording before which all of them were recorded, ns.
+
+        Raises:
+            ValueError: a picture is not readable, or differs in size or kind from the first.
+        """
+        first: PictureFile | None = None
+        missing = dict(views)
+        for message in self._bag.messages({topic}, "writing pictures of", self._progress, until):
+            stamp = message.received if self._sources.received else stamp_of(message.content.header)
+            # The first of equal stamps, as in the first pass.
+            view = missing.pop(stamp, None)
+            if view is None:
+                continue
+            where = f"{self._bag.path}: topic {topic}: picture at {stamp / NANOSECONDS:.3f} s"
+            try:
+                picture = picture_file(message.content)
+            except ValueError as error:
+                raise ValueError(f"{where}: {error}") from error
+            first = first or picture
+            if picture[1:] != first[1:]:
+                raise ValueError(f"{where}: {_kind(picture)}, but the first is {_kind(first)}")
+            write_atomically(folder / "images" / f"{view}{picture.suffix}", picture.content)
+        if first is None or missing:
+            raise ValueError(f"{self._bag.path}: topic {topic}: {len(missing)} pictures were lost")
+        # Only what describes it is needed.
+        return first._replace(content=b"")
+
+    def _write_record(
+        self,
+        folder: Path,
+        notes: Sequence[str],
+        left_out: Mapping[str, int],
+        view_ids: Sequence[str],
+        moments: Int[np.ndarray, "views"],
+    ) -> None:
+        """Write what was taken from where, what was left out, and the stamp of every view."""
+        record = {
+            "bag": self._bag.path.name,
+            "notes": list(notes),
+            "left_out": dict(left_out),
+            "stamps_ns": dict(zip(view_ids, moments.tolist(), strict=True)),
+        }
+        write_atomically(folder / RECORD_FILE, dump_yaml(record))
+
+    def _write_description(self, folder: Path, entries: Mapping[str, Any]) -> None:
+        """Write the description, with comments in the target's entry if it is to be filled in."""
+        from ..schemas.dataset import DATASET_SCHEMA
+        from ..schemas.validation import refuse_unreadable
+
+        path = folder / DESCRIPTION_FILE
+        *lines, end_mark = dump_yaml(marked_entries(entries)).splitlines(keepends=True)
+        target = "" if self._target is None else self._target.text
+        text = "".join([*lines, target, end_mark])
+        refuse_unreadable(parse_yaml(text, path), DATASET_SCHEMA, path)
+        write_atomically(path, text)
+
+
+def _is_rectified(topic: str) -> bool:
+    """Return whether the pictures of a topic are rectified, by ROS's names of such topics."""
+    return "rect" in topic.removesuffix("/compressed").rpartition("/")[2]
+
+
+def _kind(picture: PictureFile) -> str:
+    """Return size and kind of a picture as text."""
+    width, height = picture.size
+    return f"a {picture.suffix} of {width} x {height} px and {picture.bits} bits"
