@@ -30,6 +30,7 @@ BENCHMARKS = {
     "target_shape": "bowed boards, a lens of higher order: mounts and intervals, against OpenCV",
     "target_size": "intervals where data hardly tell the size of the target: do they agree",
     "single_tags": "a single small tag, two poses in each view: right in how many sets?",
+    "rigs": "several cameras on one arm: one fit of all against a fit for each",
     "kinhec": "poses without pixels: KinHEC's eight tracks, with its eleven reference solvers",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit against Ceres, gtsam, casadi, SciPy: time, memory, cost",

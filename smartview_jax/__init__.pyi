@@ -34,6 +34,7 @@ from .calibration import Calibration as Calibration
 from .calibration_pipeline import calibrate as calibrate
 from .cameras import Camera as Camera
 from .dataset import Dataset as Dataset
+from .dataset import Rig as Rig
 from .detection import correct_circle_centres as correct_circle_centres
 from .editor import ModelSession as ModelSession
 from .engine import Noise as Noise
@@ -58,10 +59,12 @@ from .grasping import tool_commands as tool_commands
 from .io import load_dataset as load_dataset
 from .io import save_dataset as save_dataset
 from .joint import JointFit as JointFit
+from .joint import RigFit as RigFit
 from .joint import fit_camera as fit_camera
 from .joint import fit_joint as fit_joint
 from .joint import fit_many as fit_many
 from .joint import fit_poses as fit_poses
+from .joint import fit_rig as fit_rig
 from .joint import load_estimate as load_estimate
 from .joint import precompile as precompile
 from .joint import view_influence as view_influence

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Unpack
+from typing import Unpack, overload
 
 import equinox as eqx
 import numpy as np
@@ -12,17 +12,19 @@ from jaxtyping import Array
 from .argument_checks import require_instance
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
-from .dataset import Dataset, PoseDataset, chain_residuals, given_places, repetition_warnings
+from .dataset import Dataset, PoseDataset, Rig, chain_residuals, given_places, repetition_warnings
 from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
 from .fit_result import Rejection
 from .geometry import PoseLike
 from .joint import (
     JointFit,
     JointOptions,
+    RigFit,
     batch_least_squares,
     fit_joint,
     precompile,
 )
+from .rig_pipeline import calibrate_rig
 from .robot_errors import RobotError
 from .runtime.compilation import refuse_traced
 from .runtime.double_precision import require_double_precision
@@ -116,6 +118,7 @@ def _warnings(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
     )
 
 
+@overload
 def calibrate(
     data: Dataset,
     lens: str | AbstractLens = DEFAULT_LENS,
@@ -125,13 +128,37 @@ def calibrate(
     step2: str = "kalman",
     progress: Callable[[str], None] | None = None,
     **joint_options: Unpack[JointOptions],
-) -> CalibrationFit:
+) -> CalibrationFit: ...
+
+
+@overload
+def calibrate(
+    data: Rig,
+    lens: str | AbstractLens = DEFAULT_LENS,
+    *,
+    camera: Mapping[str, Camera] | None = None,
+    progress: Callable[[str], None] | None = None,
+    **joint_options: Unpack[JointOptions],
+) -> RigFit: ...
+
+
+def calibrate(
+    data: Dataset | Rig,
+    lens: str | AbstractLens = DEFAULT_LENS,
+    *,
+    camera: Camera | Mapping[str, Camera] | None = None,
+    start: Calibration | Mapping[str, PoseLike] | None = None,
+    step2: str = "kalman",
+    progress: Callable[[str], None] | None = None,
+    **joint_options: Unpack[JointOptions],
+) -> CalibrationFit | RigFit:
     """Calibrate by the staged pipeline, then by the joint fit without the staged fit's outliers.
 
     Args:
         data: at least three views with six visible points each; with a known camera four suffice.
+            The cameras of a `Rig` are calibrated together, and the result is a `RigFit`.
         lens: the lens model of both fits; the paper's is `"radial"`.
-        camera: a known camera, which both fits then hold.
+        camera: a known camera, which both fits then hold; of a rig, known cameras by name.
         start: where the joint fit starts, which is what parameters of `fixed` keep and what priors
             without a mean are about: a calibration, or one or both transforms by name, such as
             `camera_from_tool` from a drawing; by default the staged fit's. A transform alone moves
@@ -146,6 +173,12 @@ def calibrate(
         ValueError: a camera or a start that does not match this data set's pictures or mount; and
             the errors of `fit_staged` and `fit_joint`.
     """
+    if isinstance(data, Rig):
+        if start is not None or step2 != "kalman":
+            raise ValueError("calibrate: a rig takes no start and no step2; `fit_rig` takes starts")
+        if isinstance(camera, Camera):
+            raise TypeError("camera: expected known cameras by name for a rig, found a Camera")
+        return calibrate_rig(data, lens, cameras=camera, progress=progress, **joint_options)
     refuse_traced("calibrate", data, camera)
     # The second thread has settings of its own: it would compile everything before the refusal.
     require_double_precision()
@@ -154,6 +187,7 @@ def calibrate(
         raise TypeError("data: tracked poses have no pixels: fit_poses fits them")
     if camera is not None:
         require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
+        assert isinstance(camera, Camera)
         require_picture_size("the known camera", camera, data.image_size)
     if step2 not in STEP2_METHODS:
         raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")

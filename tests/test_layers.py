@@ -26,8 +26,8 @@ FLOORS = """
     argument_checks version files runtime extras fit_result
     schemas export_text geometry cameras targets robots robot_errors calibration dataset detection
     hand_eye data_checks staged engine variance joint arm_identification
-    calibration_pipeline time_offset evaluation viewpoints features modeling io ros_bags simulation
-    fleet localization grasping plots report editor picking cli __main__
+    rig_pipeline calibration_pipeline time_offset evaluation viewpoints features modeling io
+    ros_bags simulation fleet localization grasping plots report editor picking cli __main__
 """.split()
 
 NO_OPENCV = """

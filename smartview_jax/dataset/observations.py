@@ -55,7 +55,10 @@ class Observations(eqx.Module):
         Data sets of similar size then share compiled programs (`padding`). Large data sets are
         returned unchanged.
         """
-        views, points = padded_counts(*self.visible.shape)
+        return self.padded_to(*padded_counts(*self.visible.shape))
+
+    def padded_to(self, views: int, points: int) -> "Observations":
+        """Return the observations with invisible views and points added, up to these numbers."""
         if self.visible.shape == (views, points):
             return self
         is_visible = np.zeros((views, points), dtype=bool)

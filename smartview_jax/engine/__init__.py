@@ -1,5 +1,7 @@
 """The least-squares problem of the joint calibration, and the solver that uses its structure."""
 
+from .abstract_problem import AbstractProblem as AbstractProblem
+from .abstract_problem import NormalEquations as NormalEquations
 from .covariance import RANK_TOLERANCE as RANK_TOLERANCE
 from .covariance import ReducedEquations as ReducedEquations
 from .covariance import ScaledJacobian as ScaledJacobian
@@ -23,6 +25,7 @@ from .observability import describe_direction as describe_direction
 from .observability import observability as observability
 from .parameters import POSE_CORRECTIONS as POSE_CORRECTIONS
 from .parameters import ROBOT_ERROR as ROBOT_ERROR
+from .parameters import TARGET_SCALE as TARGET_SCALE
 from .parameters import Parameters as Parameters
 from .parameters import Step as Step
 from .parameters import host_retract as host_retract
@@ -38,13 +41,16 @@ from .prepared_poses import PreparedPoses as PreparedPoses
 from .priors import Prior as Prior
 from .problem import FittedChain as FittedChain
 from .problem import JointProblem as JointProblem
-from .problem import NormalEquations as NormalEquations
 from .problem_builder import BuiltProblem as BuiltProblem
 from .problem_builder import build_problem as build_problem
 from .problem_builder import unprojectable_views_message as unprojectable_views_message
 from .problem_builder import with_field as with_field
 from .problem_builder import with_free_camera_poses as with_free_camera_poses
 from .problem_builder import with_lens as with_lens
+from .rig_builder import BuiltRig as BuiltRig
+from .rig_builder import build_rig as build_rig
+from .rig_problem import CameraGroup as CameraGroup
+from .rig_problem import RigProblem as RigProblem
 from .schur import BlockArrow as BlockArrow
 from .schur import Elimination as Elimination
 from .schur import SchurCholesky as SchurCholesky

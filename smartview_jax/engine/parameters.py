@@ -33,6 +33,9 @@ from ..runtime.array_namespace import to_device
 _AXES = ("x", "y", "z")
 POSE_CORRECTIONS = "pose_corrections"
 """First part of the names of the views' pose corrections."""
+TARGET_SCALE = "target_scale"
+"""The name of the target's scale, both as a parameter and as a group of unknown size."""
+
 ROBOT_ERROR = "robot_error"
 """First part of the names of the robot error field's coefficients."""
 
@@ -62,7 +65,7 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
     ]
     error = calibration.robot_error
     fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
-    return (*camera, *transforms, "target_scale", *fields, *corrections)
+    return (*camera, *transforms, TARGET_SCALE, *fields, *corrections)
 
 
 def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:

@@ -17,7 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration, TargetShape
 from ..dataset import AnyObservations, Observations, PoseObservations
-from ..runtime.array_namespace import to_device
+from ..robot_errors import RobotError
+from .abstract_problem import AbstractProblem, NormalEquations
 from .losses import AbstractLoss
 from .parameters import Parameters, Step, host_values
 from .pose_jacobians import PoseJacobians, linearise_poses
@@ -32,20 +33,6 @@ VIEW_AXIS = "views"
 
 _DIRECT, _TWIST = slice(0, -6), slice(-6, None)
 """Rows of a view's normal equations: of camera and shape, and of the twist of its pose."""
-
-
-class NormalEquations(eqx.Module):
-    """The cost, its gradient and the Gauss-Newton matrix at a step.
-
-    Attributes:
-        cost: half the sum of squared whitened residuals, or of the loss; with priors if included.
-        gradient: gradient of the cost.
-        matrix: Gauss-Newton approximation of the Hessian, `J^T J`.
-    """
-
-    cost: Float[Array, ""]
-    gradient: Step
-    matrix: BlockArrow
 
 
 class FittedChain(eqx.Module):
@@ -66,7 +53,7 @@ class FittedChain(eqx.Module):
     camera_from_world: Float[Array, "views 4 4"]
 
 
-class JointProblem(eqx.Module):
+class JointProblem(AbstractProblem):
     """A least-squares problem: observations predicted through the chain of transforms, and priors.
 
     Attributes:
@@ -120,17 +107,38 @@ class JointProblem(eqx.Module):
         error, command = self.parameters.start.robot_error, self.observations.command
         return dataclasses.replace(self, prepared_poses=prepare_poses(error, command, corrections))
 
-    def zero_step(self) -> Step:
-        """Return the zero step."""
-        zeros = np.zeros(len(self.free)), np.zeros(self.per_view_free.shape)
-        return Step(*map(to_device, zeros))
+    @property
+    def visible_count(self) -> int:
+        """The number of visible points in all pictures, or of numbers of tracked poses."""
+        return int(np.asarray(self.observations.visible).sum())
 
-    def unscaled_step(self, z: Step) -> Step:
-        """Convert a scaled step of the free parameters to all parameters in their own units."""
-        shared = jnp.zeros(self.parameters.layout.size)
-        shared = shared.at[self.free].set(z.shared * self.scale.shared, mode="drop")
-        per_view = jnp.where(self.per_view_free, z.per_view * self.scale.per_view, 0.0)
-        return Step(shared, per_view)
+    @property
+    def has_pixels(self) -> bool:
+        """Whether the observations are points in pictures."""
+        return not isinstance(self.observations, PoseObservations)
+
+    @property
+    def robot_error(self) -> RobotError | None:
+        """The robot's error at the start; None without a field."""
+        return self.parameters.start.robot_error
+
+    @property
+    def parameter_count(self) -> int:
+        """The number of shared parameters, free or not."""
+        return self.parameters.layout.size
+
+    @property
+    def is_camera(self) -> Bool[np.ndarray, "shared"]:
+        """Mask of the camera's parameters among the shared ones."""
+        return np.arange(self.parameter_count) < self.parameters.layout.camera.stop
+
+    def start_values(self) -> Float[Array, "shared"]:
+        """Return the values of the shared parameters at the start."""
+        return self.parameters.values()
+
+    def host_start_values(self) -> Float[np.ndarray, "shared"]:
+        """Return `start_values`, computed with NumPy."""
+        return host_values(self.parameters.start)
 
     def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
         """Return the calibration and the pose corrections at a scaled step."""
@@ -200,19 +208,10 @@ class JointProblem(eqx.Module):
 
         return jax.lax.map(view, (poses, self.observations))
 
-    def residuals(self, z: Step, _: None = None) -> tuple[Array, Array, Array]:
-        """Return the residuals of the observations and of the shared and the views' own priors.
-
-        Half their squared length is the cost.
-        """
-        observation_residuals = self.whitened_residuals(z)
-        if self.loss is not None:
-            observation_residuals = self.loss.robustify(observation_residuals)
-        return observation_residuals, *self._prior_residuals(self.unscaled_step(z))
-
-    def normal_equations(self, z: Step) -> NormalEquations:
-        """Return the normal equations at a step; robust losses by iterative reweighting."""
-        return self._with_priors(self.unscaled_step(z), self.normal_equations_without_priors(z))
+    def observation_residuals(self, z: Step) -> Array:
+        """Return the whitened residuals of the observations, with the robust loss."""
+        residuals = self.whitened_residuals(z)
+        return residuals if self.loss is None else self.loss.robustify(residuals)
 
     def normal_equations_without_priors(
         self, z: Step, shape: TargetShape | None = None
@@ -364,10 +363,6 @@ class JointProblem(eqx.Module):
         shared = self._take_free(jnp.concatenate([camera, twist], axis=1))
         return shared * self.scale.shared[None, None]
 
-    def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:
-        """Return the entries of the free shared parameters, with zeros for padding."""
-        return jnp.take(shared, self.free, axis=-1, mode="fill", fill_value=0.0)
-
     def _per_view_jacobian(self, pose_jacobians: PoseJacobians) -> Float[Array, "corrected 6 6"]:
         """Return the derivative of each view's twist by its own parameters.
 
@@ -375,20 +370,6 @@ class JointProblem(eqx.Module):
         """
         free_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
         return pose_jacobians.per_view_jacobian * free_scale[:, None, :]
-
-    @property
-    def _per_view_weight(self) -> Float[Array, "corrected 6"]:
-        """The inverse prior standard deviations of each view's own parameters, in their units."""
-        weight = jnp.where(self.per_view_free, self.prior_weight.per_view, 0.0)
-        return weight * self.scale.per_view
-
-    @property
-    def _per_view_precision(self) -> Float[Array, "corrected 6"]:
-        """The prior precisions of each view's own parameters, with one for fixed parameters.
-
-        A fixed parameter has a zero column in the Jacobian; 1 keeps the equations solvable.
-        """
-        return jnp.where(self.per_view_free, self._per_view_weight**2, 1.0)
 
     def normal_equations_by_view(
         self, z: Step
@@ -418,49 +399,3 @@ class JointProblem(eqx.Module):
         _, border, block = self._per_view_blocks(pose_jacobians, views, matrix_shared[:, _TWIST])
         block = block + jnp.eye(6)[None] * self._per_view_precision[:, None]
         return information - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(block, border)
-
-    def _with_priors(self, step: Step, equations: NormalEquations) -> NormalEquations:
-        """Add the priors' cost, gradient and diagonal to the observations' normal equations."""
-        # A prior is a residual w (x - mean) with w = 1 / std: it adds w^2 (x - mean)^2 / 2 to the
-        # cost, w^2 (x - mean) to the gradient and w^2 to the diagonal.
-        gradient, matrix = equations.gradient, equations.matrix
-        residual, per_view_residual = self._prior_residuals(step)
-        weight = self._take_free(self.prior_weight.shared) * self.scale.shared
-        # Padding has a zero column in the Jacobian; 1 keeps the equations solvable.
-        precision = jnp.where(self.free < self.parameters.layout.size, weight**2, 1.0)
-        return NormalEquations(
-            equations.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(per_view_residual**2)),
-            Step(
-                gradient.shared + weight * self._take_free(residual),
-                gradient.per_view + self._per_view_weight * per_view_residual,
-            ),
-            BlockArrow(
-                matrix.shared + jnp.diag(precision),
-                matrix.border,
-                matrix.per_view + jnp.eye(6)[None] * self._per_view_precision[:, None],
-            ),
-        )
-
-    def offset_from_prior(self, step: Step) -> Step:
-        """Return the difference of every parameter from its prior mean, in its own units."""
-        values, mean = self.parameters.values(), self.prior_mean.shared
-        shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
-        return Step(shared, step.per_view - jnp.nan_to_num(self.prior_mean.per_view))
-
-    def host_offset_at_start(self) -> Float[np.ndarray, "shared"]:
-        """Return the difference of every shared parameter's start from its prior mean.
-
-        It is computed with NumPy, because compilation would take longer.
-        """
-        mean = np.asarray(self.prior_mean.shared)
-        return np.where(np.isnan(mean), 0.0, host_values(self.parameters.start) - mean)
-
-    def prior_cost(self, z: Step) -> Float[Array, ""]:
-        """Return the priors' part of the cost at a scaled step."""
-        shared, per_view = self._prior_residuals(self.unscaled_step(z))
-        return 0.5 * (jnp.sum(shared**2) + jnp.sum(per_view**2))
-
-    def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
-        """Return the whitened residuals of the priors, shared and of the views' own parameters."""
-        offset, weight = self.offset_from_prior(step), self.prior_weight
-        return offset.shared * weight.shared, offset.per_view * weight.per_view

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
@@ -22,7 +22,7 @@ from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, refuse_traced
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
-from .parameters import ROBOT_ERROR, Parameters, Step, parameter_mask, parameter_names
+from .parameters import ROBOT_ERROR, TARGET_SCALE, Parameters, Step, parameter_mask, parameter_names
 from .prepared_poses import prepare_poses
 from .priors import Prior
 from .problem import JointProblem
@@ -48,14 +48,15 @@ class BuiltProblem(eqx.Module):
     def holding(self, names: Collection[str]) -> "BuiltProblem":
         """Return the problem with these shared parameters held at the start."""
         kept = [k for k, name in enumerate(self.shared_names) if name not in names]
-        problem = self.problem
-        scale = Step(to_device(np.asarray(problem.scale.shared)[kept]), problem.scale.per_view)
-        free = to_device(np.asarray(problem.free)[kept])
         return dataclasses.replace(
             self,
-            problem=dataclasses.replace(problem, free=free, scale=scale),
+            problem=self.problem.with_free(np.array(kept, dtype=int)),
             shared_names=tuple(self.shared_names[k] for k in kept),
         )
+
+    def pose_parameters(self, usable_views: Int[np.ndarray, "usable"]) -> int:
+        """Return the number of free parameters of the poses of these views."""
+        return int(np.asarray(self.problem.per_view_free)[usable_views].sum())
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "BuiltProblem":
         """Return the problem with the robot error field at poses corrected for noise."""
@@ -121,14 +122,14 @@ def build_problem(
     parameters = Parameters(start)
     shared_size = parameters.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
-    default_fixed = ["target_scale"]
+    default_fixed = [TARGET_SCALE]
     if field == "auto" and start.robot_error is not None:
         default_fixed.append(ROBOT_ERROR)
     # `free` overrides what is held by default; `fixed` overrides both.
     is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, free)
     is_free &= ~parameter_mask(names, fixed)
     fitted_field = None if field == "auto" else field
-    mean, weight = _prior_means_and_weights(
+    mean, weight = prior_means_and_weights(
         names, shared_size, priors, noise_model, fitted_field, float(np.asarray(start.target_scale))
     )
     about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
@@ -143,22 +144,24 @@ def build_problem(
     # Arrays are created by NumPy, because every JAX operation on the host would be compiled.
     units = np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
     problem = JointProblem(
-        parameters,
-        data.observations,
-        to_device(np.array(noise_model.pixel if noise_model else 1.0)),
-        to_device(np.flatnonzero(is_free[:shared_size])),
-        to_device(is_free[shared_size:].reshape(-1, 6)),
-        _step_from_vector(mean, shared_size),
-        _step_from_vector(weight, shared_size),
-        Step(*map(to_device, units)),
-        loss_by_name(loss),
-        prepare_poses(start.robot_error, data.observations.command, noise_corrections),
+        parameters=parameters,
+        observations=data.observations,
+        pixel_sigma=to_device(np.array(noise_model.pixel if noise_model else 1.0)),
+        free=to_device(np.flatnonzero(is_free[:shared_size])),
+        per_view_free=to_device(is_free[shared_size:].reshape(-1, 6)),
+        prior_mean=step_from_vector(mean, shared_size),
+        prior_weight=step_from_vector(weight, shared_size),
+        scale=Step(*map(to_device, units)),
+        loss=loss_by_name(loss),
+        prepared_poses=prepare_poses(
+            start.robot_error, data.observations.command, noise_corrections
+        ),
     )
     # Residuals of points that were seen but cannot be projected are infinite.
     residuals = np.asarray(chain_residuals(start, data.observations))
     # Component by component, because NumPy reduces an axis of two entries thirty times as slowly.
     unprojectable = ~(np.isfinite(residuals[..., 0]) & np.isfinite(residuals[..., 1]))
-    _check_views_projectable(data, unprojectable)
+    check_views_projectable(data, unprojectable)
     visible = to_device(np.asarray(data.visible) & ~unprojectable)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
     return BuiltProblem(
@@ -221,7 +224,7 @@ def _is_same_field(first: AbstractField, second: AbstractField) -> bool:
     return all(np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
 
 
-def _prior_means_and_weights(
+def prior_means_and_weights(
     names: tuple[str, ...],
     shared_size: int,
     priors: Mapping[str, Prior],
@@ -235,7 +238,7 @@ def _prior_means_and_weights(
     means no prior.
     """
     mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
-    scale_index = names.index("target_scale")
+    is_size = np.array([name.split(".")[-1] == TARGET_SCALE for name in names])
     groups = () if field is None else field.groups
     if noise is not None:
         if len(noise.field) != len(groups):
@@ -259,13 +262,13 @@ def _prior_means_and_weights(
         weight[selected] = 1.0 / prior.std
         if prior.mean is not None:
             mean[selected] = prior.mean
-        if selected[scale_index]:
+        if (sizes := selected & is_size).any():
             # The parameter is the logarithm, whose standard deviation is relative.
             size = target_scale if prior.mean is None else prior.mean
             if not size > 0.0:
                 raise ValueError(f"prior on {path!r}: a size is positive; found a mean of {size}")
-            weight[scale_index] = size / prior.std
-            mean[scale_index] = np.nan if prior.mean is None else np.log(size)
+            weight[sizes] = size / prior.std
+            mean[sizes] = np.nan if prior.mean is None else np.log(size)
     return mean, weight
 
 
@@ -277,14 +280,12 @@ def _values_at(parameters: Parameters, other: Calibration) -> Float[Array, "shar
     return parameters.values() + parameters.step_to(other)
 
 
-def _step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
+def step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
     """Split a flat vector into the shared parameters and six per view."""
     return Step(to_device(vector[:shared_size]), to_device(vector[shared_size:].reshape(-1, 6)))
 
 
-def _check_views_projectable(
-    data: Dataset, unprojectable: Bool[np.ndarray, "views points"]
-) -> None:
+def check_views_projectable(data: Dataset, unprojectable: Bool[np.ndarray, "views points"]) -> None:
     """Raise if the start cannot project any point of some view.
 
     Raises:

@@ -4,7 +4,7 @@
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,9 +18,10 @@ from jaxtyping import Array
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from ..runtime.padding import repeat_last, without_padding
+from .abstract_problem import AbstractProblem, NormalEquations
 from .losses import Cauchy
 from .parameters import Step
-from .problem import FittedChain, JointProblem, NormalEquations
+from .problem import JointProblem
 from .schur import BlockArrow
 from .structured_lm import (
     StructuredLM,
@@ -33,6 +34,8 @@ from .structured_lm import (
     quadratic_model,
     rescale,
 )
+
+_Problem = TypeVar("_Problem", bound=AbstractProblem)
 
 MIN_UNPADDED_OBSERVATIONS = 40_000
 """Smallest number of observations, visible or not, for which a problem is solved without padding.
@@ -55,7 +58,7 @@ class Solution(NamedTuple):
         relative_decrease: decrease of the cost that one more Gauss-Newton step predicts, as a
             fraction of the cost.
         converged: whether that decrease is negligible.
-        chain: the chain of every view at the result.
+        chain: the chain of every view at the result (`FittedChain`), or of every camera of a rig.
     """
 
     z: Step
@@ -63,11 +66,11 @@ class Solution(NamedTuple):
     steps: int
     relative_decrease: float
     converged: bool
-    chain: FittedChain
+    chain: Any
 
 
 def solve(
-    problem: JointProblem,
+    problem: AbstractProblem,
     solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
     maximum_steps: int = MAXIMUM_STEPS,
     start: Step | None = None,
@@ -114,12 +117,15 @@ def solve(
     return solution, equations_without_padding(equations, original)
 
 
-def padded(problem: JointProblem) -> JointProblem:
+def padded(problem: _Problem) -> _Problem:
     """Pad a small problem with views, points and free parameters that have no effect.
 
     Small problems that differ in size, free parameters or loss, as within one calibration, then
     share a program, which takes far longer to compile than to run.
     """
+    if not isinstance(problem, JointProblem):
+        # A rig's cameras are padded when it is built.
+        return problem
     size, count = problem.parameters.layout.size, len(problem.free)
     if problem.observations.visible.size >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
         return problem
@@ -151,7 +157,7 @@ def padded(problem: JointProblem) -> JointProblem:
     )
 
 
-def padded_step(step: Step, problem: JointProblem) -> Step:
+def padded_step(step: Step, problem: AbstractProblem) -> Step:
     """Return a step with zeros for the parameters that were added to a padded problem."""
     shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
     more_views = len(problem.per_view_free) - len(per_view)
@@ -161,14 +167,14 @@ def padded_step(step: Step, problem: JointProblem) -> Step:
     )
 
 
-def step_without_padding(step: Step, original: JointProblem) -> Step:
+def step_without_padding(step: Step, original: AbstractProblem) -> Step:
     """Return a step of a padded problem without the padding."""
     shared = without_padding(step.shared, len(original.free))
     return Step(shared, without_padding(step.per_view, len(original.per_view_free)))
 
 
 def equations_without_padding(
-    equations: NormalEquations, original: JointProblem
+    equations: NormalEquations, original: AbstractProblem
 ) -> NormalEquations:
     """Return the normal equations of a padded problem without the padding."""
     free, corrected = len(original.free), len(original.per_view_free)
@@ -184,8 +190,10 @@ def equations_without_padding(
     )
 
 
-def chain_without_padding(chain: FittedChain, original: JointProblem) -> FittedChain:
-    """Return the chain of a padded problem without the padding."""
+def chain_without_padding(chain: Any, original: AbstractProblem) -> Any:
+    """Return the chain of a padded problem without the padding; a rig's chains are unchanged."""
+    if not isinstance(original, JointProblem):
+        return chain
     views = len(original.observations.visible)
     return dataclasses.replace(
         chain,
@@ -196,14 +204,14 @@ def chain_without_padding(chain: FittedChain, original: JointProblem) -> FittedC
 
 
 @compiled
-def _with_jacobi_scale(problem: JointProblem) -> JointProblem:
+def _with_jacobi_scale(problem: _Problem) -> _Problem:
     """Return the problem in units for solvers that treat all parameters alike."""
     matrix = jax.lax.stop_gradient(problem).normal_equations(problem.zero_step()).matrix
     return eqx.tree_at(lambda p: p.scale, problem, jacobi_scale(matrix))
 
 
 def minimise(
-    problem: JointProblem,
+    problem: AbstractProblem,
     solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any],
     maximum_steps: int,
     start: Step,
@@ -242,11 +250,11 @@ def minimise(
 
 @compiled
 def _minimise_and_evaluate(
-    problem: JointProblem,
+    problem: AbstractProblem,
     solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any],
     maximum_steps: int,
     start: Step,
-) -> tuple[Step, Array, Array, NormalEquations, Array, FittedChain]:
+) -> tuple[Step, Array, Array, NormalEquations, Array, Any]:
     """Minimise from a step in the parameters' own units, and return the chain at the end too."""
     outputs = minimise(
         problem, solver, maximum_steps, jax.tree.map(jnp.divide, start, problem.scale)
@@ -260,7 +268,7 @@ def _minimise_and_evaluate(
 
 @compiled
 def optimum(
-    problem: JointProblem,
+    problem: AbstractProblem,
     solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
     start: Step | None = None,
     maximum_steps: int = MAXIMUM_STEPS,

@@ -17,8 +17,8 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
 from ..runtime.compilation import compiled
+from .abstract_problem import AbstractProblem
 from .parameters import Step
-from .problem import JointProblem
 from .schur import BlockArrow, SchurCholesky
 
 MAX_RECORDED_COSTS = 64
@@ -55,7 +55,7 @@ class _State(eqx.Module):
 
 
 class StructuredLM(optx.AbstractLeastSquaresSolver):
-    """A Levenberg-Marquardt solver for a `JointProblem`, which is passed as `args`.
+    """A Levenberg-Marquardt solver for an `AbstractProblem`, which is passed as `args`.
 
     The function to minimise must be the problem's `residuals`; it is linearised by
     `normal_equations`. Internally the parameters are in units in which the columns of the Jacobian
@@ -83,10 +83,12 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         """Return the state before the first step.
 
         Raises:
-            ValueError: the function to minimise is not the residuals of a `JointProblem`.
+            ValueError: the function to minimise is not the residuals of an `AbstractProblem`.
         """
         expected = (
-            jax.eval_shape(ordered_residuals, y, args) if isinstance(args, JointProblem) else None
+            jax.eval_shape(ordered_residuals, y, args)
+            if isinstance(args, AbstractProblem)
+            else None
         )
         if f_struct != expected:
             raise ValueError(
@@ -177,7 +179,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
 
 # Compiled separately, so that a program traces it once, not for each of its two uses.
 @compiled
-def quadratic_model(problem: JointProblem, z: Step) -> QuadraticModel:
+def quadratic_model(problem: AbstractProblem, z: Step) -> QuadraticModel:
     """Linearise the problem at a scaled step."""
     equations = problem.normal_equations(z)
     return QuadraticModel(equations.cost, equations.gradient, equations.matrix)
@@ -239,6 +241,6 @@ def is_converged(predicted_decrease: Any, cost: Any) -> Any:
     return (abs(predicted_decrease) < 1e-8 * cost) | (abs(predicted_decrease) < 1e-12)
 
 
-def ordered_residuals(z: Step, problem: JointProblem) -> tuple[Array, Array, Array]:
+def ordered_residuals(z: Step, problem: AbstractProblem) -> tuple[Array, Array, Array]:
     """Return the residuals with the arguments in the order that optimistix expects."""
     return problem.residuals(z)

@@ -9,6 +9,7 @@ from .fit_text import fit_html as fit_html
 from .fit_text import fit_text as fit_text
 from .fit_text import hand_eye_forms as hand_eye_forms
 from .fit_text import outcome as outcome
+from .gross_errors import remove_gross_errors as remove_gross_errors
 from .influence import Influence as Influence
 from .joint_fit import JointFit as JointFit
 from .joint_fit import view_influence as view_influence
@@ -26,6 +27,9 @@ from .pose_fit import fit_poses as fit_poses
 from .pose_fit import pose_rms as pose_rms
 from .pose_fit import tracked_pose_errors as tracked_pose_errors
 from .precompile import precompile as precompile
+from .rig_fit import RelativePose as RelativePose
+from .rig_fit import RigFit as RigFit
+from .rig_fit import fit_rig as fit_rig
 from .saved_estimate import SavedEstimate as SavedEstimate
 from .saved_estimate import load_estimate as load_estimate
 from .saved_estimate import load_with_uncertainty as load_with_uncertainty

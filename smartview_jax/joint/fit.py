@@ -237,7 +237,7 @@ def fit_joint(
             # fails the test. Compare the fits with and without the suspect instead.
             data_without_suspect = without_views(used_data, {suspect: ""})
             refitted, matrix = fit_once(data_without_suspect, rejected_points)
-            if (reason := inflation_reason(accepted, refitted)) is None:
+            if (reason := inflation_reason(accepted.noise, refitted.noise)) is None:
                 break
             used_data = without_views(used_data, {suspect: reason})
             accepted, matrix = fit_once(used_data, rejected_points)
@@ -358,7 +358,7 @@ def _assemble_fit(
         observability=observability(scaled_jacobian, built.shared_names, chain.calibration),
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
-        result=_solver_result(solution),
+        result=solver_result(solution),
     )
 
 
@@ -389,7 +389,7 @@ def _all_rejections(
     return (*view_rejections, *rejected_points, *unprojectable_rejections)
 
 
-def _solver_result(solution: Solution) -> FitResult:
+def solver_result(solution: Solution) -> FitResult:
     """Return whether the solver converged, with a message."""
     # Only the solution is checked: a calibration may contain infinite joint limits of an arm.
     finite = all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(solution.z))

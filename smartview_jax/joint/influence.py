@@ -25,6 +25,7 @@ from jaxtyping import Array, Float
 from scipy.special import chdtrc
 
 from ..engine import (
+    AbstractProblem,
     BlockArrow,
     JointProblem,
     Step,
@@ -115,7 +116,7 @@ class PoseOutlierTest(NamedTuple):
 
 
 def pose_outlier_test(
-    problem: JointProblem, z: Step, matrix: BlockArrow, sigmas_known: bool
+    problem: AbstractProblem, z: Step, matrix: BlockArrow, sigmas_known: bool
 ) -> PoseOutlierTest:
     """Test every view's reported pose against the other views.
 

@@ -16,10 +16,10 @@ from ..dataset import (
     distinct_poses,
     repetition_warnings,
 )
-from ..engine import Direction
+from ..engine import TARGET_SCALE, Direction
 from ..geometry import host_matrices, vector_text
 from ..staged import mistaken_unit
-from ..variance import TARGET_SCALE, TargetScaleEvidence
+from ..variance import TargetScaleEvidence
 from .joint_fit import JointFit, half_width
 from .last_joint import half_widths_with_last_joint_held
 

@@ -37,7 +37,7 @@ class SavedEstimate(NamedTuple):
     observability: Observability
 
 
-def uncertainty_to_dict(fit: "JointFit") -> dict[str, Any] | None:
+def uncertainty_to_dict(fit: "JointFit | SavedEstimate") -> dict[str, Any] | None:
     """Return the uncertainty of a fit as plain numbers; None if a parameter is undetermined."""
     if fit.observability.null_directions or not np.isfinite(fit.covariance).all():
         return None

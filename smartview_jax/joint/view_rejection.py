@@ -8,7 +8,8 @@ most suspect view are compared.
 import numpy as np
 
 from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset
-from ..engine import BlockArrow
+from ..engine import BlockArrow, Noise
+from ..robot_errors import RobotPrior
 from .influence import pose_outlier_test
 from .joint_fit import JointFit
 from .plausibility import MAX_PRIOR_SIGMAS
@@ -56,28 +57,31 @@ def suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None
         or len(data.usable_views()) <= MINIMUM_RELIABLE_VIEWS
     ):
         return None
-    # The log-normal prior's upper limit: median times exp(MAX_PRIOR_SIGMAS * spread).
-    max_plausible = noise_estimate.robot_prior.medians(None) * np.exp(
-        MAX_PRIOR_SIGMAS * noise_estimate.robot_prior.log_stds(None)
-    )
-    if noise.translation <= max_plausible[0] and noise.rotation <= max_plausible[1]:
+    if is_plausible(noise, noise_estimate.robot_prior):
         return None
     scores = pose_outlier_test(fit.problem, fit.solution.z, matrix, sigmas_known=False)
     return int(np.argmin(np.asarray(scores.p_value)))
 
 
-def inflation_reason(fit: JointFit, refitted: JointFit) -> str | None:
+def is_plausible(noise: Noise, prior: RobotPrior) -> bool:
+    """Return whether the standard deviations of reported poses are plausible for robots."""
+    # The log-normal prior's upper limit: median times exp(MAX_PRIOR_SIGMAS * spread).
+    limits = prior.medians(None) * np.exp(MAX_PRIOR_SIGMAS * prior.log_stds(None))
+    return bool(noise.translation <= limits[0] and noise.rotation <= limits[1])
+
+
+def inflation_reason(noise: Noise | None, without: Noise | None) -> str | None:
     """Return why to leave out a view, from the other views' pose errors with and without it.
 
     None to keep the view.
     """
-    assert fit.noise is not None
-    assert refitted.noise is not None
+    assert noise is not None
+    assert without is not None
     for name, unit, unit_scale in (
         ("translation", "mm", 1e3),
         ("rotation", "degrees", float(np.rad2deg(1.0))),
     ):
-        before, after = (unit_scale * getattr(f.noise, name) for f in (fit, refitted))
+        before, after = (unit_scale * getattr(each, name) for each in (noise, without))
         if before > MAX_POSE_SIGMA_RATIO * after:
             return (
                 f"its pose contradicts the others: with it reported poses err by {before:.3g} "

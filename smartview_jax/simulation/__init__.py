@@ -35,6 +35,8 @@ from .polyhedra import stepped_block as stepped_block
 from .render import render as render
 from .render import write_pictures as write_pictures
 from .rendered_scenes import rendered_scene as rendered_scene
+from .rig_scenes import RigScene as RigScene
+from .rig_scenes import six_axis_rig_scene as six_axis_rig_scene
 from .scenes import Scene as Scene
 from .scenes import look_at_from_above as look_at_from_above
 from .scenes import paper_calibration as paper_calibration

@@ -103,9 +103,9 @@ def six_axis_scene(
         RuntimeError: the arm does not reach a view.
     """
     rng = np.random.default_rng((seed, 3))
-    arm, board = six_axes(), _board_points()
+    arm, board = six_axes(), board_points()
     error = random_kinematic_errors(arm, rng, error_scale, error_sigma)
-    truth = dataclasses.replace(_true_calibration(), robot_error=error)
+    truth = dataclasses.replace(true_calibration(), robot_error=error)
     warped_board = board + _random_warp(board, rng.uniform(*warp_range), rng)
     camera_poses = random_viewpoints(
         rng, views + held_out_views, board.mean(axis=0), DISTANCE_RANGE, MAX_TILT
@@ -140,13 +140,13 @@ def six_axis_scene(
     return ArmScene(datasets[0], datasets[1], truth, joints_by_part[0], joints_by_part[1])
 
 
-def _board_points() -> Float[np.ndarray, "points 3"]:
+def board_points() -> Float[np.ndarray, "points 3"]:
     """Return the points of the flat board, m."""
     i, j = np.indices((9, 12)).reshape(2, -1)
     return 0.030 * np.stack([j, i, np.zeros(i.shape)], axis=1)
 
 
-def _true_calibration() -> Calibration:
+def true_calibration() -> Calibration:
     """Return a true calibration with the camera of the data set tampere_kuka_2.
 
     Its lens has a `k3` that the four fitted coefficients do not include.

@@ -2,7 +2,6 @@
 
 from .kenward_roger import p_value as p_value
 from .model_comparison import compare_models as compare_models
-from .model_selection import TARGET_SCALE as TARGET_SCALE
 from .model_selection import WHITE_NOISE as WHITE_NOISE
 from .model_selection import ModelName as ModelName
 from .model_selection import encompassing_field as encompassing_field
@@ -10,6 +9,8 @@ from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate
 from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence
 from .noise_estimate import TargetShapeEstimate as TargetShapeEstimate
+from .rig_noise import RigNoiseEstimate as RigNoiseEstimate
+from .rig_noise import estimate_rig_noise as estimate_rig_noise
 from .robot_evidence import RobotEvidence as RobotEvidence
 from .robot_evidence import SizesOfErrors as SizesOfErrors
 from .variance_components import estimate_noise as estimate_noise

@@ -58,9 +58,9 @@ def fit_free_poses(
         shape: shape of the target to begin with; None holds it as stated.
         start: step at which the fit begins; by default zero.
     """
-    views, fits = ViewStatistics(built, usable_views, 0.0, shape=shape), 0
+    views, fits = ViewStatistics(built, built.pose_parameters(usable_views), 0.0, shape=shape), 0
     while True:
-        problem = with_free_poses(views.problem)
+        problem = with_free_poses(views.one_camera)
         solution, equations = solve(problem, start=start)
         sum_of_squares, fits = 2.0 * float(equations.cost), fits + 1
         fit = FreePoseFit(problem, solution.z, equations, sum_of_squares, shape)
@@ -89,11 +89,12 @@ def _shape_step(
     linearised = views.linearise(z)
     if not np.isfinite(linearised.matrix.shared).all():
         return np.full(len(views.shape_names), np.nan), np.ones(len(views.shape_names))
-    names, camera = len(views.shape_names), views.problem.parameters.layout.camera.stop
+    names = len(views.shape_names)
     # The chain is held, camera and poses are free, so only the shared parameters of camera and
     # shape remain.
     shared = np.arange(len(linearised.gradient.shared))
-    kept = np.append(np.flatnonzero(views.free < camera), shared[-names:])
+    is_camera = views.one_camera.is_camera[views.free]
+    kept = np.append(np.flatnonzero(is_camera), shared[-names:])
     matrix, gradient = _without_poses(linearised, kept)
     vague = variance / (VAGUE_SHAPE_STD * float(shape.half_size)) ** 2
     matrix[-names:, -names:] += vague * np.eye(names)

@@ -90,7 +90,7 @@ def lens_evidence(
     precision = np.linalg.inv(of_terms)
     information = precision - np.eye(count) / STANDARD_DEVIATIONS[-1] ** 2
     values, axes = np.linalg.eigh(0.5 * (information + information.T))
-    visible_count = int(np.asarray(views.problem.observations.visible).sum())
+    visible_count = int(np.asarray(views.one_camera.observations.visible).sum())
     new = values > SAME_FUNCTION * visible_count / float(sigmas.pixel) ** 2
     if not new.any():
         return None
@@ -147,7 +147,7 @@ def _terms(
 
     None if too few points are away from the picture's centre, or a point cannot be projected.
     """
-    observations, camera = views.problem.observations, chain.calibration.camera
+    observations, camera = views.one_camera.observations, chain.calibration.camera
     visible = np.asarray(observations.visible)[..., None]
     residuals = view_residuals(
         camera, chain.calibration.target_scale, chain.camera_from_world, observations
@@ -214,6 +214,6 @@ def _with_moved_pixels(
 ) -> ViewStatistics:
     """Return the statistics with other pixels."""
     moved = copy.copy(views)
-    pixels = to_device(np.asarray(views.problem.observations.pixels) + change)
-    moved.problem = eqx.tree_at(lambda p: p.observations.pixels, views.problem, pixels)
+    pixels = to_device(np.asarray(views.one_camera.observations.pixels) + change)
+    moved.problem = eqx.tree_at(lambda p: p.observations.pixels, views.one_camera, pixels)
     return moved

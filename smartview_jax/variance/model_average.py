@@ -11,8 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from ..engine import TARGET_SCALE
 from .likelihood import ROBOT_SIGMA_FLOOR, LinearisedViews, StandardDeviations, marginalise
-from .model_selection import TARGET_SCALE, FittedCandidate, ModelName, average_standard_deviations
+from .model_selection import FittedCandidate, ModelName, average_standard_deviations
 
 
 def averaged_models(

@@ -9,14 +9,23 @@ from jaxtyping import Bool
 
 from ..calibration import Calibration, flat_shape
 from ..dataset import Dataset
-from ..engine import ROBOT_ERROR, BuiltProblem, Noise, Prior, Step, build_problem, solve
+from ..engine import (
+    ROBOT_ERROR,
+    TARGET_SCALE,
+    BuiltProblem,
+    BuiltRig,
+    Noise,
+    Prior,
+    Step,
+    build_problem,
+    solve,
+)
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .fisher_scoring import StandardDeviationPrior
 from .free_poses import fit_free_poses
 from .likelihood import LinearisedViews, StandardDeviations, marginalise, posterior_mode_step
 from .model_selection import (
-    TARGET_SCALE,
     WHITE_NOISE,
     Candidate,
     FittedCandidate,
@@ -58,7 +67,7 @@ class ModelComparison(NamedTuple):
 
     basis: AbstractField | None
     models: Mapping[str, Candidate]
-    built: BuiltProblem
+    built: BuiltProblem | BuiltRig
     views: ViewStatistics
     z: Step
     linearised: LinearisedViews
@@ -127,19 +136,19 @@ def compare_models(
     shape = None
     if not prior.target_is_flat:
         shape = flat_shape(np.asarray(data.points), np.asarray(data.visible))
-    start_of_free, fits = None, 0
+    start_of_free, fits, poses = None, 0, built.pose_parameters(data.usable_views())
     while True:
         free_fit = fit_free_poses(built, data.usable_views(), shape, start_of_free)
         within_sum_of_squares, fits = free_fit.sum_of_squares, fits + 1
         shape = free_fit.shape
-        views = ViewStatistics(built, data.usable_views(), within_sum_of_squares, test_scale, shape)
+        views = ViewStatistics(built, poses, within_sum_of_squares, test_scale, shape)
         sigma_prior = standard_deviation_prior(
             prior, basis, views.group_names, shape, views.has_white_noise
         )
         initial = initial_standard_deviations(sigma_prior, views.initial_sigma)
         free_poses = views.linearised_at_fit(free_fit.problem, free_fit.z, free_fit.equations)
-        white = _likeliest_white_noise(free_poses, views.group_names, initial, sigma_prior, prior)
-        views, z, linearised = _linearised_at_mode(
+        white = likeliest_white_noise(free_poses, views.group_names, initial, sigma_prior, prior)
+        views, z, linearised = linearised_at_mode(
             views, built.shared_names, free_fit.z, free_poses, white
         )
         # No fit can explain the pixels better than free poses, unless a free pose converged to a
@@ -148,13 +157,64 @@ def compare_models(
         if excess >= -FREE_FIT_TOLERANCE * within_sum_of_squares or fits == MAX_FREE_FITS:
             break
         start_of_free, shape = z, views.shape
+    return compared_at(
+        Linearisation(built, views, z, linearised),
+        basis,
+        models,
+        field,
+        initial,
+        sigma_prior,
+        prior.wrong_target_probability,
+    )
+
+
+class Linearisation(NamedTuple):
+    """The views of a problem, linearised at the fit with white noise of the poses alone.
+
+    Attributes:
+        built: problem with the basis that contains all models.
+        views: statistics of the views.
+        z: step of the fit.
+        linearised: the views linearised there.
+    """
+
+    built: BuiltProblem | BuiltRig
+    views: ViewStatistics
+    z: Step
+    linearised: LinearisedViews
+
+
+def compared_at(
+    linearisation: Linearisation,
+    basis: AbstractField | None,
+    models: Mapping[str, Candidate],
+    field: FieldChoice,
+    initial: StandardDeviations,
+    sigma_prior: StandardDeviationPrior,
+    wrong_target_probability: float,
+) -> ModelComparison:
+    """Compare models of the robot error on one linearisation.
+
+    Args:
+        linearisation: the linearised views.
+        basis: field that contains all models; None without a field.
+        models: the models, by the name of their field.
+        field: the requested field, `"auto"`, or None for white noise alone.
+        initial: standard deviations from which the search begins.
+        sigma_prior: prior of the standard deviations.
+        wrong_target_probability: prior probability that the target does not have its stated size.
+
+    Raises:
+        ValueError: no model has a finite weight.
+    """
+    built, views, z, linearised = linearisation
     fitted = fit_candidates(
         linearised,
         models,
         views.group_names,
         initial,
         sigma_prior,
-        prior.wrong_target_probability,
+        wrong_target_probability,
     )
     if not fitted:
         raise ValueError(
@@ -182,7 +242,7 @@ def compare_models(
     )
 
 
-def _likeliest_white_noise(
+def likeliest_white_noise(
     views: LinearisedViews,
     groups: tuple[str, ...],
     initial: StandardDeviations,
@@ -199,7 +259,7 @@ def _likeliest_white_noise(
     return max(fitted.values(), key=lambda candidate: candidate.log_weight).maximum.sigmas
 
 
-def _linearised_at_mode(
+def linearised_at_mode(
     views: ViewStatistics,
     names: Sequence[str],
     z: Step,
@@ -258,7 +318,7 @@ def _candidate_results(
 
 
 def target_scale_evidence(
-    built: BuiltProblem,
+    built: BuiltProblem | BuiltRig,
     views: LinearisedViews,
     z: Step,
     fitted: Mapping[ModelName, FittedCandidate],
@@ -273,8 +333,8 @@ def target_scale_evidence(
     index = built.shared_names.index(TARGET_SCALE)
     # The parameter is the logarithm of the scale, but poses are proportional to the scale itself:
     # a step d of the linear model is a factor of 1 + d.
-    start = built.problem.parameters.start
-    linearised_scale = np.asarray(start.target_scale) * np.exp(np.asarray(z.shared)[index])
+    value = built.problem.host_start_values()[np.asarray(built.problem.free)[index]]
+    linearised_scale = np.exp(value + np.asarray(z.shared)[index])
     scale = linearised_scale * np.clip(1.0 + marginal.step.shared[index], *TARGET_SCALE_LIMITS)
     std = linearised_scale * np.sqrt(marginal.shared_covariance[index, index])
     return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))

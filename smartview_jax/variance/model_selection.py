@@ -25,7 +25,8 @@ from jaxlie import SE3
 from jaxtyping import Bool
 
 from ..calibration import TargetShape
-from ..dataset import Dataset
+from ..dataset import Dataset, Rig
+from ..engine import TARGET_SCALE
 from ..robot_errors import (
     AbstractField,
     CombinedField,
@@ -66,9 +67,6 @@ PIXEL_SIGMA_PRIOR_RATE = 0.7
 
 The two agree where the model is true; on real data sets they differ by up to a factor of ten.
 """
-
-TARGET_SCALE = "target_scale"
-"""The name of the target's scale, both as a parameter and as a group."""
 
 TARGET_SHAPE = "target_shape"
 """First part of the names of the parameters of the target's shape."""
@@ -126,7 +124,7 @@ class Candidate(NamedTuple):
     log_odds: float
 
 
-def encompassing_field(data: Dataset, view_count: int) -> AbstractField:
+def encompassing_field(data: Dataset | Rig, view_count: int) -> AbstractField:
     """Return the basis that contains all error models to be tried on a data set.
 
     Args:
@@ -145,7 +143,7 @@ def encompassing_field(data: Dataset, view_count: int) -> AbstractField:
     )
 
 
-def readable_poses(data: Dataset) -> SE3:
+def readable_poses(data: Dataset | Rig) -> SE3:
     """Return the reported poses without placeholders for unreadable ones."""
     masked = {view for view, _ in data.masked_views}
     is_readable = np.array([view not in masked for view in data.view_ids])

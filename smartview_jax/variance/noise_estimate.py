@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration, TargetShape
-from ..engine import Noise, Prior
+from ..engine import TARGET_SCALE, Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
 from .kenward_roger import SmallSampleCorrection
 from .lens_terms import LensEvidence
-from .model_selection import TARGET_SCALE, ModelName
+from .model_selection import ModelName
 from .robot_evidence import RobotEvidence
 
 

@@ -2,26 +2,20 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from ..calibration import Calibration, TargetShape
+from ..calibration import Calibration
 from ..dataset import Dataset
 from ..engine import (
     POSE_CORRECTIONS,
     ROBOT_ERROR,
+    TARGET_SCALE,
     BuiltProblem,
-    FittedChain,
-    Noise,
     Prior,
-    Step,
-    solve,
 )
-from ..robot_errors import AbstractField, FieldChoice, RobotPrior, checked_field_choice
-from ..runtime.blas_threads import on_one_blas_thread
-from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
+from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
+from .averaged_fit import AveragedFit, average_over_models, averaged_noise
 from .kenward_roger import small_sample_correction
 from .lens_terms import lens_evidence
 from .likelihood import (
@@ -31,34 +25,17 @@ from .likelihood import (
     marginalise,
     posterior_mode_step,
 )
-from .model_average import averaged_models, between_models_covariance
+from .model_average import between_models_covariance
 from .model_comparison import (
-    ModelComparison,
     compare_models,
-    noise_from_sigmas,
     target_scale_evidence,
 )
 from .model_selection import (
     TARGET_GROUPS,
-    TARGET_SCALE,
-    Candidate,
-    FittedCandidate,
-    ModelName,
     drop_negligible,
-    fit_candidates,
-    posterior_probabilities,
-    smallest_sufficient_field,
-    standard_deviation_prior,
 )
 from .noise_estimate import NoiseEstimate, TargetShapeEstimate
 from .possible_models import is_possible
-from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
-
-MAX_LINEARISATIONS = 6
-"""Largest number of linearisations, each at the fit with the last standard deviations."""
-
-SIGMA_TOLERANCE = 0.02
-"""Relative change of every standard deviation below which the iteration has converged."""
 
 
 def estimate_noise(
@@ -104,40 +81,13 @@ def estimate_noise(
     # First pass: all models on the basis that contains them, linearised at the fit with free poses.
     first = compare_models(data, start, field, fixed=fixed, free=free, priors=priors, prior=prior)
 
-    # Second pass: only the models with more than negligible probability, on the smallest field that
-    # contains them, alternating between the fit and the standard deviations.
-    probabilities = drop_negligible(first.probabilities)
-    free_scale = any(model.free_scale for model in probabilities)
-    field_probabilities = _by_field(probabilities)
-    listed = ", ".join(f"{name} {p:.2f}" for name, p in field_probabilities.items())
-    report_progress(f"errors of the robot: {listed}")
-    fitted_field = (
-        first.basis
-        if ROBOT_ERROR in fixed
-        else smallest_sufficient_field(first.basis, first.models, set(field_probabilities))
-    )
-    # The problem keeps the field that contains all models, with unused groups held at zero, so that
-    # all fits of a calibration share one compiled program.
-    built = first.built.holding(_held_names(first, fitted_field, free_scale))
-    scale_is_group = free_scale and first.target_scale is not None
-    within = first.views.within_sum_of_squares
-    sigmas = averaged_models(first.linearised, first.views.group_names, first.fitted, probabilities)
-    predicted_views, predicted = first.views.moved(
-        first.z, posterior_mode_step(first.linearised, sigmas)
-    )
-    shape = predicted_views.shape
-    views = ViewStatistics(built, data.usable_views(), within, scale_is_group, shape)
-    average = _iterate_to_convergence(
-        views,
-        _transfer_step(predicted, first.built.shared_names, built.shared_names),
-        {name: first.models[name] for name in field_probabilities},
-        first.views.select_groups(sigmas, views.group_names),
-        standard_deviation_prior(
-            prior, fitted_field, views.group_names, shape, views.has_white_noise
-        ),
-        prior.wrong_target_probability,
-    )
+    assert isinstance(first.built, BuiltProblem)
+    poses = first.built.pose_parameters(data.usable_views())
+    second = average_over_models(first, fixed, prior, poses, report_progress)
+    built, views, average, fitted_field = second.built, second.views, second.average, second.field
     chain, linearised, maximum = average.chain, average.views, average.maximum
+    scale_is_group = TARGET_SCALE in views.group_names
+    free_scale = any(model.free_scale for model in drop_negligible(first.probabilities))
     # At the better parameters of the second pass a free size may have become improbable.
     no_free_size = scale_is_group and not any(name.free_scale for name in average.probabilities)
     is_degenerate = (free_scale or field == "auto") and not is_possible(chain, data)
@@ -174,8 +124,8 @@ def estimate_noise(
         )
         scale_std = float(maximum.sigmas.field[views.group_names.index(TARGET_SCALE)])
     return NoiseEstimate(
-        max(field_probabilities, key=lambda name: field_probabilities[name]),
-        _averaged_noise(maximum.sigmas, views, fitted_field, prior),
+        max(second.field_probabilities, key=lambda name: second.field_probabilities[name]),
+        averaged_noise(maximum.sigmas, views, fitted_field, prior),
         fitted_field,
         first.basis,
         dataclasses.replace(
@@ -190,7 +140,13 @@ def estimate_noise(
         _target_shape_estimate(average, maximum.sigmas),
         None
         if fitted_field is None
-        else _mount_displacement(built, views.group_names, linearised, maximum.sigmas),
+        else _mount_displacement(
+            built.shared_names,
+            start.transform_names[0],
+            views.group_names,
+            linearised,
+            maximum.sigmas,
+        ),
         average.converged,
         tuple(map(float, correction.relative_std[: 3 + field_group_count])),
         parameter_names,
@@ -205,16 +161,8 @@ def estimate_noise(
     )
 
 
-def _by_field(probabilities: Mapping[ModelName, float]) -> dict[str, float]:
-    """Return the probabilities of the fields, whatever the target's size."""
-    fields: dict[str, float] = {}
-    for model, probability in probabilities.items():
-        fields[model.field] = fields.get(model.field, 0.0) + probability
-    return fields
-
-
 def _target_shape_estimate(
-    average: "_Average", sigmas: StandardDeviations
+    average: AveragedFit, sigmas: StandardDeviations
 ) -> TargetShapeEstimate | None:
     """Return the target's shape, and how it affects all other parameters."""
     shape = average.shape
@@ -234,127 +182,15 @@ def _target_shape_estimate(
     return TargetShapeEstimate(shape, of_shape, by_shape / scale)
 
 
-class _Average(NamedTuple):
-    """The fit of the averaged model.
-
-    Attributes:
-        shape: the target's shape; None if it is held as stated.
-        chain: the chain of the fit.
-        z: the step of the fit.
-        views: the views linearised there.
-        fitted: the models, fitted there.
-        probabilities: the probabilities of the models.
-        maximum: the standard deviations of the averaged model, and their information.
-        converged: whether the standard deviations converged.
-        noise_corrections: corrections of the poses for noise with which the robot error field was
-            evaluated.
-    """
-
-    shape: TargetShape | None
-    chain: FittedChain
-    z: Step
-    views: LinearisedViews
-    fitted: Mapping[ModelName, FittedCandidate]
-    probabilities: Mapping[ModelName, float]
-    maximum: LikelihoodMaximum
-    converged: bool
-    noise_corrections: Float[np.ndarray, "views 6"]
-
-
-def _held_names(
-    first: ModelComparison, fitted_field: AbstractField | None, free_scale: bool
-) -> set[str]:
-    """Return the parameters of the comparison's problem that the fitted model does not have."""
-    groups = () if fitted_field is None else tuple(name for name, _ in fitted_field.groups)
-    return {
-        name
-        for name in first.built.shared_names
-        if (name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[1] not in groups)
-        or (name == TARGET_SCALE and first.target_scale is not None and not free_scale)
-    }
-
-
-@on_one_blas_thread
-def _iterate_to_convergence(
-    views: ViewStatistics,
-    initial: Step,
-    models: Mapping[str, Candidate],
-    sigmas: StandardDeviations,
-    prior: StandardDeviationPrior,
-    wrong_target_probability: float,
-) -> _Average:
-    """Alternate between the fit and the averaged standard deviations, until these converge.
-
-    Args:
-        views: statistics with the field that contains all models.
-        initial: step of all parameters at which the first fit begins.
-        models: models to average over.
-        sigmas: standard deviations for the first fit.
-        prior: prior of the standard deviations of the field's groups.
-        wrong_target_probability: prior probability that the target does not have its stated size.
-    """
-    iterations, last = 0, None
-    while True:
-        corrections = np.asarray(initial.per_view)
-        views = views.with_noise_corrections(corrections)
-        problem = with_prior_sigmas(views.problem, sigmas, views.group_index)
-        solution, equations = solve(problem, start=initial)
-        linearised = views.linearised_at_fit(problem, solution.z, equations)
-        iterations += 1
-        search_start = sigmas
-        if TARGET_SCALE in views.group_names:
-            # Its prior differs between the average and the models.
-            search_start = sigmas._replace(field=np.append(sigmas.field[:-1], prior.median[-1]))
-        fitted = fit_candidates(
-            linearised, models, views.group_names, search_start, prior, wrong_target_probability
-        )
-        if not fitted:
-            # No model has a finite weight, for example if pictures and poses do not belong
-            # together: return the last good result.
-            if last is not None:
-                return last._replace(maximum=_maximum_at(last.views, sigmas, prior))
-            chain, linearised = chain_at(views.problem, initial), views.linearise(initial)
-            maximum = _maximum_at(linearised, sigmas, prior)
-            return _Average(
-                views.shape, chain, initial, linearised, {}, {}, maximum, False, corrections
-            )
-        previous, kept = sigmas, drop_negligible(posterior_probabilities(fitted))
-        sigmas = averaged_models(linearised, views.group_names, fitted, kept)
-        change = np.abs(sigmas.vector - previous.vector)
-        tolerance = SIGMA_TOLERANCE * previous.vector + 10.0 * ROBOT_SIGMA_FLOOR
-        converged = bool((change <= tolerance).all())
-        maximum = _maximum_at(linearised, sigmas, prior)
-        last = _Average(
-            views.shape,
-            solution.chain,
-            solution.z,
-            linearised,
-            fitted,
-            kept,
-            maximum,
-            converged,
-            corrections,
-        )
-        if converged or iterations == MAX_LINEARISATIONS:
-            return last
-        views, initial = views.moved(solution.z, posterior_mode_step(linearised, sigmas))
-
-
-def _transfer_step(z: Step, names: tuple[str, ...], target_names: tuple[str, ...]) -> Step:
-    """Convert a step to the parameters of another problem; parameters that it adds are zero."""
-    components = dict(zip(names, z.shared, strict=True))
-    return z._replace(shared=np.array([components.get(name, 0.0) for name in target_names]))
-
-
 def _mount_displacement(
-    built: BuiltProblem,
+    names: Sequence[str],
+    mount: str,
     groups: Sequence[str],
     views: LinearisedViews,
     sigmas: StandardDeviations,
 ) -> tuple[float, ...] | None:
     """Compute the displacement of the mount by the robot error field, to first order."""
-    mount = f"{built.problem.parameters.start.transform_names[0]}."
-    indices = [k for k, name in enumerate(built.shared_names) if name.startswith(mount)]
+    indices = [k for k, name in enumerate(names) if name.startswith(f"{mount}.")]
     if len(indices) != 6:
         return None
     # A field with standard deviations of `ROBOT_SIGMA_FLOOR` is held at zero.
@@ -364,30 +200,3 @@ def _mount_displacement(
         posterior_mode_step(views, each_sigmas).shared for each_sigmas in (sigmas, white_sigmas)
     )
     return tuple(map(float, (with_field - without_field)[indices]))
-
-
-def _maximum_at(
-    views: LinearisedViews, sigmas: StandardDeviations, prior: StandardDeviationPrior
-) -> LikelihoodMaximum:
-    """Return these standard deviations as the result of a search for the maximum."""
-    marginal = marginalise(views, sigmas)
-    information = np.asarray(fisher_information(views, marginal, len(sigmas.field)))
-    information = information + np.diag(np.pad(prior.log_std**-2, (1, 0)))
-    return LikelihoodMaximum(sigmas, float(marginal.deviance), 0.0, information, 0)
-
-
-def _averaged_noise(
-    sigmas: StandardDeviations,
-    views: ViewStatistics,
-    field: AbstractField | None,
-    prior: RobotPrior,
-) -> Noise:
-    """Return the noise of the averaged model, with the prior's medians for held groups."""
-    noise = noise_from_sigmas(sigmas, views.white_sigma)
-    fitted = dict(zip(views.group_names, noise.field, strict=True))
-    names = () if field is None else tuple(name for name, _ in field.groups)
-    values = (
-        fitted.get(name, float(median))
-        for name, median in zip(names, prior.medians(field)[2:], strict=True)
-    )
-    return dataclasses.replace(noise, field=tuple(values))

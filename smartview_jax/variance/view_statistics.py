@@ -7,6 +7,7 @@ The statistics are the best free pose of each view, and the camera of the fit wi
 import copy
 import dataclasses
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -14,12 +15,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..calibration import BOW, PRINT, SHAPE_NAMES, TargetShape
-from ..dataset import PoseObservations
 from ..engine import (
     ROBOT_ERROR,
     SIGMA_FLOOR,
+    TARGET_SCALE,
+    AbstractProblem,
     BuiltProblem,
-    FittedChain,
+    BuiltRig,
     JointProblem,
     NormalEquations,
     Step,
@@ -31,7 +33,9 @@ from ..engine import (
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from .likelihood import LinearisedViews, StandardDeviations
-from .model_selection import SHAPE_GROUPS, TARGET_SCALE, TARGET_SHAPE
+from .model_selection import SHAPE_GROUPS, TARGET_SHAPE
+
+_Problem = TypeVar("_Problem", bound=AbstractProblem)
 
 HOLDING_SIGMA = 1e-6
 """Prior standard deviation, in m, rad or no unit, that holds the chain while all poses are free.
@@ -52,7 +56,7 @@ class ViewStatistics:
             camera, px^2.
         group_names: names of the groups.
         statistic_count: number of statistics: free parameters of the camera and of the views'
-            poses.
+            poses (`pose_parameters`).
         white_sigma: standard deviation of the noise within views, px.
         has_white_noise: whether the views tell the noise within them. A tracked pose alone does not
             tell the noise of the tracker.
@@ -64,32 +68,30 @@ class ViewStatistics:
 
     def __init__(
         self,
-        built: BuiltProblem,
-        usable_views: Int[np.ndarray, "placed"],
+        built: BuiltProblem | BuiltRig,
+        pose_parameters: int,
         within_sum_of_squares: float,
         scale_is_group: bool = False,
         shape: TargetShape | None = None,
     ):
         problem = built.problem
-        self._stated_observations = problem.observations
-        self.problem: JointProblem = problem
+        self._stated_problem = problem
+        self.problem: AbstractProblem = problem
         self.shape: TargetShape | None = None
         self.group_names: tuple[str, ...] = _group_names(built, scale_is_group, shape)
         self.group_index: Int[np.ndarray, "shared"] = _group_index(built, self.group_names, shape)
         self.free: Int[np.ndarray, "free"] = np.asarray(problem.free)
-        camera_count = int(np.sum(self.free < problem.parameters.layout.camera.stop))
+        camera_count = int(np.sum(np.asarray(problem.is_camera)[self.free]))
         self.within_sum_of_squares: float = within_sum_of_squares
         self.per_view_free: Bool[np.ndarray, "corrected 6"] = np.asarray(problem.per_view_free)
         self.shape_names: tuple[str, ...] = () if shape is None else shape_parameter_names()
-        self.statistic_count: int = (
-            camera_count + len(self.shape_names) + int(self.per_view_free[usable_views].sum())
-        )
-        visible_count = int(np.asarray(problem.observations.visible).sum())
+        self.statistic_count: int = camera_count + len(self.shape_names) + pose_parameters
         # White sigma: sum of squared residuals over degrees of freedom, 2 n - (camera and free
         # poses).
-        white = np.sqrt(within_sum_of_squares / max(2 * visible_count - self.statistic_count, 1))
+        freedom = max(2 * problem.visible_count - self.statistic_count, 1)
+        white = np.sqrt(within_sum_of_squares / freedom)
         self.white_sigma: float = max(float(white), SIGMA_FLOOR)
-        self.has_white_noise: bool = not isinstance(problem.observations, PoseObservations)
+        self.has_white_noise: bool = problem.has_pixels
         free_weight = np.asarray(problem.prior_weight.shared)[self.free]
         free_weight = np.append(free_weight, np.zeros(len(self.shape_names)))
         self.known_weight: Float[np.ndarray, "free"] = np.where(
@@ -109,6 +111,12 @@ class ViewStatistics:
         """
         return 1.1 * self.white_sigma if self.has_white_noise else 1.0
 
+    @property
+    def one_camera(self) -> JointProblem:
+        """The problem of a data set; a rig's targets are flat, and its lenses not questioned."""
+        assert isinstance(self.problem, JointProblem)
+        return self.problem
+
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "ViewStatistics":
         """Return the statistics with the robot error field at poses corrected for noise."""
         views = copy.copy(self)
@@ -118,9 +126,10 @@ class ViewStatistics:
     def _set_shape(self, shape: TargetShape) -> None:
         """Set the target's shape, and displace the points of the problem by it."""
         self.shape = shape
-        self.problem = dataclasses.replace(
-            self.problem, observations=self._stated_observations.of_shape(shape)
-        )
+        stated = self._stated_problem
+        assert isinstance(stated, JointProblem)
+        observations = stated.observations.of_shape(shape)
+        self.problem = dataclasses.replace(self.one_camera, observations=observations)
 
     def with_shape(self, shape: TargetShape) -> "ViewStatistics":
         """Return the statistics for a different shape of the target."""
@@ -160,7 +169,7 @@ class ViewStatistics:
         return self._with_equations(self._without_padding(equations), z)
 
     def linearised_at_fit(
-        self, fitted: JointProblem, z: Step, equations: NormalEquations
+        self, fitted: AbstractProblem, z: Step, equations: NormalEquations
     ) -> LinearisedViews:
         """Return the views linearised at the result of a fit, without another pass over the pixels.
 
@@ -252,15 +261,15 @@ def with_free_poses(problem: JointProblem) -> JointProblem:
     # The shared parameters except the camera's get priors that hold them, and the corrections of
     # the views get none.
     shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
-    shared[free[free >= problem.parameters.layout.camera.stop]] = 1.0 / HOLDING_SIGMA
+    shared[free[~problem.is_camera[free]]] = 1.0 / HOLDING_SIGMA
     per_view = np.zeros(problem.per_view_free.shape)
     weight = Step(to_device(shared), to_device(per_view))
     return dataclasses.replace(problem, prior_weight=weight)
 
 
 def with_prior_sigmas(
-    problem: JointProblem, sigmas: StandardDeviations, group_index: Int[np.ndarray, "shared"]
-) -> JointProblem:
+    problem: _Problem, sigmas: StandardDeviations, group_index: Int[np.ndarray, "shared"]
+) -> _Problem:
     """Return the problem with priors of the given standard deviations."""
     shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
     # The index ends with the target's shape, which is not a parameter of the problem.
@@ -274,23 +283,26 @@ def with_prior_sigmas(
     )
 
 
-def chain_at(problem: JointProblem, z: Step) -> FittedChain:
-    """Return the chain of every view at a step."""
+def chain_at(problem: AbstractProblem, z: Step) -> Any:
+    """Return the chain of every view at a step; of a rig, the chains of each group."""
     whole = padded(problem)
     return chain_without_padding(_chain_at(whole, padded_step(z, whole)), problem)
 
 
 @compiled
-def _chain_at(problem: JointProblem, z: Step) -> FittedChain:
+def _chain_at(problem: AbstractProblem, z: Step) -> Any:
     """Return the chain of every view at a step, compiled for the given array shapes."""
     return problem.chain(z)
 
 
 @compiled
 def _equations_without_priors(
-    problem: JointProblem, z: Step, shape: TargetShape | None
+    problem: AbstractProblem, z: Step, shape: TargetShape | None
 ) -> NormalEquations:
     """Return the normal equations of the observations alone at a step; the shape is free."""
+    if shape is None:
+        return problem.normal_equations_without_priors(z)
+    assert isinstance(problem, JointProblem)
     return problem.normal_equations_without_priors(z, shape)
 
 
@@ -300,7 +312,7 @@ def shape_parameter_names() -> tuple[str, ...]:
 
 
 def _group_names(
-    built: BuiltProblem, scale_is_group: bool, shape: TargetShape | None
+    built: BuiltProblem | BuiltRig, scale_is_group: bool, shape: TargetShape | None
 ) -> tuple[str, ...]:
     """Return the names of the groups of unknown standard deviation that have free parameters.
 
@@ -309,7 +321,7 @@ def _group_names(
         scale_is_group: whether the target's scale is a group, the last one.
         shape: shape of the target, whose groups come before the scale; None if it is held.
     """
-    error = built.problem.parameters.start.robot_error
+    error = built.problem.robot_error
     groups = () if error is None else error.field.groups
     free_groups = {name.split(".")[1] for name in built.shared_names if _is_field_name(name)}
     names = tuple(name for name, _ in groups if name in free_groups)
@@ -318,7 +330,7 @@ def _group_names(
 
 
 def _group_index(
-    built: BuiltProblem, group_names: Sequence[str], shape: TargetShape | None
+    built: BuiltProblem | BuiltRig, group_names: Sequence[str], shape: TargetShape | None
 ) -> Int[np.ndarray, "shared"]:
     """Return the group of unknown standard deviation of each free shared parameter; -1 for none."""
     index = {name: k for k, name in enumerate(group_names)}

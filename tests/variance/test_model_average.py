@@ -7,12 +7,13 @@ from linear_world import CAMERA, SHARED, drawn, linearised
 from shared_data import shared_pairs
 
 from smartview_jax import fit_joint, fit_staged
+from smartview_jax.engine import TARGET_SCALE
 from smartview_jax.joint.gross_errors import without_views
 from smartview_jax.joint.joint_fit import half_width
 from smartview_jax.variance.fisher_scoring import LikelihoodMaximum
 from smartview_jax.variance.likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations, marginalise
 from smartview_jax.variance.model_average import averaged_models, between_models_covariance
-from smartview_jax.variance.model_selection import TARGET_SCALE, FittedCandidate, ModelName
+from smartview_jax.variance.model_selection import FittedCandidate, ModelName
 
 STATED, OTHER = ModelName("white", False), ModelName("white", True)
 SIZE = CAMERA

@@ -31,7 +31,7 @@ def statistics():
             "target_scale": Prior(std=0.01, mean=0.99),
         },
     )
-    return ViewStatistics(built, np.delete(np.arange(8), 5), 100.0)
+    return ViewStatistics(built, built.pose_parameters(np.delete(np.arange(8), 5)), 100.0)
 
 
 SIGMAS = StandardDeviations(0.3, 2e-4, 4e-4, np.array([1e-4, 3e-4]))

@@ -16,11 +16,11 @@ from jaxtyping import Array
 
 from ...calibration import Calibration
 from ...dataset import Dataset
+from ...engine import TARGET_SCALE as TARGET_SCALE
 from ...engine import parameter_names
 from ...joint import JointFit, fit_joint
 from ...robot_errors import LinearInPose, LinearInPoseWithScales, RobotPrior
 from ...runtime.array_namespace import to_device
-from ...variance import TARGET_SCALE as TARGET_SCALE
 from ...variance import WHITE_NOISE, ModelName
 from ..held_out import held_out
 from ..measures import predict

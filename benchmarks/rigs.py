@@ -1,0 +1,256 @@
+"""Several cameras on or beside one arm: what does one fit of all gain over a fit for each?
+
+- One camera as a rig against `fit_joint`: the same digits, and the time.
+- Four cameras on a simulated six-axis arm with errors, eight states of the robot for each: RMS
+  error of the hand-eye translation against single fits, NEES of all cameras and of their relative
+  poses (6 is ideal), and how many 95 % intervals hold the truth.
+- A stereo head in twenty common states: the error of its relative pose over the stated one.
+- metric_workcell, four cameras beside an arm: distance from the true places of two of them, with
+  all states and with eight random states for each camera.
+- Four cameras of 500 views and 1000 points against one: seconds of a solve.
+
+    python -m benchmarks rigs
+"""
+
+import csv
+import json
+import time
+from collections.abc import Collection, Mapping
+
+import jax
+import jaxlie
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import smartview_jax as sv
+from smartview_jax.calibration import Calibration
+from smartview_jax.engine import build_rig, solve
+from smartview_jax.simulation import paper_calibration, random_scene, six_axis_rig_scene
+
+from .real_sets import SHARED
+
+SEEDS, DRAWS = 20, 20
+STATES = 8
+"""Robot states in which each camera sees its target, of those that are drawn."""
+
+MAX_RATIO, MAX_TIME_RATIO, MAX_GROWTH = 0.7, 1.03, 4.4
+"""Claims: error to single fits', time of one camera to `fit_joint`'s, four cameras' to one's."""
+
+WORKCELL, CAMERAS = "metric_workcell", (1, 2, 3, 4)
+WORKCELL_MM, WORKCELL_DEGREES = 3.0, 0.06
+"""Claims: distance of the workcell's cameras from the truth."""
+
+
+def run(smoke: bool = False) -> bool:
+    """Print the tables; True where all claims hold."""
+    same = _one_camera(repeats=2 if smoke else 50)
+    gains = _simulated(1 if smoke else SEEDS, cameras=2 if smoke else 4)
+    if smoke:
+        return same
+    stereo = _stereo(SEEDS)
+    workcell = _workcell(DRAWS)
+    return all((same, gains, stereo, workcell, _growth()))
+
+
+def _one_camera(repeats: int) -> bool:
+    """Print one camera as a rig against `fit_joint`."""
+    data = random_scene(0, 20, translation_noise=1e-4, rotation_noise=2e-4).data
+    start, noise = paper_calibration(), sv.Noise(0.15, 1e-4, 2e-4)
+    rig = sv.Rig({"camera": data})
+    alone, alone_seconds = _timed(lambda: sv.fit_joint(data, start, noise=noise), repeats)
+    together, seconds = _timed(lambda: sv.fit_rig(rig, {"camera": start}, noise=noise), repeats)
+    difference = abs(together.solution.costs[-1] / alone.solution.costs[-1] - 1.0)
+    ratio = seconds / alone_seconds
+    print(f"one camera: cost differs by {difference:.0e} of its value, {ratio:.2f} times the time")
+    return difference < 1e-12 and (repeats < 10 or ratio <= MAX_TIME_RATIO)
+
+
+def _timed(fit, repeats: int) -> tuple:
+    """Return a fit, and the median seconds of a repeated one."""
+    found, seconds = fit(), []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        found = fit()
+        seconds.append(time.perf_counter() - began)
+    return found, float(np.median(seconds))
+
+
+def _simulated(seeds: int, cameras: int) -> bool:
+    """Print the errors of a rig's cameras against single fits."""
+    errors: dict[str, list[float]] = {"together": [], "alone": []}
+    nees: dict[str, list[float]] = {"together": [], "alone": [], "relative": []}
+    held: dict[str, list[bool]] = {"together": [], "alone": []}
+    for seed in range(seeds):
+        scene = six_axis_rig_scene(seed, cameras, STATES)
+        fit = sv.calibrate(scene.rig)
+        for name, truth in scene.calibrations.items():
+            alone = sv.calibrate(scene.rig.cameras[name])
+            for kind, calibration, source, prefix in (
+                ("together", fit.calibrations[name], fit, f"{name}."),
+                ("alone", alone.calibration, alone, ""),
+            ):
+                error = _error(calibration.camera_from_tool, truth.camera_from_tool)
+                names = [f"{prefix}camera_from_tool.{part}" for part in PARTS]
+                index = [source.parameter_names.index(each) for each in names]
+                covariance = np.asarray(source.covariance)[np.ix_(index, index)]
+                errors[kind].append(float(np.linalg.norm(error[:3])))
+                nees[kind].append(float(error @ np.linalg.solve(covariance, error)))
+                widths = [source.confidence_half_width(each) for each in names]
+                held[kind] += (np.abs(error) < widths).tolist()
+        names = list(scene.calibrations)
+        for other in names[1:]:
+            nees["relative"].append(_relative_nees(fit, scene.calibrations, names[0], other))
+    print(f"\n{seeds} arms with {cameras} cameras, {STATES} states each")
+    for kind in ("alone", "together"):
+        rms = 1e3 * np.sqrt(np.mean(np.square(errors[kind])))
+        print(
+            f"  {kind:9} RMS {rms:6.3f} mm, median {1e3 * np.median(errors[kind]):6.3f} mm, NEES "
+            f"{np.mean(nees[kind]):5.1f}, 95 % intervals hold {np.mean(held[kind]):.1%}"
+        )
+    ratio = float(np.median(errors["together"]) / np.median(errors["alone"]))
+    print(f"  ratio of medians {ratio:.2f} (claim <= {MAX_RATIO}); relative poses: NEES ", end="")
+    print(f"{np.mean(nees['relative']):.1f}")
+    return ratio <= MAX_RATIO
+
+
+PARTS = [f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
+
+
+def _error(found: jaxlie.SE3, truth: jaxlie.SE3) -> np.ndarray:
+    """Return the error of a transform's translation (m) and rotation (rad)."""
+    own, true = np.asarray(found.as_matrix()), np.asarray(truth.as_matrix())
+    turn = Rotation.from_matrix(own[:3, :3] @ true[:3, :3].T).as_rotvec()
+    return np.concatenate([own[:3, 3] - true[:3, 3], turn])
+
+
+def _relative_nees(
+    fit: sv.RigFit, truths: Mapping[str, Calibration], first: str, second: str
+) -> float:
+    """Return the squared error of a relative pose in units of its covariance."""
+    relative = fit.relative(first, second)
+    a, b = (truths[name].camera_from_mount for name in (first, second))
+    error = _error(relative.transform, a @ b.inverse())
+    return float(error @ np.linalg.solve(relative.covariance, error))
+
+
+def _stereo(seeds: int) -> bool:
+    """Print the error of a stereo head's relative pose over the stated one."""
+    ratios, baselines = [], []
+    for seed in range(seeds):
+        scene = six_axis_rig_scene(100 + seed, 2, 20, together=True)
+        fit = sv.calibrate(scene.rig)
+        relative = fit.relative("camera1", "camera2")
+        a, b = (scene.calibrations[name].camera_from_mount for name in ("camera1", "camera2"))
+        error = _error(relative.transform, a @ b.inverse())
+        baselines.append(float(np.linalg.norm(error[:3])))
+        ratios.append(float(error[:3] @ error[:3]) / float(np.trace(relative.covariance[:3, :3])))
+    ratio = float(np.sqrt(np.mean(ratios)))
+    print(
+        f"\nstereo head, 20 states: relative translation off by {1e3 * np.median(baselines):.3f} "
+        f"mm in the median, {ratio:.2f} times the stated error"
+    )
+    return ratio <= 1.3
+
+
+def _workcell(draws: int) -> bool:
+    """Print the distance of the workcell's cameras from the truth."""
+    if not (SHARED / WORKCELL).is_dir():
+        print(f"missing: {WORKCELL}")
+        return True
+    truth = json.loads((SHARED / WORKCELL / "truth.json").read_text())["base_from_camera"]
+    data = {f"camera{k}": _workcell_data(k) for k in CAMERAS}
+    fit = sv.calibrate(sv.Rig(data), lens="pinhole")
+    print(f"\n{WORKCELL}, no distortion: mm and degrees from the truth")
+    close = True
+    for number, place in truth.items():
+        name = f"camera{number}"
+        alone = sv.calibrate(data[name], lens="pinhole")
+        for kind, calibration in (
+            ("together", fit.calibrations[name]),
+            ("alone", alone.calibration),
+        ):
+            mm, degrees = _distance(calibration, place)
+            print(f"  {name} {kind:9}{mm:6.2f} mm {degrees:6.3f} degrees")
+            if kind == "together":
+                close &= mm <= WORKCELL_MM and degrees <= WORKCELL_DEGREES
+    distances: dict[str, list[float]] = {"together": [], "alone": []}
+    rng = np.random.default_rng(0)
+    for _ in range(draws):
+        drawn = {}
+        for k in CAMERAS:
+            ids = data[f"camera{k}"].view_ids
+            drawn[f"camera{k}"] = _workcell_data(k, set(rng.choice(ids, STATES, replace=False)))
+        found = sv.calibrate(sv.Rig(drawn), lens="pinhole")
+        for number, place in truth.items():
+            name = f"camera{number}"
+            alone = sv.calibrate(drawn[name], lens="pinhole").calibration
+            distances["together"].append(_distance(found.calibrations[name], place)[0])
+            distances["alone"].append(_distance(alone, place)[0])
+    together, alone = (float(np.median(distances[kind])) for kind in ("together", "alone"))
+    print(
+        f"  {draws} draws of {STATES} states for each camera: median {together:.2f} mm together, "
+        f"{alone:.2f} alone: {together / alone:.2f} (claim <= {MAX_RATIO})"
+    )
+    return close and together <= MAX_RATIO * alone
+
+
+def _workcell_data(number: int, kept: Collection[str] | None = None) -> sv.Dataset:
+    """Return what one camera of the workcell saw, in some of the robot's states or in all."""
+    folder = SHARED / WORKCELL
+    with (folder / "poses.csv").open(encoding="utf-8") as file:
+        poses = {
+            row["view"]: [[float(row[f"m{i}{j}"]) for j in range(4)] for i in range(4)]
+            for row in csv.DictReader(file)
+        }
+    corners: dict[str, list[list[float]]] = {}
+    with (folder / f"camera{number}_corners.csv").open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            corners.setdefault(row["view"], []).append([float(row[name]) for name in "XYZuv"])
+    ids = [view for view in corners if kept is None or view in kept]
+    seen = np.array([corners[view] for view in ids])
+    return sv.Dataset.from_arrays(
+        seen[..., :3],
+        seen[..., 3:],
+        np.array([poses[view] for view in ids]),
+        (1920, 1080),
+        view_ids=ids,
+        mount="eye_to_hand",
+    )
+
+
+def _distance(calibration: Calibration, base_from_camera: list) -> tuple[float, float]:
+    """Return the distance of a fixed camera from its true place, mm and degrees."""
+    found = np.linalg.inv(np.asarray(calibration.camera_from_base.as_matrix()))
+    true = np.array(base_from_camera)
+    turn = Rotation.from_matrix(true[:3, :3].T @ found[:3, :3]).magnitude()
+    return 1e3 * float(np.linalg.norm(found[:3, 3] - true[:3, 3])), float(np.degrees(turn))
+
+
+def _growth() -> bool:
+    """Print the seconds of a solve of four cameras against one."""
+    noise, start = sv.Noise(0.15, 1e-4, 2e-4), paper_calibration()
+    points = 0.022 * (np.random.default_rng(0).random((1000, 3)) - 0.5) * [1.0, 1.0, 0.0]
+    seconds = {}
+    for count in (1, 4):
+        data = {
+            f"camera{k}": random_scene(k, 500, points, translation_noise=1e-4).data
+            for k in range(count)
+        }
+        named = {
+            name: sv.Dataset.from_arrays(
+                d.points,
+                d.pixels,
+                d.base_from_tool,
+                d.image_size,
+                visible=d.visible,
+                view_ids=[f"{name}_{view}" for view in d.view_ids],
+            )
+            for name, d in data.items()
+        }
+        problem = build_rig(sv.Rig(named), dict.fromkeys(named, start), noise=noise).problem
+        _, seconds[count] = _timed(lambda p=problem: jax.block_until_ready(solve(p)[0].z), 5)
+    ratio = seconds[4] / seconds[1]
+    print(
+        f"\n500 views x 1000 points: four cameras take {ratio:.2f} times one's {seconds[1]:.3f} s"
+    )
+    return ratio <= MAX_GROWTH

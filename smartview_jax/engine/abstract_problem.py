@@ -1,0 +1,203 @@
+"""Free parameters, priors and steps, which every least-squares problem of the engine has.
+
+A problem adds its observations: their residuals, and their normal equations.
+"""
+
+import abc
+import dataclasses
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Bool, Float, Int
+
+from ..robot_errors import RobotError
+from ..runtime.array_namespace import to_device
+from .parameters import Step
+from .schur import BlockArrow
+
+_Problem = TypeVar("_Problem", bound="AbstractProblem")
+
+
+class NormalEquations(eqx.Module):
+    """The cost, its gradient and the Gauss-Newton matrix at a step.
+
+    Attributes:
+        cost: half the sum of squared whitened residuals, or of the loss; with priors if included.
+        gradient: gradient of the cost.
+        matrix: Gauss-Newton approximation of the Hessian, `J^T J`.
+    """
+
+    cost: Float[Array, ""]
+    gradient: Step
+    matrix: BlockArrow
+
+
+class AbstractProblem(eqx.Module):
+    """A least-squares problem: observations, and Gaussian priors of the parameters.
+
+    Attributes:
+        free: indices of the free shared parameters; an index after the last one is padding (see
+            `solver.padded`), a parameter without any effect.
+        per_view_free: mask of the free parameters among each view's own six; empty without
+            corrections.
+        prior_mean: prior mean of every parameter's value; NaN for the start's value.
+        prior_weight: one over the prior standard deviation of every parameter; zero is no prior.
+        scale: length of one unit of step, for the free shared parameters and for each view's own;
+            for solvers that treat all parameters alike.
+        pixel_sigma: standard deviation of u and of v, px, or the unit of tracked poses' noise.
+        mesh: devices over which the views are distributed; None is one device.
+    """
+
+    free: eqx.AbstractVar[Int[Array, "free"]]
+    per_view_free: eqx.AbstractVar[Bool[Array, "corrected 6"]]
+    prior_mean: eqx.AbstractVar[Step]
+    prior_weight: eqx.AbstractVar[Step]
+    scale: eqx.AbstractVar[Step]
+    pixel_sigma: eqx.AbstractVar[Float[Array, ""]]
+    mesh: eqx.AbstractVar[Mesh | None]
+
+    @property
+    @abc.abstractmethod
+    def parameter_count(self) -> int:
+        """The number of shared parameters, free or not."""
+
+    @abc.abstractmethod
+    def start_values(self) -> Float[Array, "shared"]:
+        """Return the values of the shared parameters at the start."""
+
+    @abc.abstractmethod
+    def host_start_values(self) -> Float[np.ndarray, "shared"]:
+        """Return `start_values`, computed with NumPy."""
+
+    @abc.abstractmethod
+    def observation_residuals(self, z: Step) -> Any:
+        """Return the whitened residuals of the observations, with the robust loss."""
+
+    @abc.abstractmethod
+    def normal_equations_without_priors(self, z: Step) -> NormalEquations:
+        """Return the normal equations of the observations alone, without priors."""
+
+    @property
+    @abc.abstractmethod
+    def visible_count(self) -> int:
+        """The number of visible points in all pictures, or of numbers of tracked poses."""
+
+    @property
+    @abc.abstractmethod
+    def has_pixels(self) -> bool:
+        """Whether the observations are points in pictures."""
+
+    @property
+    @abc.abstractmethod
+    def is_camera(self) -> Bool[Any, "shared"]:
+        """Mask of the parameters of cameras (focal lengths, lens) among the shared ones."""
+
+    @property
+    @abc.abstractmethod
+    def robot_error(self) -> RobotError | None:
+        """The robot's error at the start; None without a field."""
+
+    @abc.abstractmethod
+    def chain(self, z: Step) -> Any:
+        """Return the chain of every view at a scaled step."""
+
+    @abc.abstractmethod
+    def with_noise_corrections(
+        self: _Problem, corrections: Float[np.ndarray, "views 6"]
+    ) -> _Problem:
+        """Return the problem with the robot error field at poses corrected for noise."""
+
+    def with_free(self: _Problem, kept: Int[np.ndarray, "kept"]) -> _Problem:
+        """Return the problem with some of its free shared parameters; the others are held."""
+        scale = Step(to_device(np.asarray(self.scale.shared)[kept]), self.scale.per_view)
+        return dataclasses.replace(self, free=to_device(np.asarray(self.free)[kept]), scale=scale)
+
+    def zero_step(self) -> Step:
+        """Return the zero step."""
+        zeros = np.zeros(len(self.free)), np.zeros(self.per_view_free.shape)
+        return Step(*map(to_device, zeros))
+
+    def unscaled_step(self, z: Step) -> Step:
+        """Convert a scaled step of the free parameters to all parameters in their own units."""
+        shared = jnp.zeros(self.parameter_count)
+        shared = shared.at[self.free].set(z.shared * self.scale.shared, mode="drop")
+        per_view = jnp.where(self.per_view_free, z.per_view * self.scale.per_view, 0.0)
+        return Step(shared, per_view)
+
+    def residuals(self, z: Step, _: None = None) -> tuple[Any, Array, Array]:
+        """Return the residuals of the observations and of the shared and the views' own priors.
+
+        Half their squared length is the cost.
+        """
+        return self.observation_residuals(z), *self._prior_residuals(self.unscaled_step(z))
+
+    def normal_equations(self, z: Step) -> NormalEquations:
+        """Return the normal equations at a step; robust losses by iterative reweighting."""
+        return self._with_priors(self.unscaled_step(z), self.normal_equations_without_priors(z))
+
+    def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:
+        """Return the entries of the free shared parameters, with zeros for padding."""
+        return jnp.take(shared, self.free, axis=-1, mode="fill", fill_value=0.0)
+
+    @property
+    def _per_view_weight(self) -> Float[Array, "corrected 6"]:
+        """The inverse prior standard deviations of each view's own parameters, in their units."""
+        weight = jnp.where(self.per_view_free, self.prior_weight.per_view, 0.0)
+        return weight * self.scale.per_view
+
+    @property
+    def _per_view_precision(self) -> Float[Array, "corrected 6"]:
+        """The prior precisions of each view's own parameters, with one for fixed parameters.
+
+        A fixed parameter has a zero column in the Jacobian; 1 keeps the equations solvable.
+        """
+        return jnp.where(self.per_view_free, self._per_view_weight**2, 1.0)
+
+    def _with_priors(self, step: Step, equations: NormalEquations) -> NormalEquations:
+        """Add the priors' cost, gradient and diagonal to the observations' normal equations."""
+        # A prior is a residual w (x - mean) with w = 1 / std: it adds w^2 (x - mean)^2 / 2 to the
+        # cost, w^2 (x - mean) to the gradient and w^2 to the diagonal.
+        gradient, matrix = equations.gradient, equations.matrix
+        residual, per_view_residual = self._prior_residuals(step)
+        weight = self._take_free(self.prior_weight.shared) * self.scale.shared
+        # Padding has a zero column in the Jacobian; 1 keeps the equations solvable.
+        precision = jnp.where(self.free < self.parameter_count, weight**2, 1.0)
+        return NormalEquations(
+            equations.cost + 0.5 * (jnp.sum(residual**2) + jnp.sum(per_view_residual**2)),
+            Step(
+                gradient.shared + weight * self._take_free(residual),
+                gradient.per_view + self._per_view_weight * per_view_residual,
+            ),
+            BlockArrow(
+                matrix.shared + jnp.diag(precision),
+                matrix.border,
+                matrix.per_view + jnp.eye(6)[None] * self._per_view_precision[:, None],
+            ),
+        )
+
+    def offset_from_prior(self, step: Step) -> Step:
+        """Return the difference of every parameter from its prior mean, in its own units."""
+        values, mean = self.start_values(), self.prior_mean.shared
+        shared = step.shared + jnp.where(jnp.isnan(mean), 0.0, values - mean)
+        return Step(shared, step.per_view - jnp.nan_to_num(self.prior_mean.per_view))
+
+    def host_offset_at_start(self) -> Float[np.ndarray, "shared"]:
+        """Return the difference of every shared parameter's start from its prior mean.
+
+        It is computed with NumPy, because compilation would take longer.
+        """
+        mean = np.asarray(self.prior_mean.shared)
+        return np.where(np.isnan(mean), 0.0, self.host_start_values() - mean)
+
+    def prior_cost(self, z: Step) -> Float[Array, ""]:
+        """Return the priors' part of the cost at a scaled step."""
+        shared, per_view = self._prior_residuals(self.unscaled_step(z))
+        return 0.5 * (jnp.sum(shared**2) + jnp.sum(per_view**2))
+
+    def _prior_residuals(self, step: Step) -> tuple[Array, Array]:
+        """Return the whitened residuals of the priors, shared and of the views' own parameters."""
+        offset, weight = self.offset_from_prior(step), self.prior_weight
+        return offset.shared * weight.shared, offset.per_view * weight.per_view

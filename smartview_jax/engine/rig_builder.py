@@ -1,0 +1,262 @@
+"""Build the least-squares problem of a rig: one robot, and several cameras and targets."""
+
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..argument_checks import require_names
+from ..calibration import Calibration
+from ..dataset import Rig, chain_residuals
+from ..robot_errors import AbstractField
+from ..runtime.array_namespace import to_device
+from ..runtime.padding import padded_counts, repeat_last
+from .noise import Noise
+from .parameters import (
+    POSE_CORRECTIONS,
+    ROBOT_ERROR,
+    TARGET_SCALE,
+    Parameters,
+    Step,
+    parameter_mask,
+    parameter_names,
+)
+from .prepared_poses import PreparedPoses, prepare_poses
+from .priors import Prior
+from .problem import JointProblem
+from .problem_builder import (
+    check_views_projectable,
+    prior_means_and_weights,
+    step_from_vector,
+    with_field,
+)
+from .rig_problem import CameraGroup, RigProblem
+
+
+class BuiltRig(eqx.Module):
+    """The least-squares problem of a rig together with the names of its parameters.
+
+    Attributes:
+        problem: the problem, in the parameters' own units.
+        shared_names: names of the free shared parameters.
+        per_view_names: names of the free parameters of single states, in order.
+        noise: the assumed noise.
+        starts: calibration of each camera at the start.
+        cameras: names of the cameras of each group of the problem, in order.
+        camera_names: names of each camera's own parameters, and of those that it shares.
+    """
+
+    problem: RigProblem
+    shared_names: tuple[str, ...] = eqx.field(static=True)
+    per_view_names: tuple[str, ...] = eqx.field(static=True)
+    noise: Noise = eqx.field(static=True)
+    starts: dict[str, Calibration]
+    cameras: tuple[tuple[str, ...], ...] = eqx.field(static=True)
+    camera_names: dict[str, tuple[str, ...]] = eqx.field(static=True)
+
+    def without_view(self, camera: str, view: int) -> RigProblem:
+        """Return the problem without the points that one camera saw in one view."""
+        group = next(k for k, cameras in enumerate(self.cameras) if camera in cameras)
+        row = self.cameras[group].index(camera)
+        seen = self.problem.groups[group].problems.observations.visible
+        return eqx.tree_at(
+            lambda p: p.groups[group].problems.observations.visible,
+            self.problem,
+            seen.at[row, view].set(False),
+        )
+
+    def holding(self, names: Collection[str]) -> "BuiltRig":
+        """Return the problem with these shared parameters held at the start."""
+        kept = [k for k, name in enumerate(self.shared_names) if name not in names]
+        return dataclasses.replace(
+            self,
+            problem=self.problem.with_free(np.array(kept, dtype=int)),
+            shared_names=tuple(self.shared_names[k] for k in kept),
+        )
+
+
+def build_rig(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    *,
+    noise: Noise,
+    field: AbstractField | None = None,
+    relative_sigmas: Mapping[str, float] | None = None,
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    noise_corrections: Float[np.ndarray, "states 6"] | None = None,
+) -> BuiltRig:
+    """Build the least-squares problem of a rig.
+
+    A camera's parameters are called `left.camera.u0` or `left.camera_from_tool.rotation.x`, with
+    `left` the camera's name. A target's are called `base_from_world.translation.x` and
+    `target_scale`, after the target's name and a point if there are several targets.
+
+    Args:
+        rig: data sets of the cameras.
+        starts: calibration of each camera; cameras of one target agree on its pose and size.
+        noise: standard deviations of the pixels, of the robot's poses and of its error field.
+        field: error field of the robot; None for none.
+        relative_sigmas: factor on `noise.pixel` for each camera; by default one.
+        fixed: paths of parameters that keep the start's values.
+        free: paths to free that are held by default: sizes of targets.
+        priors: a `Prior` by path.
+        noise_corrections: corrections of the states at which the field is evaluated.
+
+    Raises:
+        ValueError: starts that do not belong to the rig, an unknown path, or a start at which no
+            point of a view can be projected.
+    """
+    require_names("fixed", fixed)
+    require_names("free", free)
+    starts = {name: with_field(start, field) for name, start in starts.items()}
+    names, camera_names = _all_names(rig, starts)
+    error = next(iter(starts.values())).robot_error
+    prepared = prepare_poses(error, rig.command, noise_corrections)
+    place = {name: k for k, name in enumerate(names)}
+    index = {camera: [place[name] for name in own] for camera, own in camera_names.items()}
+    groups, cameras = _grouped(rig, starts, prepared, index, relative_sigmas or {})
+
+    correction_names = [
+        f"{POSE_CORRECTIONS}.{view}.{part}.{axis}"
+        for view in rig.view_ids
+        for part in ("translation", "rotation")
+        for axis in "xyz"
+    ]
+    whole, size = (*names, *correction_names), len(names)
+    sizes = [name for name in names if name.split(".")[-1] == TARGET_SCALE]
+    is_free = ~parameter_mask(whole, sizes) | parameter_mask(whole, free)
+    is_free &= ~parameter_mask(whole, fixed)
+    # A state that no camera saw well enough keeps its reported pose.
+    is_free[size:] &= _placed_states(rig).repeat(6)
+    mean, weight = prior_means_and_weights(whole, size, dict(priors or {}), noise, field, 1.0)
+    is_camera = np.array([".camera." in name for name in names])
+    states = len(rig.view_ids)
+    problem = RigProblem(
+        groups=groups,
+        command=rig.command,
+        start_error=error,
+        pixel_sigma=to_device(np.array(noise.pixel)),
+        camera_mask=to_device(is_camera),
+        free=to_device(np.flatnonzero(is_free[:size])),
+        per_view_free=to_device(is_free[size:].reshape(-1, 6)),
+        prior_mean=step_from_vector(mean, size),
+        prior_weight=step_from_vector(weight, size),
+        scale=Step(to_device(np.ones(is_free[:size].sum())), to_device(np.ones((states, 6)))),
+    )
+    return BuiltRig(
+        problem,
+        tuple(names[k] for k in np.flatnonzero(is_free[:size])),
+        tuple(correction_names[k] for k in np.flatnonzero(is_free[size:])),
+        noise,
+        starts,
+        cameras,
+        camera_names,
+    )
+
+
+def _all_names(
+    rig: Rig, starts: Mapping[str, Calibration]
+) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
+    """Return the names of all shared parameters, and of each camera's in the order of its own."""
+    if set(starts) != set(rig.cameras):
+        raise ValueError(
+            f"starts: expected the cameras {', '.join(rig.cameras)}, found {', '.join(starts)}"
+        )
+    several = len(set(rig.targets.values())) > 1
+    of_cameras: dict[str, tuple[str, ...]] = {}
+    for camera, start in starts.items():
+        if start.mount != rig.cameras[camera].mount:
+            raise ValueError(
+                f"starts: camera {camera!r} is {rig.cameras[camera].mount}, its start {start.mount}"
+            )
+        target = f"{rig.targets[camera]}." if several else ""
+        prefixes = {
+            "camera": f"{camera}.",
+            start.transform_names[0]: f"{camera}.",
+            start.transform_names[1]: target,
+            TARGET_SCALE: target,
+            ROBOT_ERROR: "",
+        }
+        of_cameras[camera] = tuple(
+            prefixes[name.split(".")[0]] + name for name in parameter_names(start)
+        )
+    return tuple(dict.fromkeys(name for own in of_cameras.values() for name in own)), of_cameras
+
+
+def _placed_states(rig: Rig) -> Bool[np.ndarray, "states"]:
+    """Return the states in which a camera saw enough points to tell the pose of its target."""
+    placed = np.zeros(len(rig.view_ids), dtype=bool)
+    for camera, data in rig.cameras.items():
+        placed[rig.state_index[camera][data.usable_views()]] = True
+    return placed
+
+
+def _grouped(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    prepared: PreparedPoses | None,
+    index: Mapping[str, list[int]],
+    relative_sigmas: Mapping[str, float],
+) -> tuple[tuple[CameraGroup, ...], tuple[tuple[str, ...], ...]]:
+    """Stack the cameras by kind of lens and mount; return the groups and their cameras' names."""
+    by_kind: dict[object, list[str]] = {}
+    for camera, start in starts.items():
+        joints = rig.cameras[camera].joints is not None
+        by_kind.setdefault((jax.tree.structure(start), joints), []).append(camera)
+    groups = []
+    for cameras in by_kind.values():
+        shapes = np.array([padded_counts(*rig.cameras[c].visible.shape) for c in cameras])
+        views, points = (int(count) for count in shapes.max(axis=0))
+        problems, states = [], []
+        for camera in cameras:
+            own = np.full(views, len(rig.view_ids))
+            own[: rig.cameras[camera].view_count] = rig.state_index[camera]
+            states.append(own)
+            sigma = relative_sigmas.get(camera, 1.0)
+            problems.append(
+                _camera_alone(rig, camera, starts[camera], prepared, sigma, (views, points))
+            )
+        stacked = jax.tree.map(
+            lambda *x: to_device(np.stack([np.asarray(y) for y in x])), *problems
+        )
+        places = np.array([index[camera] for camera in cameras])
+        groups.append(CameraGroup(stacked, to_device(places), to_device(np.stack(states))))
+    return tuple(groups), tuple(tuple(cameras) for cameras in by_kind.values())
+
+
+def _camera_alone(
+    rig: Rig,
+    camera: str,
+    start: Calibration,
+    prepared: PreparedPoses | None,
+    sigma: float,
+    shape: tuple[int, int],
+) -> JointProblem:
+    """Return the problem of one camera, padded to a number of views and points."""
+    data, parameters, (views, points) = rig.cameras[camera], Parameters(start), shape
+    # Residuals of points that were seen but cannot be projected are infinite.
+    residuals = np.asarray(chain_residuals(start, data.observations))
+    unprojectable = ~(np.isfinite(residuals[..., 0]) & np.isfinite(residuals[..., 1]))
+    check_views_projectable(data, unprojectable)
+    visible = to_device(np.asarray(data.visible) & ~unprojectable)
+    observations = eqx.tree_at(lambda o: o.visible, data.observations, visible)
+    of_views = jax.tree.map(lambda x: np.asarray(x)[rig.state_index[camera]], prepared)
+    size = parameters.layout.size
+    nothing = Step(to_device(np.zeros(size)), to_device(np.zeros((views, 6))))
+    return JointProblem(
+        parameters=parameters,
+        observations=observations.padded_to(views, points),
+        pixel_sigma=to_device(np.array(sigma)),
+        free=to_device(np.arange(size)),
+        per_view_free=to_device(np.ones((views, 6), dtype=bool)),
+        prior_mean=nothing,
+        prior_weight=nothing,
+        scale=Step(to_device(np.ones(size)), to_device(np.ones((views, 6)))),
+        loss=None,
+        prepared_poses=repeat_last(of_views, views),
+    )

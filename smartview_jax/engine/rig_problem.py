@@ -1,0 +1,237 @@
+"""The joint fit of several cameras that watched one robot, as a least-squares problem.
+
+Each camera's observations are linearised as if it were alone (`problem.py`). The results are then
+added up by the rig's parameters: cameras of one target share its pose, all share the robot's
+errors, and views that were taken in one state of the robot share the correction of that state.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Bool, Float, Int
+
+from ..robot_errors import RobotError
+from ..robots import Command
+from .abstract_problem import AbstractProblem, NormalEquations
+from .parameters import Step, host_values
+from .prepared_poses import PreparedPoses, prepare_poses
+from .problem import FittedChain, JointProblem
+from .schur import BlockArrow
+
+
+class CameraGroup(eqx.Module):
+    """Cameras with the same kind of lens and mount, stacked, so that one program serves them all.
+
+    Attributes:
+        problems: the problem of each camera alone, stacked along a first axis; all shared
+            parameters and all corrections are free, without priors.
+        parameter_index: index among the rig's parameters of each of a camera's.
+        state_index: index of the robot's state in each view; the number of states for padding.
+    """
+
+    problems: JointProblem
+    parameter_index: Int[Array, "cameras local"]
+    state_index: Int[Array, "cameras views"]
+
+    def problem(self, camera: int) -> JointProblem:
+        """Return the problem of one camera alone."""
+        return jax.tree.map(lambda x: x[camera], self.problems)
+
+    def __len__(self) -> int:
+        """Return the number of cameras."""
+        return len(self.parameter_index)
+
+
+class RigProblem(AbstractProblem):
+    """A least-squares problem: all cameras' observations, one robot, and priors.
+
+    The views' own parameters are here the corrections of the robot's states.
+
+    Attributes:
+        groups: the cameras, stacked by lens and mount.
+        command: what the robot reported in each state.
+        start_error: the robot's error at the start; None without a field.
+        pixel_sigma: factor of all cameras' pixel sigmas.
+        camera_mask: mask of the parameters of cameras (focal lengths, lens) among the shared ones.
+        free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
+    """
+
+    groups: tuple[CameraGroup, ...]
+    command: Command
+    start_error: RobotError | None
+    pixel_sigma: Float[Array, ""]
+    camera_mask: Bool[Array, "shared"]
+    free: Int[Array, "free"]
+    per_view_free: Bool[Array, "states 6"]
+    prior_mean: Step
+    prior_weight: Step
+    scale: Step
+    mesh: Mesh | None = eqx.field(static=True, default=None)
+
+    @property
+    def parameter_count(self) -> int:
+        """The number of shared parameters, free or not."""
+        return len(self.camera_mask)
+
+    @property
+    def is_camera(self) -> Bool[Array, "shared"]:
+        """Mask of the parameters of cameras (focal lengths, lens) among the shared ones."""
+        return self.camera_mask
+
+    @property
+    def robot_error(self) -> RobotError | None:
+        """The robot's error at the start; None without a field."""
+        return self.start_error
+
+    @property
+    def visible_count(self) -> int:
+        """The number of visible points in all pictures."""
+        counts = (np.asarray(g.problems.observations.visible).sum() for g in self.groups)
+        return int(sum(counts))
+
+    @property
+    def has_pixels(self) -> bool:
+        """Whether the observations are points in pictures."""
+        return True
+
+    def start_values(self) -> Float[Array, "shared"]:
+        """Return the values of the shared parameters at the start."""
+        values = jnp.zeros(self.parameter_count)
+        for group in self.groups:
+            own = jax.vmap(lambda problem: problem.start_values())(group.problems)
+            values = values.at[group.parameter_index].set(own)
+        return values
+
+    def host_start_values(self) -> Float[np.ndarray, "shared"]:
+        """Return `start_values`, computed with NumPy."""
+        values = np.zeros(self.parameter_count)
+        for group in self.groups:
+            for camera, index in enumerate(np.asarray(group.parameter_index)):
+                values[index] = host_values(group.problem(camera).parameters.start)
+        return values
+
+    def with_noise_corrections(self, corrections: Float[np.ndarray, "states 6"]) -> "RigProblem":
+        """Return the problem with the robot error field at poses corrected for noise."""
+        prepared = prepare_poses(self.start_error, self.command, corrections)
+        groups = tuple(_with_prepared_poses(group, prepared) for group in self.groups)
+        return dataclasses.replace(self, groups=groups)
+
+    def observation_residuals(self, z: Step) -> tuple[Array, ...]:
+        """Return the whitened residuals of each group's observations."""
+        step = self.unscaled_step(z)
+        return tuple(
+            jax.lax.map(
+                lambda camera: camera.problem.observation_residuals(camera.local_step(step)),
+                self._cameras(group),
+            )
+            for group in self.groups
+        )
+
+    def chain(self, z: Step) -> tuple[FittedChain, ...]:
+        """Return the chains of each group's cameras, stacked, at a scaled step."""
+        step = self.unscaled_step(z)
+        return tuple(
+            jax.lax.map(
+                lambda camera: camera.problem.chain(camera.local_step(step)), self._cameras(group)
+            )
+            for group in self.groups
+        )
+
+    def normal_equations_without_priors(self, z: Step) -> NormalEquations:
+        """Return the normal equations of the observations alone, without priors."""
+        step, size, states = self.unscaled_step(z), self.parameter_count, len(self.per_view_free)
+        cost = jnp.zeros(())
+        gradient = Step(jnp.zeros(size), jnp.zeros((states, 6)))
+        shared, per_view = jnp.zeros((size, size)), jnp.zeros((states, 6, 6))
+        border = jnp.zeros((states, 6, size))
+        for group in self.groups:
+            found = jax.lax.map(
+                lambda camera: camera.problem.normal_equations_without_priors(
+                    camera.local_step(step)
+                ),
+                self._cameras(group),
+            )
+            place, state = group.parameter_index, group.state_index
+            cost = cost + jnp.sum(found.cost)
+            # Padding of the views has a state after the last one.
+            gradient = Step(
+                gradient.shared.at[place].add(found.gradient.shared),
+                gradient.per_view.at[state].add(found.gradient.per_view, mode="drop"),
+            )
+            shared = shared.at[place[:, :, None], place[:, None]].add(found.matrix.shared)
+            per_view = per_view.at[state].add(found.matrix.per_view, mode="drop")
+            rows = jnp.arange(6)[None, None, :, None]
+            border = border.at[state[:, :, None, None], rows, place[:, None, None]].add(
+                found.matrix.border, mode="drop"
+            )
+        matrix = BlockArrow(shared, border, per_view)
+        return self._of_free_parameters(NormalEquations(cost, gradient, matrix))
+
+    def view_distances(self, z: Step) -> tuple[Float[Array, "cameras views"], ...]:
+        """Return by how much twice the cost would fall if a single view had a pose of its own.
+
+        To first order, for each group's cameras and views: chi-square with six degrees of freedom
+        if a view agrees with the others. It is NaN for a view whose points do not tell its pose.
+        """
+        step, distances = self.unscaled_step(z), []
+        for group in self.groups:
+            found = jax.lax.map(
+                lambda camera: camera.problem.normal_equations_without_priors(
+                    camera.local_step(step)
+                ),
+                self._cameras(group),
+            )
+            gradient, matrix = found.gradient.per_view, found.matrix.per_view
+            whitened = jnp.linalg.solve(matrix, gradient[..., None])[..., 0]
+            distances.append(jnp.sum(gradient * whitened, axis=-1))
+        return tuple(distances)
+
+    def _of_free_parameters(self, equations: NormalEquations) -> NormalEquations:
+        """Return the equations of the free parameters, in units of the step."""
+        gradient, matrix = equations.gradient, equations.matrix
+        scale = self.scale.shared
+        own_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
+        shared = self._take_free(jnp.swapaxes(self._take_free(matrix.shared), 0, 1))
+        return NormalEquations(
+            equations.cost,
+            Step(self._take_free(gradient.shared) * scale, gradient.per_view * own_scale),
+            BlockArrow(
+                shared * scale[:, None] * scale[None],
+                self._take_free(matrix.border) * own_scale[:, :, None] * scale[None, None],
+                matrix.per_view * own_scale[:, :, None] * own_scale[:, None],
+            ),
+        )
+
+    def _cameras(self, group: CameraGroup) -> "_Camera":
+        """Return the cameras of a group, with the pixel sigmas of this problem."""
+        sigmas = self.pixel_sigma * group.problems.pixel_sigma
+        problems = eqx.tree_at(lambda p: p.pixel_sigma, group.problems, sigmas)
+        return _Camera(problems, group.parameter_index, group.state_index)
+
+
+class _Camera(eqx.Module):
+    """A camera of a group, or all of them stacked."""
+
+    problem: JointProblem
+    parameter_index: Int[Array, "*cameras local"]
+    state_index: Int[Array, "*cameras views"]
+
+    def local_step(self, step: Step) -> Step:
+        """Return the rig's step, in the rig's units, as a step of the camera's problem."""
+        corrections = step.per_view.at[self.state_index].get(mode="fill", fill_value=0.0)
+        return Step(step.shared[self.parameter_index], corrections)
+
+
+def _with_prepared_poses(group: CameraGroup, prepared: PreparedPoses | None) -> CameraGroup:
+    """Return a group whose robot error field is evaluated at the prepared poses of the states."""
+    if prepared is None:
+        return group
+    states = np.asarray(group.state_index)
+    of_views = jax.tree.map(
+        lambda x: np.asarray(x)[np.minimum(states, len(np.asarray(x)) - 1)], prepared
+    )
+    return eqx.tree_at(lambda g: g.problems.prepared_poses, group, of_views)

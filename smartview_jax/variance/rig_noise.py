@@ -1,0 +1,234 @@
+"""Estimate the noise model of a rig: one robot's errors from all cameras together."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..calibration import Calibration
+from ..dataset import Rig
+from ..engine import (
+    SIGMA_FLOOR,
+    TARGET_SCALE,
+    BuiltRig,
+    Noise,
+    Prior,
+    Step,
+    build_problem,
+    build_rig,
+    solve,
+)
+from ..robot_errors import AbstractField, FieldChoice, RobotPrior
+from ..runtime.blas_threads import on_one_blas_thread
+from .averaged_fit import average_over_models, averaged_noise
+from .fisher_scoring import StandardDeviationPrior
+from .free_poses import fit_free_poses
+from .kenward_roger import SmallSampleCorrection, small_sample_correction
+from .likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations
+from .model_average import between_models_covariance
+from .model_comparison import (
+    Linearisation,
+    ModelComparison,
+    compared_at,
+    likeliest_white_noise,
+    linearised_at_mode,
+    target_scale_evidence,
+)
+from .model_selection import (
+    candidate_models,
+    encompassing_field,
+    initial_standard_deviations,
+    standard_deviation_prior,
+)
+from .noise_estimate import CandidateResult, TargetScaleEvidence
+from .view_statistics import ViewStatistics, with_prior_sigmas
+
+
+class CameraNoise(NamedTuple):
+    """The noise of one camera, as far as its pictures alone tell it.
+
+    Attributes:
+        sum_of_squares: sum of squared residuals with a free pose for every view, px^2.
+        pose_parameters: number of free parameters of these poses.
+        pixel_sigma: standard deviation of u and of v about these poses, px.
+    """
+
+    sum_of_squares: float
+    pose_parameters: int
+    pixel_sigma: float
+
+
+class RigNoiseEstimate(NamedTuple):
+    """The noise model of a rig, averaged over models of the robot error by their probabilities.
+
+    Attributes:
+        name: name of the most probable model.
+        noise: standard deviations of all errors in the averaged model.
+        field: robot error field; None if the views need none.
+        relative_sigmas: factor on the pixel sigma of each camera.
+        candidates: all models of the robot error that were tried.
+        target_scale: evidence on the target's size; None if it was not estimated.
+        converged: whether the standard deviations converged.
+        built: the problem of the averaged model, with its standard deviations as priors.
+        step: its solution.
+        small_sample_correction: contribution of the uncertain standard deviations to the
+            covariance of the shared parameters.
+        between_models_covariance: covariance of the shared parameters between the models.
+    """
+
+    name: str
+    noise: Noise
+    field: AbstractField | None
+    relative_sigmas: dict[str, float]
+    candidates: tuple[CandidateResult, ...]
+    target_scale: TargetScaleEvidence | None
+    converged: bool
+    built: BuiltRig
+    step: Step
+    small_sample_correction: SmallSampleCorrection
+    between_models_covariance: Float[np.ndarray, "shared shared"]
+
+
+def estimate_rig_noise(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    *,
+    field: FieldChoice = "auto",
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    progress: Callable[[str], None] | None = None,
+    robot_prior: RobotPrior | None = None,
+) -> RigNoiseEstimate:
+    """Estimate the standard deviations of all errors of a rig by restricted likelihood.
+
+    The pictures of each camera tell its own noise; one factor of all of them, the noise of the
+    robot's poses and the sizes of its errors are estimated from all cameras together.
+
+    Args:
+        rig: data sets of the cameras.
+        starts: calibration of each camera near the solution, as for `build_rig`.
+        field, fixed, free, priors: as in `estimate_noise`, with the names of `build_rig`.
+        progress: function that is called with a message on the current step.
+        robot_prior: prior of the standard deviations of an arm's errors.
+    """
+    report, prior = progress or (lambda _: None), robot_prior or RobotPrior()
+    cameras = {name: _camera_noise(rig, name, start) for name, start in starts.items()}
+    first, relative = _compare(rig, starts, cameras, field, fixed, free, priors, prior)
+    poses = sum(camera.pose_parameters for camera in cameras.values())
+    second = average_over_models(first, fixed, prior, poses, report)
+    average, built = second.average, second.built
+    assert isinstance(built, BuiltRig)
+    target_scale = first.target_scale
+    if TARGET_SCALE in second.views.group_names:
+        target_scale = target_scale_evidence(
+            built, average.views, average.z, average.fitted, average.probabilities
+        )
+    # The problem has the field that contains all models, and priors of these standard deviations.
+    problem = with_prior_sigmas(
+        second.views.with_noise_corrections(average.noise_corrections).problem,
+        average.maximum.sigmas,
+        second.views.group_index,
+    )
+    return RigNoiseEstimate(
+        max(second.field_probabilities, key=lambda name: second.field_probabilities[name]),
+        averaged_noise(average.maximum.sigmas, second.views, second.field, prior),
+        second.field,
+        relative,
+        first.candidates,
+        target_scale,
+        average.converged,
+        dataclasses.replace(built, problem=problem),
+        average.z,
+        small_sample_correction(average.views, average.maximum),
+        between_models_covariance(
+            average.views, average.fitted, average.probabilities, average.maximum.sigmas
+        ),
+    )
+
+
+def _camera_noise(rig: Rig, name: str, start: Calibration) -> CameraNoise:
+    """Return what the pictures of one camera tell about its noise."""
+    data = rig.cameras[name]
+    built = build_problem(data, start.uncorrected, noise=Noise(1.0, 1.0, 1.0), field=None)
+    usable = data.usable_views()
+    fit = fit_free_poses(built, usable, None)
+    poses = built.pose_parameters(usable)
+    camera = int(built.problem.is_camera[np.asarray(built.problem.free)].sum())
+    freedom = max(2 * built.problem.visible_count - poses - camera, 1)
+    sigma = max(float(np.sqrt(fit.sum_of_squares / freedom)), SIGMA_FLOOR)
+    return CameraNoise(fit.sum_of_squares, poses, sigma)
+
+
+@on_one_blas_thread
+def _compare(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    cameras: Mapping[str, CameraNoise],
+    field: FieldChoice,
+    fixed: Sequence[str],
+    free: Sequence[str],
+    priors: Mapping[str, Prior] | None,
+    prior: RobotPrior,
+) -> tuple[ModelComparison, dict[str, float]]:
+    """Compare the models of the robot error, as `compare_models` does for one camera.
+
+    Returns:
+        The comparison, and the factor on the pixel sigma of each camera.
+    """
+    states = len(rig.view_ids)
+    basis = encompassing_field(rig, states) if field == "auto" else field
+    models = candidate_models(field, basis, prior.model_odds)
+    one_target = len(set(rig.targets.values())) == 1
+    stated = TARGET_SCALE in (*fixed, *free, *(priors or ()))
+    test_scale = one_target and prior.wrong_target_probability > 0.0 and not stated
+    # In units of each camera's own noise, so that none outweighs the others.
+    reference = float(np.sqrt(np.mean([camera.pixel_sigma**2 for camera in cameras.values()])))
+    relative = {name: camera.pixel_sigma / reference for name, camera in cameras.items()}
+    within = sum(camera.sum_of_squares / relative[name] ** 2 for name, camera in cameras.items())
+    built = build_rig(
+        rig,
+        starts,
+        # All standard deviations are one; their values are set later.
+        noise=Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0)),
+        field=basis,
+        relative_sigmas=relative,
+        fixed=fixed,
+        free=(*free, *((TARGET_SCALE,) if test_scale else ())),
+        priors=priors,
+    )
+    poses = sum(camera.pose_parameters for camera in cameras.values())
+    views = ViewStatistics(built, poses, within, test_scale)
+    sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
+    initial = initial_standard_deviations(sigma_prior, views.initial_sigma)
+    linearisation = _linearised(built, views, initial, sigma_prior, prior)
+    comparison = compared_at(
+        linearisation,
+        basis,
+        models,
+        field,
+        initial,
+        sigma_prior,
+        prior.wrong_target_probability,
+    )
+    return comparison, relative
+
+
+def _linearised(
+    built: BuiltRig,
+    views: ViewStatistics,
+    initial: StandardDeviations,
+    sigma_prior: StandardDeviationPrior,
+    prior: RobotPrior,
+) -> Linearisation:
+    """Linearise the views at the fit with white noise of the poses alone."""
+    without_field = initial._replace(field=np.full_like(initial.field, ROBOT_SIGMA_FLOOR))
+    problem = with_prior_sigmas(views.problem, without_field, views.group_index)
+    solution, equations = solve(problem)
+    at_start = views.linearised_at_fit(problem, solution.z, equations)
+    white = likeliest_white_noise(at_start, views.group_names, initial, sigma_prior, prior)
+    return Linearisation(
+        built, *linearised_at_mode(views, built.shared_names, solution.z, at_start, white)
+    )

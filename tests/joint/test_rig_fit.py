@@ -1,0 +1,181 @@
+"""Several cameras on one arm: fitted together they are better known, and say how well."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fit_scenes import scene_of
+from jax.flatten_util import ravel_pytree
+from jaxlie import SE3
+from scipy.optimize import least_squares
+from starts import nudged
+
+from smartview_jax import Calibration, Noise, Rig, calibrate, fit_joint, fit_rig, load_estimate
+from smartview_jax.engine import build_rig, solve
+from smartview_jax.simulation import paper_calibration, six_axis_rig_scene
+
+NOISE = Noise(0.15, 1e-4, 2e-4)
+"""Noise of the scenes below, as stated."""
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Two cameras on an arm with errors; each sees the board in eight states of its own."""
+    return six_axis_rig_scene(1, cameras=2)
+
+
+@pytest.fixture(scope="module")
+def fit(scene):
+    return calibrate(scene.rig)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """One arm seen twice by a camera, as if by two cameras at the same place, and the start."""
+    data = scene_of(0, translation_noise=1e-4).data
+    return Rig({"left": data, "right": data}), nudged(paper_calibration())
+
+
+def test_one_camera_is_fitted_as_alone():
+    data, start = scene_of(0, translation_noise=1e-4).data, nudged(paper_calibration())
+    alone = fit_joint(data, start, noise=NOISE)
+    rig = fit_rig(Rig({"only": data}), {"only": start}, noise=NOISE)
+    assert rig.solution.costs[-1] == pytest.approx(alone.solution.costs[-1], rel=1e-12)
+    np.testing.assert_allclose(rig.pose_corrections, alone.pose_corrections, atol=1e-12)
+    std = np.sqrt(np.diag(alone.covariance))
+    difference = (rig.covariance - alone.covariance) / np.outer(std, std)
+    assert np.abs(difference).max() < 1e-6
+    np.testing.assert_allclose(
+        rig.calibrations["only"].camera_from_tool.wxyz_xyz,
+        alone.calibration.camera_from_tool.wxyz_xyz,
+        atol=1e-11,
+    )
+    assert rig.parameter_names[0] == "only.camera.alpha_u"
+    assert rig.parameter_names[-1] == "base_from_world.rotation.z"
+
+
+def test_scipy_finds_the_same_optimum(pair):
+    """Two cameras share the corrections of the robot's states, and the pose of the target."""
+    rig, start = pair
+    built = build_rig(rig, {"left": start, "right": start}, noise=NOISE)
+    problem = built.problem
+    solution, _ = solve(problem)
+    flat, unravel = ravel_pytree(problem.zero_step())
+
+    @jax.jit
+    def residuals(x):
+        return ravel_pytree(problem.residuals(unravel(x)))[0]
+
+    jacobian = jax.jit(jax.jacfwd(residuals))
+    found = least_squares(
+        residuals,
+        np.asarray(flat),
+        lambda x: np.asarray(jacobian(x)),  # pyright: ignore[reportArgumentType]
+        x_scale="jac",
+        xtol=1e-15,
+    )
+    assert found.cost == pytest.approx(solution.costs[-1], rel=1e-9)
+    by_scipy = unravel(jnp.asarray(found.x))
+    np.testing.assert_allclose(by_scipy.per_view, solution.z.per_view, atol=1e-8)
+
+
+def test_the_gradient_is_the_derivative_of_the_cost(pair):
+    rig, start = pair
+    problem = build_rig(rig, {"left": start, "right": start}, noise=NOISE).problem
+
+    def cost(z):
+        return 0.5 * sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(problem.residuals(z)))
+
+    z = jax.tree.map(lambda x: x + 1e-5, problem.zero_step())
+    derivative = jax.jit(jax.grad(cost))(z)
+    gradient = jax.jit(lambda z: problem.normal_equations(z).gradient)(z)
+    for own, automatic in zip(gradient, derivative, strict=True):
+        np.testing.assert_allclose(own, automatic, rtol=1e-7, atol=1e-4)
+
+
+def test_cameras_of_one_arm_know_it_better_together(scene, fit):
+    """Each camera alone has eight views; the errors of the arm show in all sixteen."""
+    for name, truth in scene.calibrations.items():
+        alone = calibrate(scene.rig.cameras[name])
+        together = fit.calibrations[name]
+        place = truth.camera_from_tool.translation()
+        errors = [
+            np.linalg.norm(found.camera_from_tool.translation() - place)
+            for found in (together, alone.calibration)
+        ]
+        assert errors[0] < 0.5 * errors[1]
+        for axis in "xyz":
+            path = f"{name}.camera_from_tool.translation.{axis}"
+            index = "xyz".index(axis)
+            error = together.camera_from_tool.translation() - place
+            assert abs(float(error[index])) < fit.confidence_half_width(path, 0.999)
+
+
+def test_the_relative_pose_has_the_covariance_of_both(scene, fit):
+    """By simulation of the covariance; the pose itself against the truth."""
+    relative = fit.relative("camera1", "camera2")
+    truth = (
+        scene.calibrations["camera1"].camera_from_tool
+        @ scene.calibrations["camera2"].camera_from_tool.inverse()
+    )
+    error = np.asarray((relative.transform @ truth.inverse()).log())
+    assert error @ np.linalg.solve(relative.covariance, error) < 22.5  # chi-square, 0.999
+    names = [
+        f"{camera}.camera_from_tool.{part}.{axis}"
+        for camera in ("camera1", "camera2")
+        for part in ("translation", "rotation")
+        for axis in "xyz"
+    ]
+    index = [fit.parameter_names.index(name) for name in names]
+    covariance = np.asarray(fit.covariance)[np.ix_(index, index)]
+    steps = np.random.default_rng(0).multivariate_normal(np.zeros(12), covariance, 20_000)
+    first, second = (
+        _moved(fit.calibrations[camera].camera_from_tool, jnp.asarray(step))
+        for camera, step in (("camera1", steps[:, :6]), ("camera2", steps[:, 6:]))
+    )
+    sampled = first @ second.inverse()
+    turned = sampled.rotation() @ relative.transform.rotation().inverse()
+    drawn = np.hstack(
+        [sampled.translation() - relative.transform.translation()[None], turned.log()]
+    )
+    np.testing.assert_allclose(np.cov(drawn.T), relative.covariance, rtol=0.1, atol=2e-10)
+
+
+def _moved(transform, steps):
+    """The transform after translation and rotation steps, one for each row."""
+    turns = SE3.exp(steps.at[:, :3].set(0.0)).rotation()
+    rotations = turns @ SE3(transform.wxyz_xyz[None]).rotation()
+    translations = transform.translation()[None] + steps[:, :3]
+    return SE3.from_rotation_and_translation(rotations, translations)
+
+
+def test_each_camera_is_saved_with_its_covariance(fit, tmp_path):
+    fit.save(tmp_path / "rig")
+    for name, calibration in fit.calibrations.items():
+        read = load_estimate(tmp_path / "rig" / f"{name}.yaml")
+        kept = fit.estimate(name)
+        assert read.parameter_names == kept.parameter_names
+        np.testing.assert_allclose(read.covariance, kept.covariance, rtol=1e-12)
+        assert isinstance(read.calibration, Calibration)
+        np.testing.assert_allclose(
+            read.calibration.camera_from_tool.wxyz_xyz, calibration.camera_from_tool.wxyz_xyz
+        )
+
+
+def test_the_text_names_cameras_and_robot(fit):
+    text = str(fit)
+    assert "camera1.camera_from_tool: " in text
+    assert "px RMS" in text
+    assert text.splitlines()[0].startswith("converged in ")
+
+
+def test_wrong_arguments_are_named(scene, fit):
+    with pytest.raises(ValueError, match="expected a camera of camera1, camera2, found 'left'"):
+        fit.relative("left", "camera1")
+    starts = dict(fit.calibrations)
+    with pytest.raises(ValueError, match="starts: expected the cameras camera1, camera2, found"):
+        fit_rig(scene.rig, {"camera1": starts["camera1"]})
+    with pytest.raises(ValueError, match="a rig takes no start"):
+        calibrate(scene.rig, start={"camera_from_tool": np.eye(4)})
+    with pytest.raises(ValueError, match="a rig takes noise, field"):
+        calibrate(scene.rig, loss="huber")
