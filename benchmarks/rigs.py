@@ -15,7 +15,8 @@
 import csv
 import json
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
 
 import jax
 import jaxlie
@@ -35,6 +36,9 @@ STATES = 8
 
 MAX_RATIO, MAX_TIME_RATIO, MAX_GROWTH = 0.7, 1.03, 4.4
 """Claims: error to single fits', time of one camera to `fit_joint`'s, four cameras' to one's."""
+
+MAX_STEREO_RATIO = 1.1
+"""Claim: error of a stereo head's relative pose to the stated one."""
 
 WORKCELL, CAMERAS = "metric_workcell", (1, 2, 3, 4)
 WORKCELL_MM, WORKCELL_DEGREES = 3.0, 0.06
@@ -57,22 +61,33 @@ def _one_camera(repeats: int) -> bool:
     data = random_scene(0, 20, translation_noise=1e-4, rotation_noise=2e-4).data
     start, noise = paper_calibration(), sv.Noise(0.15, 1e-4, 2e-4)
     rig = sv.Rig({"camera": data})
-    alone, alone_seconds = _timed(lambda: sv.fit_joint(data, start, noise=noise), repeats)
-    together, seconds = _timed(lambda: sv.fit_rig(rig, {"camera": start}, noise=noise), repeats)
+    alone = sv.fit_joint(data, start, noise=noise)
+    together = sv.fit_rig(rig, {"camera": start}, noise=noise)
+    seconds = {"alone": [], "rig": []}
+    for _ in range(repeats):
+        for name, fit in (
+            ("alone", lambda: sv.fit_joint(data, start, noise=noise)),
+            ("rig", lambda: sv.fit_rig(rig, {"camera": start}, noise=noise)),
+        ):
+            # Of the processor, which other programs do not lengthen.
+            began = time.process_time()
+            fit()
+            seconds[name].append(time.process_time() - began)
     difference = abs(together.solution.costs[-1] / alone.solution.costs[-1] - 1.0)
-    ratio = seconds / alone_seconds
+    ratio = float(np.median(seconds["rig"]) / np.median(seconds["alone"]))
     print(f"one camera: cost differs by {difference:.0e} of its value, {ratio:.2f} times the time")
     return difference < 1e-12 and (repeats < 10 or ratio <= MAX_TIME_RATIO)
 
 
-def _timed(fit, repeats: int) -> tuple:
-    """Return a fit, and the median seconds of a repeated one."""
-    found, seconds = fit(), []
+def _seconds(fit: Callable[[], Any], repeats: int) -> float:
+    """Return the median seconds of a repeated fit."""
+    fit()
+    seconds = []
     for _ in range(repeats):
         began = time.perf_counter()
-        found = fit()
+        fit()
         seconds.append(time.perf_counter() - began)
-    return found, float(np.median(seconds))
+    return float(np.median(seconds))
 
 
 def _simulated(seeds: int, cameras: int) -> bool:
@@ -149,7 +164,7 @@ def _stereo(seeds: int) -> bool:
         f"\nstereo head, 20 states: relative translation off by {1e3 * np.median(baselines):.3f} "
         f"mm in the median, {ratio:.2f} times the stated error"
     )
-    return ratio <= 1.3
+    return ratio <= MAX_STEREO_RATIO
 
 
 def _workcell(draws: int) -> bool:
@@ -248,7 +263,7 @@ def _growth() -> bool:
             for name, d in data.items()
         }
         problem = build_rig(sv.Rig(named), dict.fromkeys(named, start), noise=noise).problem
-        _, seconds[count] = _timed(lambda p=problem: jax.block_until_ready(solve(p)[0].z), 5)
+        seconds[count] = _seconds(lambda p=problem: jax.block_until_ready(solve(p)[0].z), 5)
     ratio = seconds[4] / seconds[1]
     print(
         f"\n500 views x 1000 points: four cameras take {ratio:.2f} times one's {seconds[1]:.3f} s"
