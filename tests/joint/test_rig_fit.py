@@ -1,5 +1,7 @@
 """Several cameras on one arm: fitted together they are better known, and say how well."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,9 +12,20 @@ from jaxlie import SE3
 from scipy.optimize import least_squares
 from starts import nudged
 
-from smartview_jax import Calibration, Noise, Rig, calibrate, fit_joint, fit_rig, load_estimate
+from smartview_jax import (
+    Calibration,
+    Camera,
+    Noise,
+    Rig,
+    calibrate,
+    fit_joint,
+    fit_rig,
+    load_estimate,
+    look_at,
+)
+from smartview_jax.cameras import Radial
 from smartview_jax.engine import build_rig, solve
-from smartview_jax.simulation import paper_calibration, six_axis_rig_scene
+from smartview_jax.simulation import paper_calibration, simulate, six_axis_rig_scene
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
 """Noise of the scenes below, as stated."""
@@ -167,6 +180,35 @@ def test_the_text_names_cameras_and_robot(fit):
     assert "camera1.camera_from_tool: " in text
     assert "px RMS" in text
     assert text.splitlines()[0].startswith("converged in ")
+
+
+def test_a_camera_on_the_hand_and_one_beside_the_arm_share_the_robots_states():
+    """Each has a target of its own; the robot moves the cameras against each other."""
+    wrist = scene_of(0, translation_noise=1e-4)
+    poses = wrist.base_from_tool
+    middle = np.mean(np.asarray(poses.translation()), axis=0)
+    camera_from_base = look_at(middle, (-1.0, -0.2, -0.1), 0.9)
+    beside = Calibration.eye_to_hand(
+        Camera(1500.0, 1510.0, 640.0, 360.0, Radial(0.1), (1280, 720)), camera_from_base, np.eye(4)
+    )
+    points = np.asarray(wrist.data.points)[0] * 4.0
+    seen = simulate(beside, poses, points, 1, 0.1).data
+    table = dataclasses.replace(seen, base_from_tool=wrist.data.base_from_tool)
+    rig = Rig({"wrist": wrist.data, "table": table})
+    fit = fit_rig(rig, {"wrist": nudged(paper_calibration()), "table": beside}, noise=NOISE)
+    assert fit.result.converged
+    assert "target_eye_to_hand.tool_from_world.rotation.z" in fit.parameter_names
+    assert fit.pose_corrections.shape == (len(rig.view_ids), 6)
+    for name, truth in (("wrist", wrist.calibration), ("table", beside)):
+        found, mount = fit.calibrations[name].camera_from_mount, truth.camera_from_mount
+        turn = (found.rotation() @ mount.rotation().inverse()).log()
+        error = np.concatenate([found.translation() - mount.translation(), turn])
+        path = f"{name}.{truth.transform_names[0]}"
+        std = [fit.std[f"{path}.{part}.{k}"] for part in ("translation", "rotation") for k in "xyz"]
+        assert (np.abs(error) < 4.0 * np.array(std)).all()
+        assert np.linalg.norm(std[:3]) < 5e-3
+    with pytest.raises(ValueError, match="their relative pose changes with the robot's"):
+        fit.relative("wrist", "table")
 
 
 def test_wrong_arguments_are_named(scene, fit):
