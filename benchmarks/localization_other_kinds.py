@@ -93,7 +93,7 @@ SOLIDS = {
 }
 
 
-def kind_scene(kind: str, seed: int) -> KindScene:
+def kind_scene(kind: str, seed: int, seen_by: sv.Camera | None = None) -> KindScene:
     """Return a scene of a kind; the same seed gives the same one."""
     # By the name, so that further kinds leave the scenes of these as they are.
     rng = np.random.default_rng((seed, sum(kind.encode())))
@@ -107,7 +107,7 @@ def kind_scene(kind: str, seed: int) -> KindScene:
     placed = [solid.moved(pose) for pose in poses]
     aim = np.mean([one.vertices.mean(axis=0) for one in placed], axis=0)
     cameras = viewpoints(aim, rng, 2)
-    calibration = sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4))
+    calibration = sv.Calibration.eye_in_hand(seen_by or camera(), np.eye(4), np.eye(4))
     surfaces = [Surface.of_plane(0.5, printed_table(12, seed, rng))]
     for k, one in enumerate(placed):
         grain = speckled(rng.uniform(0.55, 0.8), rng.uniform(0.0, 0.03), 0.003, seed=seed + 7 * k)
@@ -181,7 +181,9 @@ def found_in(scene: KindScene) -> Counts:
     )
 
 
-def print_other_kinds(scenes: dict[str, int] | None = None) -> bool:
+def print_other_kinds(
+    scenes: dict[str, int] | None = None, seen_by: sv.Camera | None = None
+) -> bool:
     """Print what is found of each kind; True where no accepted pose is wrong."""
     print(
         f"\n{'other kinds':14}{'objects':>9}{'found':>7}{'wrong':>7}{'median mm':>11}"
@@ -189,7 +191,7 @@ def print_other_kinds(scenes: dict[str, int] | None = None) -> bool:
     )
     good = True
     for kind, count in (SCENES if scenes is None else scenes).items():
-        parts = [found_in(kind_scene(kind, seed)) for seed in range(count)]
+        parts = [found_in(kind_scene(kind, seed, seen_by)) for seed in range(count)]
         objects = sum(part.objects for part in parts)
         found, wrong = sum(part.found for part in parts), sum(part.wrong for part in parts)
         errors = [error for part in parts for error in part.millimetres]

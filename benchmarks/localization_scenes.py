@@ -40,6 +40,9 @@ OCCLUSION = 0.3
 DISTANCE = (0.36, 0.46)
 """Distances of the cameras from the object, m."""
 
+ROWS, CELL_ROWS = 960, 800
+"""Heights of the pictures of these scenes, and of the simulated cell's, px."""
+
 predicted = compiled(predict_view)
 
 
@@ -78,10 +81,10 @@ def solids() -> dict[str, Polyhedron]:
     }
 
 
-def camera() -> sv.Camera:
-    """Return the camera of all scenes."""
+def camera(rows: int = ROWS) -> sv.Camera:
+    """Return the camera of all scenes, with pictures of a height in px."""
     lens = OpenCV5(-0.12, 0.05, 3e-4, -2e-4, 0.0)
-    return sv.Camera(1500.0, 1505.0, 645.0, 472.0, lens, (1280, 960))
+    return sv.Camera(1500.0, 1505.0, 645.0, 0.5 * rows - 8.0, lens, (1280, rows))
 
 
 def printed_table(labels: int, seed: int, rng: np.random.Generator) -> Texture:
@@ -96,13 +99,13 @@ def plain_surfaces(solids: list[Polyhedron], rng: np.random.Generator) -> list[S
 
 
 def localization_scene(
-    name: str, kind: str, seed: int, samples: int = 8, view_count: int = 2
+    name: str, kind: str, seed: int, samples: int = 8, view_count: int = 2, rows: int = ROWS
 ) -> LocalizationScene:
     """Return one scene, rendered in a second or two."""
     rng = np.random.default_rng((seed, KINDS.index(kind), sorted(solids()).index(name)))
     solid, calibration = (
         solids()[name],
-        sv.Calibration.eye_in_hand(camera(), np.eye(4), np.eye(4)),
+        sv.Calibration.eye_in_hand(camera(rows), np.eye(4), np.eye(4)),
     )
     world_from_object = resting(solid, rng) if kind != "tilted" else _tilted(solid, rng)
     placed = solid.moved(world_from_object)

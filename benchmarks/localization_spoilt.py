@@ -8,7 +8,7 @@ import numpy as np
 from smartview_jax.localization import localize
 
 from .hypotheses import pose_errors
-from .localization_scenes import LocalizationScene, localization_scene
+from .localization_scenes import CELL_ROWS, ROWS, LocalizationScene, localization_scene
 from .localization_trials import is_right
 
 SCENES = (("stepped", 30_000), ("box", 30_001), ("roofed", 30_002))
@@ -45,13 +45,20 @@ BAD = {
     "0.15 as bright": _exposed(0.15), "1.8 as bright": _exposed(1.8),
 }  # fmt: skip
 
+SMOKE_KINDS = "noise of 3", "0.15 as bright"
+"""Kinds of a smoke run, one of each sort."""
+
 
 def print_spoilt_pictures(smoke: bool = False) -> bool:
     """Print what is found in spoilt pictures; True where all is right and the moderate suffice."""
+    rows = CELL_ROWS if smoke else ROWS
     scenes = [
-        localization_scene(name, "single", seed) for name, seed in SCENES[: 1 if smoke else 3]
+        localization_scene(name, "single", seed, rows=rows)
+        for name, seed in SCENES[: 1 if smoke else 3]
     ]
-    kinds = list((MODERATE | BAD).items())[:: 4 if smoke else 1]
+    # Blurred pictures are reduced, and programs are compiled for each size.
+    spoilt_by = MODERATE | BAD
+    kinds = [(name, spoilt_by[name]) for name in (SMOKE_KINDS if smoke else spoilt_by)]
     print(f"\n{'spoilt pictures':20}{'scenes':>8}{'right':>8}{'wrong':>8}")
     good = True
     for name, spoilt in kinds:

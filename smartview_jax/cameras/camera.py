@@ -92,6 +92,23 @@ class Camera(eqx.Module):
             (pixels - self._principal_point(pixels.ndim)) / self._focal_lengths(pixels.ndim)
         )
 
+    def resized(self, image_size: tuple[int, int]) -> "Camera":
+        """Return the camera of this camera's pictures brought to another size.
+
+        Args:
+            image_size: width and height, px.
+        """
+        by_u, by_v = (new / old for new, old in zip(image_size, self.image_size, strict=True))
+        # The border of a picture is half a pixel outside the centre of its first pixel.
+        return Camera(
+            by_u * np.asarray(self.alpha_u),
+            by_v * np.asarray(self.alpha_v),
+            by_u * (np.asarray(self.u0) + 0.5) - 0.5,
+            by_v * (np.asarray(self.v0) + 0.5) - 0.5,
+            self.lens,
+            image_size,
+        )
+
     def _focal_lengths(self, rank: int) -> Float[Array, "*ones 2"]:
         """Return alpha_u and alpha_v, px, with as many leading axes of size one as a rank needs."""
         return jnp.stack([self.alpha_u, self.alpha_v]).reshape((1,) * (rank - 1) + (2,))

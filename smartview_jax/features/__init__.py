@@ -20,3 +20,5 @@ from .picture_evidence import PictureEvidence as PictureEvidence
 from .picture_evidence import edge_maps as edge_maps
 from .picture_evidence import evidence_of_points as evidence_of_points
 from .picture_evidence import picture_evidence as picture_evidence
+from .picture_scale import edge_width as edge_width
+from .picture_scale import scaled_camera as scaled_camera

@@ -42,15 +42,21 @@ class EdgePoints(NamedTuple):
 
 def find_edge_points(gradient: Gradient) -> EdgePoints:
     """Return the edge points of a picture, in the order of its rows."""
+    points = edge_points_above(gradient, LOW_GATE)
+    column, row = points.cells.T
+    weak = np.zeros(gradient.magnitude.shape, dtype=bool)
+    weak[row, column] = True
+    kept = _connected_to(weak, gradient.magnitude > HIGH_GATE * gradient.sigma)[row, column]
+    return EdgePoints(*(part[kept] for part in points))
+
+
+def edge_points_above(gradient: Gradient, gate: float) -> EdgePoints:
+    """Return all peaks of the gradient that exceed a gate, in standard deviations of its noise."""
     magnitude = gradient.magnitude
-    is_strong = magnitude > LOW_GATE * gradient.sigma
+    is_strong = magnitude > gate * gradient.sigma
     # At the picture's border there is no neighbour on one side.
     is_strong[[0, -1], :] = is_strong[:, [0, -1]] = False
     row, column, shift, along_u = _peaks(gradient, *np.nonzero(is_strong))
-    weak = np.zeros_like(is_strong)
-    weak[row, column] = True
-    kept = _connected_to(weak, magnitude > HIGH_GATE * gradient.sigma)[row, column]
-    row, column, shift, along_u = row[kept], column[kept], shift[kept], along_u[kept]
     pixels = np.column_stack([column, row]).astype(float)
     pixels[np.arange(len(row)), np.where(along_u, 0, 1)] += shift
     strengths = magnitude[row, column]
@@ -71,19 +77,50 @@ def _peaks(
     The shift is the position of the peak between pixels, along the axis that crosses the edge more
     steeply, px.
     """
+    before, size, after, along_u = _across(gradient, row, column)
+    is_peak = (size > before) & (size >= after)
+    # A Gaussian's logarithm is a parabola: shift = (l- - l+) / (2 (l- - 2 l0 + l+)). Its curvature
+    # is negative, since the middle value is the largest, except for rounding on a flat top.
+    low, middle, high = _logarithms(before[is_peak], size[is_peak], after[is_peak])
+    shift = 0.5 * (low - high) / np.minimum(low - 2.0 * middle + high, -np.finfo(float).eps)
+    return row[is_peak], column[is_peak], np.clip(shift, -0.5, 0.5), along_u[is_peak]
+
+
+def log_curvatures(gradient: Gradient, points: EdgePoints) -> Float[np.ndarray, "points"]:
+    """Return minus the second difference of the gradient's logarithm across each edge point.
+
+    It is taken along the row or column that crosses the edge more steeply.
+    """
+    column, row = points.cells.T
+    low, middle, high = _logarithms(*_across(gradient, row, column)[:3])
+    return 2.0 * middle - low - high
+
+
+def _across(
+    gradient: Gradient, row: Int[np.ndarray, "pixels"], column: Int[np.ndarray, "pixels"]
+) -> tuple[
+    Float[np.ndarray, "pixels"],
+    Float[np.ndarray, "pixels"],
+    Float[np.ndarray, "pixels"],
+    Bool[np.ndarray, "pixels"],
+]:
+    """Return the gradients before, at and after pixels, across the edge; and whether along u."""
     (by_u, by_v), size = gradient.at(row, column).T, gradient.magnitude[row, column]
     along_u = np.abs(by_u) >= np.abs(by_v)
     unit_u, unit_v = by_u / size, by_v / size
     # The neighbours' gradients along this pixel's own direction, so that opposite edges do not mix.
     neighbours = [(row + step * ~along_u, column + step * along_u) for step in (-1, 1)]
     before, after = (unit_u * gradient.by_u[at] + unit_v * gradient.by_v[at] for at in neighbours)
-    is_peak = (size > before) & (size >= after)
-    before, size, after = before[is_peak], size[is_peak], after[is_peak]
-    # A Gaussian's logarithm is a parabola: shift = (l- - l+) / (2 (l- - 2 l0 + l+)). Its curvature
-    # is negative, since the middle value is the largest, except for rounding on a flat top.
-    low, middle, high = (np.log(np.maximum(x, 1e-3 * size)) for x in (before, size, after))
-    shift = 0.5 * (low - high) / np.minimum(low - 2.0 * middle + high, -np.finfo(float).eps)
-    return row[is_peak], column[is_peak], np.clip(shift, -0.5, 0.5), along_u[is_peak]
+    return before, size, after, along_u
+
+
+def _logarithms(
+    before: Float[np.ndarray, "pixels"],
+    size: Float[np.ndarray, "pixels"],
+    after: Float[np.ndarray, "pixels"],
+) -> list[Float[np.ndarray, "pixels"]]:
+    """Return the logarithms of three neighbouring gradients; tiny ones are cut off."""
+    return [np.log(np.maximum(x, 1e-3 * size)) for x in (before, size, after)]
 
 
 def _connected_to(

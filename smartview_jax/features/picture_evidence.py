@@ -23,6 +23,7 @@ from .gradient import Gradient
 from .ideal_plane import IdealPlane
 from .lone_edges import lone_points
 from .picture_checks import grey_levels
+from .picture_scale import edge_width, reduced, scale_for, scaled_camera
 
 ORIENTATIONS = 8
 """Number of distance maps; directions are modulo half a turn, since an edge has no orientation."""
@@ -82,30 +83,69 @@ class PictureEvidence(NamedTuple):
         edge_points: of the whole picture, sub-pixel.
         lone: which of them no other edge is near enough to displace.
         maps: distances from its segments.
+        grey: the picture as it was given; None if it is unknown.
+        scale: size of the searched picture over the given one; all pixels above are of the searched
+            picture, whose camera is `scaled_camera`.
     """
 
     features: Features
     edge_points: EdgePoints
     lone: Bool[np.ndarray, "points"]
     maps: EdgeMaps
+    grey: UInt8[np.ndarray, "rows columns"] | None = None
+    scale: float = 1.0
+
+    def at(self, scale: float, camera: Camera) -> "PictureEvidence":
+        """Return the evidence of the same picture, searched at another scale.
+
+        Args:
+            scale: size of the picture to be searched over the given one.
+            camera: that took the picture as it was given.
+
+        Raises:
+            ValueError: the given picture is unknown.
+        """
+        if scale == self.scale:
+            return self
+        if self.grey is None:
+            raise ValueError("the picture was not kept, so it cannot be searched at another scale")
+        return _evidence(self.grey.astype(float), camera, scale)
 
 
-def picture_evidence(picture: np.ndarray, camera: Camera) -> PictureEvidence:
+def picture_evidence(
+    picture: np.ndarray, camera: Camera, scale: float | None = None
+) -> PictureEvidence:
     """Find the features of a picture and prepare the distance maps of its edges.
+
+    A picture whose edges are wide is reduced first (`picture_scale`).
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
         camera: intrinsics and lens of the camera that took it.
+        scale: size of the picture to be searched over the given one; by default from the width of
+            its edges.
 
     Raises:
         ValueError: as `find` does.
     """
-    grey = grey_levels(picture, camera)
+    return _evidence(grey_levels(picture, camera), camera, scale)
+
+
+def _evidence(
+    grey: Float[np.ndarray, "rows columns"], camera: Camera, scale: float | None
+) -> PictureEvidence:
+    """Return the evidence of a picture, given its grey levels."""
     gradient = Gradient.of(grey)
+    scale = scale_for(edge_width(gradient)) if scale is None else scale
+    searched_by = scaled_camera(camera, scale)
+    searched = grey
+    if scale != 1.0:
+        searched = reduced(grey, searched_by)
+        gradient = Gradient.of(searched)
     edge_points = find_edge_points(gradient)
-    features = features_from_edge_points(grey, gradient, edge_points, camera)
-    lone = lone_points(edge_points)
-    return PictureEvidence(features, edge_points, lone, edge_maps(features, camera))
+    features = features_from_edge_points(searched, gradient, edge_points, searched_by)
+    lone, maps = lone_points(edge_points), edge_maps(features, searched_by)
+    return PictureEvidence(features, edge_points, lone, maps, grey.astype(np.uint8), scale)
 
 
 def evidence_of_points(
@@ -116,7 +156,7 @@ def evidence_of_points(
     Args:
         evidence: of the picture; its edge points stay.
         free: which edge points are not taken.
-        camera: intrinsics and lens of the camera that took it.
+        camera: intrinsics and lens of the camera of the searched picture.
     """
     segments, pixels = evidence.features.segments, evidence.edge_points.pixels
     if free.all() or not len(segments):

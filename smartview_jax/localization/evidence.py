@@ -9,6 +9,7 @@ from jaxtyping import Float
 from .chance import log_chance_of_exact_edges, log_odds_of
 from .edge_lines import EdgeLines
 from .moved_faces import MovedFace
+from .view_agreement import ViewDisagreement
 from .wireframe import Wireframe
 
 MIN_PARALLAX = float(np.deg2rad(2.0))
@@ -52,6 +53,7 @@ class Evidence(NamedTuple):
         log_likelihood: log-likelihood ratio of the found and missing edges, object to clutter.
         log_exactness: see `log_chance_of_exact_edges`.
         moved: see `likeliest_moved_face`; None where it was not computed.
+        disagreement: see `least_agreeing_view`; None where it was not computed, or is unknown.
     """
 
     explained: float
@@ -67,6 +69,7 @@ class Evidence(NamedTuple):
     log_likelihood: float
     log_exactness: float
     moved: MovedFace | None = None
+    disagreement: ViewDisagreement | None = None
 
     @property
     def log_odds(self) -> float:

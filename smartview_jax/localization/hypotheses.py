@@ -18,6 +18,7 @@ from ..modeling import ObjectModel, SeenViews
 from .corner_paths import PicturePaths, picture_paths, poses_from_paths
 from .corner_triples import Junctions, poses_from_triples
 from .distinct_poses import distinct_poses
+from .picture_scales import at_one_scale
 from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
 from .scoring import PoseScores, SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
@@ -95,6 +96,7 @@ def find_hypotheses(
     if not len(models):
         raise ValueError("models: expected at least one, found none")
     box = None if workspace is None else checked_box(workspace)
+    evidence, views = at_one_scale(evidence, views)
     maps = SceneMaps.of(evidence, views)
     # The proposals of the pictures are the same for all models.
     paths, edges = _picture_proposals(evidence, views)

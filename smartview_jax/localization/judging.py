@@ -29,6 +29,7 @@ from .pose_equations import UndeterminedPoseError
 from .refinement import RefinedPose, refine_pose
 from .scene import Scene, explained_among
 from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, may_be_another_size, relative_std
+from .view_agreement import least_agreeing_view
 
 MAX_REJECTED = 12
 """Number of poses in a row without an accepted one, all models together, after which no further
@@ -254,12 +255,19 @@ class _Judging:
             evidence = scene.evidence(lines, entry.fine, middle, chance.mean, refined.absorbed)
         uncertain = relative_std(entry.model, refined.covariance)
         verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
+        if verdict.decision != "rejected":
+            disagreement = least_agreeing_view(
+                refined, entry.model, entry.fine, scene.views, self._uncertainty
+            )
+            evidence = evidence._replace(disagreement=disagreement)
+            verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
         # Moving faces takes time: only poses that would be accepted are tested.
         if verdict.decision == "accepted" and may_be_another_size(evidence):
             moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
             evidence = evidence._replace(moved=moved)
             verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
-        return Localization(entry.model, best.model, refined, verdict, tuple(rivals))
+        scale = scene.pictures[0].scale
+        return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)
 
     def _rivals(
         self,

@@ -70,6 +70,8 @@ class Localization(NamedTuple):
         refined: pose with the parts of its covariance, and the edges it was estimated from.
         verdict: decision, reasons and numbers.
         rivals: other explanations of the same edges, the best first.
+        scale: size of the searched pictures over the given ones (`PictureEvidence.scale`); all
+            lengths in px are of the searched pictures.
     """
 
     model: ObjectModel
@@ -77,6 +79,7 @@ class Localization(NamedTuple):
     refined: RefinedPose
     verdict: Verdict
     rivals: tuple[Rival, ...]
+    scale: float = 1.0
 
     @property
     def world_from_object(self) -> Float[np.ndarray, "4 4"]:

@@ -24,6 +24,7 @@ from .earlier_views import check_calibration, hypotheses_of, joined_commands, ow
 from .hypotheses import ALL_HYPOTHESES, Hypothesis, checked_box, find_hypotheses
 from .judging import MAX_REJECTED
 from .localization import Localization, Localizations, model_name
+from .picture_scales import at_one_scale
 from .pose_convergence import THREADS
 from .refining_together import refined_together
 from .scene import Scene
@@ -87,8 +88,10 @@ def localize(
         command = joined_commands(previous.command, own_command(views))
         pictures = (*previous.pictures, *pictures)
         views = SeenViews.of(calibration, command)
-    _check_distinct(pictures)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    pictures, views = at_one_scale(pictures, views)
+    uncertainty = uncertainty.resized(calibration.camera, views.camera)
+    _check_distinct(pictures)
     # With earlier results only their remaining poses are judged in the new views, without a
     # search.
     given, missing = list(hypotheses or ()), list[int]()

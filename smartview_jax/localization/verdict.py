@@ -1,6 +1,6 @@
 """Judge whether an object is at a pose: accepted, rejected or open, with the numbers.
 
-The test has six parts, each with a threshold below and a number in `Verdict`:
+The test has seven parts, each with a threshold below and a number in `Verdict`:
 
 - the explained share: the share of the visible edge length with an edge point within
   `EXPLAINED_DISTANCE` and with the edge's orientation; in all views together and in each;
@@ -11,6 +11,7 @@ The test has six parts, each with a threshold below and a number in `Verdict`:
 - residuals: how far whole edges are from the model, beyond their covariance;
 - sizes: where edges are missing, whether the model with a moved face would explain more, because
   the object has other dimensions (`moved_faces`);
+- agreement: whether each view alone puts the object where the others do (`view_agreement`);
 - contrast: the gradient along the explained edges, over the picture's median edge gradient;
 - rivals: the log-likelihood ratio, including the exactness of the fit, to the best other pose or
   model at the same place that symmetry does not make equal.
@@ -31,6 +32,7 @@ from .chance import Chance
 from .distinct_poses import surface_sigma
 from .evidence import MAX_CHANCE, Evidence, log_likelihood_of_found
 from .moved_faces import MovedFace
+from .view_agreement import EXACT_RIG_ERROR, MIN_AGREEMENT, ViewDisagreement
 
 ACCEPTED_SHARE, REJECTED_SHARE = 0.82, 0.4
 """Explained shares above which a pose may be accepted, and below which it is rejected."""
@@ -218,7 +220,10 @@ def judge(
     if share < _accepted_share(evidence, is_certain):
         more = f", and these fit to {rms:.2f} px" if share >= ACCEPTED_SHARE else ""
         doubts.append(f"only {share:.0%} of its visible edges match the pictures{more}")
-    few_will_do = rms <= EXACT_EDGE_RMS and evidence.log_odds >= SUFFICIENT_LOG_ODDS
+    # So exact a fit is no chance, however few the edges are.
+    is_sufficient = evidence.log_odds >= SUFFICIENT_LOG_ODDS
+    is_sufficient |= evidence.log_exactness <= ALONE_LOG_EXACTNESS
+    few_will_do = rms <= EXACT_EDGE_RMS and is_sufficient
     is_few = evidence.edges < ACCEPTED_EDGES and not few_will_do
     needed_log_likelihood = _accepted_log_likelihood(evidence)
     if is_few or evidence.log_likelihood < needed_log_likelihood:
@@ -258,11 +263,22 @@ def judge(
             f"the object seems {size} than the model: moving face {face} {way} by {length} matches "
             "more edges"
         )
+    if evidence.disagreement is not None and _is_rig_wrong(evidence.disagreement):
+        doubts.append(evidence.disagreement.message)
     if margin < MIN_MARGIN:
         doubts.append(f"ambiguous: {rival} matches the pictures almost as well")
     return Verdict(
         "open" if doubts else "accepted", tuple(doubts), evidence, log_false_alarms, margin
     )
+
+
+def _is_rig_wrong(disagreement: ViewDisagreement) -> bool:
+    """Return whether views disagree by more than the errors of the rig explain.
+
+    A rig that is taken as exact errs too, by an amount that nobody stated.
+    """
+    is_tolerated = not disagreement.is_rig_uncertain and disagreement.relative <= EXACT_RIG_ERROR
+    return disagreement.probability < MIN_AGREEMENT and not is_tolerated
 
 
 def _little_evidence(evidence: Evidence, edges: int, log_likelihood: float) -> str:

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..engine import Noise
+from ..features import scaled_camera
 from ..geometry import host_adjoints, host_cross_matrices
 from ..modeling import ObjectModel
 from ..runtime.array_namespace import to_device
@@ -254,6 +255,8 @@ def _predicted(
 ) -> _Predicted:
     """Return the visible edges of a hypothesis in all candidate views."""
     candidates = views.camera_from_world
+    # The noise was measured at the scale at which the pictures were searched.
+    camera = scaled_camera(views.calibration.camera, obj.scale)
     wireframe, parts = Wireframe.of(model), []
     sigma = max(float(obj.refined.edge_sigma), MIN_POINT_SIGMA)
     scatter = obj.refined.lines.scatter[obj.refined.consistent]
@@ -265,7 +268,7 @@ def _predicted(
         centres = np.linalg.inv(padded)[:, :3, 3]
         arrays = _predict_edges(
             wireframe,
-            views.calibration.camera,
+            camera,
             to_device(padded @ pose),
             to_device(hidden_in_views(views.occluders, centres, in_world)),
             to_device(np.array([point_sigma, sigma])),

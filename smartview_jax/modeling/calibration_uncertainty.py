@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
+from ..cameras import Camera
 from ..engine import Noise, Parameters, PreparedPoses, Step, linearise_poses, parameter_names
 from ..evaluation import CalibrationEstimate, covariance_root
 from ..joint import JointFit, SavedEstimate
@@ -108,6 +109,21 @@ class CalibrationUncertainty(NamedTuple):
         noise_names = parameter_names(calibration, [str(k) for k in range(count if size else 0)])
         own_names = noise_names[len(names) :]
         return cls((*(names[k] for k in used), *own_names), covariance, jacobian, len(used))
+
+    def resized(self, camera: Camera, target: Camera) -> "CalibrationUncertainty":
+        """Return the uncertainty of the camera of the same pictures brought to another size.
+
+        Args:
+            camera: of the pictures as they are.
+            target: of the resized pictures; see `Camera.resized`.
+        """
+        by_u, by_v = (
+            new / old for new, old in zip(target.image_size, camera.image_size, strict=True)
+        )
+        # Focal lengths and principal point come first, and are in px; a lens has no px.
+        factors = np.ones(self.view_jacobian.shape[1])
+        factors[:4] = by_u, by_v, by_u, by_v
+        return self._replace(view_jacobian=factors[:, None] * self.view_jacobian)
 
     def propagate(
         self, view_sensitivity: Float[np.ndarray, "views *rest local"]

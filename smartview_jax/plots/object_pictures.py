@@ -49,7 +49,11 @@ def edge_map(evidence: "PictureEvidence") -> UInt8[np.ndarray, "rows columns 3"]
         cv2.line(canvas, a, b, SEGMENT_COLOUR, 2, cv2.LINE_AA, SHIFT)
     for corner in evidence.features.corners:
         cv2.circle(canvas, _fixed(corner), 5 << SHIFT, CORNER_COLOUR, 2, cv2.LINE_AA, SHIFT)
-    return canvas
+    if evidence.grey is None or evidence.scale == 1.0:
+        return canvas
+    # Shown at the size of the picture as it was given.
+    height, width = evidence.grey.shape
+    return cv2.resize(canvas, (width, height)).astype(np.uint8)
 
 
 def with_wireframes(

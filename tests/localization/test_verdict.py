@@ -80,6 +80,12 @@ def test_few_edges_are_enough_where_they_are_long_and_fit_exactly():
     assert verdict(edges=5, log_likelihood=200.0, edge_rms=0.55).decision == "open"
 
 
+def test_few_edges_are_enough_where_their_exactness_alone_excludes_chance():
+    few = {"edges": 6, "log_likelihood": 80.0}
+    assert verdict(**few, edge_rms=0.03).decision == "accepted"
+    assert verdict(**few, edge_rms=0.08).decision == "open"
+
+
 HIDDEN = {"explained": 0.6, "explained_in_view": (0.6, 0.6)}
 
 

@@ -1,0 +1,75 @@
+"""The width of a picture's edges, and pictures that are reduced because their edges are wide."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from scipy.special import ndtr
+
+import smartview_jax as sv
+from smartview_jax.cameras import Pinhole
+from smartview_jax.features import edge_width, picture_evidence, scaled_camera
+from smartview_jax.features.gradient import Gradient
+from smartview_jax.features.picture_scale import STANDARD_WIDTH, scale_for
+
+SIZE = (200, 160)
+
+
+def camera(size=SIZE):
+    return sv.Camera(300.0, 300.0, 0.5 * size[0], 0.5 * size[1], Pinhole(), size)
+
+
+def steps(width, noise=0.5, size=SIZE):
+    """A light square at an angle whose sides are blurred by a standard deviation, px."""
+    u, v = np.meshgrid(*(np.arange(n) - 0.5 * n for n in size))
+    turned = [0.9 * u + 0.44 * v, 0.9 * v - 0.44 * u]
+    inside = np.prod([ndtr((0.27 * size[1] - np.abs(x)) / width) for x in turned], axis=0)
+    grey = 60.0 + 100.0 * inside + np.random.default_rng(0).normal(0.0, noise, inside.shape)
+    return np.clip(grey, 0.0, 255.0)
+
+
+@pytest.mark.parametrize("width", [0.7, 1.2, 2.5])
+@pytest.mark.parametrize("noise", [0.5, 1.5])
+def test_the_width_of_edges_is_measured(width, noise):
+    assert edge_width(Gradient.of(steps(width, noise))) == pytest.approx(width, rel=0.12)
+
+
+def test_a_picture_without_strong_edges_has_no_width_and_is_not_reduced():
+    width = edge_width(Gradient.of(np.random.default_rng(0).normal(100.0, 3.0, SIZE[::-1])))
+    assert np.isnan(width)
+    assert scale_for(width) == 1.0
+
+
+def test_pictures_with_wide_edges_are_reduced_to_the_standard_width():
+    widths = STANDARD_WIDTH * np.array([0.0, 0.1, 0.5, 1.0, 1.15, 2.0, 4.0])
+    assert [scale_for(float(width)) for width in widths] == [1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.5]
+
+
+def test_an_enlarged_picture_has_the_edge_points_of_the_original():
+    picture, size = steps(STANDARD_WIDTH).astype(np.uint8), (2 * SIZE[0], 2 * SIZE[1])
+    enlarged = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
+    original = picture_evidence(picture, camera())
+    found = picture_evidence(enlarged, camera(size))
+    assert (original.scale, found.scale) == (1.0, 0.5)
+    assert found.grey.shape == enlarged.shape
+    assert scaled_camera(camera(size), 0.5).image_size == found.features.image_size == SIZE
+    points = original.edge_points.pixels
+    assert len(found.edge_points.pixels) == pytest.approx(len(points), rel=0.05)
+    gaps = KDTree(points).query(found.edge_points.pixels)[0]
+    assert np.quantile(gaps, 0.9) < 0.5
+    assert found.at(0.5, camera(size)) is found
+    assert found.at(1.0, camera(size)).features.image_size == size
+
+
+def test_evidence_without_its_picture_stays_at_its_scale():
+    found = picture_evidence(steps(1.5).astype(np.uint8), camera())._replace(grey=None)
+    with pytest.raises(ValueError, match="was not kept"):
+        found.at(1.0, camera())
+
+
+def test_a_resized_camera_sees_the_same_places():
+    other = camera().resized((50, 40))
+    rays = np.random.default_rng(0).normal((0.0, 0.0, 4.0), 1.0, (20, 3))
+    full, small = (np.asarray(one.project(rays)[0]) for one in (camera(), other))
+    # The outer border of the first pixel is at -0.5 in both.
+    assert np.allclose(small + 0.5, (full + 0.5) / 4.0)
