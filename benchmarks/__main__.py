@@ -38,6 +38,7 @@ BENCHMARKS = {
     "growth": "time and memory of fits and of the whole calibration by points, views, devices",
     "viewpoints": "the calibration of new viewpoints: how many a second, and one alone",
     "choice": "chosen views against random ones: bounds in simulation, errors on a real set",
+    "capture": "live capture without a person, its process killed: mm reached, nothing lost?",
     "object_features": "corners and proposed models on pictures of objects, against references",
     "modeling": "vertices of objects from clicks: NEES, edges, peers, real pictures, times",
     "grasping": "grasps executed in physics, by staged and joint calibration: held, and foretold?",

@@ -7,6 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from .calibrate import calibrate
+from .capture import capture
 from .check import check
 from .compare import compare
 from .demo import demo
@@ -86,6 +87,7 @@ def main(
 
 for _subcommand in (
     calibrate,
+    capture,
     check,
     compare,
     demo,

@@ -11,7 +11,7 @@ from .fit_options import StartOption
 from .json_document import print_document
 from .number_lists import parse_numbers
 from .option_groups import with_option_groups
-from .plan_situation import ViewLimits, first_views, next_views
+from .plan_situation import first_views, next_views
 from .plan_words import plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported, progress_line
@@ -84,17 +84,23 @@ def plan(
         import math
 
         from ..geometry import host_transforms
-        from ..viewpoints import SAFETY_CHECKS, plan_views, unchecked, viewpoint_commands
+        from ..viewpoints import (
+            SAFETY_CHECKS,
+            ViewLimits,
+            plan_views,
+            unchecked,
+            viewpoint_commands,
+        )
 
         codec = robot.codec()
         span = ViewLimits(_distance_range(distance), math.radians(tilt), math.radians(roll), below)
         with progress_line() as progress:
             if start:
                 progress("reading the description of the data set")
-                situation = first_views(paths, start, camera, span)
+                situation, taken = first_views(paths, start, camera, span), ()
             else:
                 progress("reading the calibration and its data set")
-                situation = next_views(paths, camera, span, robot, progress)
+                situation, taken = next_views(paths, camera, span, robot, progress)
             arm, readings = robot.arm_and_readings(situation.calibration)
             view_plan = plan_views(
                 _with_readings(situation.model, readings),
@@ -115,7 +121,7 @@ def plan(
         commands = viewpoint_commands(
             situation.calibration, wanted, situation.points, arm, readings
         )
-        names = _new_names(situation.names, len(view_plan.camera_from_world))
+        names = _new_names(taken, len(view_plan.camera_from_world))
         sheet = CommandSheet(
             names,
             commands,

@@ -4,6 +4,9 @@ from .conversation import Conversation as Conversation
 from .document import DrawnConstraint as DrawnConstraint
 from .document import DrawnFace as DrawnFace
 from .document import PlacedGrasp as PlacedGrasp
+from .local_page import PageAccess as PageAccess
+from .local_page import serve_page as serve_page
+from .owner_lock import OwnerLock as OwnerLock
 from .server import serve as serve
 from .session import ModelSession as ModelSession
 from .view_geometry import PointEstimate as PointEstimate

@@ -14,8 +14,12 @@ class OwnerLock:
     machines cannot be checked, so their locks are kept and the message says which file to remove.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, program: str = "editor"):
         """Take the lock.
+
+        Args:
+            path: of the lock, which is the edited file's with a further suffix.
+            program: kind of program, for messages.
 
         Raises:
             BlockingIOError: another process, or another session of this one, edits the file.
@@ -27,13 +31,13 @@ class OwnerLock:
         except FileExistsError:
             owner = self._read()
             if not _is_stale(owner):
-                raise BlockingIOError(_refusal(path, owner)) from None
+                raise BlockingIOError(_refusal(path, owner, program)) from None
             path.unlink(missing_ok=True)
             # A third editor may have taken the lock in between.
             try:
                 self._create()
             except FileExistsError:
-                raise BlockingIOError(_refusal(path, self._read())) from None
+                raise BlockingIOError(_refusal(path, self._read(), program)) from None
 
     def _create(self) -> None:
         """Create the file that names this process, or raise a FileExistsError."""
@@ -95,10 +99,10 @@ def _is_stale(owner: dict[str, Any]) -> bool:
     return owner.get("started") != _start_of(pid)
 
 
-def _refusal(path: Path, owner: dict[str, Any]) -> str:
-    """Return the message for a file that another editor has open."""
+def _refusal(path: Path, owner: dict[str, Any], program: str) -> str:
+    """Return the message for a file that another program has open."""
     edited = path.with_suffix("")
     return (
-        f"{edited} is open in another editor: process {owner.get('pid', '?')} on "
+        f"{edited} is open in another {program}: process {owner.get('pid', '?')} on "
         f"{owner.get('host', '?')}. Close it there; if it no longer runs, remove {path}"
     )

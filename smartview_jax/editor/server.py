@@ -1,13 +1,11 @@
 """Serve the editor's page on this machine: `smartview model`, and the tests' browser.
 
-The server listens on 127.0.0.1 only. Pictures and model are served only with the token in the
-printed address; requests from other pages, or under another host name, are refused.
+`local_page` checks who may open it.
 """
 
 import asyncio
 import contextlib
 import logging
-import secrets
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -18,10 +16,9 @@ import numpy as np
 
 from ..extras import import_extra
 from .conversation import SLOW_COMMANDS, Conversation
+from .local_page import HOST as HOST
+from .local_page import PageAccess, serve_page
 from .session import ModelSession
-
-HOST = "127.0.0.1"
-"""The only address that the server listens on."""
 
 JPEG_QUALITY = 93
 """JPEG quality of the pictures sent to the page; features are found in the originals."""
@@ -55,15 +52,11 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
     """
     import_extra("starlette", "editor", "the editor's page")
     from starlette.applications import Starlette
-    from starlette.middleware import Middleware
-    from starlette.middleware.trustedhost import TrustedHostMiddleware
     from starlette.routing import Mount, Route, WebSocketRoute
     from starlette.staticfiles import StaticFiles
 
-    origins = {f"http://{name}:{port}" for name in (HOST, "localhost")}
-    # Cookies are shared by all ports of a machine, so the name includes the port: otherwise two
-    # editors would overwrite each other's token.
-    editor = _Editor(session, token, origins, cookie=f"smartview_editor_{port}")
+    access = PageAccess(token, port, "editor")
+    editor = _Editor(session, access)
     return Starlette(
         routes=[
             Route("/", editor.page),
@@ -72,8 +65,7 @@ def editor_app(session: ModelSession, token: str, port: int) -> Any:
             WebSocketRoute("/socket", editor.socket),
             Mount("/", StaticFiles(directory=PAGE)),
         ],
-        # Against DNS rebinding, by which another page could reach this server under its own name.
-        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])],
+        middleware=access.middleware(),
     )
 
 
@@ -92,10 +84,8 @@ class _Page(NamedTuple):
 class _Editor:
     """The session that all requests of a server share, with access control."""
 
-    def __init__(self, session: ModelSession, token: str, origins: set[str], cookie: str):
-        self._session, self._token, self._origins = session, token, origins
-        # The cookie carries the token in the page's own requests.
-        self._cookie = cookie
+    def __init__(self, session: ModelSession, access: PageAccess):
+        self._session, self._access = session, access
         self._pages: dict[Any, _Page] = {}
         # Answers are computed in a thread, so that pictures load meanwhile; one after another,
         # because they change the session.
@@ -105,15 +95,7 @@ class _Editor:
 
     async def page(self, request: Any) -> Any:
         """Serve the page if the token is right, and set the token as a cookie."""
-        from starlette.responses import FileResponse, PlainTextResponse
-
-        if not self._has_token(request.query_params.get("token", "")):
-            return PlainTextResponse(
-                "This address has no valid token: open the address that smartview printed.", 403
-            )
-        response = FileResponse(PAGE / "index.html")
-        response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
-        return response
+        return self._access.page_response(request, PAGE / "index.html")
 
     async def picture(self, request: Any) -> Any:
         """Serve the picture of a view."""
@@ -121,7 +103,7 @@ class _Editor:
 
         view = request.path_params["view"]
         # The user's pictures need the token; the page's files do not.
-        if not self._has_token(request.cookies.get(self._cookie, "")):
+        if not self._access.allows(request):
             return PlainTextResponse("no token", 403)
         if view not in self._session.pictures:
             return PlainTextResponse(f"no view {view!r}", 404)
@@ -136,10 +118,7 @@ class _Editor:
         """Answer the messages of one page, and send it the changes of other pages."""
         from starlette.websockets import WebSocketDisconnect
 
-        # Other programs on this machine leave cookies, too, which may be malformed.
-        token = socket.cookies.get(self._cookie, "")
-        # A browser lets any page open a socket here; it always says which page it was.
-        if socket.headers.get("origin") not in self._origins or not self._has_token(token):
+        if not self._access.allows_socket(socket):
             await socket.close(1008)
             return
         await socket.accept()
@@ -209,10 +188,6 @@ class _Editor:
                     await socket.close(INTERNAL_ERROR)
                 return
 
-    def _has_token(self, given: str) -> bool:
-        """Return whether a token is right, in constant time against timing attacks."""
-        return secrets.compare_digest(given.encode(), self._token.encode())
-
 
 async def _send(socket: Any, message: dict[str, Any]) -> None:
     """Send a message to a page that may have been closed, which its own loop notices."""
@@ -247,30 +222,18 @@ def serve(
         ImportError: starlette or uvicorn is not installed.
         OSError: the port is in use.
     """
-    uvicorn = import_extra("uvicorn", "editor", "the editor's page")
-    import socket as sockets
+    # The first click is prepared while the user looks at the pictures.
+    stop = threading.Event()
+    preparing = threading.Thread(target=session.prepare, args=(stop,), daemon=True)
 
-    listener = sockets.socket(sockets.AF_INET, sockets.SOCK_STREAM)
-    # Allows a restart on the same port at once.
-    listener.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
-    with listener:
-        try:
-            listener.bind((HOST, port))
-        except OSError as error:
-            raise OSError(f"port {port} of {HOST}: {error.strerror}") from error
-        listener.listen()
-        bound_port, token = listener.getsockname()[1], secrets.token_urlsafe(24)
-        app = editor_app(session, token, bound_port)
-        # The session is opened and closed by the caller, so the server needs no lifespan events.
-        config = uvicorn.Config(app, log_level="warning", lifespan="off", ws="websockets-sansio")
-        # The first click is prepared while the user looks at the pictures.
-        stop = threading.Event()
-        preparing = threading.Thread(target=session.prepare, args=(stop,), daemon=True)
+    def make_app(token: str, bound_port: int) -> Any:
         preparing.start()
-        try:
-            announce(f"http://{HOST}:{bound_port}/?token={token}")
-            uvicorn.Server(config).run([listener])
-        finally:
-            # A thread that still runs when Python exits would abort the process.
-            stop.set()
+        return editor_app(session, token, bound_port)
+
+    try:
+        serve_page(make_app, port, announce)
+    finally:
+        # A thread that still runs when Python exits would abort the process.
+        stop.set()
+        if preparing.ident is not None:
             preparing.join()

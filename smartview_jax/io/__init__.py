@@ -17,6 +17,7 @@ from .export import ros_static_transform as ros_static_transform
 from .export import urdf_origin as urdf_origin
 from .folder_description import FolderDescription as FolderDescription
 from .folder_description import read_folder_description as read_folder_description
+from .growing_dataset import GrowingDataset as GrowingDataset
 from .hand_steps import HandSteps as HandSteps
 from .joints import joints_entry as joints_entry
 from .joints import write_joints as write_joints
@@ -36,6 +37,7 @@ from .new_dataset import TARGETS as TARGETS
 from .new_dataset import FoundPictures as FoundPictures
 from .new_dataset import found_pictures as found_pictures
 from .new_dataset import write_new_dataset as write_new_dataset
+from .new_description import write_description as write_description
 from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
 from .object_models import object_model_to_dict as object_model_to_dict

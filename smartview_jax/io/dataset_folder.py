@@ -43,6 +43,7 @@ from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .board_heights import read_board_heights
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
+from .pending_pictures import standing_path
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
 from .poses import poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
@@ -320,7 +321,7 @@ def picture_files(
         )
     files = {
         view: [
-            folder / pattern.format(view=view, height=k)
+            standing_path(folder / pattern.format(view=view, height=k))
             for k in (heights if board_heights is None else [board_heights[view]])
         ]
         for view in view_ids

@@ -36,6 +36,18 @@ class SavedEstimate(NamedTuple):
     pixel_sigma: float
     observability: Observability
 
+    @classmethod
+    def of(cls, fit: "JointFit") -> "SavedEstimate":
+        """Return the part of a fit that its file has."""
+        return cls(
+            fit.calibration,
+            np.asarray(fit.covariance),
+            fit.parameter_names,
+            fit.noise,
+            float(fit.pixel_sigma),
+            fit.observability,
+        )
+
 
 def uncertainty_to_dict(fit: "JointFit | SavedEstimate") -> dict[str, Any] | None:
     """Return the uncertainty of a fit as plain numbers; None if a parameter is undetermined."""

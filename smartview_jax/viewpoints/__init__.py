@@ -28,6 +28,10 @@ from .optimality_criteria import OptimalityCriterion as OptimalityCriterion
 from .optimality_criteria import a_optimal as a_optimal
 from .optimality_criteria import d_optimal as d_optimal
 from .optimality_criteria import i_optimal as i_optimal
+from .situations import Situation as Situation
+from .situations import ViewLimits as ViewLimits
+from .situations import situation_of_drawing as situation_of_drawing
+from .situations import situation_of_estimate as situation_of_estimate
 from .view_planning import ChosenViews as ChosenViews
 from .view_planning import choose_views as choose_views
 from .view_range import ViewRange as ViewRange

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
@@ -136,6 +136,7 @@ def plan_views(
     border_margin: float = 0.0,
     min_visible_fraction: float = 1.0,
     arm: SerialArm | None = None,
+    allowed: Callable[[SE3], np.ndarray] | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ViewPlan:
@@ -150,6 +151,8 @@ def plan_views(
         border_margin: smallest distance from the picture's border of a point that counts, px.
         min_visible_fraction: smallest fraction of the target's points that a view has to show.
         arm: the arm, if its joints are known; it is solved near the model's readings.
+        allowed: returns which commands `base_from_tool` `(views)` are allowed, such as those in a
+            box.
         seed: seed of the random candidates.
         progress: called with a text for each stage.
 
@@ -162,7 +165,8 @@ def plan_views(
     def is_safe(poses) -> Bool[Array, "views"]:
         near = model.near if arm is not None else None
         commands = viewpoint_commands(model.calibration, poses, None, arm, near, limits)
-        return jnp.asarray(commands.checks.safe)
+        safe = np.asarray(commands.checks.safe)
+        return to_device(safe if allowed is None else safe & allowed(commands.base_from_tool))
 
     distance = 0.5 * sum(views.distance)
     criterion = _criterion(model, views, distance, seed)

@@ -43,6 +43,9 @@ CASES = (
     ),
     Case("calibrate", "nowhere", 2, "nowhere: no such folder"),
     Case("calibrate", "data --lens glass", 2, "lens is one of"),
+    Case("capture", "live --camera simulated --robot simulated --no-browser", 0, "live is at http"),
+    Case("capture", "--print-program rapid", 0, "MODULE SmartviewCapture"),
+    Case("capture", "nowhere", 2, "nowhere/dataset.yaml"),
     Case("check", "data", 0, "camera and robot agree: ready for smartview calibrate"),
     Case("check", "inverted", 1, "problem: "),
     Case("check", "nowhere", 2, "nowhere: no such folder"),
@@ -132,6 +135,10 @@ def short_work(monkeypatch):
     monkeypatch.setattr("smartview_jax.picking.run_demo", run_demo)
     monkeypatch.setattr(
         "smartview_jax.editor.serve", lambda _, __, announce: announce("http://127.0.0.1:1")
+    )
+    monkeypatch.setattr(
+        "smartview_jax.capture.serve_capture",
+        lambda _, __, announce, ___: announce("http://127.0.0.1:1"),
     )
 
 

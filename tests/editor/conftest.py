@@ -1,7 +1,7 @@
 import functools
 
 import pytest
-from browser import Chromium, browser_or_skip
+from chromium import Chromium, browser_or_skip
 from editor_scene import drawn_scene
 from sessions import open_session
 

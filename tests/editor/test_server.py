@@ -151,7 +151,7 @@ async def told(session, pages, update):
     """Tell pages of a change, with a function for each that makes its update."""
     from smartview_jax.editor import server
 
-    editor = server._Editor(session, TOKEN, {ORIGIN}, f"smartview_editor_{PORT}")
+    editor = server._Editor(session, server.PageAccess(TOKEN, PORT, "editor"))
     tasks = []
     for page in pages:
         shown = server._Page(server.Conversation(session), asyncio.Event())

@@ -1,0 +1,187 @@
+"""Fit the views taken so far, state the expected error, and propose the views to take next."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float
+
+from ..calibration_pipeline import DEFAULT_LENS, CalibrationFit, calibrate
+from ..cameras import Camera
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset
+from ..geometry import host_matrices, host_transforms
+from ..io import FolderDescription
+from ..joint import SavedEstimate
+from ..viewpoints import (
+    Situation,
+    ViewLimits,
+    plan_views,
+    situation_of_drawing,
+    situation_of_estimate,
+    viewpoint_commands,
+)
+from .motion import MotionLimits
+
+FIRST_VIEWS = 15
+"""Number of views that are planned from the drawing, before anything is fitted."""
+
+NEXT_VIEWS = 4
+"""Number of views that are planned after each fit: a few, because the next fit knows more."""
+
+MIN_FITTED_VIEWS = 4
+"""Smallest number of views to which the calibration is fitted."""
+
+
+class Proposal(NamedTuple):
+    """A view to take next.
+
+    Attributes:
+        base_from_tool: the pose to command, m.
+        is_rough: whether it was planned from the drawing, so that centimetres may be missing.
+    """
+
+    base_from_tool: Float[np.ndarray, "4 4"]
+    is_rough: bool
+
+
+class Estimate(NamedTuple):
+    """The knowledge after a fit.
+
+    Attributes:
+        views: number of views that the fit used.
+        error: standard deviation of the position of a point before the camera, m; infinite where
+            something is undetermined.
+        distance: distance of this point from the camera, m.
+        fit: the calibration; None where the fit failed.
+        warnings: doubts of the fit, gravest first, or why it failed.
+        proposals: views to take next, best first.
+    """
+
+    views: int
+    error: float
+    distance: float
+    fit: CalibrationFit | None
+    warnings: tuple[str, ...]
+    proposals: tuple[Proposal, ...]
+
+    @property
+    def is_reliable(self) -> bool:
+        """Whether there are enough views for the error to be believed."""
+        return self.views >= MINIMUM_RELIABLE_VIEWS
+
+    def reaches(self, goal: float) -> bool:
+        """Return whether the error is small enough, m, and may be believed."""
+        return self.is_reliable and self.error <= goal
+
+
+def first_proposals(
+    described: FolderDescription,
+    transforms: Mapping[str, SE3],
+    camera: Camera | None,
+    limits: ViewLimits,
+    motion: MotionLimits | None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Proposal, ...]:
+    """Return the first views, planned from rough transforms.
+
+    Args:
+        described: target, mount and size of the pictures.
+        transforms: rough poses of camera and target, by name.
+        camera: a known camera; None for one that is assumed.
+        limits: limits of the views.
+        motion: limits of the robot; None for none.
+        progress: called with a line of text for each stage.
+
+    Raises:
+        ValueError: a missing transform, or too few views within the limits.
+    """
+    situation = situation_of_drawing(
+        transforms,
+        described.mount,
+        np.asarray(described.target.points),
+        described.image_size,
+        camera,
+        limits,
+    )
+    return _proposals(situation, FIRST_VIEWS, motion, True, 0, None, progress)[0]
+
+
+def estimate(
+    data: Dataset,
+    camera: Camera | None,
+    limits: ViewLimits,
+    motion: MotionLimits | None,
+    goal: float | None,
+    lens: str = DEFAULT_LENS,
+    progress: Callable[[str], None] | None = None,
+) -> Estimate:
+    """Fit the views, and plan the next ones.
+
+    A fit that fails is no error here: more views will help.
+
+    Args:
+        data: the views so far.
+        camera: a known camera; None to estimate it.
+        limits: limits of the views.
+        motion: limits of the robot; None for none.
+        goal: error at which no more views are needed, m; None for none.
+        lens: the lens model.
+        progress: called with a line of text for each stage.
+    """
+    try:
+        fit = calibrate(data, lens, camera=camera, progress=progress)
+    except ValueError as error:
+        views = data.view_count - len(data.masked_views)
+        return Estimate(views, float("inf"), float("nan"), None, (str(error),), ())
+    used = int(np.asarray(fit.inliers).any(axis=-1).sum())
+    undetermined = fit.observability.null_directions
+    if undetermined or not np.isfinite(np.asarray(fit.covariance)).all():
+        words = tuple(f"not determined yet: {direction}" for direction in undetermined[:3])
+        return Estimate(used, float("inf"), float("nan"), fit, words, ())
+    try:
+        saved, points = SavedEstimate.of(fit.joint), np.asarray(data.points[0])
+        situation = situation_of_estimate(saved, points, limits)
+        # Another seed for every number of views: no two plans choose among the same candidates.
+        proposals, error, distance = _proposals(
+            situation, NEXT_VIEWS, motion, False, used, goal, progress
+        )
+    except ValueError as error:
+        return Estimate(used, float("inf"), float("nan"), fit, (str(error),), ())
+    return Estimate(used, error, distance, fit, fit.warnings, proposals)
+
+
+def _proposals(
+    situation: Situation,
+    count: int,
+    motion: MotionLimits | None,
+    is_rough: bool,
+    seed: int,
+    goal: float | None,
+    progress: Callable[[str], None] | None,
+) -> tuple[tuple[Proposal, ...], float, float]:
+    """Return proposals, the error before them, and the distance of the point it is about, m."""
+
+    def allowed(base_from_tool: SE3) -> np.ndarray:
+        poses = host_matrices(base_from_tool)
+        if motion is None:
+            return np.ones(len(poses), dtype=bool)
+        return np.array([motion.is_inside(pose) for pose in poses])
+
+    plan = plan_views(
+        situation.model,
+        situation.views,
+        count,
+        goal=goal,
+        least_gain=0.0,
+        border_margin=situation.border_margin,
+        allowed=allowed,
+        seed=seed,
+        progress=progress,
+    )
+    if not len(plan.camera_from_world):
+        return (), plan.before, plan.distance
+    wanted = host_transforms(plan.camera_from_world)
+    commands = viewpoint_commands(situation.calibration, wanted, situation.points)
+    poses = host_matrices(commands.base_from_tool)
+    return tuple(Proposal(pose, is_rough) for pose in poses), plan.before, plan.distance

@@ -1,0 +1,479 @@
+"""Take views one by one: look, test, store; fit in the background; move on request."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float, UInt8
+
+from ..calibration_pipeline import DEFAULT_LENS
+from ..cameras import Camera as CameraModel
+from ..dataset import Dataset
+from ..detection import Detection, detect
+from ..editor import OwnerLock
+from ..geometry import host_logarithms, host_matrices, host_transforms
+from ..io import GrowingDataset, load_dataset
+from ..targets import StackedTarget
+from ..viewpoints import ViewLimits
+from .coverage import Coverage, coverage
+from .estimation import MIN_FITTED_VIEWS, Estimate, Proposal, estimate, first_proposals
+from .motion import MotionLimits, refuse_if_stopped
+from .settling import SettleTest, settle_test
+from .sources import Camera, MoveRefusedError, MovingRobot, Reopened, Robot, SourceLostError
+from .typed_robot import TypedRobot
+
+NEW_POSITION, NEW_ANGLE = 0.02, float(np.deg2rad(5.0))
+"""Distance (m) or rotation (rad) from every view at which a pose is another view.
+
+In views that are nearer to each other the same errors of robot and lens come twice.
+"""
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class NotTakenError(RuntimeError):
+    """The error that a view was not taken; nothing was written."""
+
+
+class Look(NamedTuple):
+    """The present picture and pose.
+
+    Attributes:
+        picture: the picture.
+        detection: the target in it.
+        pose: `base_from_tool` that the robot reports, m; None where it is lost.
+        time: when, by `time.monotonic`, s.
+    """
+
+    picture: UInt8[np.ndarray, "..."]
+    detection: Detection
+    pose: Float[np.ndarray, "4 4"] | None
+    time: float
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """The choices of a person who captures.
+
+    Attributes:
+        goal: expected error at which to stop, m.
+        limits: limits of the views.
+        start: rough poses of camera and target, by name; without them nothing is proposed before
+            the first fit.
+        camera: a known camera; None to estimate it.
+        lens: the lens model.
+        motion: limits of the robot's motions; None if it is not to move.
+        first_fit: number of views from which on they are fitted.
+    """
+
+    goal: float = 4e-4
+    limits: ViewLimits = field(default_factory=ViewLimits)
+    start: Mapping[str, SE3] | None = None
+    camera: CameraModel | None = None
+    lens: str = DEFAULT_LENS
+    motion: MotionLimits | None = None
+    first_fit: int = MIN_FITTED_VIEWS
+
+
+class _View(NamedTuple):
+    """A view that was taken: its pose and the target's points, px."""
+
+    pose: Float[np.ndarray, "4 4"]
+    pixels: Float[np.ndarray, "points 2"]
+
+
+class CaptureSession:
+    """Views that are taken with a camera on a robot; all methods may be called by any thread.
+
+    Attributes:
+        folder: the data set.
+        options: goal and limits.
+        listener: called with a line of text for each thing that happens.
+    """
+
+    def __init__(
+        self,
+        folder: GrowingDataset,
+        camera: Reopened[Camera],
+        robot: Reopened[Robot],
+        options: CaptureOptions | None = None,
+        say: Callable[[str], None] | None = None,
+    ):
+        """Read the views that the folder has already.
+
+        Args:
+            folder: the data set.
+            camera, robot: where pictures and poses are from.
+            options: goal and limits.
+            say: called with a line of text for each thing that happens.
+
+        Raises:
+            ValueError: the folder has views that cannot be read.
+            BlockingIOError: another process captures into the folder.
+        """
+        self.folder: GrowingDataset = folder
+        self.options: CaptureOptions = options or CaptureOptions()
+        self._camera, self._robot = camera, robot
+        table = folder.table
+        self._lock = OwnerLock(table.with_name(f"{table.name}.lock"), "capture")
+        self.listener: Callable[[str], None] = say or (lambda _: None)
+        target = folder.description.target
+        self._board = target.board if isinstance(target, StackedTarget) else target
+        # Held while camera and robot are used: by one thread at a time.
+        self._using = threading.RLock()
+        self._stop_motion = threading.Event()
+        # Held while what follows is changed.
+        self._state = threading.RLock()
+        self._views: list[_View] = []
+        self._last_picture: np.ndarray | None = None
+        self._look: Look | None = None
+        self._settle: SettleTest | None = None
+        self._estimate: Estimate | None = None
+        self._proposals: list[Proposal] = []
+        self._fitted_views = 0
+        self._moving = False
+        self._closing = threading.Event()
+        self._wanted = threading.Condition(self._state)
+        try:
+            if folder.names:
+                self._add_known(load_dataset(folder.folder, "mask", progress=self.listener))
+        except BaseException:
+            self._lock.release()
+            raise
+        self._fitting = threading.Thread(target=self._fit_until_closed, daemon=True)
+
+    def _add_known(self, data: Dataset) -> None:
+        """Take over the views that the folder has already."""
+        visible = np.asarray(data.visible)[..., None]
+        pixels = np.where(visible, np.asarray(data.pixels), np.nan)
+        poses = host_matrices(data.base_from_tool)
+        self._views = [_View(pose, view) for pose, view in zip(poses, pixels, strict=True)]
+
+    def __enter__(self) -> "CaptureSession":
+        """Begin to fit in the background."""
+        self._fitting.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop the robot, end the thread that fits, and close camera and robot."""
+        self.stop()
+        self._closing.set()
+        with self._wanted:
+            self._wanted.notify_all()
+        # A fit cannot be interrupted; a thread that still computed would abort the process.
+        self._fitting.join()
+        self._camera.close()
+        self._robot.close()
+        self._lock.release()
+
+    # What there is.
+
+    @property
+    def view_count(self) -> int:
+        """The number of views taken."""
+        with self._state:
+            return len(self._views)
+
+    @property
+    def last_look(self) -> Look | None:
+        """The last picture that was looked at; None before the first."""
+        with self._state:
+            return self._look
+
+    @property
+    def last_settle_test(self) -> SettleTest | None:
+        """The settle test of the last attempt to take a view."""
+        with self._state:
+            return self._settle
+
+    @property
+    def last_estimate(self) -> Estimate | None:
+        """The last fit; None before the first."""
+        with self._state:
+            return self._estimate
+
+    @property
+    def is_fitting(self) -> bool:
+        """Whether views were taken that no fit has seen yet."""
+        with self._state:
+            return self._is_fit_wanted()
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the robot moves on request of this session."""
+        with self._state:
+            return self._moving
+
+    @property
+    def is_typed(self) -> bool:
+        """Whether a person types the robot's poses."""
+        # Opening it might wait for a network.
+        return isinstance(self._robot.current, TypedRobot)
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether motions are refused since a stop."""
+        return self._stop_motion.is_set()
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether the expected error of the last fit is as small as wanted."""
+        with self._state:
+            return self._estimate is not None and self._estimate.reaches(self.options.goal)
+
+    @property
+    def proposal(self) -> Proposal | None:
+        """The view to take next; None if none is known, or the goal is reached."""
+        with self._state:
+            return self._proposals[0] if self._proposals and not self.is_reached else None
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """Why camera or robot do not answer, in sentences; empty if both do."""
+        named = (("camera", self._camera.trouble), ("robot", self._robot.trouble))
+        return tuple(f"{name}: {trouble}" for name, trouble in named if trouble)
+
+    def coverage(self) -> Coverage:
+        """Return which parts of the picture and which rotations the views cover."""
+        with self._state:
+            views = list(self._views)
+        return coverage(
+            [view.pixels for view in views],
+            [view.pose for view in views],
+            self.folder.description.image_size,
+        )
+
+    # What a person or a program does.
+
+    def plan_first(self) -> None:
+        """Plan the first views from the rough transforms, if there are any and no fit yet.
+
+        Raises:
+            ValueError: a missing transform, or too few views within the limits.
+        """
+        if self.options.start is None:
+            return
+        planned = first_proposals(
+            self.folder.description,
+            self.options.start,
+            self.options.camera,
+            self.options.limits,
+            self.options.motion,
+        )
+        with self._state:
+            if self._estimate is None or not self._estimate.proposals:
+                # Where a process was killed, the next one goes on after the views that it took.
+                self._proposals = [
+                    proposal for proposal in planned if not self._is_near_a_view(proposal)
+                ]
+
+    def look(self) -> Look:
+        """Return a picture with the target found in it, and the robot's pose.
+
+        Raises:
+            SourceLostError: the camera gives no picture.
+        """
+        with self._using:
+            picture = self._read()
+            try:
+                pose = self._pose()
+            except SourceLostError:
+                pose = None
+        look = Look(picture, detect(picture, self._board), pose, time.monotonic())
+        with self._state:
+            self._look = look
+        return look
+
+    def take(self) -> str:
+        """Take a view if everything stands still, and return its name.
+
+        Raises:
+            NotTakenError: the target is not found, something moves, or the picture is an old one.
+            SourceLostError: camera or robot do not answer.
+            OSError: the folder cannot be written to.
+            ValueError: a picture of a wrong size, or a pose in a wrong unit.
+        """
+        # To the end, so that two views are not taken at once; the state is free meanwhile.
+        with self._using:
+            before = self._pose()
+            first = self._read()
+            second = self._read() if self._camera.get().is_continuous else first
+            after = self._pose()
+            found = detect(second, self._board)
+            found_first = found if second is first else detect(first, self._board)
+            test = settle_test(found_first, found, before, after)
+            with self._state:
+                self._look = Look(second, found, after, time.monotonic())
+                self._settle = test
+                last = self._last_picture
+            if not test.is_settled:
+                raise NotTakenError(test.reason)
+            if last is not None and np.array_equal(second, last):
+                raise NotTakenError("the camera still shows the picture of the last view")
+            name = self.folder.add(second, host_transforms(after))
+            robot = self._robot.current
+            # The pose of the next view has to be typed again.
+            if isinstance(robot, TypedRobot):
+                robot.forget()
+        with self._state:
+            self._last_picture = second
+            self._views.append(_View(after, found.pixels))
+            self._proposals = [p for p in self._proposals if not _is_near(p.base_from_tool, after)]
+            self._wanted.notify_all()
+        self.listener(f"view {name} taken: {int(found.visible.sum())} points")
+        return name
+
+    def is_new_place(self) -> bool:
+        """Return whether the robot stands at a place from which no view was taken."""
+        with self._using:
+            pose = self._pose()
+        with self._state:
+            return not any(_is_near(pose, view.pose) for view in self._views)
+
+    def type_pose(self, text: str) -> None:
+        """Take the robot's pose from a text that a person typed.
+
+        Raises:
+            ValueError: the text is no pose, or this robot reports its poses itself.
+        """
+        robot = self._robot.get()
+        if not isinstance(robot, TypedRobot):
+            raise ValueError("the robot reports its poses itself")
+        robot.type(text)
+
+    def move_to(self, proposal: Proposal) -> None:
+        """Move the robot to a proposed view.
+
+        Raises:
+            MoveRefusedError: motions are off, or the pose is outside of the box or not reached.
+            SourceLostError: the robot does not answer.
+        """
+        limits = self.options.motion
+        if limits is None:
+            raise MoveRefusedError("motions are off: start with --move")
+        limits.require_inside(proposal.base_from_tool)
+        with self._using:
+            refuse_if_stopped(self._stop_motion)
+            robot = self._robot.get()
+            if not isinstance(robot, MovingRobot):
+                raise MoveRefusedError("this robot is not moved by this program")
+            # A straight line between two points of a box stays in it.
+            limits.require_inside(self._pose())
+            with self._state:
+                self._moving = True
+            try:
+                robot.move(proposal.base_from_tool, limits.speed, self._stop_motion)
+            except SourceLostError as error:
+                self._robot.lose(error)
+                raise
+            finally:
+                with self._state:
+                    self._moving = False
+
+    def stop(self) -> None:
+        """Stop the robot's motion, and refuse all others until `allow_motion`.
+
+        May be called while another thread moves the robot.
+        """
+        self._stop_motion.set()
+
+    def allow_motion(self) -> None:
+        """Allow motions again after a stop, which only a person may do."""
+        self._stop_motion.clear()
+
+    def skip(self, proposal: Proposal) -> None:
+        """Forget a proposed view that cannot be taken."""
+        with self._state:
+            self._proposals = [p for p in self._proposals if p is not proposal]
+
+    def wait_for_fit(self, timeout: float) -> bool:
+        """Wait until a fit has seen all views; return False if that takes too long.
+
+        Args:
+            timeout: longest time to wait, s.
+        """
+        with self._wanted:
+            return self._wanted.wait_for(lambda: not self._is_fit_wanted(), timeout)
+
+    # What is done in the background, and for the methods above.
+
+    def _is_fit_wanted(self) -> bool:
+        """Return whether there are enough views, and some are in no fit."""
+        return len(self._views) >= self.options.first_fit and self._fitted_views < len(self._views)
+
+    def _fit_until_closed(self) -> None:
+        """Fit whenever there are new views."""
+        while True:
+            with self._wanted:
+                self._wanted.wait_for(lambda: self._is_fit_wanted() or self._closing.is_set())
+                if self._closing.is_set():
+                    return
+                count = len(self._views)
+            # Whatever fails in a fit, the next one has more views.
+            try:
+                self._fit()
+            except Exception as error:
+                _LOGGER.exception("a fit failed")
+                self.listener(f"the fit failed: {error}")
+            with self._wanted:
+                self._fitted_views = count
+                self._wanted.notify_all()
+
+    def _fit(self) -> None:
+        """Fit the views in the folder, and take over the proposals."""
+        options = self.options
+        with self.folder.lock:
+            data = load_dataset(self.folder.folder, "mask")
+        found = estimate(
+            data, options.camera, options.limits, options.motion, options.goal, options.lens
+        )
+        with self._state:
+            self._estimate = found
+            # A calibration from few views may be far off: until then the drawing is safer.
+            if found.proposals and (found.is_reliable or not self._proposals):
+                self._proposals = [p for p in found.proposals if not self._is_near_a_view(p)]
+        error = f"{1e3 * found.error:.2g} mm" if np.isfinite(found.error) else "not known yet"
+        self.listener(f"fit of {found.views} views: expected error {error}")
+
+    def _is_near_a_view(self, proposal: Proposal) -> bool:
+        """Return whether a view was taken from about there."""
+        return any(_is_near(proposal.base_from_tool, view.pose) for view in self._views)
+
+    def _read(self) -> UInt8[np.ndarray, "..."]:
+        """Return a picture; a camera that fails is opened again later."""
+        camera = self._camera.get()
+        try:
+            return camera.read()
+        except OSError as error:
+            self._camera.lose(error)
+            raise SourceLostError(f"camera: {error}") from error
+
+    def _pose(self) -> Float[np.ndarray, "4 4"]:
+        """Return the robot's pose; a connection that fails is opened again later."""
+        robot = self._robot.get()
+        try:
+            return robot.pose()
+        except OSError as error:
+            # A person who has not typed yet is not lost.
+            if isinstance(robot, TypedRobot):
+                raise SourceLostError(str(error)) from error
+            self._robot.lose(error)
+            raise SourceLostError(f"robot: {error}") from error
+
+
+def _is_near(first: Float[np.ndarray, "4 4"], second: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether two poses are too near to each other for two views."""
+    distance = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+    turn = float(np.linalg.norm(host_logarithms(np.linalg.inv(first) @ second)[3:]))
+    return distance < NEW_POSITION and turn < NEW_ANGLE

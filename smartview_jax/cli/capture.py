@@ -1,0 +1,277 @@
+"""Define `smartview capture`, which takes calibration views live, with a page or unattended."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .capture_sources import open_sources
+from .fit_options import parse_transforms
+from .json_document import print_document
+from .number_lists import parse_numbers
+from .options import BelowOption, DebugOption, JsonOption, PoseFormatOption
+from .terminal import errors_reported
+
+if TYPE_CHECKING:
+    from ..capture import CaptureOptions, CaptureOutcome, CaptureSession, MotionLimits
+    from ..io import GrowingDataset
+    from .capture_sources import Sources
+
+
+class Program(StrEnum):
+    """The programs for controllers that the command prints."""
+
+    KRL = "krl"
+    RAPID = "rapid"
+    URSCRIPT = "urscript"
+    VAL3 = "val3"
+    ROS2 = "ros2"
+
+
+def capture(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(help="Data-set folder, as smartview new begins one; views are added to it."),
+    ] = None,
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="Source of pictures, such as 0: OpenCV's index of a camera, a video file or the "
+            "address of a stream, a folder that fills up with pictures, or simulated."
+        ),
+    ] = "0",
+    robot: Annotated[
+        str,
+        typer.Option(
+            help="Source of poses, such as tcp:192.168.0.10:5000 (the controller listens), "
+            "listen:192.168.0.100:5000 (it connects to this machine's address), ur:192.168.0.10 "
+            "(Universal Robots), simulated, or typed (a person types or pastes each pose)."
+        ),
+    ] = "typed",
+    pose_format: PoseFormatOption = "",
+    goal: Annotated[
+        float,
+        typer.Option(
+            min=0.001, help="Stop when the expected error is this small, mm, such as 0.4."
+        ),
+    ] = 0.4,
+    views: Annotated[
+        int, typer.Option(min=4, max=1000, help="Most views, a number such as 30.")
+    ] = 40,
+    known_camera: Annotated[
+        Path | None,
+        typer.Option(help="A known camera, which is held, such as calibration.yaml."),
+    ] = None,
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Rough pose of camera or target, from which the first views are planned: "
+            "x,y,z,yaw,pitch,roll in m and degrees, such as camera_from_tool=0,0.05,0.06,90,0,0 "
+            "(or its inverse, tool_from_camera). May be repeated."
+        ),
+    ] = None,
+    below: BelowOption = None,
+    move: Annotated[
+        bool,
+        typer.Option(
+            "--move",
+            help="Let this program move the robot, within --box and at --speed. Keep the "
+            "emergency stop at hand.",
+        ),
+    ] = False,
+    box: Annotated[
+        str | None,
+        typer.Option(
+            help="With --move: opposite corners of the box that the tool never leaves, in the base "
+            "frame, x,y,z,x,y,z in m, such as 0.3,-0.4,0.2,0.9,0.4,0.8."
+        ),
+    ] = None,
+    speed: Annotated[
+        float,
+        typer.Option(
+            min=1.0, max=250.0, help="With --move: largest speed of the tool, mm/s, such as 50."
+        ),
+    ] = 100.0,
+    auto: Annotated[
+        bool,
+        typer.Option(
+            "--auto",
+            help="Without a page: take views until the goal is reached. With --move the robot is "
+            "moved; otherwise a view is taken wherever it stands still.",
+        ),
+    ] = False,
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=1.0,
+            help="With --auto: end after this time without camera, robot or view, a number of "
+            "seconds such as 60.",
+        ),
+    ] = 60.0,
+    port: Annotated[
+        int, typer.Option(help="Port of the page, such as 8765; 0 takes a free one.")
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
+    seed: Annotated[
+        int, typer.Option(help="Random seed of the simulated cell, a number such as 3.")
+    ] = 0,
+    print_program: Annotated[
+        Program | None,
+        typer.Option(
+            help="Only print a program for the controller that answers tcp: or listen:, or a node "
+            "for ROS 2."
+        ),
+    ] = None,
+    json: JsonOption = False,
+    debug: DebugOption = False,
+) -> None:
+    """Take calibration views live: find the target, test that all stands still, store, fit, plan.
+
+    A page on this machine shows the picture, what is covered, the expected error and the next
+    pose. Every view is stored at once, as a picture and a row; the same command goes on after a
+    lost camera, a lost robot or a crash.
+    """
+    with errors_reported(debug):
+        if print_program is not None:
+            from ..capture import controller_program
+
+            typer.echo(controller_program(print_program.value), nl=False)
+            return
+        if folder is None:
+            raise ValueError("expected the folder of a data set (smartview new begins one)")
+        try:
+            sources = open_sources(camera, robot, pose_format, folder, seed)
+        except ImportError as error:
+            # The user can install a missing extra: one line, no traceback.
+            raise ValueError(str(error)) from error
+        from ..capture import CaptureSession, capture_unattended
+        from ..io import GrowingDataset
+
+        motion = _motion(move, box, speed, sources)
+        with GrowingDataset(folder) as data:
+            if auto and robot == "typed":
+                raise ValueError("--auto: needs a robot that reports its poses, found typed")
+            options = _options(data, start, known_camera, goal, below, motion, sources, auto)
+            _refuse_unplanned(auto and move, options, len(data.names))
+            say = _say if auto else (lambda _: None)
+            with CaptureSession(data, sources.camera, sources.robot, options, say) as session:
+                if auto:
+                    outcome = capture_unattended(session, views, patience)
+                    _give(outcome, goal, folder, json)
+                    if not outcome.is_reached:
+                        raise typer.Exit(1)
+                    return
+                _serve(session, port, folder, browser, views)
+
+
+def _say(text: str) -> None:
+    """Print what happens on stderr, so that a redirected result does not contain it."""
+    typer.echo(text, err=True)
+
+
+def _motion(move: bool, box: str | None, speed: float, sources: "Sources") -> "MotionLimits | None":
+    """Return the limits of motions; None if the robot is not to move."""
+    from ..capture import MotionLimits
+
+    if not move:
+        if box is not None:
+            raise ValueError("--box: only with --move")
+        return None
+    if box is None:
+        if sources.simulated is None:
+            raise ValueError("--move: needs --box x,y,z,x,y,z (m), which the tool never leaves")
+        return sources.simulated.limits
+    numbers = parse_numbers("--box", box, 6, "x,y,z,x,y,z (m)")
+    corners = list(zip(numbers[:3], numbers[3:], strict=True))
+    lowest, highest = zip(*map(sorted, corners), strict=True)
+    return MotionLimits(tuple(lowest), tuple(highest), 1e-3 * speed)
+
+
+def _options(
+    data: "GrowingDataset",
+    start: list[str] | None,
+    known_camera: Path | None,
+    goal: float,
+    below: bool | None,
+    motion: "MotionLimits | None",
+    sources: "Sources",
+    auto: bool,
+) -> "CaptureOptions":
+    """Return the choices of the options."""
+    from ..calibration import transform_names
+    from ..capture import MIN_FITTED_VIEWS, CaptureOptions
+    from ..dataset import MINIMUM_RELIABLE_VIEWS
+    from ..io import read_camera
+    from ..viewpoints import ViewLimits
+
+    described = data.description
+    rough = parse_transforms(start, described.mount) if start else {}
+    mount_name, holder_name = transform_names(described.mount)
+    if not rough and sources.simulated is not None:
+        drawing = sources.simulated.drawing
+        rough = {mount_name: drawing.camera_from_mount, holder_name: drawing.holder_from_world}
+    # dataset.yaml may state the target's pose; the option takes precedence.
+    if rough and described.holder_from_world is not None:
+        rough.setdefault(holder_name, described.holder_from_world)
+    camera = None if known_camera is None else read_camera(known_camera)
+    return CaptureOptions(
+        goal=1e-3 * goal,
+        limits=ViewLimits(below=below),
+        start=rough or None,
+        camera=camera,
+        motion=motion,
+        # A person wants to see how it goes; nobody reads the first fits of an unattended run.
+        first_fit=MINIMUM_RELIABLE_VIEWS if auto else MIN_FITTED_VIEWS,
+    )
+
+
+def _refuse_unplanned(moves_alone: bool, options: "CaptureOptions", views: int) -> None:
+    """Raise a ValueError where the robot is to move alone and nothing says where to."""
+    if moves_alone and options.start is None and views < options.first_fit:
+        raise ValueError(
+            "--auto --move: needs --start with rough poses of camera and target, from which the "
+            f"first views are planned, or a folder with {options.first_fit} views"
+        )
+
+
+def _give(outcome: "CaptureOutcome", goal: float, folder: Path, json: bool) -> None:
+    """Print how an unattended capture ended."""
+    if json:
+        content = {
+            "reached": outcome.is_reached,
+            "views": outcome.views,
+            "std_mm": 1e3 * outcome.error,
+            "goal_mm": goal,
+            "reason": outcome.reason,
+            "folder": str(folder),
+        }
+        print_document("capture", content)
+        return
+    import math
+
+    error = f"{1e3 * outcome.error:.2g} mm" if math.isfinite(outcome.error) else "unknown"
+    typer.echo(outcome.reason)
+    typer.echo(f"{folder}: {outcome.views} views, expected error {error} (standard deviation)")
+    typer.echo(f"next: smartview calibrate {folder}")
+
+
+def _serve(session: "CaptureSession", port: int, folder: Path, browser: bool, views: int) -> None:
+    """Serve the page until the process is interrupted."""
+    from ..capture import serve_capture
+
+    try:
+        serve_capture(session, port, lambda address: _announce(address, folder, browser), views)
+    except ImportError as error:
+        raise ValueError(str(error)) from error
+
+
+def _announce(address: str, folder: Path, browser: bool) -> None:
+    """Print the page's address, and open it if requested."""
+    import webbrowser
+
+    typer.echo(f"capture into {folder} is at\n{address}\nCtrl-C stops it; all views are stored")
+    if browser:
+        webbrowser.open(address)

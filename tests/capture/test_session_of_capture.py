@@ -1,0 +1,284 @@
+"""Views are taken when all stands still, stored at once, and survive what happens."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from capture_scene import PATIENCE, Rig, everywhere, new_folder, quick_fit, wait_until
+from fit_scenes import scene_of
+
+from smartview_jax.capture import (
+    MoveRefusedError,
+    NotTakenError,
+    Proposal,
+    SourceLostError,
+    capture_unattended,
+)
+from smartview_jax.capture.estimation import estimate
+from smartview_jax.geometry import host_matrices
+from smartview_jax.io import load_dataset
+from smartview_jax.viewpoints import ViewLimits
+
+
+@pytest.fixture
+def rig(monkeypatch):
+    rig = Rig()
+    monkeypatch.setattr("smartview_jax.capture.session.estimate", quick_fit(rig))
+    return rig
+
+
+def test_views_are_stored_as_they_are_taken_and_fitted(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder) as session:
+        for rig.at in range(4):
+            assert session.take() == f"v{1 + rig.at}"
+            # At every moment the folder is a data set.
+            assert load_dataset(folder).view_count == 1 + rig.at
+        assert session.wait_for_fit(PATIENCE)
+        assert session.last_estimate.views == 4
+        assert not session.is_reached
+        covered = session.coverage()
+        assert 0.2 < covered.covered_fraction <= 1.0
+        assert (covered.rotations > 0.0).all()
+    data = load_dataset(folder)
+    np.testing.assert_allclose(host_matrices(data.base_from_tool), rig.poses[:4], atol=1e-9)
+    assert not list(folder.glob("*.lock"))
+
+
+def test_a_view_that_does_not_stand_still_is_not_taken(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder) as session:
+        rig.sways = True
+        with pytest.raises(NotTakenError, match=r"the target moves in the picture: 1\.00 px"):
+            session.take()
+        rig.sways = False
+        session.take()
+        with pytest.raises(NotTakenError, match="still shows the picture of the last view"):
+            session.take()
+    assert load_dataset(folder).view_count == 1
+
+
+def test_lost_sources_come_back(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder) as session:
+        session.take()
+        rig.at, rig.camera_error = 1, "unplugged"
+        with pytest.raises(SourceLostError, match="unplugged"):
+            session.look()
+        with pytest.raises(SourceLostError, match="unplugged"):
+            session.take()
+        assert session.troubles == ("camera: unplugged",)
+        rig.camera_error, rig.robot_error = None, "no network"
+        wait_until(lambda: looks(session))
+        # The picture is shown while the robot is away.
+        assert session.last_look.pose is None
+        with pytest.raises(SourceLostError, match="no network"):
+            session.take()
+        rig.robot_error = None
+        wait_until(lambda: takes(session))
+        assert session.troubles == ()
+    assert rig.opened == {"camera": 2, "robot": 2}
+    assert load_dataset(folder).view_count == 2
+
+
+def looks(session):
+    try:
+        session.look()
+    except SourceLostError:
+        return False
+    return True
+
+
+def takes(session):
+    try:
+        session.take()
+    except SourceLostError:
+        return False
+    return True
+
+
+def test_another_process_goes_on_in_the_same_folder(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder) as session:
+        for rig.at in range(3):
+            session.take()
+        with pytest.raises(BlockingIOError, match="is open in another capture"):
+            rig.session(folder)
+    with rig.session(folder) as session:
+        assert session.view_count == 3
+        rig.at = 2
+        assert not session.is_new_place()
+        rig.at = 3
+        assert session.is_new_place()
+        assert session.take() == "v4"
+
+
+def test_motions_are_off_bounded_and_stopped(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    view = Proposal(rig.poses[1], False)
+    with rig.session(folder) as session, pytest.raises(MoveRefusedError, match="start with --move"):
+        session.move_to(view)
+    x = rig.poses[0, 0, 3]
+    narrow = everywhere()._replace(lowest=(x - 0.01, -3.0, -3.0), highest=(x + 0.01, 3.0, 3.0))
+    with rig.session(folder, motion=narrow) as session:
+        with pytest.raises(MoveRefusedError, match=r"at x = .* outside the box"):
+            session.move_to(view)
+        # A robot that stands outside is not led in along an unknown path.
+        rig.at = 1
+        with pytest.raises(MoveRefusedError, match="outside the box"):
+            session.move_to(Proposal(rig.poses[0], False))
+    rig.at = 0
+    with rig.session(folder, motion=everywhere()) as session:
+        rig.finish.clear()
+        failed = []
+        mover = threading.Thread(target=lambda: failed.append(refusal(session, view)))
+        mover.start()
+        assert rig.on_the_way.wait(PATIENCE)
+        assert session.is_moving
+        session.stop()
+        mover.join(PATIENCE)
+        assert failed == ["stopped"]
+        rig.finish.set()
+        # A stop holds until a person allows motions again.
+        assert refusal(session, view) == "stopped"
+        assert rig.moved_to == []
+        session.allow_motion()
+        session.move_to(view)
+        assert rig.moved_to == [1]
+
+
+def refusal(session, view):
+    try:
+        session.move_to(view)
+    except MoveRefusedError as error:
+        return str(error)
+    return None
+
+
+def test_an_unattended_run_ends_when_the_goal_is_reached(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder, goal=1e-3, motion=everywhere()) as session:
+        for rig.at in range(4):
+            session.take()
+        rig.camera_error = "asleep"
+        threading.Timer(0.3, lambda: setattr(rig, "camera_error", None)).start()
+        outcome = capture_unattended(session, patience=PATIENCE)
+    assert outcome.is_reached
+    assert outcome.reason == "stop: 1 mm reached"
+    assert outcome.error <= 1e-3
+    assert 9 <= outcome.views == load_dataset(folder).view_count <= 11
+
+
+def test_an_unattended_run_says_why_it_ends_without_the_goal(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder, motion=everywhere()) as session:
+        assert "no more views can be proposed" in capture_unattended(session).reason
+        for rig.at in range(4):
+            session.take()
+        assert capture_unattended(session, 6).reason == "6 views were taken"
+        rig.robot_error = "no network"
+        lost = capture_unattended(session, patience=0.5)
+        assert lost.reason == "nothing for 0.5 s: no network"
+        assert not lost.is_reached
+        session.stop()
+        assert capture_unattended(session).reason == "stopped"
+
+
+def test_a_plan_and_a_fit_may_take_longer_than_a_lost_camera(tmp_path, rig, monkeypatch):
+    """A machine that compiles for the first time is not out of order."""
+    folder = new_folder(tmp_path / "data")
+    fit = quick_fit(rig)
+
+    def slow_fit(*arguments):
+        time.sleep(0.6)
+        return fit(*arguments)
+
+    monkeypatch.setattr("smartview_jax.capture.session.estimate", slow_fit)
+    with rig.session(folder, goal=1e-3, motion=everywhere()) as session:
+        monkeypatch.setattr(session, "plan_first", lambda: time.sleep(0.6))
+        for rig.at in range(4):
+            session.take()
+        assert capture_unattended(session, patience=0.5).reason == "stop: 1 mm reached"
+
+
+def test_a_robot_that_another_program_moves_is_watched(tmp_path, rig):
+    """Views are taken wherever it stands still, and not twice at one place."""
+    folder = new_folder(tmp_path / "data")
+    closing = threading.Event()
+    with rig.session(folder) as session:
+        run = threading.Thread(target=lambda: capture_unattended(session, closing=closing))
+        run.start()
+        for rig.at in range(3):
+            wait_until(lambda: session.view_count == 1 + rig.at)
+        closing.set()
+        run.join(PATIENCE)
+        assert session.view_count == 3
+
+
+KILLED = """
+import os, signal, sys
+sys.path[:0] = sys.argv[2:]
+from capture_scene import Rig
+rig = Rig()
+with rig.session(sys.argv[1]) as session:
+    session.listener = lambda text: print(text, flush=True)
+    for rig.at in range(15):
+        session.take()
+"""
+
+
+def test_nothing_that_was_taken_is_lost_with_the_process(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    paths = [str(Path(__file__).parent), str(Path(__file__).parent.parent)]
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(folder), *paths],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ},
+    )
+    said = []
+    with process:
+        for line in process.stdout:
+            said.append(line)
+            if len(said) == 2:
+                process.kill()
+        assert process.wait(PATIENCE) == -9
+    taken = sum("taken" in line for line in said)
+    # The lock of the killed process is stale.
+    with rig.session(folder) as session:
+        assert taken >= 2
+        assert taken <= session.view_count <= taken + 1
+        rig.at = 14
+        session.take()
+    data = load_dataset(folder)
+    count = data.view_count - 1
+    expected = [*rig.poses[:count], rig.poses[14]]
+    np.testing.assert_allclose(host_matrices(data.base_from_tool), expected, atol=1e-9)
+    assert not data.masked_views
+
+
+def test_an_estimate_states_the_error_and_proposes_views():
+    noise = {"pixel_noise": 0.15, "translation_noise": 1e-4, "rotation_noise": 2e-4}
+    data = scene_of(1, **noise).data
+    found = estimate(data, None, ViewLimits(), everywhere(), None)
+    assert found.is_reliable
+    assert found.reaches(1.01 * found.error)
+    assert not found.reaches(0.99 * found.error)
+    assert 5e-5 < found.error < 2e-3
+    assert len(found.proposals) == 4
+    assert not any(proposal.is_rough for proposal in found.proposals)
+
+
+def test_a_fit_that_fails_waits_for_more_views():
+    data = scene_of(1).data
+    unusable = dataclasses.replace(data, visible=data.visible & False)
+    found = estimate(unusable, None, ViewLimits(), None, None)
+    assert (found.fit, found.proposals, found.error) == (None, (), float("inf"))
+    assert found.warnings
+    assert not found.reaches(1.0)
