@@ -204,10 +204,15 @@ def write_table(
     if VIEW_COLUMN in header:
         column = list(header).index(VIEW_COLUMN)
         require_readable(f"{path}: view", dict.fromkeys(row[column] for row in rows))
-    # `repr` gives the shortest text from which Python reads the same float again.
+    lines = [row_text(row) for row in (header, *rows)]
+    lines += [f"# {comment}\n" for comment in comments]
+    write_atomically(path, "".join(lines))
+
+
+def row_text(row: Sequence[object]) -> str:
+    """Return a row as a line of a CSV file; floats keep every digit."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows([repr(float(x)) if isinstance(x, float) else x for x in row] for row in rows)
-    text.writelines(f"# {comment}\n" for comment in comments)
-    write_atomically(path, text.getvalue())
+    # `repr` gives the shortest text from which Python reads the same float again.
+    fields = [repr(float(x)) if isinstance(x, float) else x for x in row]
+    csv.writer(text, lineterminator="\n").writerow(fields)
+    return text.getvalue()

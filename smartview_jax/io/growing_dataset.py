@@ -23,7 +23,7 @@ from jaxtyping import UInt8
 from ..argument_checks import require_readable
 from ..files import read_yaml, write_atomically
 from ..geometry import as_se3, host_matrices
-from .csv_tables import read_table, refuse_out_of_range
+from .csv_tables import read_table, refuse_out_of_range, row_text
 from .dataset_folder import DESCRIPTION_FILE
 from .folder_description import FolderDescription, read_folder_description
 from .pending_pictures import PENDING_SUFFIX, pending_path, pending_pictures
@@ -126,7 +126,7 @@ class GrowingDataset:
             self._last = [path]
             write_atomically(pending_path(path), data.tobytes())
             # From here on the view exists.
-            write_atomically(self.table, f"{text}{end}{row}\n")
+            write_atomically(self.table, f"{text}{end}{row}")
             self._names.append(view)
             _give_final_name(path)
             return view
@@ -179,7 +179,7 @@ class GrowingDataset:
             )
 
     def _row(self, view: str, base_from_tool: SE3) -> str:
-        """Return the row of a view."""
+        """Return the line of a view in the table."""
         form = self.pose_format
         pose = as_se3(base_from_tool)
         refuse_out_of_range(self.table, np.asarray(pose.translation())[None], [view])
@@ -188,9 +188,9 @@ class GrowingDataset:
         numbers = form.codec.encode(pose, *form.units)
         # Read back here, so that no row is written that the readers refuse.
         form.codec.decode(numbers[None], *form.units, labels=[view])
-        fields = dict(zip(form.columns, (repr(float(x)) for x in numbers), strict=True))
+        fields: dict[str, object] = dict(zip(form.columns, map(float, numbers), strict=True))
         fields |= {VIEW_COLUMN: view, FORMAT_COLUMN: form.codec.name}
-        return ",".join(fields[column] for column in self._header)
+        return row_text([fields[column] for column in self._header])
 
     def _picture_path(self, view: str) -> Path:
         """Return the path of a view's picture."""

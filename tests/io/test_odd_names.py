@@ -34,6 +34,8 @@ from smartview_jax.io import (
 )
 from smartview_jax.io.csv_tables import write_table
 from smartview_jax.io.detections import KeptDetection, read_kept_detections, write_kept_detections
+from smartview_jax.io.growing_dataset import GrowingDataset
+from smartview_jax.io.new_description import write_description
 from smartview_jax.io.poses import read_poses
 from smartview_jax.modeling import Face, Grasp, ObjectModel
 from smartview_jax.robots import kuka_lwr4
@@ -217,6 +219,20 @@ def journal(folder, name):
     return history.document.name
 
 
+def growing(folder, name):
+    write_description(folder, TARGET, "eye_in_hand", (640, 480))
+    before = files_in(folder)
+    try:
+        with GrowingDataset(folder) as views:
+            views.add(np.zeros((480, 640), np.uint8), host_transforms(POSES[0]), name)
+    except ValueError:
+        assert files_in(folder) == before
+        shutil.rmtree(folder)
+        raise
+    with GrowingDataset(folder) as views:
+        return views.names[0]
+
+
 PAIRS = {
     "data set": dataset_folder,
     "description": description,
@@ -234,6 +250,7 @@ PAIRS = {
     "misses": misses,
     "correspondences": correspondences,
     "times of pictures": picture_times,
+    "growing data set": growing,
     "journal": journal,
 }
 
@@ -248,6 +265,8 @@ WRITERS = {
     "io/detections.py write_detections": "data set",
     "io/detections.py write_kept_detections": "kept detections",
     "io/easy_handeye.py write_easy_handeye": "(poses only)",
+    "io/growing_dataset.py add": "growing data set",
+    "io/new_description.py write_description": "(a table without rows)",
     "io/joints.py write_joints": "data set",
     "io/matrix_rows.py write_matrix_rows": "(poses only)",
     "io/meshes.py write_mesh": "(triangles only)",
