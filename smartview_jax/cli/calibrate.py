@@ -16,6 +16,7 @@ from .calibrate_folder import (
     write_files,
 )
 from .calibrate_folders import calibrate_folders
+from .calibrate_rig import calibrate_rig_folders
 from .fit_options import FitKnowledge
 from .json_document import print_document
 from .option_groups import with_option_groups
@@ -72,6 +73,14 @@ def calibrate(
             "as there are processors.",
         ),
     ] = None,
+    together: Annotated[
+        bool,
+        typer.Option(
+            "--together",
+            help="Several folders are cameras that watched one robot, such as left right: one fit "
+            "of all. Views of the same name have the same pose.",
+        ),
+    ] = False,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
@@ -94,6 +103,10 @@ def calibrate(
             time_offset,
             None if mount is None else mount.value,
         )
+        if together:
+            if not calibrate_rig_folders(datasets or [], out, settings, json):
+                raise typer.Exit(1)
+            return
         if datasets is not None and len(datasets) > 1:
             code = calibrate_folders(datasets, out, settings, jobs, json)
             if code:

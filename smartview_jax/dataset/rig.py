@@ -1,5 +1,6 @@
 """Hold the data sets of several cameras that watched one robot move."""
 
+import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -17,6 +18,9 @@ from .pose_dataset import PoseDataset
 
 ONE_TARGET = "target"
 """Name of the target if all cameras of a rig see the same one."""
+
+NAME = re.compile(r"[\w-]+")
+"""The names of cameras and targets, which are parts of parameters' names."""
 
 SAME_POSE_TOLERANCE = 1e-9
 """Largest difference, m or no unit, between the poses that two data sets have for one state."""
@@ -59,10 +63,9 @@ class Rig:
             require_instance(f"Rig: camera {name!r}", data, Dataset)
             if isinstance(data, PoseDataset):
                 raise TypeError(f"Rig: camera {name!r}: tracked poses have no pixels")
-            if not name.isidentifier():
+            if not NAME.fullmatch(name):
                 raise ValueError(
-                    f"Rig: a camera's name is a letter, and more letters, digits and '_'; found "
-                    f"{name!r}"
+                    f"Rig: a camera's name has letters, digits, '_' and '-'; found {name!r}"
                 )
         self.cameras: Mapping[str, Dataset] = MappingProxyType(dict(cameras))
         self.targets: Mapping[str, str] = MappingProxyType(_checked_targets(cameras, targets))
@@ -143,10 +146,10 @@ def _checked_targets(
         )
     mount_of: dict[str, str] = {}
     for name, target in targets.items():
-        if not target.isidentifier() or target in cameras:
+        if not NAME.fullmatch(target) or target in cameras:
             raise ValueError(
-                f"Rig: a target's name is a letter, and more letters, digits and '_', and no "
-                f"camera's name; found {target!r}"
+                f"Rig: a target's name has letters, digits, '_' and '-', and is no camera's name; "
+                f"found {target!r}"
             )
         if mount_of.setdefault(target, cameras[name].mount) != cameras[name].mount:
             raise ValueError(

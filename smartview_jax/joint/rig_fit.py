@@ -124,10 +124,11 @@ class RigFit(eqx.Module):
                 for part in ("translation", "rotation")
             )
             x, y, z = 1e3 * host_matrices(calibration.camera_from_mount)[:3, 3]
-            lines.append(
-                f"{mount}: {x:.2f}, {y:.2f}, {z:.2f} mm, +- {1e3 * np.hypot.reduce(places):.2f} mm "
-                f"and {np.degrees(np.hypot.reduce(turns)):.3f} degrees; {self.rms(name):.3f} px RMS"
-            )
+            lines += [
+                f"{mount}: {x:.2f}, {y:.2f}, {z:.2f} mm",
+                f"  +- {1e3 * np.hypot.reduce(places):.2f} mm and "
+                f"{np.degrees(np.hypot.reduce(turns)):.3f} degrees; {self.rms(name):.3f} px RMS",
+            ]
         robot = self.noise
         lines.append(
             f"robot: {1e3 * robot.translation:.3f} mm and {np.degrees(robot.rotation):.4f} degrees "

@@ -39,9 +39,9 @@ def test_cameras_on_the_hand_and_beside_the_arm_see_different_targets(data):
     ("cameras", "targets", "message"),
     [
         ([], None, "expected at least one camera"),
-        (["two words"], None, "a camera's name is a letter"),
+        (["two words"], None, "a camera's name has letters"),
         (["left"], {"right": "board"}, "expected the cameras left, found right"),
-        (["left"], {"left": "left"}, "and no camera's name"),
+        (["left"], {"left": "left"}, "and is no camera's name"),
     ],
 )
 def test_wrong_names_are_refused(data, cameras, targets, message):
