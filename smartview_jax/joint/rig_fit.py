@@ -85,6 +85,8 @@ class RigFit(eqx.Module):
         rejected: camera and observation of what was left out.
         built: the least-squares problem, with the names of its parameters.
         solution: the final step, with iterations and costs.
+        smallest_singular_value: of the Jacobian with unit columns; small for data that hardly
+            determine a parameter.
         result: whether the fit converged.
         warnings: reasons to doubt the result, a sentence each.
     """
