@@ -1,7 +1,7 @@
 """The report in a real browser: on a telephone, on a desk, and on paper."""
 
 import pytest
-from editor.browser import ARGUMENTS, browser_or_skip
+from chromium import ARGUMENTS, browser_or_skip
 from main_job import main_job
 
 PAPER = {"width": 720, "height": 1000}
