@@ -43,6 +43,7 @@ from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .gross_errors import without_views
 from .joint_fit import half_width
 from .rig_rejection import Contradiction, contradiction, suspect_state
+from .rig_warnings import rig_warnings
 from .saved_estimate import SavedEstimate, uncertainty_to_dict
 from .view_rejection import inflation_reason, is_plausible
 
@@ -301,7 +302,8 @@ def fit_rig(
                 break
             found, wrong = refitted, suspect._replace(reason=reason)
         left_out += [(name, Rejection(wrong.view_id, None, wrong.reason)) for name in wrong.cameras]
-    return _assembled(found, tuple(left_out))
+    fit = _assembled(found, tuple(left_out))
+    return dataclasses.replace(fit, warnings=rig_warnings(fit, robot_prior or RobotPrior()))
 
 
 class _Solved(NamedTuple):

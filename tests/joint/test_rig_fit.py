@@ -21,7 +21,10 @@ from smartview_jax import (
     look_at,
 )
 from smartview_jax.cameras import Radial
+from smartview_jax.joint.rig_warnings import rig_warnings
+from smartview_jax.robot_errors import RobotPrior
 from smartview_jax.simulation import paper_calibration, simulate, six_axis_rig_scene
+from smartview_jax.variance import TargetScaleEvidence
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
 """Noise of the scenes below, as stated."""
@@ -159,6 +162,34 @@ def test_a_camera_on_the_hand_and_one_beside_the_arm_share_the_robots_states():
         assert np.linalg.norm(std[:3]) < 2e-2
     with pytest.raises(ValueError, match="their relative pose changes with the robot's"):
         fit.relative("wrist", "table")
+
+
+def test_reasons_to_doubt_are_said(fit):
+    """A good fit has none; each of these changes gives one."""
+    prior = RobotPrior()
+    assert rig_warnings(fit, prior) == ()
+    undetermined = dataclasses.replace(fit, std={**fit.std, "camera1.camera.u0": np.inf})
+    (text,) = rig_warnings(undetermined, prior)
+    assert text.startswith("the data do not determine camera1.camera.u0: turn the robot")
+    weak = dataclasses.replace(fit, noise=dataclasses.replace(fit.noise, translation=0.05))
+    (text,) = rig_warnings(weak, prior)
+    assert "the robot's poses err by 50 mm" in text
+    size = TargetScaleEvidence(0.9, 0.98, 0.001)
+    larger = fit.noise_estimate._replace(target_scale=size, converged=False)
+    texts = rig_warnings(dataclasses.replace(fit, noise_estimate=larger), prior)
+    assert texts[0] == (
+        "the target may be 0.9800 +- 0.0010 of its stated size (probability 0.90): measure it"
+    )
+    assert texts[1].startswith("the estimate of the errors' sizes did not converge")
+
+
+def test_few_states_are_said():
+    data, start = scene_of(0, translation_noise=1e-4).data, nudged(paper_calibration())
+    few = data.mask_views([0, 1, 2])
+    fit = fit_rig(Rig({"only": few}), {"only": start}, noise=NOISE)
+    assert fit.warnings == (
+        "5 states of the robot are few: no figure is reliable with fewer than 8",
+    )
 
 
 def test_wrong_arguments_are_named(scene, fit):
