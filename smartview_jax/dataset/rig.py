@@ -50,7 +50,7 @@ class Rig:
             cameras: data set of each camera, by a name.
             targets: name of the target that each camera sees, by the camera's name. By default all
                 cameras with the same mount see the same target. A target is on the table for
-                cameras on the hand, and on the hand for cameras beside the arm.
+                cameras on the hand, and on the hand for cameras next to the arm.
 
         Raises:
             TypeError: a data set of another type.
@@ -91,6 +91,15 @@ class Rig:
     def command(self) -> Command:
         """The commands reported by the robot, one for each state."""
         return Command(self.base_from_tool, None if self.joints is None else to_device(self.joints))
+
+    @property
+    def seeing(self) -> list[tuple[str, ...]]:
+        """The cameras that saw enough points to tell the pose of their target, for each state."""
+        cameras: list[list[str]] = [[] for _ in self.view_ids]
+        for name, data in self.cameras.items():
+            for state in self.state_index[name][data.usable_views()]:
+                cameras[state].append(name)
+        return [tuple(names) for names in cameras]
 
     def _state_poses(self) -> Float[np.ndarray, "states 4 4"]:
         """Return the reported pose of each state.
@@ -154,7 +163,7 @@ def _checked_targets(
         if mount_of.setdefault(target, cameras[name].mount) != cameras[name].mount:
             raise ValueError(
                 f"Rig: target {target!r} is on the table for cameras on the hand, and on the hand "
-                f"for cameras beside the arm; camera {name!r} says otherwise than the others"
+                f"for cameras next to the arm; camera {name!r} says otherwise than the others"
             )
     return dict(targets)
 

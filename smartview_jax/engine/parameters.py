@@ -57,15 +57,19 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
         for part in ("translation", "rotation")
         for axis in _AXES
     ]
-    corrections = [
+    error = calibration.robot_error
+    fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
+    return (*camera, *transforms, TARGET_SCALE, *fields, *correction_names(view_ids))
+
+
+def correction_names(view_ids: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the pose corrections of some views, six for each."""
+    return tuple(
         f"{POSE_CORRECTIONS}.{view}.{part}.{axis}"
         for view in view_ids
         for part in ("translation", "rotation")
         for axis in _AXES
-    ]
-    error = calibration.robot_error
-    fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
-    return (*camera, *transforms, TARGET_SCALE, *fields, *corrections)
+    )
 
 
 def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:

@@ -60,17 +60,9 @@ class JointProblem(AbstractProblem):
         parameters: the start, from which steps are taken.
         observations: points, pixels, visibility and reported poses.
         pixel_sigma: standard deviation of u and of v, px.
-        free: indices of the free shared parameters; an index after the last one is padding (see
-            `solver.padded`), a parameter without any effect.
-        per_view_free: mask of the free parameters among each view's own six; empty without
-            corrections.
-        prior_mean: prior mean of every parameter's value; NaN for the start's value.
-        prior_weight: one over the prior standard deviation of every parameter; zero is no prior.
-        scale: length of one unit of step, for the free shared parameters and for each view's own;
-            for solvers that treat all parameters alike.
+        free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
         loss: robust loss; None is least squares.
         prepared_poses: precomputed quantities of the robot error field; None without a field.
-        mesh: devices over which the views are distributed; None is one device.
     """
 
     parameters: Parameters

@@ -157,11 +157,7 @@ def build_problem(
             start.robot_error, data.observations.command, noise_corrections
         ),
     )
-    # Residuals of points that were seen but cannot be projected are infinite.
-    residuals = np.asarray(chain_residuals(start, data.observations))
-    # Component by component, because NumPy reduces an axis of two entries thirty times as slowly.
-    unprojectable = ~(np.isfinite(residuals[..., 0]) & np.isfinite(residuals[..., 1]))
-    check_views_projectable(data, unprojectable)
+    unprojectable = unprojectable_points(data, start)
     visible = to_device(np.asarray(data.visible) & ~unprojectable)
     problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
     return BuiltProblem(
@@ -285,17 +281,22 @@ def step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) 
     return Step(to_device(vector[:shared_size]), to_device(vector[shared_size:].reshape(-1, 6)))
 
 
-def check_views_projectable(data: Dataset, unprojectable: Bool[np.ndarray, "views points"]) -> None:
-    """Raise if the start cannot project any point of some view.
+def unprojectable_points(data: Dataset, start: Calibration) -> Bool[np.ndarray, "views points"]:
+    """Return the visible points that cannot be projected at the start.
 
     Raises:
         ValueError: all points seen in a view are behind the camera or outside the lens's domain.
     """
+    # Residuals of points that were seen but cannot be projected are infinite.
+    residuals = np.asarray(chain_residuals(start, data.observations))
+    # Component by component, because NumPy reduces an axis of two entries thirty times as slowly.
+    unprojectable = ~(np.isfinite(residuals[..., 0]) & np.isfinite(residuals[..., 1]))
     visible_counts = np.asarray(data.visible).sum(axis=1)
     is_lost = (visible_counts > 0) & (unprojectable.sum(axis=1) == visible_counts)
     unprojectable_views = [data.view_ids[k] for k in np.flatnonzero(is_lost)]
     if unprojectable_views:
         raise ValueError(unprojectable_views_message(unprojectable_views))
+    return np.asarray(unprojectable)
 
 
 def unprojectable_views_message(views: Sequence[str]) -> str:

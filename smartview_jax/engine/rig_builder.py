@@ -6,21 +6,20 @@ from collections.abc import Collection, Mapping, Sequence
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
 
 from ..argument_checks import require_names
 from ..calibration import Calibration
-from ..dataset import Rig, chain_residuals
+from ..dataset import Rig
 from ..robot_errors import AbstractField
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import padded_counts, repeat_last
 from .noise import Noise
 from .parameters import (
-    POSE_CORRECTIONS,
     ROBOT_ERROR,
     TARGET_SCALE,
     Parameters,
     Step,
+    correction_names,
     parameter_mask,
     parameter_names,
 )
@@ -28,9 +27,9 @@ from .prepared_poses import PreparedPoses, prepare_poses
 from .priors import Prior
 from .problem import JointProblem
 from .problem_builder import (
-    check_views_projectable,
     prior_means_and_weights,
     step_from_vector,
+    unprojectable_points,
     with_field,
 )
 from .rig_problem import CameraGroup, RigProblem
@@ -88,7 +87,6 @@ def build_rig(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-    noise_corrections: Float[np.ndarray, "states 6"] | None = None,
 ) -> BuiltRig:
     """Build the least-squares problem of a rig.
 
@@ -105,7 +103,6 @@ def build_rig(
         fixed: paths of parameters that keep the start's values.
         free: paths to free that are held by default: sizes of targets.
         priors: a `Prior` by path.
-        noise_corrections: corrections of the states at which the field is evaluated.
 
     Raises:
         ValueError: starts that do not belong to the rig, an unknown path, or a start at which no
@@ -116,23 +113,19 @@ def build_rig(
     starts = {name: with_field(start, field) for name, start in starts.items()}
     names, camera_names = _all_names(rig, starts)
     error = next(iter(starts.values())).robot_error
-    prepared = prepare_poses(error, rig.command, noise_corrections)
+    prepared = prepare_poses(error, rig.command)
     place = {name: k for k, name in enumerate(names)}
     index = {camera: [place[name] for name in own] for camera, own in camera_names.items()}
     groups, cameras = _grouped(rig, starts, prepared, index, relative_sigmas or {})
 
-    correction_names = [
-        f"{POSE_CORRECTIONS}.{view}.{part}.{axis}"
-        for view in rig.view_ids
-        for part in ("translation", "rotation")
-        for axis in "xyz"
-    ]
-    whole, size = (*names, *correction_names), len(names)
+    corrections = correction_names(rig.view_ids)
+    whole, size = (*names, *corrections), len(names)
     sizes = [name for name in names if name.split(".")[-1] == TARGET_SCALE]
     is_free = ~parameter_mask(whole, sizes) | parameter_mask(whole, free)
     is_free &= ~parameter_mask(whole, fixed)
     # A state that no camera saw well enough keeps its reported pose.
-    is_free[size:] &= _placed_states(rig).repeat(6)
+    placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
+    is_free[size:] &= placed.repeat(6)
     mean, weight = prior_means_and_weights(whole, size, dict(priors or {}), noise, field, 1.0)
     is_camera = np.array([".camera." in name for name in names])
     states = len(rig.view_ids)
@@ -151,7 +144,7 @@ def build_rig(
     return BuiltRig(
         problem,
         tuple(names[k] for k in np.flatnonzero(is_free[:size])),
-        tuple(correction_names[k] for k in np.flatnonzero(is_free[size:])),
+        tuple(corrections[k] for k in np.flatnonzero(is_free[size:])),
         noise,
         starts,
         cameras,
@@ -186,14 +179,6 @@ def _all_names(
             prefixes[name.split(".")[0]] + name for name in parameter_names(start)
         )
     return tuple(dict.fromkeys(name for own in of_cameras.values() for name in own)), of_cameras
-
-
-def _placed_states(rig: Rig) -> Bool[np.ndarray, "states"]:
-    """Return the states in which a camera saw enough points to tell the pose of its target."""
-    placed = np.zeros(len(rig.view_ids), dtype=bool)
-    for camera, data in rig.cameras.items():
-        placed[rig.state_index[camera][data.usable_views()]] = True
-    return placed
 
 
 def _grouped(
@@ -239,11 +224,7 @@ def _camera_alone(
 ) -> JointProblem:
     """Return the problem of one camera, padded to a number of views and points."""
     data, parameters, (views, points) = rig.cameras[camera], Parameters(start), shape
-    # Residuals of points that were seen but cannot be projected are infinite.
-    residuals = np.asarray(chain_residuals(start, data.observations))
-    unprojectable = ~(np.isfinite(residuals[..., 0]) & np.isfinite(residuals[..., 1]))
-    check_views_projectable(data, unprojectable)
-    visible = to_device(np.asarray(data.visible) & ~unprojectable)
+    visible = to_device(np.asarray(data.visible) & ~unprojectable_points(data, start))
     observations = eqx.tree_at(lambda o: o.visible, data.observations, visible)
     of_views = jax.tree.map(lambda x: np.asarray(x)[rig.state_index[camera]], prepared)
     size = parameters.layout.size

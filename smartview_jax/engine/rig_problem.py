@@ -6,6 +6,8 @@ errors, and views that were taken in one state of the robot share the correction
 """
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -34,16 +36,8 @@ class CameraGroup(eqx.Module):
     """
 
     problems: JointProblem
-    parameter_index: Int[Array, "cameras local"]
-    state_index: Int[Array, "cameras views"]
-
-    def problem(self, camera: int) -> JointProblem:
-        """Return the problem of one camera alone."""
-        return jax.tree.map(lambda x: x[camera], self.problems)
-
-    def __len__(self) -> int:
-        """Return the number of cameras."""
-        return len(self.parameter_index)
+    parameter_index: Int[Array, "*cameras local"]
+    state_index: Int[Array, "*cameras views"]
 
 
 class RigProblem(AbstractProblem):
@@ -110,8 +104,9 @@ class RigProblem(AbstractProblem):
         """Return `start_values`, computed with NumPy."""
         values = np.zeros(self.parameter_count)
         for group in self.groups:
+            starts = group.problems.parameters.start
             for camera, index in enumerate(np.asarray(group.parameter_index)):
-                values[index] = host_values(group.problem(camera).parameters.start)
+                values[index] = host_values(jax.tree.map(lambda x, k=camera: x[k], starts))
         return values
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "states 6"]) -> "RigProblem":
@@ -122,39 +117,20 @@ class RigProblem(AbstractProblem):
 
     def observation_residuals(self, z: Step) -> tuple[Array, ...]:
         """Return the whitened residuals of each group's observations."""
-        step = self.unscaled_step(z)
-        return tuple(
-            jax.lax.map(
-                lambda camera: camera.problem.observation_residuals(camera.local_step(step)),
-                self._cameras(group),
-            )
-            for group in self.groups
-        )
+        return self._by_group(z, lambda problem, own: problem.observation_residuals(own))
 
     def chain(self, z: Step) -> tuple[FittedChain, ...]:
         """Return the chains of each group's cameras, stacked, at a scaled step."""
-        step = self.unscaled_step(z)
-        return tuple(
-            jax.lax.map(
-                lambda camera: camera.problem.chain(camera.local_step(step)), self._cameras(group)
-            )
-            for group in self.groups
-        )
+        return self._by_group(z, lambda problem, own: problem.chain(own))
 
     def normal_equations_without_priors(self, z: Step) -> NormalEquations:
         """Return the normal equations of the observations alone, without priors."""
-        step, size, states = self.unscaled_step(z), self.parameter_count, len(self.per_view_free)
+        size, states = self.parameter_count, len(self.per_view_free)
         cost = jnp.zeros(())
         gradient = Step(jnp.zeros(size), jnp.zeros((states, 6)))
         shared, per_view = jnp.zeros((size, size)), jnp.zeros((states, 6, 6))
         border = jnp.zeros((states, 6, size))
-        for group in self.groups:
-            found = jax.lax.map(
-                lambda camera: camera.problem.normal_equations_without_priors(
-                    camera.local_step(step)
-                ),
-                self._cameras(group),
-            )
+        for group, found in zip(self.groups, self._camera_equations(z), strict=True):
             place, state = group.parameter_index, group.state_index
             cost = cost + jnp.sum(found.cost)
             # Padding of the views has a state after the last one.
@@ -177,14 +153,8 @@ class RigProblem(AbstractProblem):
         To first order, for each group's cameras and views: chi-square with six degrees of freedom
         if a view agrees with the others. It is NaN for a view whose points do not tell its pose.
         """
-        step, distances = self.unscaled_step(z), []
-        for group in self.groups:
-            found = jax.lax.map(
-                lambda camera: camera.problem.normal_equations_without_priors(
-                    camera.local_step(step)
-                ),
-                self._cameras(group),
-            )
+        distances = []
+        for found in self._camera_equations(z):
             gradient, matrix = found.gradient.per_view, found.matrix.per_view
             whitened = jnp.linalg.solve(matrix, gradient[..., None])[..., 0]
             distances.append(jnp.sum(gradient * whitened, axis=-1))
@@ -206,24 +176,26 @@ class RigProblem(AbstractProblem):
             ),
         )
 
-    def _cameras(self, group: CameraGroup) -> "_Camera":
-        """Return the cameras of a group, with the pixel sigmas of this problem."""
+    def _camera_equations(self, z: Step) -> tuple[NormalEquations, ...]:
+        """Return the normal equations of each group's cameras alone, stacked."""
+        return self._by_group(z, lambda problem, own: problem.normal_equations_without_priors(own))
+
+    def _by_group(self, z: Step, evaluate: Callable[[JointProblem, Step], Any]) -> tuple[Any, ...]:
+        """Evaluate every camera's problem at its own part of a step; stacked for each group."""
+        step = self.unscaled_step(z)
+
+        def of_camera(camera: CameraGroup) -> Any:
+            """Evaluate one camera; a correction of padding is zero."""
+            corrections = step.per_view.at[camera.state_index].get(mode="fill", fill_value=0.0)
+            own = Step(step.shared[camera.parameter_index], corrections)
+            return evaluate(camera.problems, own)
+
+        return tuple(jax.lax.map(of_camera, self._with_sigmas(group)) for group in self.groups)
+
+    def _with_sigmas(self, group: CameraGroup) -> CameraGroup:
+        """Return a group with the pixel sigmas of this problem."""
         sigmas = self.pixel_sigma * group.problems.pixel_sigma
-        problems = eqx.tree_at(lambda p: p.pixel_sigma, group.problems, sigmas)
-        return _Camera(problems, group.parameter_index, group.state_index)
-
-
-class _Camera(eqx.Module):
-    """A camera of a group, or all of them stacked."""
-
-    problem: JointProblem
-    parameter_index: Int[Array, "*cameras local"]
-    state_index: Int[Array, "*cameras views"]
-
-    def local_step(self, step: Step) -> Step:
-        """Return the rig's step, in the rig's units, as a step of the camera's problem."""
-        corrections = step.per_view.at[self.state_index].get(mode="fill", fill_value=0.0)
-        return Step(step.shared[self.parameter_index], corrections)
+        return eqx.tree_at(lambda g: g.problems.pixel_sigma, group, sigmas)
 
 
 def _with_prepared_poses(group: CameraGroup, prepared: PreparedPoses | None) -> CameraGroup:

@@ -99,7 +99,7 @@ class JointFit(eqx.Module):
 
     @property
     def used_views(self) -> Bool[np.ndarray, "views"]:
-        """Mask of the views of which any observation agrees with the fit."""
+        """Mask of the views with an observation that agrees with the fit."""
         return np.asarray(np.asarray(self.inliers).any(axis=1))
 
     @property

@@ -83,7 +83,7 @@ class RigFit(eqx.Module):
         inliers: observations of each camera within the chi-square gate around the fit.
         pose_corrections: twist at the tool of each state, translation (m) and rotation (rad).
         view_ids: names of the states.
-        rejected: camera and observation of what was left out.
+        rejected: observations that were left out, each with its camera.
         built: the least-squares problem, with the names of its parameters.
         solution: the final step, with iterations and costs.
         smallest_singular_value: of the Jacobian with unit columns; small for data that hardly

@@ -45,7 +45,7 @@ def contradiction(rig: Rig, built: BuiltRig, z: Step, matrix: BlockArrow) -> Con
         z: its optimum.
         matrix: matrix of the normal equations there.
     """
-    seeing = _cameras_by_state(rig)
+    seeing = rig.seeing
     if sum(len(cameras) > 0 for cameras in seeing) <= MINIMUM_RELIABLE_VIEWS:
         return None
     return _wrong_view(rig, built, z, seeing) or _wrong_state(rig, built, z, matrix, seeing)
@@ -53,7 +53,7 @@ def contradiction(rig: Rig, built: BuiltRig, z: Step, matrix: BlockArrow) -> Con
 
 def suspect_state(rig: Rig, built: BuiltRig, z: Step, matrix: BlockArrow) -> Contradiction | None:
     """Return the state that contradicts the others most, significantly or not; None with few."""
-    seeing = _cameras_by_state(rig)
+    seeing = rig.seeing
     if sum(len(cameras) > 0 for cameras in seeing) <= MINIMUM_RELIABLE_VIEWS:
         return None
     scores = pose_outlier_test(built.problem, z, matrix, sigmas_known=False)
@@ -107,15 +107,6 @@ def _wrong_state(
         f"the robot's pose lies {float(scores.distance[state]):.0f} standard deviations from where "
         "the other states put it: mispaired or moved?",
     )
-
-
-def _cameras_by_state(rig: Rig) -> list[tuple[str, ...]]:
-    """Return the cameras that saw enough points of their target in each state."""
-    seeing: list[list[str]] = [[] for _ in rig.view_ids]
-    for camera, data in rig.cameras.items():
-        for state in rig.state_index[camera][data.usable_views()]:
-            seeing[state].append(camera)
-    return [tuple(cameras) for cameras in seeing]
 
 
 def _distances_by_view(built: BuiltRig, z: Step) -> dict[str, Float[np.ndarray, "views"]]:

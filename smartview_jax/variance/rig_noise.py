@@ -10,7 +10,6 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..dataset import Rig
 from ..engine import (
-    SIGMA_FLOOR,
     TARGET_SCALE,
     BuiltRig,
     Noise,
@@ -150,16 +149,14 @@ def estimate_rig_noise(
 
 
 def _camera_noise(rig: Rig, name: str, start: Calibration) -> CameraNoise:
-    """Return what the pictures of one camera tell about its noise."""
+    """Return the noise of one camera, as far as its pictures alone tell it."""
     data = rig.cameras[name]
     built = build_problem(data, start.uncorrected, noise=Noise(1.0, 1.0, 1.0), field=None)
     usable = data.usable_views()
     fit = fit_free_poses(built, usable, None)
     poses = built.pose_parameters(usable)
-    camera = int(built.problem.is_camera[np.asarray(built.problem.free)].sum())
-    freedom = max(2 * built.problem.visible_count - poses - camera, 1)
-    sigma = max(float(np.sqrt(fit.sum_of_squares / freedom)), SIGMA_FLOOR)
-    return CameraNoise(fit.sum_of_squares, poses, sigma)
+    views = ViewStatistics(built, poses, fit.sum_of_squares)
+    return CameraNoise(fit.sum_of_squares, poses, views.white_sigma)
 
 
 @on_one_blas_thread
