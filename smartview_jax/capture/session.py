@@ -17,7 +17,7 @@ from ..cameras import Camera as CameraModel
 from ..dataset import Dataset
 from ..detection import Detection, detect
 from ..editor import OwnerLock
-from ..geometry import host_logarithms, host_matrices, host_transforms
+from ..geometry import host_matrices, host_rotation_angles, host_transforms
 from ..io import GrowingDataset, load_dataset
 from ..targets import StackedTarget
 from ..viewpoints import ViewLimits
@@ -475,5 +475,5 @@ class CaptureSession:
 def _is_near(first: Float[np.ndarray, "4 4"], second: Float[np.ndarray, "4 4"]) -> bool:
     """Return whether two poses are too near to each other for two views."""
     distance = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
-    turn = float(np.linalg.norm(host_logarithms(np.linalg.inv(first) @ second)[3:]))
+    turn = float(host_rotation_angles(first, second))
     return distance < NEW_POSITION and turn < NEW_ANGLE

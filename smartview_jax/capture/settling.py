@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..detection import Detection
-from ..geometry import host_logarithms
+from ..geometry import host_rotation_angles
 from ..viewpoints import TYPICAL_NOISE
 
 MIN_COMMON_POINTS = 4
@@ -61,7 +61,7 @@ def settle_test(
         return SettleTest(False, f"only {count} points of the target are in both pictures")
     moves, motion, noise = _motion(first.pixels[common], second.pixels[common])
     distance = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
-    turn = float(np.linalg.norm(host_logarithms(np.linalg.inv(before) @ after)[3:]))
+    turn = float(host_rotation_angles(before, after))
     if distance > TYPICAL_NOISE.translation or turn > TYPICAL_NOISE.rotation:
         return SettleTest(
             False,

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int64
 
+from ..geometry import host_rotation_angles
 from ..robots import Trajectory, times_in_gaps
 
 NANOSECONDS = 1e9
@@ -199,9 +200,7 @@ def _distances(
 ) -> tuple[Float[np.ndarray, "others"], Float[np.ndarray, "others"]]:
     """Return distance (m) and angle (rad) from a pose to others."""
     position = np.linalg.norm(others[:, :3, 3] - pose[:3, 3], axis=1)
-    # Two rotations by an angle apart differ by 2 sqrt(2) sin(angle / 2) in the Frobenius norm.
-    chord = np.linalg.norm(others[:, :3, :3] - pose[:3, :3], axis=(1, 2)) / np.sqrt(8.0)
-    return position, 2.0 * np.arcsin(np.minimum(chord, 1.0))
+    return position, host_rotation_angles(pose, others)
 
 
 def _least_motion(
