@@ -3,7 +3,6 @@
 import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
@@ -33,6 +32,7 @@ from ..engine import (
     reduced_equations,
     solve,
 )
+from ..files import file_transaction
 from ..fit_result import FitResult, Rejection
 from ..geometry import host_adjoints, host_matrices, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
@@ -212,20 +212,20 @@ class RigFit(eqx.Module):
         return half_width(self.std[name], self.degrees_of_freedom[name], level)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write a calibration file for each camera, `left.yaml`, with its covariance.
+        """Write a calibration file for each camera, `left.yaml`, with its covariance: all or none.
 
         Each file is read by `Calibration.load` and `load_estimate`.
         """
-        place = Path(folder)
-        place.mkdir(parents=True, exist_ok=True)
-        for name in self.calibrations:
-            estimate = self.estimate(name)
-            estimate.calibration.save(
-                place / f"{name}.yaml",
-                warnings=self.warnings,
-                source=f"rig of {', '.join(self.calibrations)}",
-                uncertainty=uncertainty_to_dict(estimate),
-            )
+        names = tuple(f"{name}.yaml" for name in self.calibrations)
+        with file_transaction(folder, names) as place:
+            for name in self.calibrations:
+                estimate = self.estimate(name)
+                estimate.calibration.save(
+                    place / f"{name}.yaml",
+                    warnings=self.warnings,
+                    source=f"rig of {', '.join(self.calibrations)}",
+                    uncertainty=uncertainty_to_dict(estimate),
+                )
 
     def _checked(self, camera: str) -> str:
         """Return a camera's name, which must be known."""
