@@ -57,7 +57,9 @@ from .grasping import Gripper as Gripper
 from .grasping import grasps_for as grasps_for
 from .grasping import tool_commands as tool_commands
 from .io import load_dataset as load_dataset
+from .io import load_rig as load_rig
 from .io import save_dataset as save_dataset
+from .io import save_rig as save_rig
 from .joint import JointFit as JointFit
 from .joint import RigFit as RigFit
 from .joint import fit_camera as fit_camera

@@ -1,12 +1,15 @@
 """Define `smartview new`, which begins a data-set folder for a robot and a target."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .options import DebugOption
 from .terminal import errors_reported
+
+if TYPE_CHECKING:
+    from ..io import FoundPictures
 
 DEFAULT_SIZE = (1280, 1024)
 """Width and height in a new description, px; to be replaced by the real ones."""
@@ -31,6 +34,13 @@ def new(
     eye_to_hand: Annotated[
         bool, typer.Option("--eye-to-hand", help="Fixed camera; the target is on the tool.")
     ] = False,
+    cameras: Annotated[
+        str | None,
+        typer.Option(
+            help="Names of several cameras that watch one robot, such as left,right,wrist; by "
+            "default there is one."
+        ),
+    ] = None,
     debug: DebugOption = False,
 ) -> None:
     """Begin a data set: a commented dataset.yaml and an empty poses.csv, to be filled in.
@@ -41,26 +51,64 @@ def new(
         from ..io import found_pictures, write_new_dataset
 
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
-        pictures = found_pictures(folder)
-        size = pictures.image_size if pictures else DEFAULT_SIZE
-        suffix = pictures.suffix if pictures else ".png"
-        path = write_new_dataset(folder, robot, target, mount, size, suffix)
+        names = [] if cameras is None else camera_names(cameras)
         images = folder / "images"
-        if pictures:
-            count = pictures.picture_count
-            typer.echo(f"{images}: {count} pictures named *{suffix}, {size[0]} x {size[1]} px")
-            if pictures.others:
-                typer.echo(f"{images}: other files: {', '.join(pictures.others[:5])}")
+        places = {name: images / name for name in names} or {"": images}
+        pictures = {name: found_pictures(place) for name, place in places.items()}
+        sizes = {
+            name: found.image_size if found else DEFAULT_SIZE for name, found in pictures.items()
+        }
+        suffixes = {found.suffix for found in pictures.values() if found}
+        if len(suffixes) > 1:
+            raise ValueError(
+                f"{images}: expected pictures with one suffix for all cameras, found "
+                f"{', '.join(sorted(suffixes))}"
+            )
+        suffix = suffixes.pop() if suffixes else ".png"
+        path = write_new_dataset(
+            folder, robot, target, mount, sizes if names else sizes[""], suffix
+        )
+        for name, found in pictures.items():
+            if found:
+                _print_pictures(places[name], found)
         typer.echo(f"{path}: written; next steps:")
+        complete = all(pictures.values())
+        each = f"{images}, a folder for each camera" if names else str(images)
         steps = [
-            *([] if pictures else [f"write the pictures' size and suffix into {path}"]),
+            *([] if complete else [f"write the pictures' size and suffix into {path}"]),
             f"measure the target and write its size into {path}: a 1 % error there makes a 1 % "
             "error in every distance",
-            f"take 15 pictures or more into {images}, with the target filling half of each, tilted "
-            "by up to 40 degrees to all sides and turned about the optical axis",
-            f"write the robot's pose for each picture into {folder / 'poses.csv'}",
+            f"take 15 pictures or more into {each}, with the target filling half of each, "
+            "tilted by up to 40 degrees to all sides and turned about the optical axis",
+            f"write the robot's pose for each picture into {folder / 'poses.csv'}"
+            + (": one row for all cameras' pictures of the same name" if names else ""),
             f"smartview check {folder}",
             f"smartview calibrate {folder}",
         ]
         for number, step in enumerate(steps, start=1):
             typer.echo(f"  {number}. {step}")
+
+
+def _print_pictures(folder: Path, found: "FoundPictures") -> None:
+    """Print what kind of pictures a folder has already."""
+    width, height = found.image_size
+    typer.echo(
+        f"{folder}: {found.picture_count} pictures named *{found.suffix}, {width} x {height} px"
+    )
+    if found.others:
+        typer.echo(f"{folder}: other files: {', '.join(found.others[:5])}")
+
+
+def camera_names(text: str) -> list[str]:
+    """Return the names of cameras between commas.
+
+    Raises:
+        ValueError: an empty or repeated name.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if "" in names or len(set(names)) < len(names):
+        raise ValueError(
+            f"--cameras: expected different names between commas, such as left,right; "
+            f"found {text!r}"
+        )
+    return names

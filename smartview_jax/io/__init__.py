@@ -9,6 +9,7 @@ from .easy_handeye import PoseSamples as PoseSamples
 from .easy_handeye import easy_handeye_calibration as easy_handeye_calibration
 from .easy_handeye import read_easy_handeye as read_easy_handeye
 from .easy_handeye import write_easy_handeye as write_easy_handeye
+from .export import kalibr_camchain as kalibr_camchain
 from .export import opencv_coefficients as opencv_coefficients
 from .export import opencv_yaml as opencv_yaml
 from .export import ros_camera_info as ros_camera_info
@@ -53,6 +54,9 @@ from .pose_log import PoseLog as PoseLog
 from .pose_log import write_pose_log as write_pose_log
 from .poses import poses_entry as poses_entry
 from .poses import write_poses as write_poses
+from .rig_folder import is_rig_folder as is_rig_folder
+from .rig_folder import load_rig as load_rig
+from .rig_folder import save_rig as save_rig
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .robot_urdf import robot_urdf as robot_urdf

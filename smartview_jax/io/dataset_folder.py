@@ -30,12 +30,12 @@ import dataclasses
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxlie import SE3
 
-from ..dataset import Dataset, PoseDataset
+from ..dataset import Dataset, PoseDataset, Rig
 from ..detection import DetectionLimits, checked_pixels
 from ..files import read_yaml
 from ..geometry import PoseLike
@@ -58,13 +58,44 @@ DESCRIPTION_FILE = "dataset.yaml"
 """The name of the file that describes the folder."""
 
 
+class LoadOptions(NamedTuple):
+    """The options of reading a folder, as in `load_dataset`.
+
+    Attributes:
+        bad_views: `"raise"` or `"mask"`.
+        progress: called with a line of text for each step of the work.
+        keep_detections: whether to write detections to the folder.
+        detection_limits: limits of the check of detected points.
+    """
+
+    bad_views: str = "raise"
+    progress: Callable[[str], None] | None = None
+    keep_detections: bool = True
+    detection_limits: DetectionLimits | None = None
+
+
+class CameraDescription(NamedTuple):
+    """The description of one camera and its target.
+
+    Attributes:
+        target: the target in its pictures.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        image_size: width and height of its pictures, px.
+        holder_from_world: approximate pose of the target; None if it is not known.
+        detections: path of the table of detected points.
+        detection_rows: stated number of rows of this table; None if it is not stated.
+    """
+
+    target: AbstractTarget
+    mount: str
+    image_size: tuple[int, int]
+    holder_from_world: PoseLike | None
+    detections: Path
+    detection_rows: int | None
+
+
 def load_dataset_folder(
-    folder: Path,
-    bad_views: str = "raise",
-    progress: Callable[[str], None] | None = None,
-    keep_detections: bool = True,
-    holder_from_world: PoseLike | None = None,
-    detection_limits: DetectionLimits | None = None,
+    folder: Path, options: LoadOptions, holder_from_world: PoseLike | None = None
 ) -> Dataset:
     """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
     # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
@@ -73,82 +104,143 @@ def load_dataset_folder(
 
     description_path = folder / DESCRIPTION_FILE
     raw_content = read_yaml(description_path)
+    if is_rig_description(raw_content):
+        raise ValueError(
+            f"{description_path}: cameras: a folder with several cameras is read by load_rig"
+        )
     description = validate_content(raw_content, DATASET_SCHEMA, description_path)
-    # An entry that is null counts as absent.
-    content = {key: value for key, value in raw_content.items() if value is not None}
+    content = without_nulls(raw_content)
     if description.tracked_poses is not None:
-        return read_tracked_folder(folder, content, description_path, bad_views)
-    mount = description.mount
+        return read_tracked_folder(folder, content, description_path, options.bad_views)
     assert description.camera is not None
     width, height = description.camera.image_size
-    image_size = (width, height)
     try:
         target = read_target(folder, content["target"])
         rough_holder_from_world = rough_pose(description)
     except ValueError as error:
         raise ValueError(f"{description_path}: {error}") from error
-    readings = read_robot_readings(folder, content, description_path, bad_views)
+    camera = CameraDescription(
+        target,
+        description.mount,
+        (width, height),
+        rough_holder_from_world if holder_from_world is None else holder_from_world,
+        folder / DETECTIONS_FILE,
+        None if description.detections is None else description.detections.rows,
+    )
+    readings = read_robot_readings(folder, content, description_path, options.bad_views)
     if "pictures" in content:
-        table_path = table_of_views(folder, content)
-        board_heights = read_board_heights(
-            readings.table, target, readings.view_ids, readings.name_suffix
-        )
         files = picture_files(
             folder,
             content["pictures"],
             readings.view_ids,
             target,
-            table_path,
+            table_of_views(folder, content),
             description_path,
-            board_heights,
+            camera_board_heights(camera, readings),
         )
-        data = dataset_from_pictures(
-            files,
-            readings.poses,
-            target,
-            mount,
-            image_size,
-            bad_views,
-            readings.masked_views,
-            progress,
-            folder / DETECTIONS_FILE if keep_detections else None,
-            rough_holder_from_world if holder_from_world is None else holder_from_world,
-            board_heights,
-            detection_limits,
-        )
-        return _with_joints(readings, data, description_path)
-    if not (folder / DETECTIONS_FILE).is_file():
+        return camera_dataset(camera, readings, files, options, description_path)
+    if not camera.detections.is_file():
         raise ValueError(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
         )
+    return detected_dataset(camera, readings, options, description_path)
+
+
+def is_rig_description(content: Mapping[str, Any]) -> bool:
+    """Return whether the content of a `dataset.yaml` has several cameras."""
+    return content.get("cameras") is not None
+
+
+def without_nulls(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a description without the entries that are null, which count as absent."""
+    return {key: value for key, value in content.items() if value is not None}
+
+
+def camera_board_heights(
+    camera: CameraDescription, readings: RobotReadings
+) -> Mapping[str, int] | None:
+    """Return the height of the target in each view, if every picture has its own pose."""
+    return read_board_heights(
+        readings.table, camera.target, readings.view_ids, readings.name_suffix
+    )
+
+
+def camera_dataset(
+    camera: CameraDescription,
+    readings: RobotReadings,
+    files: Mapping[str, Sequence[Path]],
+    options: LoadOptions,
+    description_path: Path,
+) -> Dataset:
+    """Return the data set of one camera, whose target is detected in its pictures.
+
+    Args:
+        camera: the description of the camera.
+        readings: what the robot reported in the camera's views.
+        files: pictures of each view.
+        options: how they are read.
+        description_path: path of the description, for error messages.
+    """
+    data = dataset_from_pictures(
+        files,
+        readings.poses,
+        camera.target,
+        camera.mount,
+        camera.image_size,
+        options.bad_views,
+        readings.masked_views,
+        options.progress,
+        camera.detections if options.keep_detections else None,
+        camera.holder_from_world,
+        camera_board_heights(camera, readings),
+        options.detection_limits,
+    )
+    return _with_joints(readings, data, description_path)
+
+
+def detected_dataset(
+    camera: CameraDescription,
+    readings: RobotReadings,
+    options: LoadOptions,
+    description_path: Path,
+) -> Dataset:
+    """Return the data set of one camera from its table of detected points.
+
+    The arguments are as for `camera_dataset`.
+    """
     try:
         detected, table_notes = read_detections(
-            folder / DETECTIONS_FILE,
+            camera.detections,
             readings.view_ids,
-            len(target.points),
-            None if description.detections is None else description.detections.rows,
+            len(camera.target.points),
+            camera.detection_rows,
         )
         pixels, failed, notes = checked_pixels(
-            target.points, detected, readings.view_ids, image_size, detection_limits
+            camera.target.points,
+            detected,
+            readings.view_ids,
+            camera.image_size,
+            options.detection_limits,
         )
         if len(failed) == len(readings.view_ids):
             view, reason = next(iter(failed.items()))
             raise ValueError(f"view {view}: {reason}; so are all {len(failed)} views")
         data = Dataset.from_arrays(
-            target.points,
+            camera.target.points,
             pixels,
             readings.poses,
-            image_size,
+            camera.image_size,
             view_ids=readings.view_ids,
-            mount=mount,
-            bad_views=bad_views,
+            mount=camera.mount,
+            bad_views=options.bad_views,
             masked_views=list({**failed, **readings.masked_views}.items()),
-            target=target,
+            target=camera.target,
             notes=(*notes, *table_notes),
         )
     except ValueError as error:
         # `read_detections` names the file in its messages, `Dataset` does not.
-        prefix = "" if str(folder) in str(error) else f"{folder / DETECTIONS_FILE}: "
+        named = str(camera.detections.parent) in str(error)
+        prefix = "" if named else f"{camera.detections}: "
         raise ValueError(f"{prefix}{error}") from error
     return _with_joints(readings, data, description_path)
 
@@ -182,18 +274,18 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """
     folder, target = Path(folder), data.target
     if isinstance(data, PoseDataset):
-        _refuse_unreadable_robot(folder, data)
+        refuse_unreadable_robot(folder, data)
         entries = {
             "mount": data.mount,
             "poses": poses_entry(data.view_count, pose_format),
             "tracked_poses": write_tracked_poses(data, folder, pose_format),
-            **_written_joints(folder, data),
+            **written_joints(folder, data),
         }
-        _write_folder(folder, data.view_ids, data.base_from_tool, entries, pose_format)
+        write_described_folder(folder, data.view_ids, data.base_from_tool, entries, pose_format)
         return
     if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
-    _refuse_unreadable_robot(folder, data)
+    refuse_unreadable_robot(folder, data)
     # A point that was hidden, such as a gross error, has no row, so it stays hidden when read back.
     visible_pixels = np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan)
     rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, visible_pixels)
@@ -204,24 +296,24 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         data.image_size,
         target,
         data.mount,
-        {"detections": {"rows": rows}, **_written_joints(folder, data)},
+        {"detections": {"rows": rows}, **written_joints(folder, data)},
         pose_format,
     )
 
 
-def _refuse_unreadable_robot(folder: Path, data: Dataset) -> None:
+def refuse_unreadable_robot(folder: Path, data: Dataset | Rig) -> None:
     """Raise a ValueError for names, poses or readings that could not be read back."""
     refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
     if data.arm is not None and data.joints is not None:
         refuse_unreadable_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
 
 
-def _written_joints(folder: Path, data: Dataset) -> dict[str, Any]:
+def written_joints(folder: Path, data: Dataset | Rig) -> dict[str, Any]:
     """Write the joint readings, if there are any, and return the entry that describes them."""
     if data.arm is None or data.joints is None:
         return {}
     write_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
-    return {"joints": joints_entry(data.view_count, data.arm)}
+    return {"joints": joints_entry(len(data.view_ids), data.arm)}
 
 
 def write_dataset_folder(
@@ -257,25 +349,31 @@ def write_dataset_folder(
         "poses": poses_entry(len(view_ids), pose_format),
         **(extra_entries or {}),
     }
-    _write_folder(folder, view_ids, base_from_tool, entries, pose_format)
+    write_described_folder(folder, view_ids, base_from_tool, entries, pose_format)
 
 
-def _write_folder(
+def write_described_folder(
     folder: Path,
     view_ids: Sequence[str],
     base_from_tool: SE3,
     entries: Mapping[str, Any],
     pose_format: str,
 ) -> None:
-    """Write `poses.csv` and then the description with the given entries."""
+    """Write `poses.csv` and then the description with the given entries.
+
+    Raises:
+        ValueError: a name or a value with which the folder could not be read back.
+    """
     from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.rig import RIG_SCHEMA
     from ..schemas.validation import refuse_unreadable, write_validated
 
     description = marked_entries(entries)
-    refuse_unreadable(description, DATASET_SCHEMA, folder / DESCRIPTION_FILE)
+    schema = RIG_SCHEMA if is_rig_description(description) else DATASET_SCHEMA
+    refuse_unreadable(description, schema, folder / DESCRIPTION_FILE)
     write_poses(folder, view_ids, base_from_tool, pose_format)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
-    write_validated(folder / DESCRIPTION_FILE, description, DATASET_SCHEMA)
+    write_validated(folder / DESCRIPTION_FILE, description, schema)
 
 
 def marked_entries(entries: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from ..dataset import Dataset
 from ..detection import DetectionLimits
 from ..files import read_yaml
 from ..geometry import PoseLike
-from .dataset_folder import DESCRIPTION_FILE, load_dataset_folder
+from .dataset_folder import DESCRIPTION_FILE, LoadOptions, load_dataset_folder
 from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
 from .robot_readings import suffix_in_names
@@ -53,9 +53,8 @@ def load_dataset(
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     if (folder / DESCRIPTION_FILE).is_file():
-        data = load_dataset_folder(
-            folder, bad_views, progress, keep_detections, holder_from_world, detection_limits
-        )
+        options = LoadOptions(bad_views, progress, keep_detections, detection_limits)
+        data = load_dataset_folder(folder, options, holder_from_world)
     elif (folder / DATA_FILE).is_file():
         data = import_robot_cal_tools(
             folder, bad_views=bad_views, progress=progress, detection_limits=detection_limits

@@ -1,6 +1,7 @@
 """Begin a data-set folder: a commented description and an empty table, to be filled in."""
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -103,7 +104,7 @@ class FoundPictures(NamedTuple):
 
 _DESCRIPTION = """# A data set for smartview: pictures of a target, and the robot's pose for each.
 smartview_dataset: 1
-camera: {{image_size: [{width}, {height}]}}  # width and height of the pictures, px
+{cameras}
 {target}
 # eye_in_hand: the camera is on the tool, the target stands still.
 # eye_to_hand: the camera stands still, the target is on the tool.
@@ -116,17 +117,16 @@ poses:
   angle_unit: {angle_unit}
   direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse
 # {{view}} stands for the name in the first column of {poses_file}.
-pictures: {{pattern: "images/{{view}}{suffix}"}}
+pictures: {{pattern: "{pattern}"}}
 """
 
 
-def found_pictures(folder: Path) -> FoundPictures | None:
-    """Return the pictures already in the folder `images` of a data set; None if there are none.
+def found_pictures(pictures: Path) -> FoundPictures | None:
+    """Return the pictures already in a folder such as `images`; None if there are none.
 
     Raises:
         ValueError: the first picture cannot be read.
     """
-    pictures = folder / "images"
     files = sorted(filter(is_picture_name, pictures.iterdir())) if pictures.is_dir() else []
     if not files:
         return None
@@ -142,17 +142,19 @@ def write_new_dataset(
     robot: str,
     target: str,
     mount: str,
-    image_size: tuple[int, int],
+    image_sizes: tuple[int, int] | Mapping[str, tuple[int, int]],
     suffix: str = ".png",
 ) -> Path:
     """Write a commented `dataset.yaml`, the heading of `poses.csv` and the folder `images`.
+
+    For several cameras there is a folder for each in `images`.
 
     Args:
         folder: the folder; it may exist, and may have pictures already.
         robot: one of `ROBOTS`.
         target: one of `TARGETS`.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        image_size: width and height, px.
+        image_sizes: width and height of the pictures, px; of several cameras by their names.
         suffix: of the pictures' names, with its dot.
 
     Returns:
@@ -163,6 +165,7 @@ def write_new_dataset(
         FileExistsError: the folder has a description or a table already.
     """
     from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.rig import RIG_SCHEMA
     from ..schemas.validation import refuse_unreadable
 
     for name, value, known in (
@@ -178,9 +181,9 @@ def write_new_dataset(
             raise FileExistsError(f"{path}: exists already; nothing is overwritten")
     codec = pose_codec(ROBOTS[robot].codec)
     length_unit, angle_unit = codec.units
+    cameras = image_sizes if isinstance(image_sizes, Mapping) else {}
     text = _DESCRIPTION.format(
-        width=image_size[0],
-        height=image_size[1],
+        cameras=_cameras_text(image_sizes),
         target=TARGETS[target],
         mount=mount,
         source=ROBOTS[robot].source,
@@ -188,11 +191,34 @@ def write_new_dataset(
         codec=codec,
         length_unit=length_unit,
         angle_unit=angle_unit,
-        suffix=suffix,
+        pattern=f"images/{'{camera}/' if cameras else ''}{{view}}{suffix}",
     )
-    refuse_unreadable(parse_yaml(text, description), DATASET_SCHEMA, description)
-    (folder / "images").mkdir(parents=True, exist_ok=True)
+    schema = RIG_SCHEMA if cameras else DATASET_SCHEMA
+    refuse_unreadable(parse_yaml(text, description), schema, description)
+    for camera in cameras or ("",):
+        (folder / "images" / camera).mkdir(parents=True, exist_ok=True)
     write_atomically(table, ",".join(("view", *codec.columns)) + "\n")
     # Written last, so that an interrupted run can be repeated.
     write_atomically(description, text)
     return description
+
+
+def _cameras_text(image_sizes: tuple[int, int] | Mapping[str, tuple[int, int]]) -> str:
+    """Return the entry that describes one camera or several."""
+    if not isinstance(image_sizes, Mapping):
+        width, height = image_sizes
+        size = f"{{image_size: [{width}, {height}]}}"
+        return f"camera: {size}  # width and height of the pictures, px"
+    rows = [
+        f"  {name}: {{image_size: [{width}, {height}]}}"
+        for name, (width, height) in image_sizes.items()
+    ]
+    return "\n".join(
+        [
+            "# {camera} below stands for a name here; width and height of its pictures, px.",
+            "# A camera may have a mount of its own; see the example for several targets in",
+            "# smartview_jax.io.rig_folder.",
+            "cameras:",
+            *rows,
+        ]
+    )

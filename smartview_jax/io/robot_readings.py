@@ -9,6 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..dataset import Dataset
+from ..geometry import host_matrices, host_transforms
 from ..robots import Command, SerialArm
 from ..runtime.array_namespace import to_device
 from .csv_tables import Table
@@ -51,6 +52,17 @@ class RobotReadings(NamedTuple):
         """Raise a ValueError that names the first view without a valid pose, if there is any."""
         for view, reason in self.masked_views.items():
             raise ValueError(f"{path}: view {view}: {reason}: remove this view")
+
+    def of_views(self, views: Sequence[str]) -> "RobotReadings":
+        """Return the readings of some of the views, by id."""
+        place = {view: k for k, view in enumerate(self.view_ids)}
+        index = np.array([place[view] for view in views], dtype=int)
+        return self._replace(
+            view_ids=list(views),
+            poses=host_transforms(host_matrices(self.poses)[index]),
+            masked_views={v: text for v, text in self.masked_views.items() if v in set(views)},
+            joints=None if self.joints is None else np.asarray(self.joints)[index],
+        )
 
     def with_joints(self, data: Dataset) -> Dataset:
         """Return the data set with the joint readings added, if there are any."""

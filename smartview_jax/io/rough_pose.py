@@ -14,12 +14,16 @@ from jaxlie import SE3
 from ..geometry import pose_codec, transform_from_dict
 
 if TYPE_CHECKING:
-    from ..schemas.dataset import DatasetFile
+    from ..schemas.dataset import DatasetFile, RoughPose
 
 
 def rough_pose(description: "DatasetFile") -> SE3 | None:
     """Return the approximate `holder_from_world` of a description, or None."""
-    entry = description.base_from_world or description.tool_from_world
+    return rough_pose_of(description.base_from_world or description.tool_from_world)
+
+
+def rough_pose_of(entry: "RoughPose | None") -> SE3 | None:
+    """Return the pose that an entry describes, or None without one."""
     if entry is None:
         return None
     content = entry.model_dump()

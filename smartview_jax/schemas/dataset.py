@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, model_validator
@@ -128,11 +129,19 @@ class JointsEntry(Entry):
     rows: _RowCount | None = None
 
 
-def _check_pattern(text: str) -> str:
-    """Return a pattern of picture names; raise a ValueError for an unknown placeholder."""
+def check_pattern(text: str, required: Sequence[str] = ("view",)) -> str:
+    """Return a pattern of picture names; raise a ValueError for a wrong placeholder.
+
+    Args:
+        text: pattern with placeholders such as `{view}`.
+        required: names of the placeholders that it must have; it may have `{height}` too.
+    """
     # The pattern is passed to `str.format`, so other braces are refused.
-    remainder = text.replace("{view}", "").replace("{height}", "")
-    if "{view}" not in text or re.search("[{}]", remainder) or not remainder.isprintable():
+    remainder = text.replace("{height}", "")
+    for name in required:
+        remainder = remainder.replace(f"{{{name}}}", "")
+    complete = all(f"{{{name}}}" in text for name in required)
+    if not complete or re.search("[{}]", remainder) or not remainder.isprintable():
         raise ValueError
     return text
 
@@ -143,7 +152,7 @@ class PicturesEntry(Entry):
     pattern: Annotated[
         str,
         Field(max_length=200),
-        AfterValidator(_check_pattern),
+        AfterValidator(check_pattern),
         Expected(
             "a name with {view}, and {height} if there are several heights, and no other braces"
         ),
@@ -170,7 +179,7 @@ class YawPitchRollPoseEntry(Entry):
     ]
 
 
-_RoughPose = Annotated[
+RoughPose = Annotated[
     Annotated[YawPitchRollPoseEntry, Tag("angles")] | Annotated[TransformEntry, Tag("quaternion")],
     Discriminator(
         lambda pose: (
@@ -178,6 +187,17 @@ _RoughPose = Annotated[
         )
     ),
 ]
+
+
+def check_point_count(target: TargetEntry) -> None:
+    """Raise a ValueError for a target with more than `MAX_POINTS` points."""
+    # A grid has rows x columns, a ChArUco board squares_x x squares_y; absent sides count as 1.
+    sides = [
+        getattr(target, name, None) or 1 for name in ("rows", "columns", "squares_x", "squares_y")
+    ]
+    points = math.prod(sides) * len(target.heights or [0])
+    if points > MAX_POINTS:
+        raise ValueError(f"target: expected up to {MAX_POINTS} points, found {points}")
 
 
 class DatasetFile(Entry):
@@ -196,8 +216,8 @@ class DatasetFile(Entry):
     joints: JointsEntry | None = None
     pictures: PicturesEntry | None = None
     detections: DetectionsEntry | None = None
-    base_from_world: _RoughPose | None = None
-    tool_from_world: _RoughPose | None = None
+    base_from_world: RoughPose | None = None
+    tool_from_world: RoughPose | None = None
     end: Literal["smartview_dataset"] | None = None
 
     @model_validator(mode="after")
@@ -223,16 +243,8 @@ class DatasetFile(Entry):
         for name in ("camera", "target"):
             if getattr(self, name) is None:
                 raise ValueError(f"entry '{name}' is missing")
-        # A grid has rows x columns, a ChArUco board squares_x x squares_y; absent sides count as 1.
-        target = self.target
-        assert target is not None
-        sides = [
-            getattr(target, name, None) or 1
-            for name in ("rows", "columns", "squares_x", "squares_y")
-        ]
-        points = math.prod(sides) * len(target.heights or [0])
-        if points > MAX_POINTS:
-            raise ValueError(f"target: expected up to {MAX_POINTS} points, found {points}")
+        assert self.target is not None
+        check_point_count(self.target)
 
 
 DATASET_SCHEMA = TypeAdapter(DatasetFile)

@@ -6,13 +6,17 @@
 import json
 from pathlib import Path
 
+from pydantic import TypeAdapter
+
 from ..files import write_atomically
 from .calibration import CALIBRATION_SCHEMA
-from .dataset import DATASET_SCHEMA
+from .dataset import DatasetFile
 from .object_model import OBJECT_MODEL_SCHEMA
+from .rig import RigFile
 
 SCHEMAS = {
-    "dataset": DATASET_SCHEMA,
+    # A folder with one camera, or with several.
+    "dataset": TypeAdapter(DatasetFile | RigFile),
     "calibration": CALIBRATION_SCHEMA,
     "object": OBJECT_MODEL_SCHEMA,
 }

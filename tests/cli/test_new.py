@@ -91,3 +91,24 @@ def test_a_grid_of_tags_is_not_begun_with_the_numbers_of_kalibr(tmp_path):
     assert (april.rows, april.columns, april.size, april.border_bits) == (6, 6, 0.088, 2)
     assert tags.size != april.size
     assert tags.border_bits == 1
+
+
+def test_several_cameras_have_a_folder_each(tmp_path):
+    picture = np.zeros((48, 64), dtype=np.uint8)
+    (tmp_path / "images/left").mkdir(parents=True)
+    cv2.imwrite(str(tmp_path / "images/left/a.jpg"), picture)
+    told = CliRunner().invoke(app, ["new", str(tmp_path), "--cameras", "left, wrist"])
+    assert told.exit_code == 0, told.output
+    content = read_yaml(tmp_path / "dataset.yaml")
+    assert content["cameras"] == {
+        "left": {"image_size": [64, 48]},
+        "wrist": {"image_size": [1280, 1024]},
+    }
+    assert content["pictures"] == {"pattern": "images/{camera}/{view}.jpg"}
+    assert (tmp_path / "images/wrist").is_dir()
+    told = CliRunner().invoke(app, ["new", str(tmp_path / "b"), "--cameras", "left,,right"])
+    assert told.exit_code == 2
+    assert "--cameras: expected different names between commas" in " ".join(told.stderr.split())
+    told = CliRunner().invoke(app, ["new", str(tmp_path / "b"), "--cameras", "left,../x"])
+    assert told.exit_code == 2
+    assert not (tmp_path / "b").exists()

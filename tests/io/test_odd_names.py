@@ -261,7 +261,7 @@ WRITERS = {
     "calibration/calibration.py save": "calibration in YAML",
     "io/csv_tables.py write_table": "misses",
     "cli/calibrate_poses.py write_pose_files": "(the package's own)",
-    "io/dataset_folder.py _write_folder": "description",
+    "io/dataset_folder.py write_described_folder": "description",
     "io/detections.py write_detections": "data set",
     "io/detections.py write_kept_detections": "kept detections",
     "io/easy_handeye.py write_easy_handeye": "(poses only)",

@@ -1,0 +1,142 @@
+"""A folder with several cameras that watched one robot."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+from detected_sample import detected_sample
+from fit_scenes import scene_of
+from jaxlie import SE3
+from text_files import edit
+
+from smartview_jax import Rig, load_dataset, load_rig, save_rig
+from smartview_jax.io import is_rig_folder, sample_folder
+from smartview_jax.simulation import paper_calibration, simulate
+from smartview_jax.targets import Chessboard
+
+TARGET = Chessboard(rows=4, columns=3, square=0.05)
+
+
+def seen(views, target, mount="eye_in_hand"):
+    """Views of a target from poses of a scene."""
+    poses = scene_of(0).data.base_from_tool
+    data = simulate(paper_calibration(), SE3(poses.wxyz_xyz[views]), target.points, 0, 0.1).data
+    names = tuple(f"state {k}" for k in range(views.start, views.stop))
+    return dataclasses.replace(data, view_ids=names, target=target, mount=mount)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """A camera on the hand and one next to the arm, which see one state of the robot together."""
+    first = seen(slice(0, 4), TARGET)
+    second = seen(slice(3, 7), dataclasses.replace(TARGET, square=0.03), "eye_to_hand")
+    return Rig({"wrist": first, "fixed": second}, {"wrist": "table", "fixed": "hand"})
+
+
+def test_what_was_saved_is_loaded(rig, tmp_path):
+    save_rig(rig, tmp_path, "quaternion_xyzw")
+    assert is_rig_folder(tmp_path)
+    loaded = load_rig(tmp_path)
+    assert loaded.targets == rig.targets
+    assert loaded.view_ids == rig.view_ids
+    for name, data in rig.cameras.items():
+        found = loaded.cameras[name]
+        assert (found.mount, found.view_ids) == (data.mount, data.view_ids)
+        assert found.target == data.target
+        np.testing.assert_array_equal(found.visible, data.visible)
+        np.testing.assert_allclose(found.pixels, data.pixels, atol=1e-9)
+
+
+def test_one_mount_and_target_are_written_once(rig, tmp_path):
+    wrist = rig.cameras["wrist"]
+    save_rig(Rig({"left": wrist, "right": wrist}), tmp_path)
+    text = (tmp_path / "dataset.yaml").read_text()
+    assert text.count("chessboard") == 1
+    assert text.count("mount") == 1
+    assert load_rig(tmp_path).targets == {"left": "target", "right": "target"}
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory):
+    """Pictures of two cameras, of three states of the robot."""
+    folder = tmp_path_factory.mktemp("pictured")
+    views = {"left": "01", "right": "12"}
+    for camera, names in views.items():
+        (folder / "images" / camera).mkdir(parents=True)
+        for name in names:
+            shutil.copy(sample_folder() / f"images/{name}.png", folder / f"images/{camera}")
+    rows = (sample_folder() / "poses.csv").read_text().splitlines()[:4]
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    text = (sample_folder() / "dataset.yaml").read_text()
+    size = ", ".join(map(str, detected_sample().image_size))
+    lines = [line for line in text.splitlines() if not line.startswith(("camera", "pictures"))]
+    cameras = [f"  {camera}: {{image_size: [{size}]}}" for camera in views]
+    pattern = 'pictures: {pattern: "images/{camera}/{view}.png"}'
+    description = [lines[0], "cameras:", *cameras, pattern, *lines[1:]]
+    (folder / "dataset.yaml").write_text("\n".join(description) + "\n")
+    return folder
+
+
+def test_a_camera_has_the_states_of_which_it_has_pictures(pictured):
+    loaded, alone = load_rig(pictured), detected_sample()
+    assert loaded.cameras["left"].view_ids == ("0", "1")
+    assert loaded.cameras["right"].view_ids == ("1", "2")
+    for name, views in (("left", [0, 1]), ("right", [1, 2])):
+        np.testing.assert_array_equal(loaded.cameras[name].pixels, np.asarray(alone.pixels)[views])
+        assert (pictured / f"detections/{name}.csv").is_file()
+    messages = []
+    load_rig(pictured, progress=messages.append)
+    assert messages == [
+        f"{name}: detections of 2 views from {name}.csv" for name in ("left", "right")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda f: (f / "images/left/0.png").unlink(), r"view 0: no camera has a picture of it"),
+        (lambda f: shutil.rmtree(f / "images/right"), "camera right has no picture"),
+        (
+            lambda f: edit(f / "dataset.yaml", "{camera}/", ""),
+            r"pictures.pattern: expected a name with \{camera\} and \{view\}",
+        ),
+        (
+            lambda f: edit(f / "dataset.yaml", "right: {", "right: {target: table, "),
+            "cameras.right.target: there is one 'target' for all cameras",
+        ),
+        (
+            lambda f: edit(f / "dataset.yaml", "right: {", "right: {mount: ceiling, "),
+            "cameras.right.mount is one of eye_in_hand, eye_to_hand; found 'ceiling'",
+        ),
+        (
+            lambda f: shutil.copy(f / "images/left/0.png", f / "images/left/7.png"),
+            "no pose for the picture 7.png",
+        ),
+    ],
+)
+def test_mistakes_are_named(pictured, tmp_path, spoil, message):
+    folder = tmp_path / "spoilt"
+    shutil.copytree(pictured, folder)
+    spoil(folder)
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        load_rig(folder)
+
+
+def test_each_kind_of_folder_names_its_reader(pictured):
+    with pytest.raises(ValueError, match="a folder with several cameras is read by load_rig"):
+        load_dataset(pictured)
+    with pytest.raises(ValueError, match="entry 'cameras' is missing: load_dataset reads one"):
+        load_rig(sample_folder())
+    assert not is_rig_folder(sample_folder())
+
+
+def test_a_camera_without_a_described_target_is_not_written(rig, tmp_path):
+    wrist = rig.cameras["wrist"]
+    unknown = Rig({"left": wrist, "right": dataclasses.replace(wrist, target=None)})
+    with pytest.raises(ValueError, match="camera 'right' needs a target that describes its points"):
+        save_rig(unknown, tmp_path / "none")
+    other = seen(slice(0, 4), dataclasses.replace(TARGET, square=0.02))
+    with pytest.raises(ValueError, match="camera 'right' describes 'target' otherwise"):
+        save_rig(Rig({"left": wrist, "right": other}), tmp_path / "none")
+    assert not (tmp_path / "none").exists()
