@@ -1,7 +1,7 @@
 """Hold the data sets of several cameras that watched one robot move."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import jax
@@ -100,6 +100,25 @@ class Rig:
             for state in self.state_index[name][data.usable_views()]:
                 cameras[state].append(name)
         return [tuple(names) for names in cameras]
+
+    @property
+    def view_count(self) -> int:
+        """The number of the robot's states, masked ones included."""
+        return len(self.view_ids)
+
+    def usable_views(self) -> np.ndarray:
+        """Return the indices of the states in which a camera saw enough points of its target."""
+        return np.array([k for k, names in enumerate(self.seeing) if names], dtype=int)
+
+    def mask_views(self, views: Sequence[int] | np.ndarray) -> "Rig":
+        """Return the rig with some states of the robot masked for all cameras."""
+        masked = np.zeros(self.view_count, dtype=bool)
+        masked[np.asarray(views, dtype=int)] = True
+        cameras = {
+            name: data.mask_views(np.flatnonzero(masked[self.state_index[name]]))
+            for name, data in self.cameras.items()
+        }
+        return Rig(cameras, self.targets)
 
     def _state_poses(self) -> Float[np.ndarray, "states 4 4"]:
         """Return the reported pose of each state.

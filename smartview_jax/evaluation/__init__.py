@@ -45,6 +45,7 @@ from .measures import root_mean_square as root_mean_square
 from .rejections import RejectionCount as RejectionCount
 from .rejections import count_rejected as count_rejected
 from .rejections import rejected_by as rejected_by
+from .rejections import without_rejected_rig_views as without_rejected_rig_views
 from .rejections import without_rejected_views as without_rejected_views
 from .stylus import stylus_error as stylus_error
 from .stylus import touching_pose as touching_pose

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..dataset import Dataset
+from ..dataset import Dataset, Rig
 from ..fit_result import Rejection
-from ..joint import JointFit
+from ..joint import JointFit, RigFit
 
 
 class RejectionCount(NamedTuple):
@@ -31,6 +31,17 @@ def without_rejected_views(data: Dataset, fit: JointFit) -> Dataset:
     """
     used = np.asarray(fit.problem.observations.visible).any(axis=1)
     return data.mask_views(np.flatnonzero(~used))
+
+
+def without_rejected_rig_views(rig: Rig, fit: RigFit) -> Rig:
+    """Return a rig without the views that its fit left out as a whole, to evaluate the fit."""
+    cameras = {}
+    for name, data in rig.cameras.items():
+        rejected = {
+            entry.view for camera, entry in fit.rejected if camera == name and entry.point is None
+        }
+        cameras[name] = data.mask_views([k for k, v in enumerate(data.view_ids) if v in rejected])
+    return Rig(cameras, rig.targets)
 
 
 def count_rejected(rejected: Sequence[Rejection]) -> RejectionCount:

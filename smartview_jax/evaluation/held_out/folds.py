@@ -7,7 +7,7 @@ With a hidden region, the fit has to extrapolate.
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...dataset import Dataset
+from ...dataset import Dataset, Rig
 
 LEAVE_ONE_OUT_BELOW = 8
 """The number of views below which every view is its own fold."""
@@ -19,8 +19,8 @@ FOLD_KINDS = ("view", "region")
 """The accepted values of `by`."""
 
 
-def split_views(data: Dataset, folds: int, by: str = "view") -> tuple[tuple[int, ...], ...]:
-    """Return the usable views that each fold hides.
+def split_views(data: Dataset | Rig, folds: int, by: str = "view") -> tuple[tuple[int, ...], ...]:
+    """Return the usable views, or states of a rig's robot, that each fold hides.
 
     They depend on the data only, so that all methods have the same folds.
 

@@ -1,13 +1,14 @@
 """Cross-validate: estimate the error on views that a fit never used, refitting in each fold."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from jaxlie import SE3
 
 from ...calibration import Calibration
-from ...dataset import Dataset
+from ...dataset import Dataset, Rig
+from ...joint import RigFit
 from ...runtime.array_namespace import to_device
 from ..measures import Predictor, ReprojectionErrors, reprojection_errors
 from .bootstrap import Interval, rms_interval
@@ -52,32 +53,72 @@ class HeldOutErrors(NamedTuple):
         return rms_interval(self.errors, level)
 
 
+@overload
 def held_out(
     data: Dataset,
     fitter: Callable[[Dataset], Any],
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
     by: str = "view",
-) -> HeldOutErrors:
+) -> HeldOutErrors: ...
+
+
+@overload
+def held_out(
+    data: Rig,
+    fitter: Callable[[Rig], RigFit],
+    folds: int = 5,
+    progress: Callable[[str], None] | None = None,
+    by: str = "view",
+) -> dict[str, HeldOutErrors]: ...
+
+
+def held_out(
+    data: Dataset | Rig,
+    fitter: Callable[[Any], Any],
+    folds: int = 5,
+    progress: Callable[[str], None] | None = None,
+    by: str = "view",
+) -> HeldOutErrors | dict[str, HeldOutErrors]:
     """Cross-validate, by view or by region of the workspace.
 
     Args:
-        data: all views.
+        data: all views. Of a `Rig`, states of the robot are held out for all cameras at once.
         fitter: function from a data set to a fit with a `.calibration`, or to anything with
-        `project`, `points_in_camera` and `camera`. It is called with the held-out views masked.
+            `project`, `points_in_camera` and `camera`. It is called with the held-out views masked.
+            Of a rig, it returns a `RigFit`.
         folds: number of folds; by view and below eight views, as many as there are views.
         progress: called with a line of text for each fold.
         by: `"view"` hides views at random; `"region"` hides views with nearby tool positions
             together, so that the fit has to extrapolate.
 
+    Returns:
+        The errors on the held-out views; of a rig, those of each camera by its name.
+
     Raises:
         ValueError: fewer than two folds, or too few usable views: four, six by region.
     """
-    return score(fit_folds(data, fitter, folds, progress, by), data)
+    fits = fit_folds(data, fitter, folds, progress, by)
+    if isinstance(data, Dataset):
+        return score(fits, data)
+    return {name: score(_of_camera(fits, data, name), data.cameras[name]) for name in data.cameras}
+
+
+def _of_camera(fits: Sequence[FoldFit], rig: Rig, name: str) -> list[FoldFit]:
+    """Return the fits of a rig's folds as fits of one camera, with its own hidden views."""
+    states = rig.state_index[name]
+    return [
+        FoldFit(
+            tuple(np.flatnonzero(np.isin(states, fold.views)).tolist()),
+            None if fold.failure is not None else fold.fit.calibrations[name],
+            fold.failure,
+        )
+        for fold in fits
+    ]
 
 
 def fit_folds(
-    data: Dataset,
+    data: Dataset | Rig,
     fitter: Callable[[Any], Any],
     folds: int = 5,
     progress: Callable[[str], None] | None = None,
@@ -163,7 +204,7 @@ def score(
 def _extrapolated_views(fold: FoldFit, data: Dataset) -> tuple[int, ...]:
     """Return the hidden views that are outside the region of a fold's predictor."""
     is_inside = None if fold.failure else getattr(predictor_of(fold.fit), "is_inside", None)
-    if is_inside is None:
+    if is_inside is None or not fold.views:
         return ()
     views = np.array(fold.views)
     poses = np.asarray(data.base_from_tool.wxyz_xyz)[views]

@@ -1,11 +1,12 @@
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smartview_jax import Calibration, held_out
+from smartview_jax import Calibration, Rig, held_out
 from smartview_jax.evaluation import (
     choose_uncorrected,
     fit_folds,
@@ -35,6 +36,27 @@ def test_folds_are_the_fixed_permutation_dealt_out():
     assert list(view_folds(views, 5)) == expected
     assert [len(fold) for fold in view_folds(np.arange(7), 5)] == [1] * 7
     assert [len(fold) for fold in view_folds(np.arange(8), 5)] == [2, 2, 2, 1, 1]
+
+
+def test_states_of_a_rig_are_hidden_from_all_its_cameras(scene):
+    views = scene.data.view_count
+    rig = Rig({"left": scene.data, "right": scene.data.select(range(2, views))})
+    shown = []
+
+    def fitter(part):
+        shown.append(part)
+        return SimpleNamespace(calibrations=dict.fromkeys(part.cameras, scene.calibration))
+
+    found = held_out(rig, fitter, folds=4)
+    assert len(shown) == 4
+    for name, data in rig.cameras.items():
+        # Each view of each camera is hidden once, and predicted then.
+        assert sorted(sum(found[name].folds, ())) == list(range(data.view_count))
+        truth = reprojection_errors(scene.calibration, data)
+        np.testing.assert_array_equal(found[name].errors.px, truth.px)
+        for part, hidden in zip(shown, found[name].folds, strict=True):
+            visible = np.asarray(part.cameras[name].visible).any(axis=1)
+            assert np.flatnonzero(~visible).tolist() == sorted(hidden)
 
 
 def test_every_view_is_predicted_by_a_fit_that_never_saw_it(scene):
