@@ -103,7 +103,8 @@ def calibrate(
             time_offset,
             None if mount is None else mount.value,
         )
-        if together:
+        # Several cameras: of one folder, or each in a folder of its own.
+        if together or _has_cameras(datasets):
             if not calibrate_rig_folders(datasets or [], out, settings, json):
                 raise typer.Exit(1)
             return
@@ -121,6 +122,13 @@ def calibrate(
         # The results are written, but a script must notice that the fit did not converge.
         if not ends(data, name, settings, out, json):
             raise typer.Exit(1)
+
+
+def _has_cameras(folders: "list[Path] | None") -> bool:
+    """Return whether the only data set is a folder with several cameras."""
+    from ..io import is_rig_folder
+
+    return folders is not None and len(folders) == 1 and is_rig_folder(folders[0])
 
 
 def _has_tracked_poses(data: "Dataset") -> bool:

@@ -1,61 +1,128 @@
-"""Calibrate several folders together for `smartview calibrate`: cameras that watched one robot."""
+"""Calibrate the cameras that watched one robot together, for `smartview calibrate`."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import typer
-
-from ..files import refuse_unwritable
-from .calibrate_folder import CalibrateSettings, loaded_folder
+from ..files import file_transaction, refuse_unwritable
+from .calibrate_folder import CalibrateSettings, command_line, loaded_folder, run_name
 from .json_document import print_document, transform_document
 from .terminal import progress_line
 
 if TYPE_CHECKING:
+    from ..dataset import Rig
+    from ..evaluation import HeldOutErrors
     from ..joint import RigFit
+
+
+class RigResult(NamedTuple):
+    """A rig's fit and what was computed about it.
+
+    Attributes:
+        rig: the data sets of the cameras.
+        name: name of the data.
+        fit: the joint fit.
+        held_out: errors of held-out states by camera; None where they were not computed.
+        notes: remarks on the data, and on what could not be computed.
+    """
+
+    rig: "Rig"
+    name: str
+    fit: "RigFit"
+    held_out: "dict[str, HeldOutErrors] | None"
+    notes: tuple[str, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Notes and warnings as lines for people."""
+        return (*self.notes, *(f"warning: {text}" for text in self.fit.warnings))
 
 
 def calibrate_rig_folders(
     folders: Sequence[Path], out: Path, settings: CalibrateSettings, json: bool
 ) -> bool:
-    """Calibrate folders as the cameras of one rig; return whether the fit converged.
+    """Calibrate a folder with several cameras, or folders that are the cameras of one rig.
 
-    A camera is called as its folder is. For each camera a calibration is written, `left.yaml`.
+    For each camera a calibration is written, such as `left.yaml`, and one report for all.
+
+    Returns:
+        Whether the fit converged.
 
     Raises:
-        ValueError: fewer than two folders, an option that a rig does not have, or data sets that
-            do not belong to one robot.
+        ValueError: an option that a rig does not have, or data sets that do not belong to one
+            robot.
     """
-    from ..calibration_pipeline import calibrate
-    from ..dataset import Rig
-
     _refuse_other_options(settings)
+    refuse_unwritable(out, "--out")
+    run = run_name()
+    with progress_line() as progress:
+        rig, name = _loaded_rig(folders, settings, progress)
+        result = _calibrated_rig(rig, name, settings, progress)
+    if not json:
+        _print_result(result)
+    with progress_line() as progress:
+        progress("drawing the report")
+        files = _write_files(result, out, run)
+    if json:
+        print_document("calibrate", {**_document(result), "run": run, "files": files})
+    else:
+        from typer import echo
+
+        for file in files[:-1]:
+            echo(f"{file}: the calibration of this camera, with its covariance")
+        echo(f"{files[-1]}: the report: results and accuracy")
+    return result.fit.result.converged
+
+
+def _loaded_rig(
+    folders: Sequence[Path], settings: CalibrateSettings, progress: Callable[[str], None]
+) -> "tuple[Rig, str]":
+    """Load a folder with several cameras, or a folder for each camera, and return a name too."""
+    from ..dataset import Rig
+    from ..io import load_rig
+
+    if len(folders) == 1:
+        rig = load_rig(folders[0], settings.bad_views, progress)
+        return rig, folders[0].resolve().name
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < max(2, len(names)):
         raise ValueError(
             f"--together: expected folders of different names, one for each camera; found "
             f"{', '.join(names) or 'none'}"
         )
-    refuse_unwritable(out, "--out")
-    with progress_line() as progress:
-        cameras = {
-            name: loaded_folder(folder, settings, progress)[0]
-            for name, folder in zip(names, folders, strict=True)
-        }
-        fit = calibrate(Rig(cameras), settings.lens, progress=progress)
-    fit.save(out)
-    files = [out / f"{name}.yaml" for name in names]
-    if json:
-        print_document("calibrate", {**_document(fit), "files": [str(file) for file in files]})
-        return fit.result.converged
-    typer.echo(str(fit))
-    for name, entry in fit.rejected:
-        place = "" if entry.point is None else f", point {entry.point}"
-        typer.echo(f"left out: {name}, view {entry.view}{place}: {entry.reason}")
-    for file in files:
-        typer.echo(f"{file}: the calibration of this camera, with its covariance")
-    return fit.result.converged
+    cameras = {
+        name: loaded_folder(folder, settings, progress)[0]
+        for name, folder in zip(names, folders, strict=True)
+    }
+    return Rig(cameras), ", ".join(names)
+
+
+def _calibrated_rig(
+    rig: "Rig", name: str, settings: CalibrateSettings, progress: Callable[[str], None]
+) -> RigResult:
+    """Fit a rig, and compute its held-out errors if requested."""
+    from ..calibration_pipeline import calibrate
+    from ..evaluation import held_out, without_rejected_rig_views
+
+    fit = calibrate(rig, settings.lens, progress=progress)
+    notes = [f"{camera}: {note}" for camera, data in rig.cameras.items() for note in data.notes]
+    scores, used = None, without_rejected_rig_views(rig, fit)
+    if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_STATES:
+        notes.append(f"held-out error needs at least {MIN_HELD_OUT_STATES} usable states: left out")
+    elif settings.held_out:
+        scores = held_out(
+            used,
+            lambda part: calibrate(part, settings.lens),
+            progress=lambda text: progress(f"held-out: {text}"),
+        )
+        failures = next(iter(scores.values())).failures
+        notes += [f"held-out: fold {k + 1}: {reason}" for k, reason in failures]
+    return RigResult(rig, name, fit, scores, tuple(notes))
+
+
+MIN_HELD_OUT_STATES = 4
+"""Fewest usable states of the robot for which held-out errors are computed."""
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:
@@ -64,29 +131,82 @@ def _refuse_other_options(settings: CalibrateSettings) -> None:
     given = [f"--{name}" for name, value in dataclasses.asdict(known).items() if value is not None]
     given += ["--diagnose"] * settings.diagnose
     given += ["--noise"] * (settings.noise != "estimated")
+    given += ["--mount"] * (settings.mount is not None)
     if given:
         raise ValueError(
-            f"{given[0]}: not with --together, which takes --lens, --bad-views and --out; "
-            "sv.calibrate(sv.Rig(...)) takes the rest"
+            f"{given[0]}: not for several cameras together, which take --lens, --bad-views, "
+            "--held-out and --out; sv.calibrate(sv.Rig(...)) takes the rest"
         )
 
 
-def _document(fit: "RigFit") -> dict[str, Any]:
+def _print_result(result: RigResult) -> None:
+    """Print notes and warnings, a row for each camera and each pair, and what was left out."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..report import (
+        CAMERA_HEADINGS,
+        RELATIVE_HEADINGS,
+        relative_pose_rows,
+        rig_camera_rows,
+        rig_summary,
+    )
+
+    console = Console()
+    for note in result.remarks:
+        console.print(note, highlight=False, markup=False)
+    tables = (
+        (CAMERA_HEADINGS, rig_camera_rows(result.fit, result.rig, result.held_out)),
+        (RELATIVE_HEADINGS, relative_pose_rows(result.fit)),
+    )
+    for headings, rows in tables:
+        if rows:
+            table = Table(*headings)
+            for row in rows:
+                table.add_row(*row)
+            console.print(table)
+    console.print(rig_summary(result.fit, result.held_out), highlight=False)
+    for name, entry in result.fit.rejected:
+        place = "" if entry.point is None else f", point {entry.point}"
+        console.print(
+            f"left out: {name}, view {entry.view}{place}: {entry.reason}",
+            highlight=False,
+            markup=False,
+        )
+
+
+def _write_files(result: RigResult, out: Path, run: str) -> list[Path]:
+    """Write the cameras' calibrations and the report, all or none, and return their paths."""
+    from ..report import Origin, write_rig_page
+
+    names = [f"{camera}.yaml" for camera in result.fit.calibrations] + ["report.html"]
+    with file_transaction(out, tuple(names)) as folder:
+        result.fit.save(folder, run)
+        origin = Origin(result.name, command_line(), run)
+        page = folder / "report.html"
+        write_rig_page(page, result.fit, result.rig, result.held_out, origin, result.remarks)
+    return [out / name for name in names]
+
+
+def _document(result: RigResult) -> dict[str, Any]:
     """Return the result as plain numbers for `--json`."""
-    cameras = {}
+    fit, cameras = result.fit, {}
     for name, calibration in fit.calibrations.items():
         mount = calibration.transform_names[0]
         parts = [f"{part}.{k}" for part in ("translation", "rotation") for k in "xyz"]
+        scores = None if result.held_out is None else result.held_out[name].errors.rms
         cameras[name] = {
             mount: transform_document(calibration.camera_from_mount),
             "std": {part: fit.std[f"{name}.{mount}.{part}"] for part in parts},
             "rms_px": fit.rms(name),
+            "held_out_rms_px": scores,
         }
     return {
         "cameras": cameras,
         "robot": {"translation": fit.noise.translation, "rotation": fit.noise.rotation},
         "states": len(fit.view_ids),
         "converged": fit.result.converged,
+        "notes": list(result.notes),
         "warnings": list(fit.warnings),
         "left_out": [
             {"camera": name, "view": e.view, "point": e.point, "reason": e.reason}

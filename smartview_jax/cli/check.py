@@ -15,7 +15,7 @@ from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
     from ..cameras import Camera
-    from ..dataset import Dataset
+    from ..dataset import Dataset, Rig
 
 MIN_VIEWS = 10
 """Fewest usable views for which no more are requested."""
@@ -66,31 +66,113 @@ def check(
     Exits with 1 if the data cannot be calibrated as they are.
     """
     with errors_reported(debug):
-        from ..io import read_camera
+        from ..io import is_rig_folder, load_rig, read_camera
 
         known_camera = None if camera is None else read_camera(camera)
+        if dataset is not None and is_rig_folder(dataset):
+            if known_camera is not None:
+                raise ValueError("--camera: the folder has several cameras")
+            with progress_line() as progress:
+                rig = load_rig(dataset, bad_views, progress)
+            if not check_rig(rig, dataset.resolve().name, json):
+                raise typer.Exit(1)
+            return
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress)
-        given, data = data, _without_repetitions(data)
-        figures = _figures(data)
-        if not json:
-            typer.echo(f"{name}: {data.view_count} views, {data.mount}")
-            for text in (*data.notes, *_seen(figures, data), *_motion(figures)):
-                typer.echo(text)
-        # The data with repetitions: if all poses are equal, no view is left without them.
-        reported = {view for view, _ in data.masked_views}
-        problems, doubts = _agreement(given, reported, known_camera)
+        checked = _checked(data, name, known_camera)
         if json:
-            print_document("check", _document(name, data, figures, problems, doubts))
+            print_document("check", checked.document)
         else:
-            for kind, texts in (("problem", problems), ("doubt", doubts)):
-                for text in texts:
-                    typer.echo(f"{kind}: {text}")
-        if problems:
+            _print_lines(checked)
+        if checked.problems:
             raise typer.Exit(1)
         if not json:
-            except_for = ", apart from these doubts" if doubts else ""
+            except_for = ", apart from these doubts" if checked.doubts else ""
             typer.echo(f"camera and robot agree{except_for}: ready for smartview calibrate")
+
+
+class CheckedData(NamedTuple):
+    """The findings in the data set of one camera.
+
+    Attributes:
+        lines: the figures in words.
+        problems: reasons why the data cannot be calibrated.
+        doubts: views and figures that do not fit, although most do.
+        document: all of it as values for programs.
+    """
+
+    lines: tuple[str, ...]
+    problems: tuple[str, ...]
+    doubts: tuple[str, ...]
+    document: dict[str, Any]
+
+
+def _checked(given: "Dataset", name: str, camera: "Camera | None") -> CheckedData:
+    """Check the data of one camera."""
+    data = _without_repetitions(given)
+    figures = _figures(data)
+    first = f"{name}: {data.view_count} views, {data.mount}"
+    lines = (first, *data.notes, *_seen(figures, data), *_motion(figures))
+    # The data with repetitions: if all poses are equal, no view is left without them.
+    reported = {view for view, _ in data.masked_views}
+    problems, doubts = _agreement(given, reported, camera)
+    document = _document(name, data, figures, problems, doubts)
+    return CheckedData(lines, problems, doubts, document)
+
+
+def _print_lines(checked: CheckedData) -> None:
+    """Print what was found, problems and doubts last."""
+    for text in checked.lines:
+        typer.echo(text)
+    for kind, texts in (("problem", checked.problems), ("doubt", checked.doubts)):
+        for text in texts:
+            typer.echo(f"{kind}: {text}")
+
+
+def check_rig(rig: "Rig", name: str, json: bool) -> bool:
+    """Check the data of several cameras, and return whether all can be calibrated."""
+    checked = {camera: _checked(data, camera, None) for camera, data in rig.cameras.items()}
+    shared = sum(len(cameras) > 1 for cameras in rig.seeing)
+    doubts = _lonely_cameras(rig)
+    ready = not any(found.problems for found in checked.values())
+    if json:
+        document = {
+            "data_set": name,
+            "states": rig.view_count,
+            "states_seen_by_several": shared,
+            "cameras": {camera: found.document for camera, found in checked.items()},
+            "doubts": doubts,
+            "can_be_calibrated": ready,
+        }
+        print_document("check", document)
+        return ready
+    typer.echo(
+        f"{name}: {len(checked)} cameras, {rig.view_count} states of the robot, {shared} of them "
+        "seen by several cameras"
+    )
+    for found in checked.values():
+        _print_lines(found)
+    for text in doubts:
+        typer.echo(f"doubt: {text}")
+    if ready:
+        any_doubt = bool(doubts) or any(found.doubts for found in checked.values())
+        except_for = ", apart from these doubts" if any_doubt else ""
+        typer.echo(f"cameras and robot agree{except_for}: ready for smartview calibrate")
+    return ready
+
+
+def _lonely_cameras(rig: "Rig") -> list[str]:
+    """Return a doubt for each camera that shares neither a state nor a target with another."""
+    if len(rig.cameras) == 1:
+        return []
+    together = {camera for cameras in rig.seeing if len(cameras) > 1 for camera in cameras}
+    targets = list(rig.targets.values())
+    return [
+        f"camera {name} shares no state of the robot and no target with another camera: only the "
+        "robot's errors connect them"
+        for name, target in rig.targets.items()
+        if name not in together and targets.count(target) == 1
+    ]
 
 
 def _without_repetitions(data: "Dataset") -> "Dataset":

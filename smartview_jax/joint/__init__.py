@@ -4,6 +4,7 @@ from .camera_fit import CameraFit as CameraFit
 from .camera_fit import batch_least_squares as batch_least_squares
 from .camera_fit import fit_camera as fit_camera
 from .fit import fit_joint as fit_joint
+from .fit_text import calibration_forms as calibration_forms
 from .fit_text import estimate_groups as estimate_groups
 from .fit_text import fit_html as fit_html
 from .fit_text import fit_text as fit_text

@@ -67,15 +67,21 @@ def fit_text(
 
 def hand_eye_forms(fit: "JointFit") -> list[tuple[str, list[TransformForm]]]:
     """Return the hand-eye transform and its inverse by name, in the forms of other programs."""
-    calibration = fit.calibration
+    return calibration_forms(fit.calibration, fit.pose_format)
+
+
+def calibration_forms(
+    calibration: Calibration, pose_format: str | None = None
+) -> list[tuple[str, list[TransformForm]]]:
+    """Return a calibration's hand-eye transform and its inverse, as `hand_eye_forms` does."""
     name = calibration.transform_names[0]
     target, source = name.split("_from_")
     matrix = host_matrices(calibration.camera_from_mount)
     if not np.isfinite(matrix).all():
         return []
     return [
-        (name, transform_forms(matrix, fit.pose_format)),
-        (f"{source}_from_{target}", transform_forms(np.linalg.inv(matrix), fit.pose_format)),
+        (name, transform_forms(matrix, pose_format)),
+        (f"{source}_from_{target}", transform_forms(np.linalg.inv(matrix), pose_format)),
     ]
 
 

@@ -211,10 +211,14 @@ class RigFit(eqx.Module):
         """
         return half_width(self.std[name], self.degrees_of_freedom[name], level)
 
-    def save(self, folder: str | os.PathLike[str]) -> None:
+    def save(self, folder: str | os.PathLike[str], run: str | None = None) -> None:
         """Write a calibration file for each camera, `left.yaml`, with its covariance: all or none.
 
         Each file is read by `Calibration.load` and `load_estimate`.
+
+        Args:
+            folder: of the files; created if it does not exist.
+            run: name of the run that made them; None without one.
         """
         names = tuple(f"{name}.yaml" for name in self.calibrations)
         with file_transaction(folder, names) as place:
@@ -222,6 +226,7 @@ class RigFit(eqx.Module):
                 estimate = self.estimate(name)
                 estimate.calibration.save(
                     place / f"{name}.yaml",
+                    run,
                     warnings=self.warnings,
                     source=f"rig of {', '.join(self.calibrations)}",
                     uncertainty=uncertainty_to_dict(estimate),

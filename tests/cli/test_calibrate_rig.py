@@ -1,14 +1,27 @@
-"""`smartview calibrate A B --together`: the folders are cameras that watched one robot."""
+"""`smartview calibrate` and `check` of several cameras that watched one robot."""
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from jaxlie import SE3
 from typer.testing import CliRunner
 
-from smartview_jax import load_estimate, save_dataset
+from smartview_jax import (
+    Rig,
+    calibrate,
+    calibration_pipeline,
+    load_estimate,
+    save_dataset,
+    save_rig,
+)
 from smartview_jax.cli import app
+from smartview_jax.cli.calibrate_folder import CalibrateSettings
+from smartview_jax.cli.calibrate_rig import _loaded_rig
+from smartview_jax.cli.check import _lonely_cameras
+from smartview_jax.cli.fit_options import FitKnowledge
 from smartview_jax.simulation import six_axis_rig_scene
 from smartview_jax.targets import Chessboard
 
@@ -18,20 +31,42 @@ def scene():
     return six_axis_rig_scene(1, cameras=2)
 
 
+TARGET = Chessboard(rows=9, columns=12, square=0.03)
+
+
 @pytest.fixture(scope="module")
-def folders(scene, tmp_path_factory):
+def rig(scene):
+    """The cameras with their target."""
+    cameras = scene.rig.cameras
+    return Rig({name: dataclasses.replace(data, target=TARGET) for name, data in cameras.items()})
+
+
+@pytest.fixture(scope="module")
+def folders(rig, tmp_path_factory):
     place = tmp_path_factory.mktemp("rig")
-    target = Chessboard(rows=9, columns=12, square=0.03)
-    for name, data in scene.rig.cameras.items():
-        save_dataset(dataclasses.replace(data, target=target), place / name)
-    return [str(place / name) for name in scene.rig.cameras]
+    for name, data in rig.cameras.items():
+        save_dataset(data, place / name)
+    return [str(place / name) for name in rig.cameras]
 
 
-def test_a_calibration_for_each_camera(scene, folders, tmp_path):
-    out = tmp_path / "out"
-    told = CliRunner().invoke(
-        app, ["calibrate", *folders, "--together", "--json", "--out", str(out)]
-    )
+@pytest.fixture(scope="module")
+def folder(rig, tmp_path_factory):
+    """All cameras in one folder."""
+    place = tmp_path_factory.mktemp("one") / "cell"
+    save_rig(rig, place)
+    return str(place)
+
+
+def test_a_calibration_for_each_camera_and_one_report(scene, folder, tmp_path, monkeypatch):
+    out, fits = tmp_path / "out", []
+
+    def fit_once(rig, lens, progress=None):
+        # Fits of the folds take as long as the first one; here they are the first one.
+        fits.append(fits[0] if fits else calibrate(rig, lens, progress=progress))
+        return fits[-1]
+
+    monkeypatch.setattr(calibration_pipeline, "calibrate", fit_once)
+    told = CliRunner().invoke(app, ["calibrate", folder, "--json", "--out", str(out)])
     assert told.exit_code == 0, told.output
     document = json.loads(told.stdout)
     assert document["converged"]
@@ -39,9 +74,26 @@ def test_a_calibration_for_each_camera(scene, folders, tmp_path):
     for name, truth in scene.calibrations.items():
         estimate = load_estimate(out / f"{name}.yaml")
         found = np.asarray(estimate.calibration.camera_from_tool.translation())
-        assert document["cameras"][name]["camera_from_tool"]["translation"] == pytest.approx(found)
+        entry = document["cameras"][name]
+        assert entry["camera_from_tool"]["translation"] == pytest.approx(found)
         true = np.asarray(truth.camera_from_tool.translation())
         assert np.linalg.norm(found - true) < 3e-4
+        assert 0.05 < entry["rms_px"] < 0.5
+        assert entry["held_out_rms_px"] == pytest.approx(entry["rms_px"], rel=0.5)
+    assert len(fits) == 6
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for text in ("camera2 in camera1", "Camera camera1", "camera2: camera_from_tool", "Left out"):
+        assert (text in page) == (text != "Left out" or bool(document["left_out"]))
+    assert document["files"][-1] == str(out / "report.html")
+
+
+def test_folders_of_the_cameras_are_one_rig(rig, folders):
+    settings = CalibrateSettings(
+        "opencv4", "estimated", True, False, FitKnowledge(), "raise", None, False, None
+    )
+    loaded, name = _loaded_rig(list(map(Path, folders)), settings, lambda _: None)
+    assert name == "camera1, camera2"
+    assert loaded.view_ids == rig.view_ids
 
 
 @pytest.mark.parametrize(
@@ -49,8 +101,8 @@ def test_a_calibration_for_each_camera(scene, folders, tmp_path):
     [
         (["--together"], "expected folders of different names"),
         (["{0}", "{0}", "--together"], "expected folders of different names"),
-        (["{0}", "{1}", "--together", "--free", "target_scale"], "--free: not with --together"),
-        (["{0}", "{1}", "--together", "--diagnose"], "--diagnose: not with --together"),
+        (["{0}", "{1}", "--together", "--free", "target_scale"], "--free: not for several cameras"),
+        (["{0}", "{1}", "--together", "--diagnose"], "--diagnose: not for several cameras"),
     ],
 )
 def test_what_a_rig_cannot_have_is_refused(folders, tmp_path, arguments, message):
@@ -60,3 +112,26 @@ def test_what_a_rig_cannot_have_is_refused(folders, tmp_path, arguments, message
     assert told.exit_code == 2
     assert message in " ".join(told.stderr.split())
     assert not out.exists()
+
+
+def test_check_looks_at_every_camera(rig, tmp_path):
+    second = rig.cameras["camera2"]
+    # Each view has the pose of the one before it.
+    poses = SE3(np.roll(np.asarray(second.base_from_tool.wxyz_xyz), 1, axis=0))
+    wrong = Rig({**rig.cameras, "camera2": dataclasses.replace(second, base_from_tool=poses)})
+    save_rig(wrong, tmp_path / "cell")
+    told = CliRunner().invoke(app, ["check", str(tmp_path / "cell"), "--json"])
+    assert told.exit_code == 1, told.output
+    document = json.loads(told.stdout)
+    assert not document["can_be_calibrated"]
+    assert document["states"] == 16
+    assert document["cameras"]["camera1"]["can_be_calibrated"]
+    assert document["cameras"]["camera2"]["problems"]
+
+
+def test_a_camera_that_shares_nothing_is_named(rig):
+    lonely = Rig(rig.cameras, {"camera1": "table", "camera2": "wall"})
+    assert [text.split(" and ")[0] for text in _lonely_cameras(lonely)] == [
+        f"camera {name} shares no state of the robot" for name in rig.cameras
+    ]
+    assert _lonely_cameras(rig) == []

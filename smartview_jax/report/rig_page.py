@@ -1,0 +1,216 @@
+"""Write the report of a rig's fit: one page, with a section for each camera."""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from .. import plots
+from ..dataset import Rig
+from ..evaluation import HeldOutErrors, reprojection_errors, without_rejected_rig_views
+from ..geometry import host_matrices, vector_text
+from ..joint import RigFit, calibration_forms
+from .page import Origin, prediction_overlays
+from .story import Section, StoryFigure, write_story
+from .tables import ErrorSummary
+
+CAMERA_HEADINGS = (
+    "camera",
+    "views",
+    "RMS px",
+    "held-out px",
+    "x, y, z (mm)",
+    "+- mm",
+    "+- deg",
+)
+"""Headings of `rig_camera_rows`; the two intervals hold 95 %, along the least known axis."""
+
+RELATIVE_HEADINGS = ("second in first", "x, y, z (mm)", "std (mm)", "std (deg)")
+"""Headings of `relative_pose_rows`."""
+
+
+def rig_camera_rows(
+    fit: RigFit, rig: Rig, held_out: Mapping[str, HeldOutErrors] | None = None
+) -> list[tuple[str, ...]]:
+    """Return a row for each camera: its views, errors, place on its mount and intervals.
+
+    Args:
+        fit: the fit.
+        rig: the data that it was given.
+        held_out: result of `held_out` for the rig; None if not computed.
+    """
+    used, rows = without_rejected_rig_views(rig, fit), []
+    for name, calibration in fit.calibrations.items():
+        data = used.cameras[name]
+        error = reprojection_errors(calibration, data).rms
+        unseen = "" if held_out is None else f"{held_out[name].errors.rms:.3f}"
+        position = 1e3 * host_matrices(calibration.camera_from_mount)[:3, 3]
+        mount = f"{name}.{calibration.transform_names[0]}"
+        widths = [
+            max(_half_width(fit, f"{mount}.{part}.{axis}") for axis in "xyz")
+            for part in ("translation", "rotation")
+        ]
+        rows.append(
+            (
+                name,
+                f"{len(data.usable_views())}/{data.view_count}",
+                f"{error:.3f}",
+                unseen,
+                vector_text(position, 1).strip("()"),
+                f"{1e3 * widths[0]:.2g}",
+                f"{np.rad2deg(widths[1]):.2g}",
+            )
+        )
+    return rows
+
+
+def _half_width(fit: RigFit, name: str) -> float:
+    """Return the half width of a 95 % interval; zero for a parameter that was held."""
+    return fit.confidence_half_width(name) if name in fit.std else 0.0
+
+
+def relative_pose_rows(fit: RigFit) -> list[tuple[str, ...]]:
+    """Return a row for each pair of cameras on one mount: the second's pose in the first's frame.
+
+    The standard deviations are along the least known axis.
+    """
+    rows = []
+    for first, second in combinations(fit.calibrations, 2):
+        if fit.calibrations[first].mount != fit.calibrations[second].mount:
+            continue
+        relative = fit.relative(first, second)
+        rows.append(
+            (
+                f"{second} in {first}",
+                vector_text(1e3 * host_matrices(relative.transform)[:3, 3], 2).strip("()"),
+                f"{1e3 * relative.std[:3].max():.2g}",
+                f"{np.rad2deg(relative.std[3:].max()):.2g}",
+            )
+        )
+    return rows
+
+
+def rig_summary(fit: RigFit, held_out: Mapping[str, HeldOutErrors] | None = None) -> str:
+    """Return the result in a few sentences."""
+    if not fit.result.converged:
+        return f"The joint fit did not converge: {fit.result.message}."
+    robot = fit.noise
+    text = (
+        f"{len(fit.calibrations)} cameras and one robot were calibrated together. The robot's "
+        f"reported poses have noise of {1e3 * robot.translation:.2g} mm and "
+        f"{np.rad2deg(robot.rotation):.2g} degrees per axis."
+    )
+    errors = {} if held_out is None else {name: e.errors.rms for name, e in held_out.items()}
+    if errors and np.isfinite(list(errors.values())).all():
+        worst = max(errors, key=lambda name: errors[name])
+        text += (
+            f" States of the robot that the fit never saw are predicted to {errors[worst]:.3g} px "
+            f"RMS or better (camera {worst})."
+        )
+    return text
+
+
+def write_rig_page(
+    path: Path,
+    fit: RigFit,
+    rig: Rig,
+    held_out: Mapping[str, HeldOutErrors] | None = None,
+    origin: Origin | None = None,
+    notes: Sequence[str] = (),
+) -> None:
+    """Write the report of a rig's fit as an HTML page.
+
+    Args:
+        path: of the HTML file, which is written completely or not at all.
+        fit: result of `calibrate` for the rig.
+        rig: the data that it was given.
+        held_out: result of `held_out` for the rig; None if not computed.
+        origin: data set and command of the page; None for a script's own data.
+        notes: notes and warnings to print.
+    """
+    sections = []
+    if notes:
+        sections.append(Section("Warnings and notes", rows=[(note,) for note in notes]))
+    sections.append(
+        Section(
+            "Cameras",
+            "Errors are RMS distances from the points predicted from the robot's poses alone, on "
+            "fitted and on held-out states. Positions are the camera's "
+            "transforms (camera_from_tool, or camera_from_base next to the arm), with 95 % "
+            "intervals along their least known axes.",
+            header=CAMERA_HEADINGS,
+            rows=rig_camera_rows(fit, rig, held_out),
+        )
+    )
+    pairs = relative_pose_rows(fit)
+    if pairs:
+        text = "Poses of cameras on one mount in the frame of another, by their joint covariance."
+        sections.append(Section("Between the cameras", text, header=RELATIVE_HEADINGS, rows=pairs))
+    used = without_rejected_rig_views(rig, fit)
+    sections += [_camera_section(fit, used, name, held_out) for name in fit.calibrations]
+    left_out = [
+        (camera, entry.view, "all" if entry.point is None else str(entry.point), entry.reason)
+        for camera, entry in fit.rejected
+    ]
+    if left_out:
+        header = ("camera", "view", "point", "reason")
+        sections.append(Section("Left out", header=header, rows=left_out))
+    sections.append(Section("How this was computed", rows=_facts(fit, rig, origin)))
+    formats = {name: data.pose_format for name, data in rig.cameras.items()}
+    forms = [
+        (f"{name}: {title}", texts)
+        for name, calibration in fit.calibrations.items()
+        for title, texts in calibration_forms(calibration, formats[name])
+    ]
+    title = "Calibration" if origin is None else f"Calibration of {origin.source}"
+    write_story(path, title, rig_summary(fit, held_out), sections, forms)
+
+
+def _camera_section(
+    fit: RigFit, used: Rig, name: str, held_out: Mapping[str, HeldOutErrors] | None
+) -> Section:
+    """Return the section of one camera: predictions over its pictures, errors by view."""
+    data, calibration = used.cameras[name], fit.calibrations[name]
+    errors = {"fitted": reprojection_errors(calibration, data)}
+    if held_out is not None:
+        errors["held-out"] = held_out[name].errors
+    figures = [
+        StoryFigure(f"Predicted points, view {view}.", caption, picture)
+        for view, caption, picture in prediction_overlays(
+            data, ErrorSummary(name, errors["fitted"], None), calibration
+        )
+    ]
+    figures.append(
+        StoryFigure(
+            "View by view.",
+            "A view that stands out for one camera has a bad detection or a wrong pairing; one "
+            "that stands out for all cameras has a wrong pose.",
+            plots.view_errors(data, errors),
+        )
+    )
+    residuals = np.where(np.asarray(data.visible)[..., None], fit.residuals[name], np.nan)
+    if np.isfinite(residuals).any():
+        figures.append(
+            StoryFigure(
+                "Over the image.",
+                "Arrows that agree with their neighbours in all views mean that the lens model is "
+                "too simple.",
+                plots.residual_vectors(data, residuals),
+            )
+        )
+    return Section(f"Camera {name}", figures=figures)
+
+
+def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]]:
+    """Return rows of name and text on the data, the command and the fit."""
+    given = [] if origin is None else list(origin._asdict().items())
+    facts = [(name, text) for name, text in given if text]
+    facts.append(("robot states", f"{len(fit.view_ids)}"))
+    for target in dict.fromkeys(rig.targets.values()):
+        seeing = ", ".join(name for name in rig.cameras if rig.targets[name] == target)
+        facts.append((f"target {target}", f"seen by {seeing}"))
+    facts.append(("joint fit", fit.result.message))
+    if fit.noise_estimate is not None:
+        facts.append(("model of the robot's error", fit.noise_estimate.name))
+    return facts
