@@ -133,14 +133,38 @@ def static_transform_launch_text(mount_from_camera: Pose, parent: str, child: st
     Raises:
         ValueError: a frame's name that ROS does not accept.
     """
-    parent, child = (checked_frame_name(name) for name in (parent, child))
-    words = _publisher_words(mount_from_camera, parent, child)
-    return (
-        "<launch>\n"
-        '  <node pkg="tf2_ros" exec="static_transform_publisher" name="hand_eye_publisher"\n'
-        f'        args="{words}"/>\n'
-        "</launch>\n"
-    )
+    return launch_text({"hand_eye": StaticTransform(mount_from_camera, parent, child)})
+
+
+class StaticTransform(NamedTuple):
+    """A frame that does not move in its parent.
+
+    Attributes:
+        pose: of the frame in its parent.
+        parent: name of the parent.
+        child: name of the frame.
+    """
+
+    pose: Pose
+    parent: str
+    child: str
+
+
+def launch_text(transforms: Mapping[str, StaticTransform]) -> str:
+    """Return a launch file of ROS 2 that publishes several poses, by the name of each.
+
+    Raises:
+        ValueError: a frame's name that ROS does not accept.
+    """
+    nodes = []
+    for name, (pose, parent, child) in transforms.items():
+        parent, child = (checked_frame_name(frame) for frame in (parent, child))
+        words = _publisher_words(pose, parent, child)
+        nodes.append(
+            f'  <node pkg="tf2_ros" exec="static_transform_publisher" name="{name}_publisher"\n'
+            f'        args="{words}"/>\n'
+        )
+    return f"<launch>\n{''.join(nodes)}</launch>\n"
 
 
 def _publisher_words(pose: Pose, parent: str, child: str) -> str:
@@ -240,6 +264,73 @@ def camera_info_text(camera: Mapping[str, Any], lens: OpenCVDistortion, name: st
     if lens.max_deviation:
         note = f"# nearest plumb_bob to the fitted lens: up to {lens.max_deviation:.3g} px off\n"
     return note + dump_yaml(content)
+
+
+class RigCamera(NamedTuple):
+    """A camera among others on one mount.
+
+    Attributes:
+        camera: the camera, as in a calibration file.
+        lens: its lens as OpenCV's model.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        mount_from_camera: pose of the camera in the frame of its mount.
+    """
+
+    camera: Mapping[str, Any]
+    lens: OpenCVDistortion
+    mount: str
+    mount_from_camera: Pose
+
+
+def kalibr_camchain_text(cameras: Mapping[str, RigCamera]) -> str:
+    """Return a `camchain.yaml` as Kalibr writes it; each camera's pose is in the one before it.
+
+    Args:
+        cameras: cameras by name, in the order of the chain.
+
+    Raises:
+        ValueError: cameras on different mounts, or a lens that Kalibr does not have.
+    """
+    mounts = {entry.mount for entry in cameras.values()}
+    if len(mounts) > 1:
+        raise ValueError(
+            "kalibr: the cameras move against each other: some are on the hand, some are fixed"
+        )
+    content, before = {}, None
+    for number, (name, entry) in enumerate(cameras.items()):
+        model, coefficients = _kalibr_distortion(name, entry.lens)
+        K = _camera_matrix(entry.camera)
+        own = pose_matrix(entry.mount_from_camera)
+        chained = {}
+        if before is not None:
+            chained = {"T_cn_cnm1": (np.linalg.inv(own) @ before).tolist()}
+        content[f"cam{number}"] = {
+            **chained,
+            "camera_model": "pinhole",
+            "distortion_coeffs": coefficients,
+            "distortion_model": model,
+            "intrinsics": [K[0, 0].item(), K[1, 1].item(), K[0, 2].item(), K[1, 2].item()],
+            "resolution": [int(size) for size in entry.camera["image_size"]],
+            "rostopic": f"/{checked_frame_name(name)}/image_raw",
+        }
+        before = own
+    return dump_yaml(content)
+
+
+def _kalibr_distortion(name: str, lens: OpenCVDistortion) -> tuple[str, list[float]]:
+    """Return Kalibr's name of a lens and its four coefficients.
+
+    Raises:
+        ValueError: a lens with more coefficients.
+    """
+    if lens.model == "equidistant":
+        return "equidistant", list(lens.coefficients)
+    if lens.model != "plumb_bob" or any(lens.coefficients[4:]):
+        raise ValueError(
+            f"kalibr: the lens of {name} has more coefficients than Kalibr's radtan (k1, k2, p1, "
+            "p2): calibrate with --lens opencv4 or --lens fisheye"
+        )
+    return "radtan", list(lens.coefficients[:4])
 
 
 def opencv_text(

@@ -12,6 +12,8 @@ from .terminal import errors_reported
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..export_text import OpenCVDistortion
+
 
 class ExportFormat(StrEnum):
     """The formats that `export` writes."""
@@ -22,17 +24,24 @@ class ExportFormat(StrEnum):
     URDF = "urdf"
     ROBOT_URDF = "robot_urdf"
     OPENCV = "opencv"
+    KALIBR = "kalibr"
     EASY_HANDEYE = "easy_handeye"
 
 
 def export(
-    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    calibrations: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A calibration.yaml, or those of several cameras, such as left.yaml right.yaml.",
+            metavar="CALIBRATION...",
+        ),
+    ],
     to: Annotated[
         ExportFormat,
         typer.Option(
             help="Format to write: the camera's pose for ROS (a command, or a launch file), for "
-            "easy_handeye2 or as a URDF origin, the camera for ROS, everything for OpenCV, or the "
-            "calibrated arm with its camera (robot_urdf)."
+            "easy_handeye2 or as a URDF origin, the camera for ROS, everything for OpenCV, the "
+            "calibrated arm with its camera (robot_urdf), or Kalibr's camchain.yaml."
         ),
     ],
     parent: Annotated[
@@ -43,8 +52,12 @@ def export(
         ),
     ] = None,
     child: Annotated[
-        str, typer.Option(help="ROS frame of the camera, such as camera_optical_frame.")
-    ] = "camera_optical_frame",
+        str | None,
+        typer.Option(
+            help="ROS frame of the camera, such as wrist_optical_frame; by default "
+            "camera_optical_frame, and for several cameras left_optical_frame for left.yaml."
+        ),
+    ] = None,
     arm: Annotated[
         str | None,
         typer.Option(
@@ -54,51 +67,137 @@ def export(
     ] = None,
     debug: DebugOption = False,
 ) -> None:
-    """Print a calibration in another program's format."""
+    """Print a calibration, or those of several cameras, in another program's format."""
     with errors_reported(debug):
         from ..schemas.calibration import read_calibration_file
 
-        # Plain numbers suffice: JAX would take longer to import than everything here.
-        content = read_calibration_file(calibration)
-        if to is ExportFormat.ROBOT_URDF:
-            typer.echo(_robot_text(calibration, arm, parent, child), nl=False)
-            return
-        if arm is not None:
+        several = len(calibrations) > 1
+        if several and to not in SEVERAL_CAMERAS:
+            names = ", ".join(form.value for form in SEVERAL_CAMERAS)
+            raise ValueError(f"--to {to.value}: expected one calibration; several go to {names}")
+        if several and child is not None:
+            raise ValueError("--child: the frames of several cameras have the names of their files")
+        if arm is not None and to is not ExportFormat.ROBOT_URDF:
             raise ValueError("--arm: only with --to robot_urdf")
-        # The note goes to stderr, because stdout may be redirected to the exported file.
-        if content.get("robot_error") is not None and to is not ExportFormat.CAMERA_INFO:
-            typer.echo(
-                "note: this calibration corrects the robot's error, but the exported one cannot; "
-                "export calibration_uncorrected.yaml, which was fitted without the correction",
-                err=True,
+        children = {path: f"{path.stem}_optical_frame" for path in calibrations}
+        if len(set(children.values())) < len(calibrations):
+            raise ValueError("expected files of different names, one for each camera")
+        if not several:
+            children = {calibrations[0]: child or "camera_optical_frame"}
+        # Plain numbers suffice: JAX would take longer to import than everything here.
+        contents = {path: read_calibration_file(path) for path in calibrations}
+        if to is ExportFormat.ROBOT_URDF:
+            path = calibrations[0]
+            typer.echo(_robot_text(path, arm, parent, children[path]), nl=False)
+            return
+        _note_corrections(contents, to)
+        typer.echo(_exported_text(contents, children, to, parent), nl=False)
+
+
+SEVERAL_CAMERAS = (
+    ExportFormat.ROS,
+    ExportFormat.ROS_LAUNCH,
+    ExportFormat.URDF,
+    ExportFormat.KALIBR,
+)
+"""The formats that hold several cameras."""
+
+WITHOUT_ROBOT = (ExportFormat.CAMERA_INFO, ExportFormat.KALIBR)
+"""The formats in which a correction of the robot's error would not matter."""
+
+
+def _note_corrections(contents: "dict[Path, dict[str, Any]]", to: ExportFormat) -> None:
+    """Print a note if the exported calibrations lose the correction of the robot's error."""
+    corrected = any(content.get("robot_error") is not None for content in contents.values())
+    if not corrected or to in WITHOUT_ROBOT:
+        return
+    # The note goes to stderr, because stdout may be redirected to the exported file.
+    advice = "export calibration_uncorrected.yaml, which was fitted without the correction"
+    if len(contents) > 1:
+        advice = "its transforms are the true ones, but predict worse without the correction"
+    typer.echo(
+        f"note: this calibration corrects the robot's error, but the exported one cannot; {advice}",
+        err=True,
+    )
+
+
+def _exported_text(
+    contents: "dict[Path, dict[str, Any]]",
+    children: "dict[Path, str]",
+    to: ExportFormat,
+    parent: str | None,
+) -> str:
+    """Return one calibration, or several, in a format.
+
+    Args:
+        contents: content of each calibration file.
+        children: name of each camera's frame.
+        to: the format.
+        parent: name of the mount's frame; None for ROS's usual one.
+    """
+    if to is ExportFormat.ROS_LAUNCH and len(contents) > 1:
+        from ..export_text import StaticTransform, launch_text
+
+        return launch_text(
+            {
+                path.stem: StaticTransform(*_mounted(content, parent), children[path])
+                for path, content in contents.items()
+            }
+        )
+    if to is ExportFormat.KALIBR:
+        return _camchain_text(contents)
+    if to in (ExportFormat.CAMERA_INFO, ExportFormat.OPENCV):
+        (path, content), *_ = contents.items()
+        return _camera_text(path, content, to)
+    texts = [_pose_text(content, to, parent, children[path]) for path, content in contents.items()]
+    if to is ExportFormat.URDF and len(contents) > 1:
+        texts = [
+            f"<!-- {path.stem} -->\n{text}" for path, text in zip(contents, texts, strict=True)
+        ]
+    return "".join(texts)
+
+
+def _mounted(content: dict[str, Any], parent: str | None) -> "tuple[np.ndarray, str]":
+    """Return the pose of the camera in its mount's frame, and the name of this frame."""
+    from ..export_text import MOUNT_FRAMES, inverse_pose
+
+    mount = content["mount"]
+    name = "camera_from_tool" if mount == "eye_in_hand" else "camera_from_base"
+    return inverse_pose(_pose(content[name])), parent or MOUNT_FRAMES[mount]
+
+
+def _camchain_text(contents: "dict[Path, dict[str, Any]]") -> str:
+    """Return the cameras as Kalibr's camchain."""
+    from ..export_text import RigCamera, kalibr_camchain_text
+
+    return kalibr_camchain_text(
+        {
+            path.stem: RigCamera(
+                content["camera"],
+                _opencv_lens(path, content),
+                content["mount"],
+                _mounted(content, None)[0],
             )
-        if to not in (ExportFormat.CAMERA_INFO, ExportFormat.OPENCV):
-            text = _pose_text(content, to, parent, child)
-        else:
-            text = _camera_text(calibration, content, to)
-        typer.echo(text, nl=False)
+            for path, content in contents.items()
+        }
+    )
 
 
 def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, child: str) -> str:
     """Return the pose of the camera in its mount's frame, for ROS, easy_handeye2 or URDF."""
     from ..export_text import (
-        MOUNT_FRAMES,
         easy_handeye_text,
-        inverse_pose,
         origin_text,
         pose_matrix,
         static_transform_launch_text,
         static_transform_text,
     )
 
-    mount = content["mount"]
-    name = "camera_from_tool" if mount == "eye_in_hand" else "camera_from_base"
-    frame = parent or MOUNT_FRAMES[mount]
-    mount_from_camera = inverse_pose(_pose(content[name]))
+    mount_from_camera, frame = _mounted(content, parent)
     if to is ExportFormat.URDF:
         return f"{origin_text(pose_matrix(mount_from_camera))}\n"
     if to is ExportFormat.EASY_HANDEYE:
-        return easy_handeye_text(mount_from_camera, mount, frame, child, "smartview")
+        return easy_handeye_text(mount_from_camera, content["mount"], frame, child, "smartview")
     if to is ExportFormat.ROS_LAUNCH:
         return static_transform_launch_text(mount_from_camera, frame, child)
     return static_transform_text(mount_from_camera, frame, child)
@@ -121,11 +220,21 @@ def _robot_text(path: Path, arm: str | None, parent: str | None, child: str) -> 
 
 def _camera_text(path: Path, content: dict[str, Any], to: ExportFormat) -> str:
     """Return the camera for ROS, or the camera and both transforms for OpenCV."""
-    from ..export_text import camera_info_text, opencv_distortion, opencv_text, pose_matrix
+    from ..export_text import camera_info_text, opencv_text, pose_matrix
 
-    camera = content["camera"]
+    camera, lens = content["camera"], _opencv_lens(path, content)
+    if to is ExportFormat.CAMERA_INFO:
+        return camera_info_text(camera, lens, "camera")
+    names = [name for name in content if "_from_" in name]
+    return opencv_text(camera, lens, {name: pose_matrix(_pose(content[name])) for name in names})
+
+
+def _opencv_lens(path: Path, content: dict[str, Any]) -> "OpenCVDistortion":
+    """Return the lens of a calibration file as OpenCV's model, or as the nearest one."""
+    from ..export_text import opencv_distortion
+
     try:
-        lens = opencv_distortion(camera["lens"])
+        lens = opencv_distortion(content["camera"]["lens"])
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     if lens is None:
@@ -134,10 +243,7 @@ def _camera_text(path: Path, content: dict[str, Any], to: ExportFormat) -> str:
 
         # OpenCV's nearest lens is fitted.
         lens = opencv_coefficients(Calibration.load(path).camera)
-    if to is ExportFormat.CAMERA_INFO:
-        return camera_info_text(camera, lens, "camera")
-    names = [name for name in content if "_from_" in name]
-    return opencv_text(camera, lens, {name: pose_matrix(_pose(content[name])) for name in names})
+    return lens
 
 
 def _pose(entry: dict[str, Any]) -> "np.ndarray":

@@ -5,6 +5,8 @@ right), as image processing expects; `optical=False` gives the body frame of ROS
 (x forward, z up), for programs that add the optical joint themselves.
 """
 
+from collections.abc import Mapping
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,9 +21,11 @@ from ..cameras import (
 )
 from ..export_text import (
     OpenCVDistortion,
+    RigCamera,
     body_pose,
     camera_info_text,
     inverse_pose,
+    kalibr_camchain_text,
     opencv_text,
     origin_text,
     pose_matrix,
@@ -142,3 +146,22 @@ def opencv_yaml(calibration: Calibration) -> str:
     matrices = dict(zip(calibration.transform_names, map(host_matrices, transforms), strict=True))
     camera = calibration.camera
     return opencv_text(camera_to_dict(camera), opencv_coefficients(camera), matrices)
+
+
+def kalibr_camchain(calibrations: Mapping[str, Calibration]) -> str:
+    """Return a `camchain.yaml` of cameras on one mount, such as `RigFit.calibrations`, for Kalibr.
+
+    Raises:
+        ValueError: cameras on different mounts, or a lens that Kalibr does not have.
+    """
+    return kalibr_camchain_text(
+        {
+            name: RigCamera(
+                camera_to_dict(calibration.camera),
+                opencv_coefficients(calibration.camera),
+                calibration.mount,
+                mount_from_camera(calibration),
+            )
+            for name, calibration in calibrations.items()
+        }
+    )

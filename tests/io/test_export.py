@@ -1,3 +1,4 @@
+import dataclasses
 import re
 import shlex
 from xml.etree import ElementTree
@@ -12,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from smartview_jax import Calibration, Camera
-from smartview_jax.cameras import Fisheye, OpenCV5, OpenCV8, Radial
+from smartview_jax.cameras import Fisheye, OpenCV4, OpenCV5, OpenCV8, Radial
 from smartview_jax.cli import app
 from smartview_jax.io import (
+    kalibr_camchain,
     opencv_coefficients,
     opencv_yaml,
     ros_camera_info,
@@ -170,3 +172,61 @@ def test_the_angles_are_the_rotation_also_where_two_of_them_are_one(pitch, optic
     found = Rotation.from_euler("xyz", np.array(rpy[1].split(), dtype=float)).as_matrix()
     link = np.eye(3) if optical else np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
     np.testing.assert_allclose(found, rotation.as_matrix() @ link, atol=1e-14)
+
+
+def moved(cal, motion):
+    """The same camera elsewhere on its mount."""
+    shift = SE3.exp(jnp.array(motion))
+    return dataclasses.replace(cal, camera_from_mount=shift @ cal.camera_from_mount), shift
+
+
+def test_kalibrs_chain_has_each_camera_in_the_one_before():
+    """As Kalibr defines T_cn_cnm1: it maps points of the camera before to this one."""
+    left = calibration(OpenCV4(0.1, -0.2, 0.001, 0.002))
+    right, shift = moved(left, [0.06, 0.01, -0.02, 0.1, -0.2, 0.3])
+    content = yaml.safe_load(kalibr_camchain({"left": left, "right": right}))
+    assert list(content) == ["cam0", "cam1"]
+    assert "T_cn_cnm1" not in content["cam0"]
+    np.testing.assert_allclose(content["cam1"]["T_cn_cnm1"], shift.as_matrix(), atol=1e-12)
+    assert content["cam1"]["intrinsics"] == [800.0, 790.0, 320.5, 239.5]
+    assert content["cam1"]["resolution"] == [640, 480]
+    fixed = dataclasses.replace(left, mount="eye_to_hand")
+    with pytest.raises(ValueError, match="kalibr: the cameras move against each other"):
+        kalibr_camchain({"left": left, "fixed": fixed})
+
+
+def test_kalibrs_lenses_keep_their_numbers():
+    lenses = {"radtan": OpenCV4(0.1, -0.2, 0.001, 0.002), "equidistant": LENSES["equidistant"]}
+    for model, lens in lenses.items():
+        content = yaml.safe_load(kalibr_camchain({"a": calibration(lens)}))["cam0"]
+        assert content["distortion_model"] == model
+        assert content["distortion_coeffs"] == [float(k) for k in vars(lens).values()]
+    with pytest.raises(ValueError, match="the lens of a has more coefficients than Kalibr's rad"):
+        kalibr_camchain({"a": calibration(LENSES["plumb_bob"])})
+
+
+def test_the_command_exports_several_cameras(tmp_path):
+    left = calibration(OpenCV4(0.1, -0.2, 0.001, 0.002))
+    cameras = {"left": left, "right": moved(left, [0.06, 0.0, 0.0, 0.1, 0.0, 0.0])[0]}
+    for name, cal in cameras.items():
+        cal.save(tmp_path / f"{name}.yaml")
+    files = [str(tmp_path / f"{name}.yaml") for name in cameras]
+
+    def told(*words):
+        return CliRunner().invoke(app, ["export", *files, "--to", *words])
+
+    assert yaml.safe_load(told("kalibr").stdout) == yaml.safe_load(kalibr_camchain(cameras))
+    nodes = ElementTree.fromstring(told("ros_launch").stdout)
+    assert [node.get("name") for node in nodes] == ["left_publisher", "right_publisher"]
+    for node, cal in zip(nodes, cameras.values(), strict=True):
+        (alone,) = ElementTree.fromstring(ros_launch_file(cal, "tool0", "x"))
+        assert node.get("args").split()[:14] == alone.get("args").split()[:14]
+    assert "--child-frame-id right_optical_frame" in told("ros").stdout.splitlines()[1]
+    assert told("urdf").stdout.count("<origin") == 2
+    for words, message in (
+        (["opencv"], "--to opencv: expected one calibration; several go to ros, ros_launch, urdf"),
+        (["ros", "--child", "camera"], "--child: the frames of several cameras have the names"),
+    ):
+        refused = told(*words)
+        assert refused.exit_code == 2
+        assert message in " ".join(refused.stderr.split())
