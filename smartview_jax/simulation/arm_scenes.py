@@ -167,8 +167,13 @@ def random_kinematic_errors(
     rng: np.random.Generator,
     scale: float,
     error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
+    outer_links: bool = False,
 ) -> RobotError:
-    """Return random arm errors, on the middle links only."""
+    """Return random arm errors, on the middle links only or on all.
+
+    Errors of the first and of the last link are indistinguishable from another target pose and
+    another hand-eye transform: no camera can find them.
+    """
     field = DHErrors(arm)
     # One row per link parameter (joint offset, d, a, alpha), one column per joint.
     sigmas = [
@@ -178,7 +183,8 @@ def random_kinematic_errors(
     samples = np.array(sigmas)[:, None] * rng.standard_normal(coefficients.shape)
     # All random numbers are drawn and then masked, so that a seed gives the same errors for any
     # choice of links.
-    coefficients[:, PERTURBED_LINKS] = scale * samples[:, PERTURBED_LINKS]
+    links = slice(None) if outer_links else PERTURBED_LINKS
+    coefficients[:, links] = scale * samples[:, links]
     return RobotError(field, to_device(coefficients.ravel()))
 
 

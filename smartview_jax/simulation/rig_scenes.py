@@ -52,6 +52,7 @@ def six_axis_rig_scene(
     translation_noise: float = 2e-5,
     rotation_noise: float = float(np.deg2rad(0.003)),
     error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
+    outer_links: bool = False,
 ) -> RigScene:
     """Return views of a flat board by several cameras side by side on the hand of an arm.
 
@@ -64,13 +65,14 @@ def six_axis_rig_scene(
         pixel_noise: standard deviation of `u` and of `v`, px.
         translation_noise, rotation_noise: noise of the reported poses, m and rad.
         error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.
+        outer_links: whether the first and the last link have errors too.
 
     Raises:
         RuntimeError: the arm does not reach a view.
     """
     rng = np.random.default_rng((seed, 4))
     arm, board = six_axes(), board_points()
-    error = random_kinematic_errors(arm, rng, error_scale, error_sigma)
+    error = random_kinematic_errors(arm, rng, error_scale, error_sigma, outer_links)
     truths = {f"camera{k + 1}": _true_camera(k, cameras, rng) for k in range(cameras)}
     noise_sigma = np.repeat([translation_noise, rotation_noise], 3)
     data, reported, actual = {}, None, None
