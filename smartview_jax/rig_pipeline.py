@@ -7,10 +7,10 @@ from typing import Unpack
 import numpy as np
 
 from .argument_checks import require_instance
-from .calibration import Calibration, host_mount_from_holder
+from .calibration import Calibration, host_mount_from_holder, transform_names
 from .cameras import AbstractLens, Camera
 from .dataset import Dataset, Rig
-from .geometry import host_matrices, host_transforms, mean_pose
+from .geometry import PoseLike, host_matrices, host_transforms, mean_pose
 from .joint import JointOptions, RigFit, fit_rig, remove_gross_errors
 from .runtime.double_precision import require_double_precision
 from .staged import StagedFit, fit_staged
@@ -30,7 +30,8 @@ def calibrate_rig(
     """Calibrate all cameras of a rig together.
 
     The camera with the most views tells where its target is; other cameras that see this target
-    start from there.
+    start from there. So does a camera whose own views do not tell the place of the target, such as
+    one that saw it in a single orientation.
 
     Args:
         rig: data sets of the cameras; each camera has at least three views.
@@ -56,17 +57,7 @@ def calibrate_rig(
             f"camera: expected cameras of {', '.join(rig.cameras)}, found {', '.join(strangers)}"
         )
     report = progress or (lambda _: None)
-    staged: dict[str, StagedFit] = {}
-    for name, data in rig.cameras.items():
-        try:
-            staged[name] = fit_staged(
-                data,
-                lens,
-                camera=known.get(name),
-                progress=lambda text, name=name: report(f"{name}: {text}"),
-            )
-        except ValueError as error:
-            raise ValueError(f"camera {name!r}: {error}") from error
+    staged = _staged_fits(rig, lens, known, report)
     starts = _consistent_starts(rig, staged)
     used, rejected = {}, []
     for name, data in rig.cameras.items():
@@ -82,6 +73,48 @@ def calibrate_rig(
         **{**joint_options, "fixed": fixed},
     )
     return dataclasses.replace(fit, warnings=_warnings(staged, fit))
+
+
+def _staged_fits(
+    rig: Rig,
+    lens: str | AbstractLens,
+    known: Mapping[str, Camera],
+    report: Callable[[str], None],
+) -> dict[str, StagedFit]:
+    """Return the staged fit of each camera alone, or from the target's place that others tell.
+
+    Raises:
+        ValueError: a camera that cannot be calibrated; the message names it.
+    """
+    staged: dict[str, StagedFit] = {}
+    errors: dict[str, ValueError] = {}
+
+    def fit(name: str, start: dict[str, PoseLike] | None) -> None:
+        """Fit one camera, or keep the error."""
+        try:
+            staged[name] = fit_staged(
+                rig.cameras[name],
+                lens,
+                camera=known.get(name),
+                start=start,
+                progress=lambda text: report(f"{name}: {text}"),
+            )
+        except ValueError as error:
+            # The first error tells more: the second is about a start that nobody gave.
+            errors.setdefault(name, error)
+
+    for name in rig.cameras:
+        fit(name, None)
+    for name in list(errors):
+        others = [other for other in staged if rig.targets[other] == rig.targets[name]]
+        if others:
+            most = max(others, key=lambda other: len(staged[other].views))
+            report(f"{name}: again, from the place of its target that {most} tells")
+            place = staged[most].calibration.holder_from_world
+            fit(name, {transform_names(rig.cameras[name].mount)[1]: place})
+        if name not in staged:
+            raise ValueError(f"camera {name!r}: {errors[name]}") from errors[name]
+    return {name: staged[name] for name in rig.cameras}
 
 
 def _consistent_starts(rig: Rig, staged: Mapping[str, StagedFit]) -> dict[str, Calibration]:

@@ -17,6 +17,7 @@ from smartview_jax import (
     calibrate,
     fit_joint,
     fit_rig,
+    fit_staged,
     load_estimate,
     look_at,
 )
@@ -202,3 +203,32 @@ def test_wrong_arguments_are_named(scene, fit):
         calibrate(scene.rig, start={"camera_from_tool": np.eye(4)})
     with pytest.raises(ValueError, match="a rig takes noise, field"):
         calibrate(scene.rig, loss="huber")
+
+
+def test_a_camera_that_saw_one_orientation_starts_from_where_others_see_the_target():
+    left = scene_of(0, translation_noise=1e-5, rotation_noise=1e-5)
+    shifts = np.array([[0, 0, 0], [3e-3, 0, 0], [0, 3e-3, 0], [-2e-3, 1e-3, 4e-3]])
+    pose = np.asarray(left.data.base_from_tool.wxyz_xyz)[0]
+    poses = SE3(jnp.array([np.append(pose[:4], pose[4:] + shift) for shift in shifts]))
+    points = np.asarray(left.data.points[0])
+    right = simulate(left.calibration, poses, points, 5, 0.1).data
+    right = dataclasses.replace(right, view_ids=tuple("abcd"))
+    with pytest.raises(ValueError, match="the robot never rotates"):
+        fit_staged(right, camera=left.calibration.camera)
+    messages = []
+    rig = calibrate(
+        Rig({"left": left.data, "right": right}),
+        "radial",
+        camera={"right": left.calibration.camera},
+        noise=NOISE,
+        progress=messages.append,
+    )
+    assert "right: again, from the place of its target that left tells" in messages
+    found, true = rig.calibrations["right"].camera_from_tool, left.calibration.camera_from_tool
+    error = np.asarray(found.translation() - true.translation())
+    std = [rig.std[f"right.camera_from_tool.translation.{axis}"] for axis in "xyz"]
+    assert (np.abs(error) < 3.0 * np.array(std)).all()
+    assert max(std) < 2e-3
+    alone = Rig({"left": left.data, "right": right}, {"left": "table", "right": "wall"})
+    with pytest.raises(ValueError, match="camera 'right': the robot never rotates"):
+        calibrate(alone, "radial", camera={"right": left.calibration.camera}, noise=NOISE)
