@@ -87,6 +87,11 @@ class AbstractProblem(eqx.Module):
 
     @property
     @abc.abstractmethod
+    def observation_count(self) -> int:
+        """The number of observations, visible or not."""
+
+    @property
+    @abc.abstractmethod
     def has_pixels(self) -> bool:
         """Whether the observations are points in pictures."""
 

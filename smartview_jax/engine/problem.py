@@ -105,6 +105,11 @@ class JointProblem(AbstractProblem):
         return int(np.asarray(self.observations.visible).sum())
 
     @property
+    def observation_count(self) -> int:
+        """The number of observations, visible or not."""
+        return self.observations.visible.size
+
+    @property
     def has_pixels(self) -> bool:
         """Whether the observations are points in pictures."""
         return not isinstance(self.observations, PoseObservations)

@@ -88,6 +88,11 @@ class RigProblem(AbstractProblem):
         return int(sum(counts))
 
     @property
+    def observation_count(self) -> int:
+        """The number of points in all pictures, visible or not."""
+        return sum(group.problems.observations.visible.size for group in self.groups)
+
+    @property
     def has_pixels(self) -> bool:
         """Whether the observations are points in pictures."""
         return True

@@ -123,14 +123,14 @@ def padded(problem: _Problem) -> _Problem:
     Small problems that differ in size, free parameters or loss, as within one calibration, then
     share a program, which takes far longer to compile than to run.
     """
+    if problem.observation_count >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
+        return problem
+    size, count = problem.parameter_count, len(problem.free)
+    free = to_device(np.concatenate([problem.free, np.full(size - count, size)]))
+    scale = to_device(np.concatenate([problem.scale.shared, np.ones(size - count)]))
     if not isinstance(problem, JointProblem):
-        # A rig's cameras are padded when it is built.
-        return problem
-    size, count = problem.parameters.layout.size, len(problem.free)
-    if problem.observations.visible.size >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
-        return problem
-    free = np.concatenate([problem.free, np.full(size - count, size)])
-    scale = np.concatenate([problem.scale.shared, np.ones(size - count)])
+        # A rig's views and points are padded when it is built.
+        return dataclasses.replace(problem, free=free, scale=Step(scale, problem.scale.per_view))
     loss = problem.loss
     if loss is None or isinstance(loss, Cauchy):
         # Least squares is the Cauchy loss of infinite scale.
@@ -148,11 +148,11 @@ def padded(problem: _Problem) -> _Problem:
         problem,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
-        free=to_device(free),
+        free=free,
         per_view_free=with_zeros(problem.per_view_free),
         prior_mean=Step(problem.prior_mean.shared, with_zeros(problem.prior_mean.per_view)),
         prior_weight=Step(problem.prior_weight.shared, with_zeros(problem.prior_weight.per_view)),
-        scale=Step(to_device(scale), repeat_last(problem.scale.per_view, views)),
+        scale=Step(scale, repeat_last(problem.scale.per_view, views)),
         loss=loss,
     )
 

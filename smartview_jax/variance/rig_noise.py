@@ -151,8 +151,12 @@ def estimate_rig_noise(
 def _camera_noise(rig: Rig, name: str, start: Calibration) -> CameraNoise:
     """Return the noise of one camera, as far as its pictures alone tell it."""
     data = rig.cameras[name]
-    built = build_problem(data, start.uncorrected, noise=Noise(1.0, 1.0, 1.0), field=None)
     usable = data.usable_views()
+    # The field has no effect, but with it the fit shares the program that removed gross errors.
+    field = encompassing_field(data, len(usable)) if data.arm is None else None
+    groups = 0 if field is None else len(field.groups)
+    noise = Noise(1.0, 1.0, 1.0, field=(1.0,) * groups)
+    built = build_problem(data, start.uncorrected, noise=noise, field=field)
     fit = fit_free_poses(built, usable, None)
     poses = built.pose_parameters(usable)
     views = ViewStatistics(built, poses, fit.sum_of_squares)
