@@ -1,5 +1,6 @@
 """The least-squares problem of the joint calibration, and the solver that uses its structure."""
 
+from .abstract_problem import AbstractBuiltProblem as AbstractBuiltProblem
 from .abstract_problem import AbstractProblem as AbstractProblem
 from .abstract_problem import NormalEquations as NormalEquations
 from .covariance import RANK_TOLERANCE as RANK_TOLERANCE

@@ -5,6 +5,7 @@ A problem adds its observations: their residuals, and their normal equations.
 
 import abc
 import dataclasses
+from collections.abc import Collection
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from .parameters import Step
 from .schur import BlockArrow
 
 _Problem = TypeVar("_Problem", bound="AbstractProblem")
+_Built = TypeVar("_Built", bound="AbstractBuiltProblem")
 
 
 class NormalEquations(eqx.Module):
@@ -206,3 +208,26 @@ class AbstractProblem(eqx.Module):
         """Return the whitened residuals of the priors, shared and of the views' own parameters."""
         offset, weight = self.offset_from_prior(step), self.prior_weight
         return offset.shared * weight.shared, offset.per_view * weight.per_view
+
+
+class AbstractBuiltProblem(eqx.Module):
+    """A least-squares problem together with the names of its parameters.
+
+    Attributes:
+        problem: the problem, in the parameters' own units.
+        shared_names: names of the free shared parameters.
+        per_view_names: names of the free parameters of single views, in order.
+    """
+
+    problem: eqx.AbstractVar[Any]
+    shared_names: eqx.AbstractVar[tuple[str, ...]]
+    per_view_names: eqx.AbstractVar[tuple[str, ...]]
+
+    def holding(self: _Built, names: Collection[str]) -> _Built:
+        """Return the problem with these shared parameters held at the start."""
+        kept = [k for k, name in enumerate(self.shared_names) if name not in names]
+        return dataclasses.replace(
+            self,
+            problem=self.problem.with_free(np.array(kept, dtype=int)),
+            shared_names=tuple(self.shared_names[k] for k in kept),
+        )

@@ -4,7 +4,7 @@ It combines the lens, the noise model, the free and fixed parameters, and the pr
 """
 
 import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -20,6 +20,7 @@ from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, refuse_traced
+from .abstract_problem import AbstractBuiltProblem
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, TARGET_SCALE, Parameters, Step, parameter_mask, parameter_names
@@ -28,7 +29,7 @@ from .priors import Prior
 from .problem import JointProblem
 
 
-class BuiltProblem(eqx.Module):
+class BuiltProblem(AbstractBuiltProblem):
     """A least-squares problem together with the names of its parameters.
 
     Attributes:
@@ -44,15 +45,6 @@ class BuiltProblem(eqx.Module):
     per_view_names: tuple[str, ...] = eqx.field(static=True)
     noise: Noise | None = eqx.field(static=True)
     unprojectable: Bool[np.ndarray, "views points"]
-
-    def holding(self, names: Collection[str]) -> "BuiltProblem":
-        """Return the problem with these shared parameters held at the start."""
-        kept = [k for k, name in enumerate(self.shared_names) if name not in names]
-        return dataclasses.replace(
-            self,
-            problem=self.problem.with_free(np.array(kept, dtype=int)),
-            shared_names=tuple(self.shared_names[k] for k in kept),
-        )
 
     def pose_parameters(self, usable_views: Int[np.ndarray, "usable"]) -> int:
         """Return the number of free parameters of the poses of these views."""

@@ -1,7 +1,6 @@
 """Build the least-squares problem of a rig: one robot, and several cameras and targets."""
 
-import dataclasses
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -13,6 +12,7 @@ from ..dataset import Rig
 from ..robot_errors import AbstractField
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import padded_counts, repeat_last
+from .abstract_problem import AbstractBuiltProblem
 from .noise import Noise
 from .parameters import (
     ROBOT_ERROR,
@@ -35,7 +35,7 @@ from .problem_builder import (
 from .rig_problem import CameraGroup, RigProblem
 
 
-class BuiltRig(eqx.Module):
+class BuiltRig(AbstractBuiltProblem):
     """The least-squares problem of a rig together with the names of its parameters.
 
     Attributes:
@@ -65,15 +65,6 @@ class BuiltRig(eqx.Module):
             lambda p: p.groups[group].problems.observations.visible,
             self.problem,
             seen.at[row, view].set(False),
-        )
-
-    def holding(self, names: Collection[str]) -> "BuiltRig":
-        """Return the problem with these shared parameters held at the start."""
-        kept = [k for k, name in enumerate(self.shared_names) if name not in names]
-        return dataclasses.replace(
-            self,
-            problem=self.problem.with_free(np.array(kept, dtype=int)),
-            shared_names=tuple(self.shared_names[k] for k in kept),
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import TargetShape
-from ..engine import ROBOT_ERROR, TARGET_SCALE, BuiltProblem, BuiltRig, Noise, Step, solve
+from ..engine import ROBOT_ERROR, TARGET_SCALE, AbstractBuiltProblem, Noise, Step, solve
 from ..robot_errors import AbstractField, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
@@ -80,7 +80,7 @@ class SecondPass(NamedTuple):
 
     field_probabilities: dict[str, float]
     field: AbstractField | None
-    built: BuiltProblem | BuiltRig
+    built: AbstractBuiltProblem
     views: ViewStatistics
     average: AveragedFit
 

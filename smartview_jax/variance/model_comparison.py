@@ -12,8 +12,7 @@ from ..dataset import Dataset
 from ..engine import (
     ROBOT_ERROR,
     TARGET_SCALE,
-    BuiltProblem,
-    BuiltRig,
+    AbstractBuiltProblem,
     Noise,
     Prior,
     Step,
@@ -67,7 +66,7 @@ class ModelComparison(NamedTuple):
 
     basis: AbstractField | None
     models: Mapping[str, Candidate]
-    built: BuiltProblem | BuiltRig
+    built: AbstractBuiltProblem
     views: ViewStatistics
     z: Step
     linearised: LinearisedViews
@@ -178,7 +177,7 @@ class Linearisation(NamedTuple):
         linearised: the views linearised there.
     """
 
-    built: BuiltProblem | BuiltRig
+    built: AbstractBuiltProblem
     views: ViewStatistics
     z: Step
     linearised: LinearisedViews
@@ -318,7 +317,7 @@ def _candidate_results(
 
 
 def target_scale_evidence(
-    built: BuiltProblem | BuiltRig,
+    built: AbstractBuiltProblem,
     views: LinearisedViews,
     z: Step,
     fitted: Mapping[ModelName, FittedCandidate],

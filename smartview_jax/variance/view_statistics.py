@@ -19,9 +19,8 @@ from ..engine import (
     ROBOT_ERROR,
     SIGMA_FLOOR,
     TARGET_SCALE,
+    AbstractBuiltProblem,
     AbstractProblem,
-    BuiltProblem,
-    BuiltRig,
     JointProblem,
     NormalEquations,
     Step,
@@ -68,7 +67,7 @@ class ViewStatistics:
 
     def __init__(
         self,
-        built: BuiltProblem | BuiltRig,
+        built: AbstractBuiltProblem,
         pose_parameters: int,
         within_sum_of_squares: float,
         scale_is_group: bool = False,
@@ -312,7 +311,7 @@ def shape_parameter_names() -> tuple[str, ...]:
 
 
 def _group_names(
-    built: BuiltProblem | BuiltRig, scale_is_group: bool, shape: TargetShape | None
+    built: AbstractBuiltProblem, scale_is_group: bool, shape: TargetShape | None
 ) -> tuple[str, ...]:
     """Return the names of the groups of unknown standard deviation that have free parameters.
 
@@ -330,7 +329,7 @@ def _group_names(
 
 
 def _group_index(
-    built: BuiltProblem | BuiltRig, group_names: Sequence[str], shape: TargetShape | None
+    built: AbstractBuiltProblem, group_names: Sequence[str], shape: TargetShape | None
 ) -> Int[np.ndarray, "shared"]:
     """Return the group of unknown standard deviation of each free shared parameter; -1 for none."""
     index = {name: k for k, name in enumerate(group_names)}
