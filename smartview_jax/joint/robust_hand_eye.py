@@ -12,11 +12,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION
-from ..geometry import host_rotation_angles, host_transforms
-from ..hand_eye import CLOSED_FORMS, mean_holder_from_world, motion_pairs, park_martin
+from ..geometry import host_nearest_rotation, host_rotation_angles, host_transforms
+from ..hand_eye import CLOSED_FORMS, mean_holder_from_world, motion_pairs
 
 TRIPLES = 200
 """Number of triples: with half of all pairs wrong, none is right once in 10^11."""
@@ -67,9 +68,10 @@ def robust_hand_eye(
         all_pairs = _solved(T, C, np.arange(len(views)), scale)
         is_solved = np.isfinite(all_pairs.cost) or not scale
         return all_pairs.factor if is_solved else _scale_of(T, C), seen
-    solved = [_solved(T, C, np.array(triple), scale) for triple in _triples(len(views))]
-    likeliest = sorted(solved, key=lambda one: one.cost)[:REFINED]
-    best = min((_refined(T, C, one, scale) for one in likeliest), key=lambda one: one.cost)
+    solved = _solved_triples(T, C, _triples(len(views)), scale)
+    likeliest = sorted(solved, key=lambda solution: solution.cost)[:REFINED]
+    refined = [_refined(T, C, solution, scale) for solution in likeliest]
+    best = min(refined, key=lambda solution: solution.cost)
     if not np.isfinite(best.cost):
         return _scale_of(T, C) if scale else 1.0, seen
     if best.agree.sum() < max(MIN_AGREEING, MIN_SHARE * len(views)):
@@ -91,18 +93,20 @@ def _refined(T: _Matrices, C: _Matrices, solution: "_Solution", scale: bool) -> 
     return solution
 
 
-def chain_errors(measured: _Matrices, predicted: _Matrices) -> Float[np.ndarray, "views 2"]:
+def chain_errors(
+    measured: Float[np.ndarray, "*batch 4 4"], predicted: Float[np.ndarray, "*batch 4 4"]
+) -> Float[np.ndarray, "*batch 2"]:
     """Return distance (m) and angle (rad) between poses."""
-    distance = np.linalg.norm(measured[:, :3, 3] - predicted[:, :3, 3], axis=1)
-    return np.stack([distance, host_rotation_angles(measured, predicted)], axis=1)
+    distance = np.linalg.norm(measured[..., :3, 3] - predicted[..., :3, 3], axis=-1)
+    return np.stack([distance, host_rotation_angles(measured, predicted)], axis=-1)
 
 
-def _triples(count: int) -> list[tuple[int, ...]]:
+def _triples(count: int) -> Int[np.ndarray, "triples 3"]:
     """Return all triples of so many views, or `TRIPLES` of them."""
     if math.comb(count, 3) <= TRIPLES:
-        return list(itertools.combinations(range(count), 3))
+        return np.array(list(itertools.combinations(range(count), 3)))
     rng = np.random.default_rng(0)
-    return [tuple(rng.choice(count, 3, replace=False)) for _ in range(TRIPLES)]
+    return np.array([rng.choice(count, 3, replace=False) for _ in range(TRIPLES)])
 
 
 class _Solution(NamedTuple):
@@ -119,6 +123,57 @@ class _Solution(NamedTuple):
     agree: Bool[np.ndarray, "views"]
 
 
+def _solved_triples(
+    T: _Matrices, C: _Matrices, triples: Int[np.ndarray, "triples 3"], scale: bool
+) -> list[_Solution]:
+    """Return the solutions of many triples of pairs at once, as `_solved` does for one.
+
+    Args:
+        T, C: as in `robust_hand_eye`.
+        triples: indices of the pairs.
+        scale: whether the tracker's unit is unknown.
+    """
+    robot, tracked = T[triples], C[triples]
+    first, second = np.triu_indices(3, 1)
+    B, A = (poses[:, second] @ np.linalg.inv(poses)[:, first] for poses in (robot, tracked))
+    # As in `hand_eye.park_martin`: the rotation maps the rotation vectors of B to those of A.
+    a, b = (_rotation_vectors(motions) for motions in (A, B))
+    rotation = host_nearest_rotation(np.einsum("nki,nkj->nij", a, b))
+    # (R_A - 1) t_X + s t_A = R_X t_B, with s = 1 if the unit is known.
+    rows, shift = A[..., :3, :3] - np.eye(3), A[..., :3, 3]
+    right = np.einsum("nij,nkj->nki", rotation, B[..., :3, 3])
+    if scale:
+        rows = np.concatenate([rows, shift[..., None]], axis=-1)
+    else:
+        right = right - shift
+    count = len(triples)
+    finite = np.isfinite(rotation).all(axis=(1, 2))
+    inverse = np.linalg.pinv(np.where(finite[:, None, None], rows.reshape(count, 9, -1), 0.0))
+    solution = (inverse @ right.reshape(count, 9, 1))[..., 0]
+    factor = solution[:, 3] if scale else np.ones(count)
+    hand = np.tile(np.eye(4), (count, 1, 1))
+    hand[:, :3, :3], hand[:, :3, 3] = rotation, solution[:, :3]
+    scaled = np.tile(C, (count, 1, 1, 1))
+    scaled[..., :3, 3] *= factor[:, None, None]
+    solved = np.isfinite(hand).all(axis=(1, 2)) & (factor > 0.0)
+    hand[~solved] = np.eye(4)
+    places = np.linalg.inv(hand[:, None] @ robot) @ scaled[np.arange(count)[:, None], triples]
+    world = places.mean(axis=1)
+    world[:, :3, :3] = host_nearest_rotation(world[:, :3, :3])
+    errors = chain_errors(scaled, hand[:, None] @ T @ world[:, None])
+    cost, agree = _mixture(errors, _radius(scaled))
+    # The likelihood is of positions in the tracker's unit.
+    cost = cost - 3.0 * len(T) * np.log(np.where(solved, factor, 1.0))
+    cost[~(solved & np.isfinite(cost))] = np.inf
+    return [_Solution(*each) for each in zip(cost.tolist(), factor.tolist(), agree, strict=True)]
+
+
+def _rotation_vectors(poses: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 3"]:
+    """Return the rotation vectors of poses, rad."""
+    rotations = Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3))
+    return rotations.as_rotvec().reshape(*poses.shape[:-2], 3)
+
+
 def _solved(T: _Matrices, C: _Matrices, chosen: np.ndarray, scale: bool) -> _Solution:
     """Return the likeliest of the closed forms' solutions.
 
@@ -128,9 +183,8 @@ def _solved(T: _Matrices, C: _Matrices, chosen: np.ndarray, scale: bool) -> _Sol
         scale: whether the tracker's unit is unknown.
     """
     weights = np.ones(len(chosen))
-    forms = (park_martin,) if len(chosen) == 3 else tuple(CLOSED_FORMS.values())
     results = []
-    for form in forms:
+    for form in CLOSED_FORMS.values():
         with np.errstate(all="ignore"):
             hand = _closed_form(form, T[chosen], C[chosen], weights)
             if hand is None:
@@ -146,49 +200,53 @@ def _solved(T: _Matrices, C: _Matrices, chosen: np.ndarray, scale: bool) -> _Sol
         errors = chain_errors(scaled, hand @ T @ world)
         cost, agree = _mixture(errors, _radius(scaled))
         # The likelihood is of positions in the tracker's unit.
-        cost -= 3.0 * len(T) * np.log(factor)
-        results.append(_Solution(cost, factor, agree))
+        results.append(_Solution(float(cost - 3.0 * len(T) * np.log(factor)), factor, agree))
     nothing = _Solution(np.inf, 1.0, np.ones(len(T), dtype=bool))
     return min(results, key=lambda solution: solution.cost, default=nothing)
 
 
-def _radius(poses: _Matrices) -> float:
+def _radius(poses: Float[np.ndarray, "*batch views 4 4"]) -> Float[np.ndarray, "*batch"]:
     """Return the radius of a ball in which positions of this spread are uniform, m."""
-    positions = poses[:, :3, 3]
-    spread = np.mean(np.sum((positions - np.median(positions, axis=0)) ** 2, axis=1))
-    return float(np.sqrt(5.0 / 3.0 * spread))
+    positions = poses[..., :3, 3]
+    middle = np.median(positions, axis=-2, keepdims=True)
+    spread = np.mean(np.sum((positions - middle) ** 2, axis=-1), axis=-1)
+    return np.asarray(np.sqrt(5.0 / 3.0 * spread))
 
 
 def _mixture(
-    errors: Float[np.ndarray, "views 2"], radius: float
-) -> tuple[float, Bool[np.ndarray, "views"]]:
+    errors: Float[np.ndarray, "*batch views 2"], radius: Float[np.ndarray, "*batch"]
+) -> tuple[Float[np.ndarray, "*batch"], Bool[np.ndarray, "*batch views"]]:
     """Return the cost of some errors under normal errors of good pairs and wrong pairs anywhere.
 
     The standard deviations of good pairs and their share are estimated by expectation maximisation.
 
     Args:
-        errors: distance (m) and angle (rad) of each pair.
+        errors: distance (m) and angle (rad) of each pair; several sets in a batch.
         radius: of the ball in which wrong positions are, m; wrong rotations may be any.
 
     Returns:
         Minus the logarithm of the posterior density, and which pairs are rather good than wrong.
     """
     usual = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
-    wrong = -np.log(4.0 / 3.0 * np.pi * max(radius, UNIT_TRANSLATION) ** 3) - np.log(8.0 * np.pi**2)
+    ball = 4.0 / 3.0 * np.pi * np.maximum(radius, UNIT_TRANSLATION) ** 3
+    wrong = -np.log(ball)[..., None] - np.log(8.0 * np.pi**2)
     # Starting with the better quarter, as if most pairs might be wrong.
-    variances = np.maximum(np.quantile(errors, 0.25, axis=0), 1e-3 * usual) ** 2 / 3.0
-    share, cost, weight = 0.5, np.inf, np.ones(len(errors))
+    variances = np.maximum(np.quantile(errors, 0.25, axis=-2), 1e-3 * usual) ** 2 / 3.0
+    share, cost = np.full(errors.shape[:-2], 0.5), np.full(errors.shape[:-2], np.inf)
+    weight = np.ones(errors.shape[:-1])
     for _ in range(MIXTURE_ROUNDS):
-        squares = (errors**2 / variances).sum(axis=1)
-        good = np.log(share) - 0.5 * squares - 1.5 * np.log(2.0 * np.pi * variances).sum()
-        either = np.logaddexp(good, np.log1p(-share) + wrong)
+        squares = (errors**2 / variances[..., None, :]).sum(axis=-1)
+        scale = 1.5 * np.log(2.0 * np.pi * variances).sum(axis=-1)
+        good = (np.log(share) - scale)[..., None] - 0.5 * squares
+        either = np.logaddexp(good, np.log1p(-share)[..., None] + wrong)
         weight = np.exp(good - either)
-        prior = PRIOR_NUMBERS * (usual**2 / variances + np.log(variances)).sum()
-        cost = 0.5 * prior - float(either.sum())
-        share = np.clip(weight.mean(), 1e-3, 1.0 - 1e-3)
-        squares = weight @ errors**2 + PRIOR_NUMBERS * usual**2
-        variances = squares / (3.0 * weight.sum() + PRIOR_NUMBERS)
-    return cost, weight > 0.5
+        prior = PRIOR_NUMBERS * (usual**2 / variances + np.log(variances)).sum(axis=-1)
+        cost = 0.5 * prior - either.sum(axis=-1)
+        share = np.clip(weight.mean(axis=-1), 1e-3, 1.0 - 1e-3)
+        numbers = 3.0 * weight.sum(axis=-1) + PRIOR_NUMBERS
+        squares = np.einsum("...v,...vk->...k", weight, errors**2) + PRIOR_NUMBERS * usual**2
+        variances = squares / numbers[..., None]
+    return np.asarray(cost), weight > 0.5
 
 
 def _closed_form(form, T: _Matrices, C: _Matrices, weights: np.ndarray) -> np.ndarray | None:
