@@ -280,10 +280,8 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
     fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
-    warnings = plausibility_warnings(fit)
-    if not isinstance(used_data, PoseDataset):
-        warnings += held_value_warnings(fit)
-    return dataclasses.replace(fit, warnings=warnings)
+    contradicted = () if isinstance(used_data, PoseDataset) else held_value_warnings(fit)
+    return dataclasses.replace(fit, warnings=plausibility_warnings(fit, contradicted))
 
 
 def _assemble_fit(

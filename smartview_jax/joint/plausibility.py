@@ -6,6 +6,8 @@ errors of arms, with the fit without a smooth robot error, and with the accuracy
 calibration needs.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..calibration import Calibration
@@ -62,15 +64,18 @@ OWN_VARIANCE_SHARE = 0.5
 distortion that the lens model does not describe."""
 
 
-def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
+def plausibility_warnings(
+    fit: JointFit, contradicted_values: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Return the reasons to doubt the result of a joint fit, a sentence each.
 
     They are in the order in which a person should look at them: a result that is none, then causes
-    of a wrong result that can be measured or changed (the target, the lens, the robot), then an
-    uncertainty that is stated but large.
+    of a wrong result that can be measured or changed (stated values, the target, the lens, the
+    robot), then an uncertainty that is stated but large.
 
     Args:
         fit: the fit to judge.
+        contradicted_values: warnings about values that the user stated (`held_value_warnings`).
     """
     warnings = [] if fit.result.converged else [fit.result.message]
     has_pixels = not isinstance(fit.problem.observations, PoseObservations)
@@ -79,6 +84,8 @@ def plausibility_warnings(fit: JointFit) -> tuple[str, ...]:
         f"the data do not determine: {direction.description}; {_advice(direction, fit.calibration)}"
         for direction in fit.observability.null_directions
     ]
+    # Before the target: its size is found wrong if a known focal length is.
+    warnings += contradicted_values
     warnings += _target_warnings(fit)
     warnings += _lens_warnings(fit)
     # Without a cause that is named above, this is the only sign of one.

@@ -147,7 +147,7 @@ def _solved_triples(
     else:
         right = right - shift
     count = len(triples)
-    finite = np.isfinite(rotation).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(rotation).all(axis=(1, 2)))
     inverse = np.linalg.pinv(np.where(finite[:, None, None], rows.reshape(count, 9, -1), 0.0))
     solution = (inverse @ right.reshape(count, 9, 1))[..., 0]
     factor = solution[:, 3] if scale else np.ones(count)

@@ -83,6 +83,15 @@ def test_a_camera_given_without_its_distortion_is_named(distorted, lens):
     assert "(held at 0)" in sentence
 
 
+def test_a_wrong_focal_length_is_named_before_the_target_that_it_makes_look_wrong(scene):
+    true = float(scene.calibration.camera.alpha_u)
+    wrong = jnp.asarray(0.98 * true)
+    fit = fit_joint(scene.data, start_with(scene, alpha_u=wrong, alpha_v=wrong), fixed=("camera",))
+    wanted, std = value_and_std(fit.warnings[0], "camera.alpha_u")
+    assert abs(wanted - true) < 4.0 * std
+    assert "of its stated size" in fit.warnings[1]
+
+
 def test_a_prior_that_the_pictures_contradict_is_named(scene):
     true = float(scene.calibration.camera.u0)
     prior = Prior(mean=true + 20.0, std=2.0)
