@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibrated_rig import calibrated_rig, rig_scene
 from jaxlie import SE3
 from typer.testing import CliRunner
 
 from smartview_jax import (
     Rig,
-    calibrate,
     calibration_pipeline,
     load_estimate,
     save_dataset,
@@ -22,13 +22,12 @@ from smartview_jax.cli.calibrate_folder import CalibrateSettings
 from smartview_jax.cli.calibrate_rig import _loaded_rig
 from smartview_jax.cli.check import _lonely_cameras
 from smartview_jax.cli.fit_options import FitKnowledge
-from smartview_jax.simulation import six_axis_rig_scene
 from smartview_jax.targets import Chessboard
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return six_axis_rig_scene(1, cameras=2)
+    return rig_scene()
 
 
 TARGET = Chessboard(rows=9, columns=12, square=0.03)
@@ -57,15 +56,23 @@ def folder(rig, tmp_path_factory):
     return str(place)
 
 
-def test_a_calibration_for_each_camera_and_one_report(scene, folder, tmp_path, monkeypatch):
-    out, fits = tmp_path / "out", []
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory):
+    return calibrated_rig(tmp_path_factory)
 
-    def fit_once(rig, lens, progress=None):
-        # Fits of the folds take as long as the first one; here they are the first one.
-        fits.append(fits[0] if fits else calibrate(rig, lens, progress=progress))
-        return fits[-1]
 
-    monkeypatch.setattr(calibration_pipeline, "calibrate", fit_once)
+def test_a_calibration_for_each_camera_and_one_report(
+    scene, rig, fit, folder, tmp_path, monkeypatch
+):
+    out, fitted = tmp_path / "out", []
+
+    def known_fit(part, lens, progress=None):
+        """The fit of these data; fits of the folds take as long, and are not tested here."""
+        fitted.append(part)
+        assert lens == "opencv4"
+        return fit
+
+    monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
     told = CliRunner().invoke(app, ["calibrate", folder, "--json", "--out", str(out)])
     assert told.exit_code == 0, told.output
     document = json.loads(told.stdout)
@@ -80,7 +87,9 @@ def test_a_calibration_for_each_camera_and_one_report(scene, folder, tmp_path, m
         assert np.linalg.norm(found - true) < 3e-4
         assert 0.05 < entry["rms_px"] < 0.5
         assert entry["held_out_rms_px"] == pytest.approx(entry["rms_px"], rel=0.5)
-    assert len(fits) == 6
+    assert len(fitted) == 6
+    for name, data in rig.cameras.items():
+        np.testing.assert_allclose(fitted[0].cameras[name].pixels, data.pixels, atol=1e-9)
     page = (out / "report.html").read_text(encoding="utf-8")
     for text in ("camera2 in camera1", "Camera camera1", "camera2: camera_from_tool", "Left out"):
         assert (text in page) == (text != "Left out" or bool(document["left_out"]))

@@ -18,7 +18,7 @@ def wide_scene(k1):
     """A camera with a wide lens, and a board of 0.24 by 0.16 m that fills its picture."""
     y, x = np.indices((2, 7)).reshape(2, -1)
     board = np.stack([0.04 * x, 0.16 * y, np.zeros(14)], axis=1)
-    camera = Camera(1000.0, 1000.0, 640.0, 512.0, Radial(k1), (1280, 1024))
+    camera = Camera(500.0, 500.0, 320.0, 240.0, Radial(k1), (640, 480))
     return random_scene(
         0,
         MANY_VIEWS,

@@ -5,6 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from calibrated_rig import calibrated_rig, rig_scene
 from fit_scenes import scene_of
 from jaxlie import SE3
 from starts import nudged
@@ -24,7 +25,7 @@ from smartview_jax import (
 from smartview_jax.cameras import Radial
 from smartview_jax.joint.rig_warnings import rig_warnings
 from smartview_jax.robot_errors import RobotPrior
-from smartview_jax.simulation import paper_calibration, simulate, six_axis_rig_scene
+from smartview_jax.simulation import paper_calibration, simulate
 from smartview_jax.variance import TargetScaleEvidence
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
@@ -33,13 +34,12 @@ NOISE = Noise(0.15, 1e-4, 2e-4)
 
 @pytest.fixture(scope="module")
 def scene():
-    """Two cameras on an arm with errors; each sees the board in eight states of its own."""
-    return six_axis_rig_scene(1, cameras=2)
+    return rig_scene()
 
 
 @pytest.fixture(scope="module")
-def fit(scene):
-    return calibrate(scene.rig)
+def fit(tmp_path_factory):
+    return calibrated_rig(tmp_path_factory)
 
 
 def test_one_camera_is_fitted_as_alone():
