@@ -177,11 +177,15 @@ def _print_result(result: RigResult) -> None:
 
 def _write_files(result: RigResult, out: Path, run: str) -> list[Path]:
     """Write the cameras' calibrations and the report, all or none, and return their paths."""
+    from ..dataset import picture_digests
     from ..report import Origin, write_rig_page
 
     names = [f"{camera}.yaml" for camera in result.fit.calibrations] + ["report.html"]
     with file_transaction(out, tuple(names)) as folder:
-        result.fit.save(folder, run)
+        cameras = result.rig.cameras.items()
+        # A view without points has no digest.
+        pictures = {name: [key for key in picture_digests(d) if key] for name, d in cameras}
+        result.fit.save(folder, run, pictures)
         origin = Origin(result.name, command_line(), run)
         page = folder / "report.html"
         write_rig_page(page, result.fit, result.rig, result.held_out, origin, result.remarks)

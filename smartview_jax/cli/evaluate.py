@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    calibration: Annotated[
+        Path,
+        typer.Argument(
+            help="A calibration.yaml; for a folder with several cameras, the folder of theirs."
+        ),
+    ],
     dataset: Annotated[Path, typer.Argument(help="Data-set folder with new pictures and poses.")],
     beside: Annotated[
         list[Path] | None,
@@ -52,9 +57,15 @@ def evaluate(
     with errors_reported(debug):
         from ..evaluation import reprojection_errors
         from ..files import refuse_unwritable
+        from ..io import is_rig_folder
         from ..joint import load_with_uncertainty
         from ..report import ErrorSummary, write_evaluation_page
 
+        if is_rig_folder(dataset):
+            if beside or out is not None:
+                raise ValueError(f"--beside, --out: not for several cameras, which {dataset} has")
+            _evaluate_rig(calibration, dataset, moved, bad_views, json)
+            return
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         paths = [calibration, *(beside or [])]
@@ -69,11 +80,11 @@ def evaluate(
             ]
         fitted = _fitted_views(calibration, data)
         expected = [_expected(estimate, data) for _, estimate in loaded]
-        rows = _rows(summaries, data, expected)
+        rows = _rows(summaries, [data] * len(summaries), expected)
         verdict = _verdict(summaries[0], name) + _fitted_text(fitted, data)
         # People see the figures before the page is drawn, which takes seconds.
         if not json:
-            _print(rows, data, verdict)
+            _print(rows, [data], verdict)
         if out is not None:
             title = f"{calibration.name} on {name}"
             write_evaluation_page(out, title, verdict, loaded[0][0], data, summaries, rows)
@@ -94,11 +105,61 @@ def evaluate(
             typer.echo(f"{out}: the figures")
 
 
-def _print(rows: "Sequence[Sequence[str]]", data: "Dataset", verdict: str) -> None:
+def _evaluate_rig(
+    calibrations: Path, folder: Path, moved: bool, bad_views: str, json: bool
+) -> None:
+    """Predict new pictures of several cameras, and print the error of each.
+
+    Args:
+        calibrations: folder with a calibration of each camera, named after it.
+        folder: data-set folder with several cameras.
+        moved: whether the target was moved.
+        bad_views: as in `load_rig`.
+        json: whether to print a document for programs.
+    """
+    from ..evaluation import reprojection_errors
+    from ..io import load_rig
+    from ..joint import load_with_uncertainty
+    from ..report import ErrorSummary
+
+    with progress_line() as progress:
+        rig = load_rig(folder, bad_views, progress)
+        summaries, expected, files, fitted = [], [], [], {}
+        for name, data in rig.cameras.items():
+            files.append(calibrations / f"{name}.yaml")
+            calibration, estimate = load_with_uncertainty(files[-1])
+            if moved:
+                calibration, estimate = _with_target_found(calibration, data), None
+            summaries.append(ErrorSummary(name, reprojection_errors(calibration, data), None))
+            expected.append(_expected(estimate, data))
+            fitted[name] = _fitted_views(files[-1], data)
+    cameras = list(rig.cameras.values())
+    if json:
+        entries = [
+            {
+                "file": file,
+                **_entries(summary, foreseen, data),
+                "fitted_views": fitted[summary.name],
+                "left_out_views": views_left_out(data.masked_views),
+            }
+            for file, summary, foreseen, data in zip(
+                files, summaries, expected, cameras, strict=True
+            )
+        ]
+        print_document("evaluate", {"data_set": folder.resolve().name, "cameras": entries})
+        return
+    texts = [
+        _verdict(summary, folder.resolve().name) + _fitted_text(fitted[summary.name], data)
+        for summary, data in zip(summaries, cameras, strict=True)
+    ]
+    _print(_rows(summaries, cameras, expected), cameras, "\n".join(texts))
+
+
+def _print(rows: "Sequence[Sequence[str]]", datasets: "Sequence[Dataset]", verdict: str) -> None:
     """Print the table of figures, the views left out, and the result in a sentence."""
     for row in rows:
         typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
-    for view, reason in data.masked_views:
+    for view, reason in dict(entry for data in datasets for entry in data.masked_views).items():
         typer.echo(f"view {view} is left out: {reason}")
     typer.echo(verdict)
 
@@ -161,7 +222,7 @@ def _expected(estimate: "SavedEstimate | None", data: "Dataset") -> "Reprojectio
 
 def _rows(
     summaries: "Sequence[ErrorSummary]",
-    data: "Dataset",
+    datasets: "Sequence[Dataset]",
     expected: "Sequence[ReprojectionErrors | None]",
 ) -> list[list[str]]:
     """Return the table, one column for each calibration, with the measures' names first."""
@@ -179,7 +240,7 @@ def _rows(
             "points that cannot be predicted",
         ]
     ]
-    for summary, foreseen in zip(summaries, expected, strict=True):
+    for summary, data, foreseen in zip(summaries, datasets, expected, strict=True):
         errors = summary.reprojection_errors
         low, high = rms_interval(errors)
         views = int((errors.px == errors.px).any(axis=1).sum())

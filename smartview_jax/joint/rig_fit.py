@@ -211,7 +211,12 @@ class RigFit(eqx.Module):
         """
         return half_width(self.std[name], self.degrees_of_freedom[name], level)
 
-    def save(self, folder: str | os.PathLike[str], run: str | None = None) -> None:
+    def save(
+        self,
+        folder: str | os.PathLike[str],
+        run: str | None = None,
+        pictures: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
         """Write a calibration file for each camera, `left.yaml`, with its covariance: all or none.
 
         Each file is read by `Calibration.load` and `load_estimate`.
@@ -219,6 +224,7 @@ class RigFit(eqx.Module):
         Args:
             folder: of the files; created if it does not exist.
             run: name of the run that made them; None without one.
+            pictures: digests of each camera's pictures, by its name, so that they are known again.
         """
         names = tuple(f"{name}.yaml" for name in self.calibrations)
         with file_transaction(folder, names) as place:
@@ -230,6 +236,7 @@ class RigFit(eqx.Module):
                     warnings=self.warnings,
                     source=f"rig of {', '.join(self.calibrations)}",
                     uncertainty=uncertainty_to_dict(estimate),
+                    pictures=(pictures or {}).get(name, ()),
                 )
 
     def _checked(self, camera: str) -> str:

@@ -90,6 +90,15 @@ def test_a_calibration_for_each_camera_and_one_report(
     assert len(fitted) == 6
     for name, data in rig.cameras.items():
         np.testing.assert_allclose(fitted[0].cameras[name].pixels, data.pixels, atol=1e-9)
+    told = CliRunner().invoke(app, ["evaluate", str(out), folder, "--json"])
+    assert told.exit_code == 0, told.output
+    for entry, (name, data) in zip(
+        json.loads(told.stdout)["cameras"], rig.cameras.items(), strict=True
+    ):
+        assert entry["name"] == name
+        assert entry["rms_px"] == pytest.approx(document["cameras"][name]["rms_px"], rel=0.5)
+        # They are the pictures of the fit.
+        assert entry["fitted_views"] == list(data.view_ids)
     page = (out / "report.html").read_text(encoding="utf-8")
     for text in ("camera2 in camera1", "Camera camera1", "camera2: camera_from_tool", "Left out"):
         assert (text in page) == (text != "Left out" or bool(document["left_out"]))
@@ -136,6 +145,12 @@ def test_check_looks_at_every_camera(rig, tmp_path):
     assert document["states"] == 16
     assert document["cameras"]["camera1"]["can_be_calibrated"]
     assert document["cameras"]["camera2"]["problems"]
+
+
+def test_other_verbs_say_what_takes_several_cameras(folder):
+    told = CliRunner().invoke(app, ["compare", folder])
+    assert told.exit_code == 2
+    assert "only smartview check, calibrate and evaluate take it" in " ".join(told.stderr.split())
 
 
 def test_a_camera_that_shares_nothing_is_named(rig):
