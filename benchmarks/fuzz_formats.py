@@ -159,6 +159,11 @@ def _camera_in_range(camera: sv.Camera) -> None:
     assert all(1 <= side <= 100_000 for side in camera.image_size), f"{camera.image_size}"
 
 
+def _cameras_in_range(cameras: dict[str, sv.Camera]) -> None:
+    for camera in cameras.values():
+        _camera_in_range(camera)
+
+
 def _calibration(with_arm: bool) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         field = LinearInPosition(jnp.array([0.4, 0.0, 0.3]), jnp.asarray(0.2))
@@ -312,6 +317,23 @@ def _log(name: str) -> Callable[[Path], Path]:
 _KALIBR = "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 5\ntagSize: 0.088\ntagSpacing: 0.3\n"
 
 
+_CAMCHAIN = """cam0:
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.078, 0.0002, -0.0001]
+  distortion_model: radtan
+  intrinsics: [458.9, 457.6, 367.0, 249.3]
+  resolution: [752, 480]
+"""
+
+
+_CAMERAMODEL = """{
+    'lensmodel':  'LENSMODEL_OPENCV4',
+    'intrinsics': [ 1761.2, 1761.3, 1965.7, 1087.5, -0.0127, 0.0359, -0.00025, 0.00053,],
+    'imagersize': [ 4000, 2200,],
+}
+"""
+
+
 def _opencv(folder: Path) -> Path:
     return write_atomically(folder / "camera.yaml", io.opencv_yaml(paper_calibration()))
 
@@ -348,6 +370,14 @@ FORMATS: dict[str, Format] = {
         _matrix_rows, lambda path: io.read_matrix_rows(path, "mm"), _poses_in_range
     ),
     "visp pose": Format(_visp_pose, io.read_visp_pose, _poses_in_range),
+    "kalibr camera": Format(
+        _text("camchain.yaml", _CAMCHAIN), io.read_kalibr_cameras, _cameras_in_range
+    ),
+    "mrcal camera": Format(
+        _text("left.cameramodel", _CAMERAMODEL),
+        io.read_mrcal_camera,
+        _camera_in_range,
+    ),
     "visp camera": Format(_text("camera.xml", _XML), io.read_visp_camera, _camera_in_range),
     "robot_cal_tools": Format(
         _text("cal_data.yaml", _CAL_DATA.replace("a:\n", "")),

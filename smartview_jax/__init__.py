@@ -39,6 +39,21 @@ Glossary:
 - effective pixel sigma: the standard deviation with which the pixels are weighted when a whole
   view is judged. It is not smaller than the standard deviation of the noise within a view,
   because the pixels of a real view err together.
+
+Every public name has an example in its docstring. The examples continue this one, which simulates
+eight views by the paper's camera and calibrates from them:
+
+    >>> import numpy as np
+    >>> import smartview_jax as sv
+    >>> points = sv.simulation.paper_points(heights=(0.0, 0.02))[::6]
+    >>> noise = sv.Noise(pixel=0.15, translation=1e-4, rotation=2e-4)
+    >>> scene = sv.simulation.random_scene(
+    ...     seed=0, views=8, points=points, translation_noise=1e-4, rotation_noise=2e-4
+    ... )
+    >>> data, truth = scene.data, scene.calibration
+    >>> fit = sv.calibrate(data, "radial", noise=noise)
+
+With pictures of your own: `data = sv.load_dataset("my_folder")` and `fit = sv.calibrate(data)`.
 """
 
 import lazy_loader as _lazy_loader

@@ -172,6 +172,12 @@ def calibrate(
         TypeError: an argument of the wrong type.
         ValueError: a camera or a start that does not match this data set's pictures or mount; and
             the errors of `fit_staged` and `fit_joint`.
+
+    For example:
+
+        >>> fit = sv.calibrate(data, "radial", noise=noise)  # by default it is estimated
+        >>> print(np.round(1e3 * fit.calibration.camera_from_tool.translation()), "mm")
+        [-19.  60. -90.] mm
     """
     if isinstance(data, Rig):
         if start is not None or step2 != "kalman":

@@ -327,8 +327,8 @@ def _kalibr_distortion(name: str, lens: OpenCVDistortion) -> tuple[str, list[flo
         return "equidistant", list(lens.coefficients)
     if lens.model != "plumb_bob" or any(lens.coefficients[4:]):
         raise ValueError(
-            f"kalibr: the lens of {name} has more coefficients than Kalibr's radtan (k1, k2, p1, "
-            "p2): calibrate with --lens opencv4 or --lens fisheye"
+            f"kalibr: Kalibr has no lens like that of {name}: calibrate with lens opencv4 (its "
+            "radtan), or fisheye (its equidistant)"
         )
     return "radtan", list(lens.coefficients[:4])
 

@@ -110,6 +110,17 @@ def estimate_time_offset(
         ValueError: pictures outside the logged times, poses that fit no offset, an offset at the
             end of the range, or a robot that hardly moved; and the errors of `fit_staged`, or of
             `fit_poses`.
+
+    For example:
+
+        >>> path = sv.robots.Trajectory.of(np.linspace(0.0, 14.0, 8), scene.base_from_tool)
+        >>> logged = np.arange(0.0, 14.0, 0.02)
+        >>> log = sv.robots.Trajectory.of(logged, path.at(logged))
+        >>> times = np.arange(1.0, 13.0, 0.5)
+        >>> moving = sv.simulation.simulate(truth, path.at(times), points).data
+        >>> late = times - 0.035  # the camera's clock is 35 ms behind the robot's
+        >>> print(sv.estimate_time_offset(moving, log, late, "radial"))  # doctest: +SKIP
+        robot's clock minus camera's: 35.00 +- 0.15 ms
     """
     report = progress or (lambda _: None)
     times = np.asarray(picture_times, dtype=float)

@@ -104,6 +104,15 @@ def fit_kinematics(
     Raises:
         ValueError: the shapes do not match, the free parameters outnumber the measured numbers, or
             no axis is found without `start`; the message names the joint.
+
+    For example:
+
+        >>> arm = sv.robots.SerialArm([0.0, 0.0], [0.1, 0.3], [0.05, 0.0], [1.5, 0.0])
+        >>> grid = np.meshgrid(np.linspace(-1.0, 1.0, 4), np.linspace(-2.0, 2.0, 5))
+        >>> joints = np.stack(grid, axis=-1).reshape(-1, 2)
+        >>> measured = arm.base_from_tool(joints * [1.01, 1.0])  # the first joint turns 1 % too far
+        >>> np.round(sv.fit_kinematics(joints, measured).ratios, 2).tolist()  # doctest: +SKIP
+        [1.01, 1.0]
     """
     joints, poses = np.asarray(joints, dtype=float), as_se3(camera_from_target)
     if joints.ndim != 2 or poses.get_batch_axes() != joints.shape[:1]:

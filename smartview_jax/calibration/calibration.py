@@ -66,6 +66,16 @@ class Calibration(eqx.Module):
         region: region from which the target was seen in the fitted data; None if not fitted.
         target_shape: deviation of the target's points from their stated places; None if there is
             none.
+
+    For example:
+
+        >>> camera = sv.Camera(800.0, 800.0, 320.0, 240.0, sv.cameras.Pinhole(), (640, 480))
+        >>> camera_at_flange = sv.Calibration.eye_in_hand(camera, np.eye(4), np.eye(4))
+        >>> base_from_tool = np.diag([1.0, -1.0, -1.0, 1.0])  # looking down ...
+        >>> base_from_tool[2, 3] = 0.5  # ... from 0.5 m above the base
+        >>> pixels, valid = camera_at_flange.project(base_from_tool, np.array([[0.1, 0.0, 0.0]]))
+        >>> print(np.round(pixels), valid)
+        [[480. 240.]] [ True]
     """
 
     camera: Camera

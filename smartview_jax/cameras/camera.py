@@ -22,6 +22,13 @@ class Camera(eqx.Module):
         u0, v0: principal point (px).
         lens: any `AbstractLens`.
         image_size: width and height (px).
+
+    For example:
+
+        >>> camera = sv.Camera(800.0, 800.0, 320.0, 240.0, sv.cameras.Pinhole(), (640, 480))
+        >>> pixels, valid = camera.project(np.array([[0.1, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+        >>> print(np.round(pixels).tolist(), valid)
+        [[400.0, 240.0], [nan, nan]] [ True False]
     """
 
     alpha_u: Float[Array, ""] = eqx.field(converter=as_float_array)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 CameraOption = Annotated[
     Path | None,
     typer.Option(
-        help="File of a known camera, which is held, such as calibration.yaml: YAML of OpenCV or "
-        "ROS (camera_info), XML of ViSP. A single tag (four corners) then suffices."
+        help="File of a known camera, which is held, such as calibration.yaml, or of OpenCV, ROS "
+        "(camera_info), Kalibr, mrcal or ViSP. A single tag (four corners) then suffices."
     ),
 ]
 FixedOption = Annotated[

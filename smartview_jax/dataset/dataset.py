@@ -56,6 +56,14 @@ class Dataset(eqx.Module):
         notes: sentences on assumptions made when the data were read.
         pose_format: format in which the robot's controller writes poses, a key of `POSE_CODECS`;
             None if it is not known.
+
+    For example:
+
+        >>> pixels = np.array(data.pixels)  # (views, points, 2)
+        >>> pixels[2] = np.nan  # the target was not found in this picture
+        >>> mine = sv.Dataset.from_arrays(points, pixels, data.base_from_tool, (640, 480))
+        >>> print(mine.view_count, mine.observation_count, mine.usable_views())
+        8 96 [0 1 3 4 5 6 7]
     """
 
     points: Float[Array, "views points 3"]

@@ -41,6 +41,12 @@ class Rig:
         arm: the arm whose joints these are; None if it is not known.
         masked_views: id and reason of each state whose reported pose is not used.
         state_index: state of each view of a camera, by the camera's name.
+
+    For example, with one camera in the place of two:
+
+        >>> rig = sv.Rig({"left": data, "right": data.select([0, 1, 2, 4])})
+        >>> print(len(rig.view_ids), rig.state_index["right"])
+        8 [0 1 2 4]
     """
 
     def __init__(self, cameras: Mapping[str, Dataset], targets: Mapping[str, str] | None = None):

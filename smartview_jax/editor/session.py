@@ -61,6 +61,14 @@ class ModelSession(AbstractDrawing):
         geometry: geometry of points and curves in the views.
         notes: remarks from the opening of the session.
         proposals: proposed points and edges that are not decided yet.
+
+    For example:
+
+        >>> pictures = [np.full((480, 640), 128, np.uint8)] * data.view_count
+        >>> with sv.ModelSession(truth, data.base_from_tool, pictures, data.view_ids) as session:
+        ...     session.change({"do": "rename", "name": "gear box"})
+        ...     print(session.names[:2], session.document.name)
+        ['0', '1'] gear box
     """
 
     def __init__(

@@ -24,6 +24,13 @@ class Noise:
         equals `pixel`. Errors of real pixels are correlated within a view, so that a view has
         less information than its number of points suggests: `pixel` weights the points in the
         fit, and `white_pixel` predicts the scatter of single points.
+
+    For example:
+
+        >>> noise = sv.Noise(pixel=0.15, translation=1e-4, rotation=2e-4)
+        >>> joint = sv.fit_joint(data, truth, noise=noise)
+        >>> joint.pose_corrections.shape  # a twist for each view
+        (8, 6)
     """
 
     pixel: float

@@ -11,6 +11,15 @@ class Prior:
         std: standard deviation, in the parameter's own unit (px, m, rad, 1).
         mean: mean value; None is the value of the start. The prior of a rotation is always centred
             at the start and has no mean.
+
+    For example:
+
+        >>> drawing = sv.Prior(std=2e-4)  # known to 0.2 mm, at the start's value
+        >>> for priors in ({}, {"camera_from_tool.translation": drawing}):
+        ...     joint = sv.fit_joint(data, truth, noise=noise, priors=priors)
+        ...     print(f"{1e3 * joint.std['camera_from_tool.translation.x']:.2f} mm")
+        0.57 mm
+        0.19 mm
     """
 
     std: float

@@ -88,6 +88,12 @@ def build_problem(
     robot error field begin at their values in the start if it has the same field, otherwise at
     zero. With `field="auto"` the robot error of the start is held. The field is evaluated at
     reported poses corrected by `noise_corrections`, if given.
+
+    For example:
+
+        >>> built = sv.build_problem(data, truth)
+        >>> print(len(built.shared_names), built.shared_names[:2])
+        17 ('camera.alpha_u', 'camera.alpha_v')
     """
     refuse_traced("build_problem", data, start)
     if not (noise == "trusted" or isinstance(noise, Noise)):

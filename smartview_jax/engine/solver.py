@@ -276,23 +276,25 @@ def optimum(
     """Return the step to the optimum, for use inside `jit`, `vmap` and `grad`.
 
     The optimum is differentiable, by the implicit function theorem, with respect to every array in
-    `problem`: pixels, poses, priors, and the start's values. For instance, the derivative of the
-    camera's position on the hand by the measured pixels:
-
-        problem = sv.build_problem(data, start).problem
-
-        def hand_eye_translation(pixels):
-            changed = eqx.tree_at(lambda p: p.observations.pixels, problem, pixels)
-            calibration, _ = changed.calibration(sv.optimum(changed))
-            return calibration.camera_from_tool.translation()
-
-        metres_per_pixel = jax.jacrev(hand_eye_translation)(data.pixels)
+    `problem`: pixels, poses, priors, and the start's values.
 
     Args:
         problem: from `build_problem`, with any of its arrays changed.
         solver: optimistix least-squares solver; by default the engine's own.
         start: step at which to begin; by default zero.
         maximum_steps: number of steps after which the present step is returned.
+
+    For example:
+
+        >>> import equinox as eqx
+        >>> import jax
+        >>> problem = sv.build_problem(data, truth).problem
+        >>> def hand_eye_translation(pixels):
+        ...     changed = eqx.tree_at(lambda p: p.observations.pixels, problem, pixels)
+        ...     calibration, _ = changed.calibration(sv.optimum(changed))
+        ...     return calibration.camera_from_tool.translation()
+        >>> jax.jacrev(hand_eye_translation)(data.pixels).shape  # m per px  # doctest: +SKIP
+        (3, 8, 14, 2)
     """
     # These units keep the linear solve for the derivatives well conditioned.
     scaled = _with_jacobi_scale(problem)

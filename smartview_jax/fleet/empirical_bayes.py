@@ -79,6 +79,14 @@ def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> 
     Raises:
         ValueError: fewer than two fits, a fit with given noise, or fits whose models of the robot
             error differ, as with and without joint readings.
+
+    For example:
+
+        >>> noisy = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
+        >>> robots = [sv.simulation.random_scene(k, 8, points, **noisy).data for k in range(3)]
+        >>> fits = (sv.calibrate(robot, "radial").joint for robot in robots)
+        >>> print(f"{1e3 * sv.fleet_prior(fits).translation_median:.3f} mm")  # doctest: +SKIP
+        0.072 mm
     """
     general = general or RobotPrior()
     evidence = [_evidence_of(k, fit) for k, fit in enumerate(fits)]

@@ -63,6 +63,17 @@ def calibrate_many(
         TypeError: an unknown option, or an executor of another kind.
         ValueError: a number of processes below one.
         RuntimeError: worker processes cannot be started.
+
+    For example:
+
+        >>> from concurrent.futures import ThreadPoolExecutor
+        >>> robots = [data, data.select([0])]  # one view is not enough
+        >>> with ThreadPoolExecutor(1) as executor:
+        ...     outcomes = list(sv.calibrate_many(robots, executor, lens="radial", noise=noise))
+        >>> for outcome in sorted(outcomes, key=lambda outcome: outcome.number):
+        ...     print(outcome.name, "-", type(outcome.fit).__name__, type(outcome.error).__name__)
+        data set 0 - CalibrationFit NoneType
+        data set 1 - NoneType ValueError
     """
     known = {*signature(calibrate).parameters, *JointOptions.__annotations__}
     for name in options.keys() - (known - {"data", "joint_options"}):

@@ -50,6 +50,14 @@ def look_at(
 
     Returns:
         Transforms with the broadcast shape of all four arguments.
+
+    For example:
+
+        >>> downwards = (0.0, 0.0, -1.0)
+        >>> camera_from_world = sv.look_at((0.0, 0.0, 0.0), downwards, distance=0.3)
+        >>> centre = np.linalg.inv(sv.geometry.host_matrices(camera_from_world))[:3, 3]
+        >>> print(np.rint(1e3 * centre).astype(int), "mm")
+        [  0   0 300] mm
     """
     arguments = tuple(as_float_array(x) for x in (point, direction, distance, roll))
     if is_traced(arguments):
@@ -176,6 +184,17 @@ def five_viewpoints(
 
     Raises:
         ValueError: an unknown pattern.
+
+    For example:
+
+        >>> views = sv.five_viewpoints(np.zeros(3), distance=0.2)
+        >>> centres = np.linalg.inv(sv.geometry.host_matrices(views))[:, :3, 3]
+        >>> print(np.rint(1e3 * centres).astype(int))
+        [[  0   0 200]
+         [ 33   0 197]
+         [-33   0 197]
+         [  0  33 197]
+         [  0 -33 197]]
     """
     if pattern not in FIVE_VIEWPOINT_PATTERNS:
         known = ", ".join(FIVE_VIEWPOINT_PATTERNS)

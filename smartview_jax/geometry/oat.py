@@ -99,6 +99,13 @@ def xyzoat(
         base_from_tool: `(*batch)`.
         gimbal_o: the O to return where the tool points straight down or up, as in
             `oat_from_rotation`.
+
+    For example:
+
+        >>> base_from_tool = np.diag([1.0, -1.0, -1.0, 1.0])
+        >>> base_from_tool[:3, 3] = 0.5, 0.0, 0.3
+        >>> print(np.round(sv.xyzoat(base_from_tool), 3))
+        [0.5   0.    0.3   0.    1.571 1.571]
     """
     pose = as_se3(base_from_tool)
     numbers = pose.wxyz_xyz
@@ -113,6 +120,15 @@ def xyzoat(
 
 @one_program
 def se3_from_xyzoat(numbers: Float[Array, "*batch 6"]) -> SE3:
-    """Return the pose with the given x, y, z (m) and O, A, T (rad)."""
+    """Return the pose with the given x, y, z (m) and O, A, T (rad).
+
+    For example:
+
+        >>> downwards = sv.se3_from_xyzoat(np.array([0.5, 0.0, 0.3, 0.0, np.pi / 2, 0.0]))
+        >>> print(np.rint(sv.geometry.host_matrices(downwards)[:3, :3]).astype(int))
+        [[ 0  1  0]
+         [ 1  0  0]
+         [ 0  0 -1]]
+    """
     rotation = rotation_from_oat(numbers[..., 3:])
     return SE3.from_rotation_and_translation(rotation, numbers[..., :3])

@@ -85,6 +85,14 @@ def grasps_for(
         ImportError: trimesh or python-fcl is not installed (smartview-jax[cell]).
         ValueError: an invalid pose or covariance, or a model without grasps and faces.
         NoSafeGraspError: the verdict of the localisation is not "accepted".
+
+    For example:
+
+        >>> box = sv.simulation.box(0.06, 0.04, 0.02).exact_model("box")
+        >>> placed = sv.grasping.PlacedObject(box, np.eye(4))  # at the world's origin
+        >>> plan = sv.grasps_for(placed, sv.Gripper(), sv.GraspScene(truth))
+        >>> print(len(plan), "grasps,", f"{plan.best.success_probability:.0%}")
+        12 grasps, 100%
     """
     motion = motion or Motion()
     # A pose that is only the best guess is never acted upon.

@@ -69,6 +69,13 @@ class GraspScene:
         link_radius: radius of the cylinders about the arm's links, which must not touch obstacles
             between pre-grasp and retreat, m; None leaves the links unchecked.
         up: direction against gravity, in the world's frame.
+
+    For example:
+
+        >>> table = sv.grasping.Obstacle.table()
+        >>> cell = sv.GraspScene(fit.calibration, (table,), margin=0.002, estimate=fit.joint)
+        >>> print(len(cell.obstacles), cell.arm)  # without an arm, commands are poses
+        1 None
     """
 
     calibration: Calibration

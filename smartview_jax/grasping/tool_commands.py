@@ -95,6 +95,14 @@ def tool_commands(
     Raises:
         ValueError: the camera is not on the hand, an arm without `near`, or an estimate that leaves
             something undetermined.
+
+    For example:
+
+        >>> world_from_tool = np.diag([1.0, -1.0, -1.0, 1.0])
+        >>> world_from_tool[2, 3] = 0.11  # 110 mm above the world's origin, pointing down
+        >>> tool = sv.tool_commands(truth, world_from_tool[None])
+        >>> print(np.round(1e3 * tool.commands.xyzoat[0, :3]), tool.refusals())
+        [ 448. -121.  160.] ('',)
     """
     # The scene rejects invalid input: an arm without a start, a camera that is not on the hand.
     scene = GraspScene(calibration, arm=arm, near=near, estimate=estimate)

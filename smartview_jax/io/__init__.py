@@ -22,6 +22,7 @@ from .growing_dataset import GrowingDataset as GrowingDataset
 from .hand_steps import HandSteps as HandSteps
 from .joints import joints_entry as joints_entry
 from .joints import write_joints as write_joints
+from .kalibr_camera import read_kalibr_cameras as read_kalibr_cameras
 from .known_camera import read_camera as read_camera
 from .load import load_dataset as load_dataset
 from .load import load_pose_log as load_pose_log
@@ -34,6 +35,8 @@ from .meshes import read_mesh as read_mesh
 from .meshes import to_trimesh as to_trimesh
 from .meshes import write_mesh as write_mesh
 from .misses import read_misses as read_misses
+from .mrcal_camera import mrcal_cameramodel as mrcal_cameramodel
+from .mrcal_camera import read_mrcal_camera as read_mrcal_camera
 from .new_dataset import TARGETS as TARGETS
 from .new_dataset import FoundPictures as FoundPictures
 from .new_dataset import found_pictures as found_pictures

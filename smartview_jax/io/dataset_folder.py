@@ -271,6 +271,16 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         ValueError: an unknown pose format, no target description, points that are not the
             target's, or a name or value with which the folder could not be read back; nothing is
             written.
+
+    For example:
+
+        >>> import tempfile
+        >>> board = sv.targets.Chessboard(3, 4, 0.01)
+        >>> seen = sv.simulation.random_target_scene(seed=0, views=3, target=board).data
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     sv.save_dataset(seen, f"{folder}/board", pose_format="kuka_abc")
+        ...     print(sv.load_dataset(f"{folder}/board").pose_format)
+        kuka_abc
     """
     folder, target = Path(folder), data.target
     if isinstance(data, PoseDataset):

@@ -48,6 +48,12 @@ def load_dataset(
     Raises:
         FileNotFoundError: a file is missing.
         ValueError: something is wrong; the message names the file and the view.
+
+    For example:
+
+        >>> sample = sv.load_dataset(sv.io.sample_folder(), keep_detections=False)
+        >>> print(sample.view_count, sample.observation_count, sample.image_size)
+        15 1500 (640, 480)
     """
     folder = Path(folder)
     if not folder.is_dir():

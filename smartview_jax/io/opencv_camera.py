@@ -39,7 +39,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
         {key: float(x) for key, x in intrinsics.items()}, PINHOLE_SCHEMA, f"{path}: camera_matrix"
     )
     coefficients = _array(content.distortion_coefficients, "distortion_coefficients", path).ravel()
-    lens = _opencv_lens(coefficients, content.distortion_model, str(path))
+    lens = opencv_lens(coefficients, content.distortion_model, str(path))
     return Camera(**intrinsics, lens=lens, image_size=(content.image_width, content.image_height))
 
 
@@ -52,8 +52,12 @@ def _array(matrix: "OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
     return np.array(matrix.data).reshape(matrix.rows, matrix.cols)
 
 
-def _opencv_lens(coefficients: np.ndarray, model: str | None, path: str) -> AbstractLens:
-    """Return the lens model with this number of coefficients (4, 5 or 8), or the named fisheye."""
+def opencv_lens(coefficients: np.ndarray, model: str | None, path: str) -> AbstractLens:
+    """Return the lens model with this number of coefficients (4, 5 or 8), or the named fisheye.
+
+    Raises:
+        ValueError: no lens has so many coefficients; the message names the file.
+    """
     k = [jnp.asarray(x) for x in coefficients]
     if model == "equidistant":
         # ROS's name of OpenCV's fisheye; its four coefficients differ from OpenCV4's.

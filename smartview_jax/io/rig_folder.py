@@ -94,6 +94,15 @@ def load_rig(
     Raises:
         FileNotFoundError: a file is missing, or a state has no picture from any camera.
         ValueError: something is wrong; the message names the file, the camera and the view.
+
+    Example:
+        >>> import tempfile
+        >>> board = sv.targets.Chessboard(3, 4, 0.01)
+        >>> seen = sv.simulation.random_target_scene(seed=0, views=3, target=board).data
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     sv.save_rig(sv.Rig({"left": seen, "right": seen.select([0, 1])}), folder)
+        ...     print(sv.load_rig(folder))
+        <Rig: 3 robot states; views of cameras left (3), right (2)>
     """
     from ..schemas.rig import RIG_SCHEMA
     from ..schemas.validation import validate_content
@@ -206,6 +215,15 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
         ValueError: a camera without a target's description, cameras that describe one target
             differently, or a name or value with which the folder could not be read back; nothing
             is written.
+
+    Example:
+        >>> import os, tempfile
+        >>> board = sv.targets.Chessboard(3, 4, 0.01)
+        >>> seen = sv.simulation.random_target_scene(seed=0, views=3, target=board).data
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     sv.save_rig(sv.Rig({"left": seen, "right": seen.select([0, 1])}), folder)
+        ...     print(sorted(os.listdir(folder)))
+        ['dataset.yaml', 'detections', 'poses.csv']
     """
     folder = Path(folder)
     targets = _described_targets(rig)

@@ -95,6 +95,13 @@ def fit_camera(
 
     Raises:
         ValueError: as for `fit_joint`.
+
+    For example:
+
+        >>> poses = truth.camera_from_world(data.base_from_tool)
+        >>> alone = sv.fit_camera(data, truth.camera, poses)
+        >>> print(f"{alone.rms:.2f} px")
+        0.18 px
     """
     free_pose_data, identity_start = with_free_camera_poses(data, camera, camera_from_world)
     fit = fit_joint(

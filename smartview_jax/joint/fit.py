@@ -125,6 +125,12 @@ def fit_joint(
         TypeError: an argument of a wrong type.
         ValueError: an unknown path or name, too few views, or a start at which no point of a view
             can be projected.
+
+    For example:
+
+        >>> joint = sv.fit_joint(data, truth, noise=noise, fixed=("camera",))
+        >>> print(joint.result.message, len(joint.parameter_names))
+        converged in 3 steps 12
     """
     if gross_errors not in GROSS_ERRORS_OPTIONS:
         raise ValueError(

@@ -59,6 +59,14 @@ class JointFit(eqx.Module):
         result: whether the fit converged.
         warnings: reasons to doubt the result, a sentence each.
         pose_format: format in which the robot's controller writes poses; None if it is not known.
+
+    For example:
+
+        >>> joint = fit.joint
+        >>> x = joint.calibration.camera_from_tool.translation()[0]
+        >>> half_width = joint.confidence_half_width("camera_from_tool.translation.x")
+        >>> print(f"x = {1e3 * x:.1f} +- {1e3 * half_width:.1f} mm", joint.result.converged)
+        x = -19.1 +- 1.1 mm True
     """
 
     calibration: Calibration
@@ -207,7 +215,14 @@ def half_width(std: float, degrees_of_freedom: float, level: float = 0.95) -> fl
 
 
 def view_influence(fit: JointFit) -> Influence:
-    """Return the influence of each view: the change of the fit without it, to first order."""
+    """Return the influence of each view: the change of the fit without it, to first order.
+
+    For example:
+
+        >>> change = sv.view_influence(fit.joint).max_standardised_change()
+        >>> print(f"view {data.view_ids[np.argmax(change)]}: {change.max():.1f} std")
+        view 5: 1.1 std
+    """
     changes = np.asarray(deletion_changes(fit.problem, fit.solution.z))
     std = np.array([fit.std[name] for name in fit.parameter_names])
     mount_path = fit.calibration.transform_names[0]

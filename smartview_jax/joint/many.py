@@ -145,6 +145,12 @@ def fit_many(
     Raises:
         ValueError: no data set can be fitted, lenses or mounts differ, or the noise is to be
             estimated, which `calibrate_many` does.
+
+    For example:
+
+        >>> robots = [data, data.select(range(6))]
+        >>> len(sv.fit_many(robots, start=truth))  # doctest: +SKIP
+        2
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
     _require_same_structure(data, starts)

@@ -203,6 +203,15 @@ def fit_poses(
         TypeError: an argument of a wrong type.
         ValueError: an unknown path or name, too few pairs, a robot that does not move enough, or
             poses of robot and tracker that contradict each other, with the likeliest mistake.
+
+    For example:
+
+        >>> from smartview_jax.dataset import PoseDataset
+        >>> tracked = truth.camera_from_world(scene.base_from_tool)
+        >>> pairs = PoseDataset.from_poses(data.base_from_tool, tracked)
+        >>> x = "camera_from_tool.translation.x"
+        >>> print(f"+- {1e3 * sv.fit_poses(pairs).std[x]:.3f} mm")  # doctest: +SKIP
+        +- 0.038 mm
     """
     hint = "a PoseDataset, or the PoseSamples of read_easy_handeye"
     require_instance("samples", samples, TrackedPoses, hint)

@@ -31,6 +31,11 @@ def precompile(
         lens: lens model of the fit.
         camera: a known camera, with its own lens.
         noise, field: as for `fit_joint`.
+
+    For example:
+
+        >>> sv.precompile(data, "radial", noise=noise)  # may run while pictures are still taken
+        >>> joint = sv.fit_joint(data, truth, noise=noise)
     """
     if camera is None:
         width, height = data.image_size

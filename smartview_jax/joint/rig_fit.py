@@ -90,6 +90,13 @@ class RigFit(eqx.Module):
             determine a parameter.
         result: whether the fit converged.
         warnings: reasons to doubt the result, a sentence each.
+
+    For example, with one camera in the place of two:
+
+        >>> rig = sv.Rig({"left": data, "right": data.select(range(4))})
+        >>> both = sv.fit_rig(rig, {"left": truth, "right": truth}, noise=noise)
+        >>> print(sorted(both.calibrations), both.pose_corrections.shape)  # one for each state
+        ['left', 'right'] (8, 6)
     """
 
     calibrations: dict[str, Calibration]
@@ -279,6 +286,14 @@ def fit_rig(
     Raises:
         TypeError: an argument of a wrong type.
         ValueError: an unknown path, or a start at which no point of a view can be projected.
+
+    For example, with one camera in the place of two:
+
+        >>> rig = sv.Rig({"left": data, "right": data.select(range(4))})
+        >>> both = sv.fit_rig(rig, {"left": truth, "right": truth}, noise=noise)
+        >>> std = both.relative("left", "right").std
+        >>> print(f"{1e3 * std[2]:.1f} mm along the optical axis")
+        0.9 mm along the optical axis
     """
     require_instance("rig", rig, Rig)
     field, left_out = checked_field_choice(field), list(rejected)

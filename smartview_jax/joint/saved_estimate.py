@@ -78,6 +78,15 @@ def load_estimate(path: str | os.PathLike[str]) -> SavedEstimate:
     Raises:
         FileNotFoundError: the file is missing.
         ValueError: a wrong entry, or a file without uncertainty; the message names the file.
+
+    For example:
+
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     fit.save(f"{folder}/calibration.yaml")
+        ...     estimate = sv.load_estimate(f"{folder}/calibration.yaml")
+        >>> estimate.parameter_names[5]
+        'camera_from_tool.translation.x'
     """
     estimate = load_with_uncertainty(path)[1]
     if estimate is None:

@@ -72,6 +72,11 @@ class Localization(NamedTuple):
         rivals: other explanations of the same edges, the best first.
         scale: size of the searched pictures over the given ones (`PictureEvidence.scale`); all
             lengths in px are of the searched pictures.
+
+    For example, with `search` as for `localize`:
+
+        >>> sv.localize(*search).accepted[0].verdict.decision  # doctest: +SKIP
+        'accepted'
     """
 
     model: ObjectModel

@@ -73,6 +73,18 @@ def localize(
             picture without usable edges or given twice, a workspace that is not a box, occluders
             that are not triangles, a hypothesis of an unknown model, or `previous` found with
             another calibration; the message names the view, model or argument.
+
+    For example:
+
+        >>> views = sv.io.load_object_views(sv.io.object_sample_folder() / "object")
+        >>> block = sv.simulation.stepped_block(0.026).exact_model("block")
+        >>> poses = sv.geometry.host_matrices(views.base_from_tool)
+        >>> search = views.pictures[:3], poses[:3], truth, block
+        >>> sv.localize(*search).accepted[0].world_from_object.round(3)  # doctest: +SKIP
+        array([[ 0.877, -0.48 ,  0.   ,  0.018],
+               [ 0.48 ,  0.877,  0.   , -0.013],
+               [-0.   ,  0.   ,  1.   , -0.   ],
+               [ 0.   ,  0.   ,  0.   ,  1.   ]])
     """
     prepared, triangles = _prepared(models), checked_triangles(occluders)
     box = None if workspace is None else checked_box(workspace)

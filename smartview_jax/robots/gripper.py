@@ -74,6 +74,12 @@ class Gripper:
         max_turn: largest angle between object and gripper that closing fingers straighten, rad.
         tool_from_gripper: pose of the gripper's frame in the tool's, 4x4, m; by default the tool
             frame is at the back of the palm, 0.11 m from the fingertips.
+
+    For example:
+
+        >>> gripper = sv.Gripper(max_opening=0.06, finger_length=0.04)
+        >>> print(gripper.max_opening, gripper.tool_from_gripper[2, 3])
+        0.06 0.11
     """
 
     max_opening: float = 0.08

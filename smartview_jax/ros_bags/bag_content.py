@@ -47,6 +47,12 @@ class BagSources:
         camera: frame of the camera, in which the tag's pose is looked up; None for the frame in
             which it is published.
         received: whether the times of recording are used instead of the stamps of the messages.
+
+    For example:
+
+        >>> sources = sv.BagSources(image="/camera/image_raw", base="base_link", tool="tool0")
+        >>> print(sources.camera_info, sources.received)
+        None False
     """
 
     image: str | None = None

@@ -96,6 +96,14 @@ def import_bag(
         ValueError: something is missing or wrong in the bag; the message names the bag, what was
             expected, and what there is. Nothing is written.
         ImportError: `rosbags` is not installed.
+
+    For example:
+
+        >>> sources = sv.BagSources(image="/camera/image_raw", base="base_link", tool="tool0")
+        >>> sv.import_bag("run.mcap", "my_folder", sources, "charuco")
+        Traceback (most recent call last):
+            ...
+        FileNotFoundError: run.mcap: no such bag
     """
     choice = choice or MomentChoice()
     if (target is None) != (sources.tag is not None):

@@ -36,6 +36,12 @@ class MomentChoice:
             picture, s; longer than cameras are late and arms swing.
         position, angle: largest motion of a robot that stands, m and rad; industrial robots repeat
             a pose to about this accuracy, and the readings of cheaper ones jitter by more.
+
+    For example:
+
+        >>> rules = sv.MomentChoice(every=10)  # also in motion
+        >>> print(rules.every, sv.MomentChoice().every, sv.MomentChoice().still_for)
+        10 None 0.5
     """
 
     every: int | None = None

@@ -4,6 +4,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, TypeAdapter, model_validator
 
+from .calibration import ImageSize
 from .dataset import CodecName
 from .entry import (
     Angle,
@@ -177,6 +178,53 @@ class VispCameraEntry(ForeignEntry):
         return self
 
 
+_Intrinsics = Annotated[
+    list[FiniteNumber], Field(min_length=4, max_length=4), Expected("fu, fv, pu, pv in px")
+]
+
+
+class KalibrCameraEntry(ForeignEntry):
+    """A camera in a camchain of Kalibr."""
+
+    camera_model: Literal["pinhole"]
+    intrinsics: _Intrinsics
+    distortion_model: Literal["radtan", "equidistant", "none"]
+    distortion_coeffs: Annotated[list[FiniteNumber], Field(max_length=4)]
+    resolution: ImageSize
+
+    @model_validator(mode="after")
+    def _check_coefficients(self) -> "KalibrCameraEntry":
+        """Raise a ValueError for a number of coefficients that the model does not have."""
+        expected = 0 if self.distortion_model == "none" else 4
+        if len(self.distortion_coeffs) != expected:
+            raise ValueError(
+                f"distortion_coeffs: {self.distortion_model} has {expected} coefficients, "
+                f"found {len(self.distortion_coeffs)}"
+            )
+        return self
+
+
+class MrcalCameraFile(ForeignEntry):
+    """A cameramodel of mrcal with a lens of OpenCV; `intrinsics` are fx, fy, cx, cy, distortion."""
+
+    lensmodel: Literal[
+        "LENSMODEL_PINHOLE", "LENSMODEL_OPENCV4", "LENSMODEL_OPENCV5", "LENSMODEL_OPENCV8"
+    ]
+    intrinsics: Annotated[list[FiniteNumber], Field(min_length=4, max_length=12)]
+    imagersize: ImageSize
+
+    @model_validator(mode="after")
+    def _check_coefficients(self) -> "MrcalCameraFile":
+        """Raise a ValueError for a number of intrinsics that the model does not have."""
+        lens = self.lensmodel.removeprefix("LENSMODEL_")
+        expected = 4 + (0 if lens == "PINHOLE" else int(lens[-1]))
+        if len(self.intrinsics) != expected:
+            raise ValueError(
+                f"intrinsics: {self.lensmodel} has {expected}, found {len(self.intrinsics)}"
+            )
+        return self
+
+
 _XyzOat = Annotated[
     list[FiniteNumber],
     Field(min_length=6, max_length=6),
@@ -226,6 +274,10 @@ POSE_SCHEMA = TypeAdapter(QuaternionPoseEntry)
 KINEMATIC_MEASUREMENTS_SCHEMA = TypeAdapter(dict[PrintableText | int, KinematicMeasurementEntry])
 SAMPLES_SCHEMA = TypeAdapter(SamplesFile)
 OPENCV_CAMERA_SCHEMA = TypeAdapter(OpenCVCameraFile)
+KALIBR_CAMCHAIN_SCHEMA = TypeAdapter(
+    Annotated[dict[PrintableText, KalibrCameraEntry], Field(min_length=1)]
+)
+MRCAL_CAMERA_SCHEMA = TypeAdapter(MrcalCameraFile)
 VISP_POSE_SCHEMA = TypeAdapter(VispPoseFile)
 VISP_CAMERA_SCHEMA = TypeAdapter(VispCameraEntry)
 VIEWPOINTS_SCHEMA = TypeAdapter(ViewpointsFile)

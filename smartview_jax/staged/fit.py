@@ -103,6 +103,12 @@ def fit_staged(
     Raises:
         ValueError: too few usable views, a robot that did not move, or that never turned where no
             start says the camera's place, or poses that cannot belong to these pictures.
+
+    For example:
+
+        >>> staged = sv.fit_staged(data)
+        >>> print(np.round(1e3 * staged.calibration.camera_from_tool.translation()), "mm")
+        [-19.  60. -88.] mm
     """
     refuse_traced("fit_staged", data, camera)
     known = known_transforms(start, data.mount)

@@ -106,6 +106,13 @@ def viewpoint_commands(
 
     Raises:
         ValueError: an arm without `near`, or arm errors were fitted and `near` is missing.
+
+    For example:
+
+        >>> wanted = sv.five_viewpoints(points.mean(axis=0), distance=0.2)
+        >>> commands = sv.viewpoint_commands(fit.calibration, wanted, points)
+        >>> print(np.round(1e3 * commands.xyzoat[0, :3]), commands.checks.passed["in_picture"])
+        [ 451. -175.  340.] [ True  True  True  True  True]
     """
     if arm is not None and near is None:
         raise ValueError("an arm reaches a pose in several ways: give near=joints to begin from")

@@ -83,6 +83,14 @@ def choose_views(
 
     Raises:
         ValueError: fewer than `count` candidates may be taken.
+
+    For example:
+
+        >>> model = sv.viewpoints.InformationModel.from_calibration(truth, points, noise)
+        >>> candidates = truth.camera_from_world(data.base_from_tool)
+        >>> chosen = sv.choose_views(model, sv.viewpoints.d_optimal(), 4, candidates)
+        >>> chosen.camera_from_world.get_batch_axes()
+        (4,)
     """
     say = progress or (lambda _: None)
 

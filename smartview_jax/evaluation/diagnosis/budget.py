@@ -109,6 +109,11 @@ def error_budget(
 
     Raises:
         ValueError: the fit's noise was not estimated, or its data leave a parameter undetermined.
+
+    For example:
+
+        >>> sv.error_budget(data, sv.calibrate(data).joint).dominant_cause  # doctest: +SKIP
+        'robot noise'
     """
     if fit.noise_estimate is None:
         raise ValueError('an error budget needs a fit with noise="estimated"')

@@ -122,6 +122,14 @@ def compare(
         folds: number of folds; below eight views, as many as there are views.
         progress: called with a line of text for each fit.
         by: `"view"` or `"region"`, as for `held_out`.
+
+    For example:
+
+        >>> def joint(part):
+        ...     return sv.fit_joint(part, truth, noise=noise)
+        >>> for row in sv.compare(data, {"joint": joint}, folds=4):
+        ...     print(row.name, f"{row.held_out.errors.rms:.1f} px")
+        joint 1.6 px
     """
     report = progress or (lambda _: None)
     # By fitter: its fits, or the error of its fit to all views.

@@ -74,6 +74,12 @@ def cramer_rao(
 
     Raises:
         ValueError: as for `fit_joint`.
+
+    For example:
+
+        >>> bound = sv.cramer_rao(truth, data, noise)
+        >>> print(f"{1e3 * bound.std['camera_from_tool.translation.x']:.1f} mm at best")
+        0.6 mm at best
     """
     noise_model = noise if isinstance(noise, Noise) else "trusted"
     built = build_problem(

@@ -46,6 +46,13 @@ def std_of(
 
     Raises:
         ValueError: a combination of parameters is undetermined; the message names it.
+
+    For example:
+
+        >>> def target_position(calibration):
+        ...     return calibration.base_from_world.translation()
+        >>> print(np.round(1e3 * sv.std_of(fit.joint, target_position), 2), "mm")
+        [0.06 0.05 0.15] mm
     """
     return _standard_deviation(estimate.calibration, function, covariance_root(estimate))
 

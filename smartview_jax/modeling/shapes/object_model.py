@@ -53,6 +53,14 @@ class ObjectModel:
         provenance: sentences on the origin of the model, the oldest first.
         planar_tolerance: largest distance of a vertex from the plane of its face, over the extent
             of the face.
+
+    For example:
+
+        >>> corners = 1e-3 * np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [60.0, 40.0, 0.0]])
+        >>> edges = np.array([[0, 1], [1, 2], [2, 0]])
+        >>> card = sv.ObjectModel(corners, edges, (sv.modeling.Face((0, 1, 2)),), name="card")
+        >>> card.vertices.max(axis=0).tolist()
+        [0.06, 0.04, 0.0]
     """
 
     vertices: Float[np.ndarray, "V 3"]
