@@ -15,11 +15,13 @@ import numpy as np
 from .document import CHANGES, KINDS, PlacedGrasp
 from .entries import (
     curve_entry,
+    disagreement_entry,
     edge_entries,
     face_entry,
     grasp_entry,
     offer_message,
     point_entry,
+    suggestion_entry,
     symmetry_entry,
 )
 from .face_pointing import angle_towards, drawn_plane, face_under
@@ -94,6 +96,7 @@ class Conversation:
                 {"kind": name, **kind._asdict(), "build": None} for name, kind in FACT_KINDS.items()
             ],
             "focal_px": float(camera.alpha_u),
+            "click_sigma": session.geometry.click_sigma,
             "views": [
                 {"name": name, "world_from_camera": pose.round(9).tolist()}
                 for name, pose in zip(session.names, poses, strict=True)
@@ -146,11 +149,11 @@ class Conversation:
 
     def _constraint_entry(self, number: int) -> Message:
         """Return a constraint in words."""
-        fact, verdict = self._session.document.constraints[number], self._session.verdicts()[number]
+        fact = self._session.document.constraints[number]
         # A constraint that contradicts the pictures is shown in red with its cost.
-        doubted = verdict.contradicts or verdict.violated
+        doubt = self._session.findings().contradiction(number)
         return {
-            **({"problem": str(verdict)} if doubted else {}),
+            **({"problem": doubt} if doubt else {}),
             "words": FACT_KINDS[fact.kind].words,
             "kind": fact.kind,
             "items": [list(group) for group in fact.items],
@@ -201,7 +204,26 @@ class Conversation:
             "type": "features",
             "view": view,
             "corners": features.corners.round(3).tolist(),
+            # In px^2: uu, uv, vv.
+            "covariances": features.corner_covariances[:, [0, 0, 1], [0, 1, 1]].round(5).tolist(),
             "segments": features.segments.round(2).reshape(-1, 4).tolist(),
+        }
+
+    def check(self, change: Mapping[str, Any]) -> Message:
+        """Return why a change would be refused, or nothing; the change is not made."""
+        try:
+            self._session.checked(change)
+        except ValueError as error:
+            return {"type": "check", "problem": str(error)}
+        return {"type": "check", "problem": ""}
+
+    def judge(self) -> Message:
+        """Return what disagrees, and the facts that the data suggest."""
+        session = self._session
+        return {
+            "type": "judgement",
+            "disagreements": [disagreement_entry(one) for one in session.disagreements()],
+            "suggestions": [suggestion_entry(one) for one in session.suggestions()],
         }
 
     def undo(self) -> Message:
@@ -217,9 +239,12 @@ class Conversation:
     def save(self) -> Message:
         """Write the model's file."""
         # A model with incomplete parts is saved without them, with a note on their number.
-        path = self._session.save()
-        left_out = self._session.problems()
+        session = self._session
+        path = session.save()
+        left_out = session.problems()
         words = f"; {len(left_out)} incomplete parts left out" if left_out else ""
+        doubted = session.disagreements()
+        words += f"; disagreements: {len(doubted)}" if doubted else ""
         return {**self.update(), "note": f"saved to {path}{words}"}
 
     def propose(self, rectangles: Mapping[str, Any] | None = None) -> Message:
@@ -282,6 +307,8 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
     "hello": Conversation.greeting,
     "hover": Conversation.hover,
     "features": Conversation.features,
+    "check": Conversation.check,
+    "judge": Conversation.judge,
     "undo": Conversation.undo,
     "redo": Conversation.redo,
     "save": Conversation.save,
@@ -295,5 +322,5 @@ _COMMANDS: dict[str, Callable[..., Message]] = {
 }
 """The commands of a page by name, in addition to the changes of a document."""
 
-SLOW_COMMANDS = ("features", "propose", "symmetry")
+SLOW_COMMANDS = ("features", "propose", "symmetry", "judge")
 """Commands that do not change the document and may take seconds."""

@@ -49,6 +49,10 @@ class DocumentEstimates:
         # Without constraints each point is triangulated by itself, which is faster.
         if document.constraints:
             return self._refined(document).estimates
+        return self.by_clicks_alone(document)
+
+    def by_clicks_alone(self, document: Document) -> dict[int, PointEstimate]:
+        """Return the estimates of all points without the constraints, by id."""
         estimates = self._geometry.estimates(list(document.points.values()))
         return dict(zip(document.points, estimates, strict=True))
 
@@ -105,6 +109,14 @@ class DocumentEstimates:
             # An exact constraint leaves rounding error, of either sign.
             results.append((length, float(np.sqrt(max(variance + common @ common, 0.0)))))
         return results
+
+    def joint_covariance(
+        self, document: Document, points: Sequence[int]
+    ) -> Float[np.ndarray, "coordinates coordinates"]:
+        """Return the joint covariance of points' coordinates due to clicks and calibration, m^2."""
+        estimates = self.points(document)
+        factor = np.concatenate([estimates[point].calibration_factor for point in points])
+        return self.picture_covariance(document, points) + factor @ factor.T
 
     def _refined(self, document: Document) -> _Refinement:
         """Return the joint refinement of a document with constraints."""

@@ -11,6 +11,7 @@ from .click_checks import check_clicks, checked_pixel
 from .document import Document, apply_change
 from .edit_history import EditHistory
 from .model_building import checked_loop, problems_of
+from .part_names import check_names
 from .view_geometry import PointEstimate, ViewGeometry
 
 
@@ -47,9 +48,14 @@ class AbstractDrawing(abc.ABC):
             ValueError: the change is not possible; nothing was changed.
             OSError: it cannot be written; nothing was changed.
         """
+        self._journal.change(change, self.checked(change))
+
+    def checked(self, change: Mapping[str, Any]) -> Document:
+        """Return the document after a change that is not made, or raise as `change` does."""
         # The document itself knows neither the views nor the size of their pictures.
         check_clicks(change, self.names, self.picture_size)
         changed = apply_change(self.document, change)
+        check_names(self.document, changed)
         # Everything that a page shows is computed for the new document before the change is
         # journalled: a change that fails later would fail again whenever the file is opened.
         try:
@@ -60,7 +66,7 @@ class AbstractDrawing(abc.ABC):
             raise ValueError(
                 f"{change.get('do')}: the geometry cannot be computed: {error}"
             ) from error
-        self._journal.change(change, changed)
+        return changed
 
     def checked_pixel(self, view: Any, pixel: Any) -> tuple[float, float]:
         """Return a pixel of a view, or raise an error that names both."""
@@ -124,6 +130,32 @@ class AbstractDrawing(abc.ABC):
         reason = problems_of(only, self.estimates(only)).get(("grasps", grasp))
         if reason is not None:
             raise ValueError(f"grasp: {reason}")
+
+    def add_constraint(
+        self,
+        kind: str,
+        items: Sequence[Sequence[int]],
+        value: float | None = None,
+        sigma: float | None = None,
+    ) -> int:
+        """State a fact about points or edges, and return its id.
+
+        Args:
+            kind: "same_plane", "on_table" or "symmetric" for points; "parallel", "right_angle",
+                "equal_length" or "known_length" for edges.
+            items: the ids of the points, in one group; or the two ends of each edge.
+            value: the known length, m.
+            sigma: standard deviation of the fact, m or rad; None if it is exact.
+
+        Raises:
+            ValueError: an unknown kind, a wrong number of points or edges, or a missing length.
+        """
+        number = self.document.next_id
+        groups = [list(group) for group in items]
+        self.change(
+            {"do": "add_constraint", "kind": kind, "items": groups, "value": value, "sigma": sigma}
+        )
+        return number
 
     def delete(self, kind: str, number: int) -> None:
         """Delete a point, edge, face, grasp or constraint, and the parts that depend on it."""

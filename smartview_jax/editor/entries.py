@@ -10,12 +10,18 @@ import numpy as np
 from jaxtyping import Float
 
 from ..modeling import EpipolarCurve, Face, Grasp, Symmetry, face_plane, width_between_fingers
+from .disagreements import Disagreement
 from .document import Clicks, DrawnFace
+from .known_facts import FACT_KINDS
 from .session import ModelSession
+from .suggestions import Suggestion
 from .view_geometry import PointEstimate, ViewGeometry
 
 EDGE_SAMPLES = 7
 """Number of points by which an edge is drawn in a picture, because a lens bends it."""
+
+MANY_TO_ONE = 1000
+"""Largest odds that are shown as a number: the errors are not so surely normal."""
 
 _PIXEL_DIGITS, _METRE_DIGITS, _MILLIMETRE_DIGITS = 2, 7, 3
 
@@ -24,7 +30,7 @@ def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
     """Return a point: its clicks, its position, and its predicted pixel in every view."""
     entry: dict[str, Any] = {"clicks": {view: list(pixel) for view, pixel in clicks.items()}}
     if estimate.wrong_clicks:
-        entry["wrong"] = dict(estimate.wrong_clicks)
+        entry["wrong"] = {view: str(click) for view, click in estimate.wrong_clicks.items()}
     if estimate.failure:
         problem = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else estimate.failure
         return {**entry, "problem": problem}
@@ -197,4 +203,27 @@ def symmetry_entry(symmetry: Symmetry, confirmed: bool | None) -> dict[str, Any]
         "centre": symmetry.centre.round(_METRE_DIGITS).tolist(),
         "axes": [axis.direction.round(6).tolist() for axis in symmetry.axes],
         "said": confirmed,
+    }
+
+
+def disagreement_entry(disagreement: Disagreement) -> dict[str, Any]:
+    """Return a disagreement in words, with the residuals by point and view, px."""
+    residuals = disagreement.residuals.items()
+    return {
+        **disagreement._asdict(),
+        "suspects": list(map(list, disagreement.suspects)),
+        "residuals": [[*click, round(size, _PIXEL_DIGITS)] for click, size in residuals],
+    }
+
+
+def suggestion_entry(fact: Suggestion) -> dict[str, Any]:
+    """Return a suggested fact in words, with the constraint that would state it."""
+    # Lengths in mm, angles in degrees.
+    scale, unit = (1e3, "mm") if fact.kind == "equal_length" else (np.rad2deg(1.0), "degrees")
+    return {
+        "kind": fact.kind,
+        "items": list(map(list, fact.items)),
+        "words": FACT_KINDS[fact.kind].words,
+        "why": f"off by {scale * fact.deviation:.2f} ± {scale * fact.sigma:.2f} {unit}",
+        "odds": f"{fact.odds:.0f} : 1" if fact.odds < MANY_TO_ONE else f"> {MANY_TO_ONE} : 1",
     }

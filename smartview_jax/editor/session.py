@@ -34,7 +34,8 @@ from ..modeling import (
 )
 from ..robots import CommandLike
 from .click_checks import check_view
-from .document import Document
+from .disagreements import Disagreement, Findings, disagreements_of
+from .document import KINDS, Document
 from .document_estimates import DocumentEstimates
 from .drawing import AbstractDrawing
 from .edit_history import EditHistory
@@ -43,6 +44,7 @@ from .model_building import build_model, placed_points, problems_of
 from .picture_features import PictureFeatures
 from .proposals import Proposals
 from .stated_symmetry import StatedSymmetry
+from .suggestions import Suggestion, suggestions_of
 from .view_geometry import PointEstimate, ViewGeometry
 
 
@@ -127,6 +129,15 @@ class ModelSession(AbstractDrawing):
         self.notes: list[str] = self._journal.notes
         self.proposals: Proposals = Proposals(None, self.names, self.document)
 
+    def __str__(self) -> str:
+        """Describe the session in a few lines: the parts, and what disagrees."""
+        document = self.document
+        counts = ", ".join(f"{len(getattr(document, kind))} {kind}" for kind in KINDS)
+        found = self.disagreements()
+        lines = [f"{document.name or 'object'}: {counts}; clicked in {', '.join(self.names)}"]
+        lines += [f"{kind[:-1]} {number}: {why}" for (kind, number), why in self.problems().items()]
+        return "\n".join([*lines, *map(str, found)])
+
     @property
     def picture_size(self) -> tuple[int, int]:
         """Width and height of the pictures, px."""
@@ -139,6 +150,37 @@ class ModelSession(AbstractDrawing):
     def verdicts(self) -> dict[int, ConstraintVerdict]:
         """Return whether each constraint agrees with the pictures and the others, by id."""
         return self._estimates.verdicts(self.document)
+
+    def findings(self) -> Findings:
+        """Return the estimates of the present document with and without its constraints."""
+        # Other messages of the page may replace the document meanwhile.
+        document = self.document
+        return Findings(
+            document,
+            self._estimates.points(document),
+            self._estimates.by_clicks_alone(document),
+            self._estimates.verdicts(document),
+        )
+
+    def disagreements(self) -> list[Disagreement]:
+        """Return the points, edges and constraints that disagree, with the click to doubt.
+
+        A point disagrees if its clicks do not meet within their uncertainty and the calibration's;
+        a constraint if it costs more than chance explains; an edge if such a constraint gives it
+        another length or angle than its clicks do. See `Disagreement`.
+        """
+        return disagreements_of(self.findings(), self.geometry)
+
+    def suggestions(self) -> list[Suggestion]:
+        """Return facts about edges that the data make likely, with their odds, the likeliest first.
+
+        None is applied; `add_constraint(suggestion.kind, suggestion.items)` states one:
+
+            for one in session.suggestions():
+                if one.kind == "right_angle":
+                    session.add_constraint(one.kind, one.items)
+        """
+        return suggestions_of(self.document, self._estimates)
 
     def curves(self, view: str, pixel: Sequence[float] | np.ndarray) -> dict[str, EpipolarCurve]:
         """Return the epipolar curves of a pixel in all other views, by the view's name."""

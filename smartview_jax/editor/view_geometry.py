@@ -24,6 +24,7 @@ from ..modeling import (
     epipolar_curves,
     pixel_jacobians,
     refine,
+    suspect_clicks,
     triangulate_points,
     wrong_correspondences,
 )
@@ -39,6 +40,34 @@ MAX_DEPTH_SCALE = 100.0
 Beyond it the optical axes are nearly parallel, and the point is meaningless.
 """
 
+CLICK_FALSE_ALARM = 1e-3
+"""Probability that a right click is said to contradict the others of its point.
+
+For each click by itself, so that the same clicks are judged alike whenever they are computed.
+"""
+
+
+class DoubtedClick(NamedTuple):
+    """A click that contradicts the other clicks of its point.
+
+    Attributes:
+        distance: distance from the point as seen by the other views, px; NaN for two views.
+        instead: names of the views whose click may be the wrong one instead.
+    """
+
+    distance: float
+    instead: tuple[str, ...]
+
+    def __str__(self) -> str:
+        others = ", ".join(self.instead)
+        if not np.isfinite(self.distance):
+            return (
+                f"contradicts the click in {others}; with two clicks nobody can tell which is "
+                "wrong: click the point in a third view"
+            )
+        away = f"{self.distance:.1f} px from where the other views see the point"
+        return f"{away}, or the click in {others} is wrong" if others else away
+
 
 class PointEstimate(NamedTuple):
     """The estimate of a clicked point, in space and in every view.
@@ -52,7 +81,7 @@ class PointEstimate(NamedTuple):
         ellipses: covariance of the predicted pixel in every view, px^2.
         visible: whether the predicted pixel is within each picture.
         residuals: clicked minus predicted pixel by the view's name.
-        wrong_clicks: why a click contradicts those in the other views, by the view's name.
+        wrong_clicks: clicks that contradict those in the other views, by the view's name.
         failure: why it has no position; empty if it has one.
     """
 
@@ -63,7 +92,7 @@ class PointEstimate(NamedTuple):
     ellipses: Float[np.ndarray, "views 2 2"]
     visible: Bool[np.ndarray, "views"]
     residuals: Mapping[str, tuple[float, float]]
-    wrong_clicks: Mapping[str, str]
+    wrong_clicks: Mapping[str, DoubtedClick]
     failure: str
 
     @property
@@ -81,6 +110,7 @@ class ViewGeometry:
         camera_from_world: extrinsics of all views.
         centres: camera centres in the world, m.
         depth_range: nearest and farthest depth of curves by view, m.
+        click_sigma: standard deviation of u and of v of a click, px.
     """
 
     def __init__(
@@ -96,7 +126,7 @@ class ViewGeometry:
         self.command: Command = command
         self.names: list[str] = list(names)
         self._covariance = covariance
-        self._click_sigma = click_sigma
+        self.click_sigma: float = click_sigma
         self._seen = SeenViews.of(calibration, self.command)
         self._estimates: dict[tuple, PointEstimate] = {}
         # The clicks are kept with their estimate, so that their `id` is not reused.
@@ -131,28 +161,54 @@ class ViewGeometry:
             self.command,
             pixels,
             covariance=self._covariance,
-            pixel_sigma=self._click_sigma,
+            pixel_sigma=self.click_sigma,
         )
         return self._estimates_from(found, points, self._wrong_clicks(pixels))
 
-    def _wrong_clicks(self, pixels: Float[np.ndarray, "views points 2"]) -> list[dict[str, str]]:
-        """Return why clicks contradict the others of their point, by point and view."""
-        wrong: list[dict[str, str]] = [{} for _ in range(pixels.shape[1])]
+    def _wrong_clicks(
+        self, pixels: Float[np.ndarray, "views points 2"]
+    ) -> list[dict[str, DoubtedClick]]:
+        """Return the clicks that contradict the others of their point, by point and view."""
+        wrong: list[dict[str, DoubtedClick]] = [{} for _ in range(pixels.shape[1])]
+        clicks = int(np.isfinite(pixels[..., 0]).sum())
         for click in wrong_correspondences(
             self._calibration,
             self.command,
             pixels,
             covariance=self._covariance,
-            pixel_sigma=self._click_sigma,
+            pixel_sigma=self.click_sigma,
+            false_alarm=CLICK_FALSE_ALARM * clicks,
         ):
-            name = self.names[click.view]
-            others = ", ".join(self.names[view] for view in click.instead)
-            away = "the other views see the point elsewhere"
-            if np.isfinite(click.distance):
-                away = f"{click.distance:.1f} px from where the other views see the point"
-            doubt = f", or the click in {others} is wrong" if others else ""
-            wrong[click.feature][name] = f"{away}{doubt}"
+            others = tuple(self.names[view] for view in click.instead)
+            wrong[click.feature][self.names[click.view]] = DoubtedClick(click.distance, others)
         return wrong
+
+    def suspects(
+        self,
+        points: Sequence[Clicks],
+        positions: Float[np.ndarray, "points 3"],
+        constraints: Sequence[AbstractConstraint],
+    ) -> list[tuple[int, str]]:
+        """Return the clicks without any one of which the rest agrees, the likeliest first.
+
+        Args:
+            points: the clicks of all points of the constraints.
+            positions: the points under the constraints, m.
+            constraints: facts, of which one contradicts the clicks.
+
+        Returns:
+            The index of the point and the name of the view of each.
+        """
+        found = suspect_clicks(
+            self._calibration,
+            self.command,
+            self._clicked_pixels(points),
+            positions,
+            constraints,
+            covariance=self._covariance,
+            pixel_sigma=self.click_sigma,
+        )
+        return [(click.point, self.names[click.view]) for click in found]
 
     def refined(
         self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
@@ -166,7 +222,7 @@ class ViewGeometry:
             self._calibration,
             self.command,
             self._clicked_pixels(points),
-            pixel_sigma=self._click_sigma,
+            pixel_sigma=self.click_sigma,
         )
         found = refine(None, observations, constraints, covariance=self._covariance)
         wrong_clicks = [estimate.wrong_clicks for estimate in self.estimates(points)]
@@ -184,7 +240,7 @@ class ViewGeometry:
         self,
         solution: TriangulatedPoints | RefinedFeatures,
         points: Sequence[Clicks],
-        wrong_clicks: Sequence[Mapping[str, str]],
+        wrong_clicks: Sequence[Mapping[str, DoubtedClick]],
     ) -> list[PointEstimate]:
         """Return the estimates of points that were triangulated or refined."""
         # Points without a position are replaced by zeros; their predictions are not used.

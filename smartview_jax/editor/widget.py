@@ -23,6 +23,7 @@ MODULES = (
     "vendor/three.module.min.js",
     "vendor/OrbitControls.js",
     "model.js",
+    "layout.js",
     "picture_view.js",
     "space_view.js",
     "connection.js",

@@ -30,8 +30,11 @@ from .refining import Parallel as Parallel
 from .refining import RefinedFeatures as RefinedFeatures
 from .refining import RightAngle as RightAngle
 from .refining import SamePlane as SamePlane
+from .refining import Shape as Shape
+from .refining import SuspectClick as SuspectClick
 from .refining import Symmetric as Symmetric
 from .refining import refine as refine
+from .refining import suspect_clicks as suspect_clicks
 from .shapes import PLANAR_TOLERANCE as PLANAR_TOLERANCE
 from .shapes import Dimension as Dimension
 from .shapes import Face as Face

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page, serve_in_process, serve_in_thread
+from scipy.stats import chi2
 from sessions import open_session
 
 from smartview_jax.io import load_object_model
@@ -245,3 +246,156 @@ def test_a_second_page_shows_what_the_first_does(session, scene, chromium):
     with Page(chromium, address) as one, Page(chromium, address) as two:
         one.click(0, scene.pixels[0, 3], free=True)
         two.page.wait_for_function("smartviewEditor.model.points.size === 1")
+
+
+def test_the_page_shows_what_disagrees_what_is_likely_and_which_names_are_wrong(
+    session, scene, chromium
+):
+    ids = add_points(session, scene, range(10))
+    faces = [session.add_face([ids[v] for v in scene.truth.faces[k].loop]) for k in (2, 3)]
+    session.change({"do": "change_face", "id": faces[0], "name": "floor"})
+    with Page(chromium, serve_in_thread(session), (1400, 900)) as page:
+        check_layout(page)
+        check_zoom(page, scene, ids)
+        check_snapping(page, ids)
+        check_disagreement(page, scene, session, ids)
+        check_suggestion(page, session)
+        check_names(page, session)
+        page.page.set_viewport_size({"width": 390, "height": 844})
+        page.page.wait_for_function("smartviewEditor.views[0].element.clientWidth < 390")
+        wide = "document.documentElement.scrollWidth"
+        assert page.page.evaluate(wide) <= 390
+        assert page.faults == []
+
+
+def check_layout(page):
+    """The pictures have no empty margins, and the cells cover the screen."""
+    cells = page.page.evaluate(
+        """[...document.querySelectorAll(".sv-view")].map((one) => {
+            const box = one.getBoundingClientRect(); return [box.width, box.height]; })"""
+    )
+    aspects = np.array([width / height for width, height in cells[:5]])
+    np.testing.assert_allclose(aspects, 640 / 480, rtol=0.01)
+    screen = page.page.locator(".sv-views").bounding_box()
+    covered = sum(width * height for width, height in cells)
+    assert covered > 0.98 * screen["width"] * screen["height"]
+
+
+def check_zoom(page, scene, ids):
+    """The object fills the picture, with a margin, and the whole picture comes back."""
+    scales = "smartviewEditor.views.map((view) => view.scale)"
+    whole = np.array(page.page.evaluate(scales))
+    page.key("z")
+    assert (page.page.evaluate(scales) > 1.1 * whole).all()
+    for view in VIEWS:
+        box = page.page.locator(f'[data-view="v{view + 1}"]').bounding_box()
+        places = np.array([page.place(view, pixel) for pixel in scene.pixels[view]])
+        places = (places - [box["x"], box["y"]]) / [box["width"], box["height"]]
+        assert places.min() > 0.13
+        assert places.max() < 0.87
+        assert np.ptp(places, axis=0).max() > 0.6
+    page.key("0")
+    np.testing.assert_allclose(page.page.evaluate(scales), whole)
+
+
+def check_snapping(page, ids):
+    """A click reaches as far as the cursor, on the screen, and the corner are uncertain."""
+    reach = """([scale, corner]) => {
+        const view = smartviewEditor.views[0], { model } = smartviewEditor;
+        model.corners.set("v1", [[10, 10, corner ** 2, 0, corner ** 2]]);
+        view.scale = scale;
+        const snaps = (d) => model.cornerMeant(0, [10 + d, 10], view.cursorSigma) !== null;
+        let [near, far] = [0, 1000];
+        while (far - near > 1e-6) {
+            const middle = (near + far) / 2;
+            if (snaps(middle)) near = middle; else far = middle;
+        }
+        view.frame();
+        return near;
+    }"""
+    for scale, corner in ((0.5, 0.1), (20.0, 0.1), (20.0, 2.0)):
+        found = page.page.evaluate(reach, [scale, corner])
+        # One right click in a hundred is farther; a mouse is right to 1.5 px of the screen.
+        expected = np.sqrt(chi2.ppf(0.99, 2)) * np.hypot(1.5 / scale, corner)
+        assert found == pytest.approx(expected, rel=1e-3)
+    # A click on the place where the active point is only predicted is measured, not predicted.
+    predicted = """(id) => {
+        const view = smartviewEditor.views.find(({ name }) =>
+            !smartviewEditor.model.points.get(id).clicks[name]);
+        smartviewEditor.active = id;
+        view.owner.model.corners.clear();
+        const at = view.toScreen(smartviewEditor.model.pixel(id, view.index));
+        const found = view.target([at[0] + 1, at[1]], false);
+        smartviewEditor.active = null;
+        return [found.point, found.snapped, view.target([at[0] + 1, at[1]], false).point];
+    }"""
+    assert page.page.evaluate(predicted, ids[3]) == [None, False, ids[3]]
+    page.page.evaluate("smartviewEditor.loadFeatures(smartviewEditor.views[0])")
+
+
+def check_disagreement(page, scene, session, ids):
+    """A wrong click turns its point red, and its view and residuals are named."""
+    for view in VIEWS:
+        session.click(session.names[view], scene.click(view, 8), ids[8])
+    u, v = scene.click(3, 8)
+    page.page.evaluate(
+        "(change) => { smartviewEditor.change(change); }",
+        {"do": "click", "point": ids[8], "view": "v4", "pixel": [u + 6.0, v - 5.0]},
+    )
+    page.page.wait_for_selector(".doubts:not([hidden])")
+    shown = page.page.inner_text(".doubts .box")
+    assert f"point {ids[8]} the click in v4 is most probably wrong" in shown
+    assert re.search(r"residuals, px: v1 \d\.\d · v2", shown)
+    row = page.page.wait_for_selector(f'.sv-row.doubt[data-row="points:{ids[8]}"]')
+    assert re.search(r"v1 \d\.\d · v2 .*px", row.inner_text())
+    # The ring around the click.
+    x, y = page.place(3, [u + 6.0, v - 5.0])
+    red = page.page.evaluate(
+        """([x, y]) => {
+            const view = smartviewEditor.views[3], box = view.element.getBoundingClientRect();
+            const context = view.layers[1].getContext("2d");
+            const [r, g] = context.getImageData(x - box.left + 11, y - box.top, 1, 1).data;
+            return r > 200 && g < 140; }""",
+        [x, y],
+    )
+    assert red
+    page.key("Control+z")
+    page.page.wait_for_selector(".doubts", state="hidden")
+
+
+def check_suggestion(page, session):
+    """A likely fact is stated by a click, and taken back by undo."""
+    page.page.wait_for_selector(".suggested:not([hidden])")
+    first = session.suggestions()[0]
+    assert not session.document.constraints
+    page.page.click('[data-likely="0"]')
+    page.settle()
+    (fact,) = session.document.constraints.values()
+    assert (fact.kind, fact.items) == (first.kind, first.items)
+    page.key("Control+z")
+    assert not session.document.constraints
+
+
+def check_names(page, session):
+    """A name that the file does not take is said at its field, and not sent."""
+    before = session.document
+    for field, wrong, said in (
+        (".sv-name", "../block", "lead out of its folder"),
+        (".detail .sv-text", "floor", "the name 'floor' belongs to faces"),
+    ):
+        if field != ".sv-name":
+            page.page.click('.sv-row[data-row^="faces:"] >> nth=1')
+        page.page.fill(field, wrong)
+        page.page.wait_for_selector(f'{field}.bad + .sv-problem:has-text("{said}")')
+        page.page.press(field, "Enter")
+        page.settle()
+        assert session.document is before
+        # Not even asked for: Python would have refused it in the foot.
+        assert "bad" not in page.page.get_attribute(".said", "class")
+        page.page.fill(field, "wall")
+        page.page.wait_for_selector(f"{field}:not(.bad)")
+        page.page.press(field, "Enter")
+        page.settle()
+        before = session.document
+    assert before.name == "wall"
+    assert [face.name for face in before.faces.values()] == ["floor", "wall"]

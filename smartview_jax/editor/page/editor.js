@@ -1,6 +1,7 @@
 // The editor's page: tools, keys, lists, and what a click means. What is right and where points are
 // is Python's to say; the page asks, and draws the answers.
 
+import { layOut } from "./layout.js";
 import { Model } from "./model.js";
 import { PictureView } from "./picture_view.js";
 import { SpaceView } from "./space_view.js";
@@ -28,13 +29,13 @@ const KEYS = [
   ["Ctrl S", "write the model's file"],
   ["1 … 9,  double click", "make a view large; again for all views"],
   ["wheel,  right drag", "zoom, pan"],
-  ["0", "fit all pictures"],
+  ["Z   0", "zoom all pictures to the object; show them whole"],
   ["A   X", "accept, reject the proposed point that is marked"],
   ["Alt click", "click without snapping to a corner"],
   ["?", "this help"],
 ];
 const HOVER_PAUSE = 25;  // ms between two curves that follow the mouse
-const SYMMETRY_PAUSE = 400;  // ms without a change before the symmetry is asked for
+const JUDGE_PAUSE = 400;  // ms without a change before symmetry, disagreements and suggestions are asked for
 
 export function start(root, connection) { return new Editor(root, connection); }
 
@@ -43,7 +44,7 @@ class Editor {
     this.connection = connection;
     this.model = new Model();
     this.tool = "point"; this.active = null; this.selection = new Set(); this.chain = [];
-    this.curves = null; this.previews = new Map(); this.rectangles = new Map(); this.symmetry = null; this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
+    this.curves = null; this.previews = new Map(); this.rectangles = new Map(); this.symmetry = null; this.judgement = { disagreements: [], suggestions: [] }; this.doubts = new Map(); this.pointedAt = []; this.views = []; this.offer = { points: [], edges: [] }; this.busy = Promise.resolve();
     this.build(root);
     connection.onUpdate = (message) => this.accept(message);
     connection.onState = (state) => this.connected(state);
@@ -65,12 +66,13 @@ class Editor {
     const tools = Object.entries(TOOLS).map(([name, tool]) => `<button data-tool="${name}" title="${tool.label} (${tool.key.toUpperCase()})"><svg viewBox="0 0 20 20">${tool.icon}</svg>${tool.label}</button>`).join("");
     const keys = KEYS.map(([key, text]) => `<tr><td>${key.split(/ {2,}/).map((part) => (/^(or)$/.test(part) ? part : `<kbd>${part}</kbd>`)).join(" ")}</td><td>${text}</td></tr>`).join("");
     this.root = this.html(`<div class="sv" tabindex="0">
-      <div class="sv-head"><input class="sv-name" placeholder="name of the object" aria-label="name of the object">
+      <div class="sv-head"><label class="sv-field"><input class="sv-name" placeholder="name of the object" aria-label="name of the object" data-empty="no name: the file has none"></label>
         <span class="grow"></span><span class="sv-kept">connecting</span>
+        <button data-do="object" title="Z: zoom all pictures to the object">Zoom to object</button><button data-do="whole" title="0: show all pictures whole">Whole pictures</button>
         <button data-do="propose" title="match all views and offer points">Propose all</button><button data-do="undo" title="Ctrl Z">Undo</button><button data-do="redo" title="Ctrl Y">Redo</button>
         <button data-do="save" class="sv-save" title="Ctrl S">Save</button><button data-do="help" title="?">?</button></div>
       <div class="sv-tools">${tools}</div><div class="sv-views"></div>
-      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><div class="symmetry" hidden><h3>Symmetry</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
+      <div class="sv-side"><h3>Chosen</h3><div class="box detail"></div><div class="doubts" hidden><h3>Disagrees</h3><div class="box"></div></div><div class="suggested" hidden><h3>Likely</h3><div class="box"></div></div><div class="offer" hidden><h3>Proposed</h3><div class="box"></div></div><div class="symmetry" hidden><h3>Symmetry</h3><div class="box"></div></div><h3>Object, in mm</h3><div class="list"></div></div>
       <div class="sv-foot"><span class="grow said"></span><span class="counts"></span></div>
       <div class="sv-help" hidden><div><h2>Keys</h2><table>${keys}</table></div></div>
       <div class="sv-veil"><span>connecting …</span></div></div>`);
@@ -82,7 +84,7 @@ class Editor {
       if (button?.dataset.do) this.command(button.dataset.do);
       if (event.target.closest(".sv-help")) this.find(".sv-help").hidden = true;
     });
-    this.find(".sv-name").addEventListener("change", (event) => { this.change({ do: "rename", name: event.target.value.trim() }); this.root.focus(); });
+    this.checkName(this.find(".sv-name"), { do: "rename" }, () => this.root.focus());
     this.root.ownerDocument.addEventListener("keydown", (event) => this.key(event));
     this.root.ownerDocument.addEventListener("keyup", (event) => { if (event.code === "Space") this.space = false; });
     this.use("point");
@@ -103,7 +105,7 @@ class Editor {
       if (!this.views.length) this.arrange();
       this.find(".sv-veil").hidden = true;
       this.refresh();
-      this.askSymmetry();
+      this.judgeLater();
       if (greeting.notes.length) this.say(greeting.notes.join("; "));
       this.ready = Promise.all(this.views.map((view) => this.loadPicture(view)));
       await this.ready;
@@ -131,11 +133,19 @@ class Editor {
     const box = this.find(".sv-views");
     this.views = this.model.views.map((view, k) => new PictureView(this, k, view.name));
     this.space3d = new SpaceView(this);
-    const count = this.views.length + 1, columns = Math.ceil(Math.sqrt(count));
-    box.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
-    box.style.gridTemplateRows = `repeat(${Math.ceil(count / columns)}, minmax(0, 1fr))`;
     box.replaceChildren(...this.views.map((view) => view.element), this.space3d.element);
+    new ResizeObserver(() => this.layOut()).observe(box);
     document.title = `${this.model.file ?? "object"} · smartview model`;
+  }
+
+  layOut() {
+    const box = this.find(".sv-views"), [width, height] = this.model.size;
+    if (!box.clientWidth || !box.clientHeight) return;
+    const { pictures, space } = layOut(this.views.length, width / height, box.clientWidth, box.clientHeight);
+    [...pictures, space].forEach((rectangle, k) => {
+      const style = (this.views[k] ?? this.space3d).element.style;
+      ["left", "top", "width", "height"].forEach((side, n) => { style[side] = `${rectangle[n]}px`; });
+    });
   }
 
   enlarge(view) {
@@ -177,7 +187,7 @@ class Editor {
   accept(message) {
     this.model.update(message);
     if (message.offer) this.offer = message.offer;
-    this.askSymmetry();
+    this.judgeLater();
     for (const key of this.selection) {
       const [kind, id] = key.split(":");
       if (!this.model[kind].has(+id)) this.selection.delete(key);
@@ -201,7 +211,7 @@ class Editor {
     this.find('[data-do="undo"]').disabled = !can_undo;
     this.find('[data-do="redo"]').disabled = !can_redo;
     const input = this.find(".sv-name");
-    if (this.root.ownerDocument.activeElement !== input) input.value = name ?? "";
+    if (this.root.ownerDocument.activeElement !== input && !input.classList.contains("bad")) input.value = name ?? "";
     label.className = `sv-kept ${saved ? "saved" : kept ? "kept" : ""}`;
     label.textContent = saved ? `all saved in ${this.model.file}` : kept ? `every change kept · ${this.model.file} not written yet` : "in memory only";
     const { points, edges, faces, grasps } = this.model;
@@ -210,7 +220,10 @@ class Editor {
 
   // What is chosen, in numbers; the one place where positions are read.
   showDetail() {
-    const box = this.find(".detail"), chosen = [...this.selection].map((key) => key.split(":"));
+    const box = this.find(".detail");
+    // A name that cannot be kept stays to be mended.
+    if (box.contains(this.root.ownerDocument.activeElement) && box.querySelector("input.bad")) return;
+    const chosen = [...this.selection].map((key) => key.split(":"));
     const points = chosen.filter(([kind]) => kind === "points").map(([, id]) => +id);
     if (this.active !== null && !points.includes(this.active)) points.unshift(this.active);
     const others = chosen.filter(([one]) => one !== "points"), [kind, id] = others[0] ?? [];
@@ -222,8 +235,9 @@ class Editor {
     else box.innerHTML = `<span class="dim">nothing</span>`;
     this.offerFacts(box, chosen);
     for (const button of box.querySelectorAll("[data-change]")) button.onclick = () => this.change(JSON.parse(button.dataset.change));
+    for (const input of box.querySelectorAll("[data-name]")) this.checkName(input, JSON.parse(input.dataset.name));
     for (const input of box.querySelectorAll("[data-key]")) {
-      input.onchange = () => this.change({ ...JSON.parse(input.dataset.ask), [input.dataset.key]: input.dataset.mm ? input.value / 1000 : input.value.trim() });
+      input.onchange = () => this.change({ ...JSON.parse(input.dataset.ask), [input.dataset.key]: input.value / 1000 });
     }
   }
 
@@ -239,15 +253,82 @@ class Editor {
     for (const button of box.querySelectorAll("[data-decide]")) button.onclick = () => this.decide(button.dataset.decide);
   }
 
-  // Asked for when the model has been left alone for a moment: Python may take a while to find it.
-  askSymmetry() {
-    clearTimeout(this.symmetryTimer);
-    this.symmetryTimer = setTimeout(async () => {
-      const found = this.model.points.size < 3 ? null : await this.connection.ask({ do: "symmetry" }).catch(() => null);
+  // Asked for when the model has been left alone for a moment: Python may take a while.
+  judgeLater() {
+    clearTimeout(this.judgeTimer);
+    const turn = this.judgeTurn = (this.judgeTurn ?? 0) + 1;
+    this.judgeTimer = setTimeout(async () => {
+      const asked = [this.model.points.size < 3 ? null : { do: "symmetry" }, { do: "judge" }];
+      const [found, judgement] = await Promise.all(asked.map((ask) => ask && this.connection.ask(ask).catch(() => null)));
+      if (turn !== this.judgeTurn) return;  // the model has changed meanwhile, and is judged again
       this.symmetry = found?.symmetry ?? null;
+      this.judgement = judgement ?? { disagreements: [], suggestions: [] };
+      this.doubts = new Map(this.judgement.disagreements.map((one) => [`${one.kind}:${one.id}`, one]));
+      this.pointedAt = [];
       this.showSymmetry();
+      this.showJudgement();
+      for (const view of this.views) view.redraw("model");
       this.space3d?.update();
-    }, SYMMETRY_PAUSE);
+      this.showList();
+    }, JUDGE_PAUSE);
+  }
+
+  // What disagrees, with the click to doubt; and what the data make likely, for the person to state.
+  showJudgement() {
+    const { disagreements, suggestions } = this.judgement, doubts = this.find(".doubts"), likely = this.find(".suggested");
+    doubts.hidden = !disagreements.length; likely.hidden = !suggestions.length;
+    // A fact about an edge that is shown says nothing more.
+    const named = new Set(disagreements.filter(({ kind }) => kind === "edges").map(({ id }) => String([...(this.model.edges.get(id)?.ends ?? [])].sort())));
+    const told = ({ kind, id }) => kind === "constraints" && this.model.constraints.get(id)?.items.some((ends) => named.has(String([...ends].sort())));
+    doubts.querySelector(".box").innerHTML = disagreements.filter((one) => !told(one)).map((one) => `<div class="sv-doubt" data-row="${one.kind}:${one.id}"><b>${this.partName(one.kind, one.id)}</b> ${this.escape(one.words)}${this.residualsOf(one)}</div>`).join("");
+    for (const element of doubts.querySelectorAll("[data-row]")) element.onclick = () => { this.selection = new Set([element.dataset.row]); this.refresh(); };
+    likely.querySelector(".box").innerHTML = `<div class="dim">Click what is true; nothing is assumed.</div>${suggestions.map((one, k) => `<button class="sv-likely" data-likely="${k}" title="${this.escape(one.why)}; odds ${this.escape(one.odds)}"><span class="grow">${one.items.map((ends) => ends.join("–")).join(", ")} ${this.escape(one.words)}</span><span class="num">${this.escape(one.odds)}</span><small>${this.escape(one.why)}</small></button>`).join("")}`;
+    for (const button of likely.querySelectorAll("[data-likely]")) {
+      const { kind, items } = suggestions[button.dataset.likely];
+      button.onclick = () => this.change({ do: "add_constraint", kind, items });
+      button.onmouseenter = () => this.pointAt(items);
+      button.onmouseleave = () => this.pointAt([]);
+    }
+  }
+
+  pointAt(edges) {
+    this.pointedAt = edges;
+    for (const view of this.views) view.redraw("model");
+  }
+
+  partName(kind, id) {
+    if (kind === "edges") return this.model.edges.get(id)?.ends.join(" – ") ?? `edge ${id}`;
+    return kind === "constraints" ? this.escape(this.model.constraints.get(id)?.words ?? "") : `point ${id}`;
+  }
+
+  // The residuals by view, those of clicks that may be wrong in red.
+  residualsOf({ kind, residuals, suspects }) {
+    const wrong = (point, view) => suspects.some(([p, v]) => p === point && v === view);
+    const shown = residuals.map(([point, view, size]) => `<span class="${wrong(point, view) ? "bad" : ""}">${kind === "points" ? "" : `${point} in `}${this.escape(view)} ${size.toFixed(1)}</span>`);
+    return shown.length ? `<small>residuals, px: ${shown.join(" · ")}</small>` : "";
+  }
+
+  // A name is checked while it is typed, by the same rule that would refuse it; a wrong one is not sent.
+  checkName(input, change, done = () => {}) {
+    const problem = document.createElement("span");
+    problem.className = "sv-problem";
+    problem.setAttribute("role", "alert");
+    input.after(problem);
+    input.addEventListener("input", async () => {
+      const name = input.value.trim();
+      const found = await this.connection.ask({ do: "check", change: { ...change, name } }).catch((error) => ({ problem: error.message }));
+      if (name !== input.value.trim()) return;  // typed on meanwhile
+      problem.textContent = found.problem || (name ? "" : input.dataset.empty ?? "");
+      problem.classList.toggle("note", !found.problem);
+      input.classList.toggle("bad", Boolean(found.problem));
+      input.setAttribute("aria-invalid", Boolean(found.problem));
+    });
+    input.addEventListener("change", () => {
+      if (input.classList.contains("bad")) return;
+      problem.textContent = "";
+      this.change({ ...change, name: input.value.trim() });
+      done();
+    });
   }
 
   // What the geometry says, for the person to confirm: a label may tell two poses apart.
@@ -288,7 +369,7 @@ class Editor {
     if (!fitting.length) return;
     const items = takes === "points" ? [ids] : ids.map((id) => this.model.edges.get(id).ends);
     const buttons = fitting.map((fact) => (fact.kind === "known_length"
-      ? `<input type="number" step="0.1" placeholder="length" data-mm="1" data-key="value" data-ask='${this.escape(JSON.stringify({ do: "add_constraint", kind: fact.kind, items }))}'> mm`
+      ? `<input type="number" step="0.1" placeholder="length" data-key="value" data-ask='${this.escape(JSON.stringify({ do: "add_constraint", kind: fact.kind, items }))}'> mm`
       : this.button(fact.words, { do: "add_constraint", kind: fact.kind, items })));
     box.insertAdjacentHTML("beforeend", `<div class="dim" style="margin-top:8px">I know that they are</div><div class="sv-buttons">${buttons.join("")}</div>`);
   }
@@ -312,24 +393,30 @@ class Editor {
   }
 
   edgesDetail(id, edge) {
-    return `<div class="big">${edge.mm === undefined ? "" : `${edge.mm.toFixed(2)} <small>± ${edge.sigma_mm.toFixed(2)} mm</small>`}</div><span class="${edge.problem ? "bad" : "dim"}">${edge.problem ? this.escape(edge.problem) : `edge between ${edge.ends[0]} and ${edge.ends[1]}`}</span>`;
+    const doubt = this.doubts.get(`edges:${id}`);
+    return `<div class="big">${edge.mm === undefined ? "" : `${edge.mm.toFixed(2)} <small>± ${edge.sigma_mm.toFixed(2)} mm</small>`}</div><span class="${edge.problem ? "bad" : "dim"}">${edge.problem ? this.escape(edge.problem) : `edge between ${edge.ends[0]} and ${edge.ends[1]}`}</span>${doubt ? `<div class="bad">${this.escape(doubt.words)}</div>` : ""}`;
   }
 
   facesDetail(id, face) {
     const choice = (label, value) => this.button(label, { do: "change_face", id, graspable: value }, face.graspable === value);
     return `<div class="big">Face ${id} <small>${face.area_mm2 === undefined ? "" : `${face.area_mm2.toFixed(0)} mm²`}</small></div>
       ${face.problem ? `<div class="bad">${this.escape(face.problem)}</div>` : ""}
-      <div class="sv-buttons"><input placeholder="name" value="${this.escape(face.name)}" data-key="name" data-ask='${JSON.stringify({ do: "change_face", id })}'>${choice("graspable", true)}${choice("not graspable", false)}
+      ${this.nameField(face, { do: "change_face", id }, `face ${id}`)}
+      <div class="sv-buttons">${choice("graspable", true)}${choice("not graspable", false)}
       ${this.button("turn over", { do: "change_face", id, loop: [...face.loop].reverse() })}</div>`;
+  }
+
+  nameField(part, change, shown) {
+    return `<label class="sv-field"><input class="sv-text" placeholder="name" aria-label="name" value="${this.escape(part.name)}" data-empty="no name: shown as ${shown}" data-name='${JSON.stringify(change)}'></label>`;
   }
 
   graspsDetail(id, grasp) {
     const ask = JSON.stringify({ do: "change_grasp", id });
-    const number = (label, key, value) => `<tr><td class="dim">${label}</td><td><span class="sv-buttons" style="display:inline-flex;margin:0"><input type="number" step="0.5" data-mm="1" data-key="${key}" data-ask='${ask}' value="${value}"></span> mm</td></tr>`;
+    const number = (label, key, value) => `<tr><td class="dim">${label}</td><td><span class="sv-buttons" style="display:inline-flex;margin:0"><input type="number" step="0.5" data-key="${key}" data-ask='${ask}' value="${value}"></span> mm</td></tr>`;
     const rows = grasp.problem ? "" : `<table>${number("opening", "opening", grasp.opening_mm)}${number("depth", "depth", grasp.depth_mm)}
       <tr><td class="dim">object there</td><td>${grasp.width_mm === null ? "open" : `${grasp.width_mm.toFixed(2)} mm`}</td></tr>
       <tr><td class="dim">tolerance</td><td>± ${grasp.tolerance_mm.toFixed(2)} mm</td></tr></table>`;
-    return `<div class="big">Grasp ${id} <small>on face ${grasp.face}</small></div>${grasp.problem ? `<div class="bad">${this.escape(grasp.problem)}</div>` : rows}`;
+    return `<div class="big">Grasp ${id} <small>on face ${grasp.face}</small></div>${this.nameField(grasp, { do: "change_grasp", id }, `grasp ${id}`)}${grasp.problem ? `<div class="bad">${this.escape(grasp.problem)}</div>` : rows}`;
   }
 
   async distanceDetail(box, [a, b]) {
@@ -354,7 +441,12 @@ class Editor {
 
   makeList() {
     const { points, edges, faces, grasps, constraints } = this.model, rows = [], most = 150;
-    const row = (kind, id, mark, text, number) => rows.push(`<div class="sv-row ${this.selection.has(`${kind}:${id}`) || (kind === "points" && id === this.active) ? "on" : ""}" data-row="${kind}:${id}"><i class="${mark}"></i><span class="grow">${text}</span><span class="num">${number}</span></div>`);
+    const row = (kind, id, mark, text, number) => {
+      const doubt = this.doubts.get(`${kind}:${id}`);
+      // A doubted point shows its residuals by view instead of its deviation.
+      if (doubt && kind === "points") number = `${doubt.residuals.map(([, view, size]) => `${this.escape(view)} ${size.toFixed(1)}`).join(" · ")} px`;
+      rows.push(`<div title="${doubt ? this.escape(doubt.words) : ""}" class="sv-row ${doubt ? "doubt" : ""} ${this.selection.has(`${kind}:${id}`) || (kind === "points" && id === this.active) ? "on" : ""}" data-row="${kind}:${id}"><i class="${doubt ? "bad" : mark}"></i><span class="grow">${text}</span><span class="num">${number}</span></div>`);
+    };
     for (const [id, one] of grasps) row("grasps", id, one.problem ? "bad" : "grasp", this.escape(one.name || `grasp ${id}`), one.problem ? "" : `opens ${one.opening_mm}`);
     for (const [id, one] of faces) row("faces", id, one.problem ? "bad" : "face", this.escape(one.name || `face ${id}`), one.graspable === true ? "graspable" : one.graspable === false ? "not" : "");
     for (const [id, one] of constraints) row("constraints", id, one.problem ? "bad" : "fact", this.escape(one.words), one.value_mm === null ? one.items.map((group) => group.join("–")).join(" ") : `${one.value_mm} mm`);
@@ -560,7 +652,8 @@ class Editor {
     else if (name === "escape" || name === "n") this.rest();
     else if (name === "enter" && this.chain.length > 2) this.closeFace();
     else if (name === "delete" || name === "backspace") this.remove();
-    else if (name === "0") this.views.forEach((view) => view.fit());
+    else if (name === "z") this.command("object");
+    else if (name === "0") this.command("whole");
     else if (/^[1-9]$/.test(name) && this.views[name - 1]) this.enlarge(this.views[name - 1]);
     else if (event.code === "Space") this.space = true;
     else return;
@@ -584,6 +677,7 @@ class Editor {
   command(name) {
     if (name === "help") this.find(".sv-help").hidden = !this.find(".sv-help").hidden;
     else if (name === "propose") this.propose();
+    else if (name === "object" || name === "whole") for (const view of this.views) view.frame(name);
     else { this.curves = null; this.change({ do: name }); }
   }
 }

@@ -1,15 +1,18 @@
 // What the page knows of the session: entries by kind and id, as the server's answers bring them.
 
+// Distance, in standard deviations, beyond which a right click of two coordinates is once in a hundred.
+const REACH = Math.sqrt(9.21);
+
 export class Model {
   constructor() {
     this.points = new Map(); this.edges = new Map(); this.faces = new Map();
     this.grasps = new Map(); this.constraints = new Map();
     this.views = []; this.size = [1, 1]; this.status = {};
-    this.corners = new Map(); this.segments = new Map();
+    this.corners = new Map();
   }
   greet(message) {
     for (const kind of KINDS) this[kind].clear();
-    Object.assign(this, { views: message.views, size: message.size, focal: message.focal_px, facts: message.facts, file: message.file });
+    Object.assign(this, { views: message.views, size: message.size, focal: message.focal_px, facts: message.facts, file: message.file, clickSigma: message.click_sigma });
     this.update(message);
   }
   update(message) {
@@ -43,12 +46,22 @@ export class Model {
     }
     return best;
   }
-  // The candidate that a click snaps to.
-  cornerAt(view, pixel, radius) {
-    let best = null, least = radius;
-    for (const corner of this.corners.get(this.views[view].name) ?? []) {
-      const distance = Math.hypot(corner[0] - pixel[0], corner[1] - pixel[1]);
-      if (distance <= least) { least = distance; best = corner; }
+  // The point that was clicked, or is predicted, where a cursor of this deviation (px of the
+  // picture) may mean it.
+  pointMeant(view, pixel, sigma) {
+    const deviation = (id) => (this.points.get(id).clicks[this.views[view].name] ? Math.hypot(sigma, this.clickSigma) : sigma);
+    const nearest = this.pointAt(view, pixel, REACH * Math.hypot(sigma, this.clickSigma));
+    if (nearest === null) return null;
+    const [u, v] = this.pixel(nearest, view);
+    return Math.hypot(u - pixel[0], v - pixel[1]) <= REACH * deviation(nearest) ? nearest : null;
+  }
+  // The corner that a click of this deviation may mean: both are uncertain, the cursor and the corner.
+  cornerMeant(view, pixel, sigma) {
+    let best = null, least = REACH * REACH;
+    for (const [u, v, uu, uv, vv] of this.corners.get(this.views[view].name) ?? []) {
+      const [du, dv] = [u - pixel[0], v - pixel[1]], [a, c] = [uu + sigma * sigma, vv + sigma * sigma];
+      const square = (c * du * du - 2 * uv * du * dv + a * dv * dv) / (a * c - uv * uv);
+      if (square <= least) { least = square; best = [u, v]; }
     }
     return best;
   }

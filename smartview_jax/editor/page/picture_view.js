@@ -9,9 +9,12 @@ const COLOURS = {
   offered: "#ffe27a", corner: "rgba(255,255,255,.42)", face: "rgba(167,139,250,.15)", graspable: "rgba(88,214,141,.20)",
   refused: "rgba(255,107,94,.16)",
 };
-const SNAP = 9;         // px of the screen
+// Standard deviation of where a person points, px of the screen; typical values, not measured here.
+const CURSOR_SIGMA = { mouse: 1.5, pen: 1.5, touch: 8 };
+const GRAB = 9;         // px of the screen: how near a mark has to be to be chosen, which measures nothing
+const MARGIN = 0.2;     // of the object's width and height, around it
+const MAX_SCALE = 60;   // px of the screen for one of the picture
 const ELLIPSE_SIGMAS = 3;
-const LARGE_RESIDUAL = 2;  // px of the picture
 const FEW_POINTS = 60;  // above it, names of points are shown only when the picture is zoomed
 
 export class PictureView {
@@ -30,7 +33,8 @@ export class PictureView {
     this.levels = []; this.scale = 1; this.offset = [0, 0]; this.cursor = null; this.drag = null;
     this.pending = new Set();
     this.listen();
-    new ResizeObserver(() => this.fit()).observe(this.element);
+    this.framing = "whole"; this.pointer = "mouse";
+    new ResizeObserver(() => this.frame()).observe(this.element);
   }
 
   async load(blob) {
@@ -41,10 +45,13 @@ export class PictureView {
       level = await createImageBitmap(level, { resizeWidth: level.width >> 1, resizeHeight: level.height >> 1, resizeQuality: "medium" });
       this.levels.push(level);
     }
-    this.fit();
+    this.frame();
   }
 
-  fit() {
+  // Show the whole picture, or the part with the object: what is clicked or predicted here, else the
+  // region that was drawn.
+  frame(framing = this.framing) {
+    this.framing = framing;
     const [width, height] = this.owner.model.size;
     const box = this.element.getBoundingClientRect();
     if (!box.width || !box.height) return;
@@ -52,9 +59,25 @@ export class PictureView {
     for (const canvas of this.layers) {
       canvas.width = Math.round(box.width * this.ratio); canvas.height = Math.round(box.height * this.ratio);
     }
-    this.scale = this.smallest = Math.min(box.width / width, box.height / height);
-    this.offset = [(box.width - width * this.scale) / 2, (box.height - height * this.scale) / 2];
+    this.smallest = Math.min(box.width / width, box.height / height);
+    const [left, top, right, bottom] = (framing === "object" && this.objectRectangle()) || [-0.5, -0.5, width - 0.5, height - 0.5];
+    this.scale = Math.min(MAX_SCALE, box.width / (right - left), box.height / (bottom - top));
+    // The picture fills its cell where it is large enough, and is in the middle where it is not.
+    this.offset = [[left + right, width, box.width], [top + bottom, height, box.height]].map(([sum, size, room]) => {
+      const free = room - size * this.scale, centred = room / 2 - (sum / 2 + 0.5) * this.scale;
+      return free >= 0 ? free / 2 : Math.min(0, Math.max(free, centred));
+    });
     this.redraw("picture", "model", "live");
+  }
+
+  objectRectangle() {
+    const { model, rectangles } = this.owner;
+    const pixels = [...model.points.keys()].map((id) => model.pixel(id, this.index)).filter(Boolean);
+    if (!pixels.length) return rectangles.get(this.name) ?? null;
+    const [low, high] = [Math.min, Math.max].map((most) => [0, 1].map((k) => most(...pixels.map((pixel) => pixel[k]))));
+    // A single point has no size: a sixteenth of the picture on each side.
+    const margin = [0, 1].map((k) => Math.max(MARGIN * (high[k] - low[k]), model.size[0] / 16));
+    return [low[0] - margin[0], low[1] - margin[1], high[0] + margin[0], high[1] + margin[1]];
   }
 
   // A pixel's centre has whole coordinates, so the picture begins at -0.5.
@@ -106,6 +129,7 @@ export class PictureView {
     }
     this.drawPoints(context, usual, COLOURS.point, 1.3);
     this.drawOffer(context, this.owner.offer);
+    this.drawDoubts(context);
     for (const [id, grasp] of model.grasps) this.drawGrasp(context, this.owner.previews.get(id) ?? grasp, selection.has(`grasps:${id}`));
   }
 
@@ -118,6 +142,27 @@ export class PictureView {
       context.rect(x - size / 2, y - size / 2, size, size);
     }
     context.fill();
+  }
+
+  // A ring around the click that is probably wrong, dashed where it is one of several; and the edges
+  // of the suggestion under the mouse.
+  drawDoubts(context) {
+    const { model, judgement, pointedAt } = this.owner;
+    context.strokeStyle = COLOURS.bad; context.lineWidth = 2;
+    for (const { suspects } of judgement.disagreements) {
+      context.setLineDash(suspects.length > 1 ? [3, 3] : []);
+      for (const [point, view] of suspects) {
+        const clicked = view === this.name && model.points.get(point)?.clicks[view];
+        if (!clicked) continue;
+        context.beginPath(); context.arc(...this.toScreen(clicked), 11, 0, 2 * Math.PI); context.stroke();
+      }
+    }
+    context.setLineDash([]);
+    context.strokeStyle = COLOURS.active; context.lineWidth = 3;
+    for (const ends of pointedAt) {
+      const pixels = ends.map((id) => model.pixel(id, this.index));
+      if (pixels.every(Boolean)) { this.path(context, pixels.flat()); context.stroke(); }
+    }
   }
 
   drawOffer(context, { points, edges }) {
@@ -159,7 +204,7 @@ export class PictureView {
     context.beginPath();
     const others = [];
     for (const [id, edge] of model.edges) {
-      if (edge.problem || selection.has(`edges:${id}`)) others.push([id, edge]);
+      if (edge.problem || this.owner.doubts.has(`edges:${id}`) || selection.has(`edges:${id}`)) others.push([id, edge]);
       else if (edge.in[this.index]) this.trace(context, edge.in[this.index]);
     }
     context.stroke();
@@ -215,7 +260,7 @@ export class PictureView {
       if (!seen || !clicked) continue;
       const [du, dv] = [clicked[0] - seen[0], clicked[1] - seen[1]], [x, y] = this.toScreen(seen);
       const [dx, dy] = [10 * du * this.scale, 10 * dv * this.scale];
-      if (Math.hypot(dx, dy) >= 2) paths[Math.hypot(du, dv) > LARGE_RESIDUAL ? COLOURS.bad : "#ffffff"].push([x, y, x + dx, y + dy]);
+      if (Math.hypot(dx, dy) >= 2) paths[point.wrong ? COLOURS.bad : "#ffffff"].push([x, y, x + dx, y + dy]);
     }
     context.lineWidth = 1.4;
     for (const [colour, lines] of Object.entries(paths)) {
@@ -273,6 +318,8 @@ export class PictureView {
         const [x, y] = this.toScreen(target.pixel);
         context.strokeStyle = target.point === null ? "#ffffff" : COLOURS.active; context.lineWidth = 1.5;
         context.strokeRect(x - 6, y - 6, 12, 12);
+      } else if (tool === "point" && this.cursorSigma > 2 * model.clickSigma && !this.hint.textContent) {
+        this.hint.textContent = `a click here: ± ${this.cursorSigma.toFixed(1)} px; zoom in`;
       }
     }
   }
@@ -302,12 +349,17 @@ export class PictureView {
     }
   }
 
+  // Standard deviation of the cursor, px of the picture: a screen's pixel is many of a picture's.
+  get cursorSigma() { return (CURSOR_SIGMA[this.pointer] ?? CURSOR_SIGMA.mouse) / this.scale; }
+
   // What a click at a place of the screen means: a point that is there, a candidate, or the place.
   target(place, free) {
-    const pixel = this.toPixel(place), radius = SNAP / this.scale;
-    const point = this.owner.model.pointAt(this.index, pixel, radius);
-    if (point !== null) return { point, pixel: this.owner.model.pixel(point, this.index), snapped: true };
-    const corner = free || this.owner.tool !== "point" ? null : this.owner.model.cornerAt(this.index, pixel, radius);
+    const pixel = this.toPixel(place), { model, tool, active } = this.owner, measures = tool === "point";
+    const point = measures ? model.pointMeant(this.index, pixel, this.cursorSigma) : model.pointAt(this.index, pixel, GRAB / this.scale);
+    // Where the active point is only predicted, its place is what the click is to tell.
+    const predicted = measures && point === active && !model.points.get(point)?.clicks[this.name];
+    if (point !== null && !predicted) return { point, pixel: model.pixel(point, this.index), snapped: true };
+    const corner = free || !measures ? null : model.cornerMeant(this.index, pixel, this.cursorSigma);
     return corner ? { point: null, pixel: corner, snapped: true } : { point: null, pixel, snapped: false };
   }
 
@@ -322,12 +374,13 @@ export class PictureView {
     }, { passive: false });
     this.element.addEventListener("pointerdown", (event) => {
       this.element.setPointerCapture(event.pointerId);
+      this.pointer = event.pointerType;
       const at = place(event), pan = event.button === 1 || event.button === 2 || (event.button === 0 && this.owner.space);
       this.drag = { from: at, offset: [...this.offset], pan, moved: false, free: event.altKey };
       if (!pan && event.button === 0) this.owner.press(this, this.target(at, event.altKey), this.drag);
     });
     this.element.addEventListener("pointermove", (event) => {
-      this.cursor = place(event);
+      this.cursor = place(event); this.pointer = event.pointerType;
       const drag = this.drag;
       if (drag) {
         const [dx, dy] = [this.cursor[0] - drag.from[0], this.cursor[1] - drag.from[1]];
@@ -346,13 +399,14 @@ export class PictureView {
       this.drag = null;
       if (drag && !drag.pan && event.button === 0) this.owner.released(this, this.target(place(event), drag.free), drag, event);
     });
+    this.element.addEventListener("pointercancel", () => { this.drag = null; });
     this.element.addEventListener("pointerleave", () => { this.cursor = null; this.owner.left(this); this.redraw("live"); });
     this.element.addEventListener("dblclick", () => this.owner.enlarge(this));
     this.element.addEventListener("contextmenu", (event) => event.preventDefault());
   }
 
   zoom(place, factor) {
-    const scale = Math.min(60, Math.max(this.smallest * 0.8, this.scale * factor));
+    const scale = Math.min(MAX_SCALE, Math.max(this.smallest * 0.8, this.scale * factor));
     this.offset = place.map((x, k) => x - ((x - this.offset[k]) / this.scale) * scale);
     this.scale = scale;
     this.redraw("picture", "model", "live");

@@ -4,6 +4,7 @@ import * as THREE from "three";
 import { OrbitControls } from "./vendor/OrbitControls.js";
 
 const SIGMAS = 3;
+const FIELD_OF_VIEW = 40; // degrees
 const PAUSE = 200;       // ms
 const MANY_POINTS = 200; // above it, ellipsoids are drawn with fewer triangles
 
@@ -21,7 +22,7 @@ export class SpaceView {
     this.renderer.setClearColor(0x0f1218);
     this.scene = new THREE.Scene();
     this.scene.add(new THREE.HemisphereLight(0xffffff, 0x556070, 2.6));
-    this.camera = new THREE.PerspectiveCamera(40, 1, 1e-3, 100);
+    this.camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW, 1, 1e-3, 100);
     this.controls = new OrbitControls(this.camera, this.renderer.domElement);
     this.controls.addEventListener("change", () => this.draw());
     this.parts = new THREE.Group();
@@ -40,6 +41,9 @@ export class SpaceView {
     this.renderer.setPixelRatio(window.devicePixelRatio || 1);
     this.renderer.setSize(box.width, box.height, false);
     this.camera.aspect = box.width / box.height;
+    // The field of view is across the shorter side, so that a narrow cell shows the whole object too.
+    const half = Math.tan(THREE.MathUtils.degToRad(FIELD_OF_VIEW / 2));
+    this.camera.fov = THREE.MathUtils.radToDeg(2 * Math.atan(half / Math.min(1, this.camera.aspect)));
     this.camera.updateProjectionMatrix();
     this.draw();
   }
@@ -63,7 +67,7 @@ export class SpaceView {
       const [a, b] = edge.ends.map(at);
       if (!a || !b) continue;
       lines.push(...a, ...b);
-      const colour = new THREE.Color(selection.has(`edges:${id}`) ? 0xffb224 : 0x6fb3ff);
+      const colour = new THREE.Color(selection.has(`edges:${id}`) ? 0xffb224 : this.owner.doubts.has(`edges:${id}`) ? 0xff6b5e : 0x6fb3ff);
       colours.push(...colour.toArray(), ...colour.toArray());
     }
     this.addLines(this.parts, lines, colours);

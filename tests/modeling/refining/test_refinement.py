@@ -20,6 +20,7 @@ from smartview_jax.modeling import (
     SamePlane,
     Symmetric,
     refine,
+    suspect_clicks,
     triangulate_points,
 )
 from smartview_jax.simulation import reported_poses
@@ -271,3 +272,63 @@ def test_a_robust_loss_resists_a_gross_error(calibration, poses):
     plain, robust = (refine(None, observed(calibration, poses, pixels), loss=loss)
                      for loss in (None, GemanMcClure()))  # fmt: skip
     assert np.abs(robust.points - BOX).max() < 0.3 * np.abs(plain.points - BOX).max()
+
+
+SOME_FACTS = [
+    KnownLength((0, 1), 0.03),
+    EqualLength((0, 1), (2, 3)),
+    KnownLength((0, 4), 0.0101, sigma=1e-4),
+    SamePlane((0, 1, 2, 3)),
+]
+
+
+def test_what_remains_without_a_click_is_what_a_refinement_without_it_leaves(calibration, poses):
+    pixels = clicks(calibration, poses)
+    pixels[3:] = np.nan
+    pixels[1, 2] += [4.0, -3.0]
+
+    def chi_square(clicked):
+        found = refine(None, observed(calibration, poses, clicked), SOME_FACTS)
+        soft = found.verdicts[2].residuals / 1e-4
+        return np.nansum((found.residuals / SIGMA) ** 2) + np.sum(soft**2), found.points
+
+    _, points = chi_square(pixels)
+    # With an agreement of zero every click is a suspect.
+    found = suspect_clicks(
+        calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA, agreement=0.0
+    )
+    assert len(found) == 24
+    for one in (*found[:2], found[-1]):
+        rest = pixels.copy()
+        rest[one.view, one.point] = np.nan
+        assert one.chi_square == pytest.approx(chi_square(rest)[0], rel=0.03)
+    # 46 coordinates and 4 facts (four points in one plane are one), 24 unknown.
+    assert found[0].degrees_of_freedom == 46 - 24 + 4
+    found = suspect_clicks(calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA)
+    assert [(one.view, one.point) for one in found] == [(1, 2)]
+
+
+def test_robot_noise_is_no_reason_to_suspect_a_click(calibration, poses, uncertain):
+    """It moves all clicks of a view together, so what remains is chi-square all the same."""
+    _, noise = uncertain
+    rest = []
+    for seed in range(8):
+        reported = reported_poses(
+            SE3.from_matrix(jnp.asarray(poses)),
+            np.random.default_rng((seed, 3)),
+            noise.translation,
+            noise.rotation,
+        )
+        found = suspect_clicks(
+            calibration,
+            host_matrices(reported),
+            clicks(calibration, poses, seed),
+            BOX,
+            SOME_FACTS[:2],
+            noise=noise,
+            pixel_sigma=SIGMA,
+            agreement=0.0,
+        )
+        rest += [one.chi_square / one.degrees_of_freedom for one in found[-1:]]
+    # 8 means of 56 squares each: a standard deviation of 0.07.
+    assert 0.8 < np.mean(rest) < 1.2

@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+from sessions import click_all, open_session, say
+
+from smartview_jax.editor.conversation import Conversation
+
+RAFTERS = ((0, 5), (2, 7), (3, 8), (4, 9))
+"""Four of the five edges along the house, all of 50 mm."""
+
+
+def house_with_edges(scene, views=(0, 1, 3)):
+    session = open_session(scene, click_sigma=0.3)
+    ids = click_all(session, scene, views)
+    return session, ids, [session.add_edge(ids[a], ids[b]) for a, b in RAFTERS]
+
+
+def click_elsewhere(session, scene, point, vertex, step):
+    """Click a vertex where it would be seen if it were elsewhere: all views agree about it."""
+    camera = session.calibration.camera
+    for view in session.document.points[point]:
+        matrix = session.geometry.camera_from_world[session.names.index(view)]
+        place = matrix @ [*(scene.truth.vertices[vertex] + step), 1.0]
+        session.click(view, np.asarray(camera.project(place[None, :3])[0])[0], point)
+
+
+def test_a_wrong_click_is_named_where_three_views_can_tell(scene):
+    session, ids, _ = house_with_edges(scene, (0, 1, 2, 3))
+    assert session.disagreements() == []
+    u, v = scene.click(3, 3)
+    session.click("v4", (u + 6.0, v - 5.0), ids[3])
+    (one,) = session.disagreements()
+    assert (one.kind, one.id, one.suspects) == ("points", ids[3], ((ids[3], "v4"),))
+    assert "the click in v4 is most probably wrong, 7." in str(one)
+    residuals = session.estimates()[ids[3]].residuals
+    assert one.residuals == {(ids[3], w): np.hypot(*r) for w, r in residuals.items()}
+    assert str(one) in str(session)
+
+
+def test_a_file_with_a_wrong_click_is_saved_with_a_warning(scene, tmp_path):
+    with open_session(scene, tmp_path / "house.json") as session:
+        ids = click_all(session, scene)
+        page = Conversation(session)
+        assert "disagree" not in page.save()["note"]
+        u, v = scene.click(3, 3)
+        session.click("v4", (u + 6.0, v - 5.0), ids[3])
+        assert page.save()["note"].endswith("house.json; disagreements: 1")
+
+
+def test_two_of_three_clicks_are_suspects_where_each_pair_with_the_third_agrees(scene):
+    session, ids, _ = house_with_edges(scene)
+    # Along the curve of v1 the wrong click in v4 agrees with v1, as the right one in v2 does.
+    curve = session.curves("v1", session.document.points[ids[3]]["v1"])["v4"].pixels
+    apart = np.linalg.norm(curve - scene.click(3, 3), axis=1)
+    session.click("v4", curve[np.argmin(np.abs(apart - 12.0))], ids[3])
+    (one,) = session.disagreements()
+    assert set(one.suspects) == {(ids[3], "v2"), (ids[3], "v4")}
+    assert "is left out, so nobody can tell which: click the point in another view" in one.words
+
+
+def test_of_two_clicks_nobody_can_tell_the_wrong_one(scene):
+    session, ids, _ = house_with_edges(scene, (0, 1))
+    # Across the curve, along which a wrong click of two is not seen at all.
+    step = np.array(scene.click(1, 3)) - session.curves("v1", scene.click(0, 3))["v2"].pixels[-1]
+    across = 8.0 * step[::-1] * [1.0, -1.0] / np.linalg.norm(step)
+    session.click("v2", scene.click(1, 3) + across, ids[3])
+    (one,) = session.disagreements()
+    assert set(one.suspects) == {(ids[3], "v1"), (ids[3], "v2")}
+    assert "contradict each other; with two clicks nobody can tell which is wrong" in one.words
+
+
+def test_an_edge_of_another_length_than_its_equals_is_named(scene):
+    session, ids, edges = house_with_edges(scene)
+    for pair in RAFTERS[1:]:
+        say(session, "equal_length", *([ids[a], ids[b]] for a, b in (RAFTERS[0], pair)))
+    assert session.disagreements() == []
+    click_elsewhere(session, scene, ids[8], 8, [0.004, 0.0, 0.0])
+    found = session.disagreements()
+    assert [(one.kind, one.id) for one in found if one.kind != "constraints"] == [
+        ("edges", edges[2])
+    ]
+    assert found[0].words.startswith("54.0")
+    assert "mm by its own clicks, where the others say 50.0" in found[0].words
+    # All clicks of the point are off, so no single one explains it.
+    assert found[0].suspects == ()
+    # Each fact of the four alone would let them agree, and is doubted too; the page says so.
+    shown = Conversation(session).greeting()["parts"]["constraints"]
+    assert {k for k, one in shown.items() if "problem" in one} == set(session.document.constraints)
+
+
+def test_the_click_that_makes_a_stated_length_wrong_is_named(scene):
+    session, ids, edges = house_with_edges(scene)
+    u, v = scene.click(3, 2)
+    session.click("v4", (u + 6.0, v - 5.0), ids[2])
+    session.add_constraint("known_length", [[ids[2], ids[7]]], value=0.05)
+    session.add_constraint("equal_length", [[ids[2], ids[7]], [ids[3], ids[8]]])
+    by_kind = {one.kind: one for one in session.disagreements()}
+    assert by_kind["edges"].id == edges[1]
+    assert {one.suspects for one in by_kind.values()} == {((ids[2], "v4"),)}
+    # A wrong fact is no click's fault.
+    session.undo(), session.undo()
+    session.click("v4", (u, v), ids[2])
+    session.add_constraint("known_length", [[ids[2], ids[7]]], value=0.056)
+    by_kind = {one.kind: one for one in session.disagreements()}
+    assert by_kind["edges"].suspects == ()
+    assert "where 56.00 mm is stated; no single wrong click explains it" in by_kind["edges"].words
+
+
+@pytest.mark.parametrize(("kind", "degrees"), [("right_angle", 85.43), ("parallel", 4.57)])
+def test_an_angle_is_said_in_degrees(scene, kind, degrees):
+    session, ids, _ = house_with_edges(scene)
+    # 4 mm aside over 50 mm of length are 4.57 degrees.
+    click_elsewhere(session, scene, ids[8], 8, [0.0, 0.004, 0.0])
+    other = {"right_angle": (0, 1), "parallel": (4, 9)}[kind]
+    say(session, kind, [ids[3], ids[8]], [ids[k] for k in other])
+    one = session.disagreements()[-1]
+    said, _, sigma = one.words.split(" ")[:3]
+    # The floor's edge is along y.
+    assert abs(float(said) - degrees) < 4.0 * float(sigma) < 2.0
