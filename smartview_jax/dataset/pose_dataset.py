@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
-from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
+from ..geometry import PoseLike, as_se3, check_rigid, host_matrices, host_nearest_rotation
 from ..robots import SerialArm
 from ..runtime.array_namespace import to_device
 from .dataset import Dataset, of_views
@@ -19,8 +19,43 @@ from .pose_observations import PAIRS, PoseObservations
 UNIT_TRANSLATION = 1e-3
 """Unit of the noise of tracked positions, m."""
 
+MIN_RELATIVE_WIDTH = 1e-3
+"""Smallest width of a set of points that is not a line, relative to its length."""
+
 UNIT_ROTATION = 1e-2
 """Unit of the noise of tracked orientations, rad: of a marker of 0.1 m with corners off by 1 mm."""
+
+
+class _NearestPose(NamedTuple):
+    """The pose of some points that is nearest to where they were measured.
+
+    Attributes:
+        matrix: the pose.
+        size: spread of the measured points over the spread of the points themselves.
+    """
+
+    matrix: Float[np.ndarray, "4 4"]
+    size: float
+
+
+def _nearest_pose(
+    points: Float[np.ndarray, "points 3"], measured: Float[np.ndarray, "points 3"]
+) -> _NearestPose | None:
+    """Return the pose that brings points nearest to measured ones, by least squares.
+
+    None for points that do not determine it: fewer than three, or all on one line.
+    """
+    if len(points) < 3:
+        return None
+    middle, target = points.mean(axis=0), measured.mean(axis=0)
+    a, b = points - middle, measured - target
+    spreads = np.linalg.svd(a, compute_uv=False)
+    if spreads[1] < MIN_RELATIVE_WIDTH * spreads[0]:
+        return None
+    matrix = np.eye(4)
+    matrix[:3, :3] = host_nearest_rotation(b.T @ a)
+    matrix[:3, 3] = target - matrix[:3, :3] @ middle
+    return _NearestPose(matrix, float(np.sqrt(np.sum(b**2) / np.sum(a**2))))
 
 
 class PoseDataset(Dataset):
@@ -97,6 +132,59 @@ class PoseDataset(Dataset):
         if joints is None and arm is None:
             return data
         return cast(PoseDataset, data.with_joints(joints, arm))
+
+    @classmethod
+    def from_points(
+        cls,
+        base_from_tool: PoseLike | None,
+        points: np.ndarray,
+        points_in_camera: np.ndarray,
+        mount: str = "eye_in_hand",
+        view_ids: Sequence[str | int] | None = None,
+        joints: np.ndarray | Array | None = None,
+        arm: SerialArm | None = None,
+    ) -> "PoseDataset":
+        """Build a data set from target points that a depth camera or a scanner measured.
+
+        Each view's pose is the one that brings the target's points nearest to the measured ones
+        (Kabsch, 1976). A sensor that measures everything too large by a factor also shifts the
+        pose by it: `fit_poses(data, scale=True)` estimates the factor from the robot's motion, and
+        `notes` has the factor that the target's own size suggests.
+
+        Args:
+            base_from_tool: as in `from_poses`.
+            points: `(N, 3)` points of the target in its own frame, m.
+            points_in_camera: `(M, N, 3)` the same points as the sensor measured them in its frame,
+                m; NaN for points that were not measured.
+            mount, view_ids, joints, arm: as in `from_poses`.
+
+        Raises:
+            ValueError: a wrong shape, a duplicate id, no view with three points that are not on one
+                line, or a robot pose that is not rigid.
+        """
+        points, measured = np.asarray(points, dtype=float), np.asarray(points_in_camera, float)
+        if points.ndim != 2 or measured.shape[1:] != points.shape or points.shape[1:] != (3,):
+            raise ValueError(
+                "points_in_camera: expected shape (views, points, 3) for points of shape (points, "
+                f"3), found {measured.shape} and {points.shape}"
+            )
+        ids = checked_view_ids(view_ids, len(measured))
+        poses, sizes, reasons = np.full((len(ids), 4, 4), np.nan), [], []
+        for view, seen in enumerate(measured):
+            used = np.isfinite(seen).all(axis=1)
+            fitted = _nearest_pose(points[used], seen[used])
+            if fitted is None:
+                text = f"{used.sum()} points measured; expected 3 that are not on one line"
+                reasons.append((ids[view], text))
+                continue
+            poses[view] = fitted.matrix
+            sizes.append(fitted.size)
+        if not sizes:
+            raise ValueError(f"view {reasons[0][0]}: {reasons[0][1]}; so are all views")
+        data = cls.from_poses(base_from_tool, poses, mount, ids, reasons, joints, arm)
+        size = float(np.median(sizes))
+        note = f"the measured points are {size:.4f} times as far apart as the target's"
+        return dataclasses.replace(data, notes=(*data.notes, note))
 
     @property
     def observations(self) -> PoseObservations:  # pyright: ignore[reportIncompatibleMethodOverride]

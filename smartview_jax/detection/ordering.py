@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..geometry import host_nearest_rotation
 from .common_symmetry import choose_common_symmetry
 
 
@@ -222,11 +223,9 @@ def _hand_eye_hypotheses(
 
 def _align(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return the rotation that best maps two vectors and their cross product to two others."""
-    # Kabsch: with U S V^T = sum target source^T,   R = U diag(1, 1, det(U V^T)) V^T.
     source = np.vstack([source, np.cross(*source)])
     target = np.vstack([target, np.cross(*target)])
-    U, _, Vt = np.linalg.svd(target.T @ source)
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return host_nearest_rotation(target.T @ source)
 
 
 def _rotation_vectors(rotations: np.ndarray) -> np.ndarray:
