@@ -29,6 +29,8 @@ from smartview_jax.cli import app
 from smartview_jax.dataset import Dataset
 from smartview_jax.geometry import POSE_CODECS
 
+from . import asks_of_cells
+
 POINTS = simulation.paper_points((0.0, 0.02))[::4]
 """Target points of the simulated scenes: few, because every ask is about one thing."""
 
@@ -393,8 +395,16 @@ ASKS = (
     Ask("The initial guess", "sv.fit_staged(data)", _initial_guess),
     Ask("Standard deviations are wrong", "fit.confidence_half_width(name)", _true_sigma),
     Ask("The solver does not end", "fit.solution.costs", _solver),
+    Ask("Several cameras, one robot", "sv.calibrate(sv.Rig(...))", asks_of_cells.several_cameras),
+    Ask("I have poses, not pixels", "sv.fit_poses(samples)", asks_of_cells.tracked_poses),
+    Ask("Kalibr's AprilGrid is not found", "target: {file: ...}", asks_of_cells.april_grid),
+    Ask("My board is bent", "fit.warnings", asks_of_cells.bent_board),
+    Ask("A hobby arm", "robot_prior=sv.RobotPrior(...)", asks_of_cells.hobby_arm),
+    Ask("The depth camera is off", "PoseDataset.from_points", asks_of_cells.depth_camera),
+    Ask("ROS 2: capture, bags, files", "smartview import; export", asks_of_cells.ros2),
+    Ask("A calibrated URDF back", "export --to robot_urdf", asks_of_cells.calibrated_urdf),
 )
 """The questions, the most frequent first."""
 
-SMOKE = (1, 6, 10, 17)
+SMOKE = (1, 6, 10, 17, 28, 31)
 """Numbers of the questions that a smoke run asks."""
