@@ -17,6 +17,7 @@ from ..dataset import Dataset, Rig, chain_residuals, view_residuals
 from ..engine import (
     BlockArrow,
     BuiltRig,
+    Direction,
     FittedChain,
     Noise,
     NormalEquations,
@@ -27,6 +28,7 @@ from ..engine import (
     Step,
     build_rig,
     covariance,
+    describe_direction,
     parameter_names,
     per_view_std,
     reduced_equations,
@@ -163,14 +165,23 @@ class RigFit(eqx.Module):
         kept = [k for k, name in enumerate(self.parameter_names) if name in local]
         names = tuple(local[self.parameter_names[k]] for k in kept)
         covariance = np.asarray(self.covariance)[np.ix_(kept, kept)]
-        count = len(kept)
+        open_names = [
+            name
+            for k, name in zip(kept, names, strict=True)
+            if not np.isfinite(self.std[self.parameter_names[k]])
+        ]
+        directions = tuple(
+            Direction(0.0, ((name, 1.0),), describe_direction(((name, 1.0),), calibration))
+            for name in open_names
+        )
+        rank, smallest = len(kept) - len(directions), self.smallest_singular_value
         return SavedEstimate(
             calibration,
             covariance,
             names,
             self.noise,
             self.pixel_sigmas[camera],
-            Observability(count, count, (), (), self.smallest_singular_value),
+            Observability(rank, len(kept), directions, (), smallest),
         )
 
     def relative(self, first: str, second: str) -> RelativePose:

@@ -172,6 +172,10 @@ def test_reasons_to_doubt_are_said(fit):
     undetermined = dataclasses.replace(fit, std={**fit.std, "camera1.camera.u0": np.inf})
     (text,) = rig_warnings(undetermined, prior)
     assert text.startswith("the data do not determine camera1.camera.u0: turn the robot")
+    (direction,) = undetermined.estimate("camera1").observability.null_directions
+    assert direction.components == (("camera.u0", 1.0),)
+    whole = undetermined.estimate("camera2").observability
+    assert whole.rank == whole.parameter_count
     weak = dataclasses.replace(fit, noise=dataclasses.replace(fit.noise, translation=0.05))
     (text,) = rig_warnings(weak, prior)
     assert "the robot's poses err by 50 mm" in text
