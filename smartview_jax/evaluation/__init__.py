@@ -53,6 +53,7 @@ from .uncertainty import CalibrationEstimate as CalibrationEstimate
 from .uncertainty import ConsistencyStatistic as ConsistencyStatistic
 from .uncertainty import CramerRaoBound as CramerRaoBound
 from .uncertainty import PictureUncertainty as PictureUncertainty
+from .uncertainty import RigBound as RigBound
 from .uncertainty import WorkspaceUncertainty as WorkspaceUncertainty
 from .uncertainty import covariance_of as covariance_of
 from .uncertainty import covariance_root as covariance_root

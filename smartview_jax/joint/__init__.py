@@ -28,7 +28,8 @@ from .pose_fit import fit_poses as fit_poses
 from .pose_fit import pose_rms as pose_rms
 from .pose_fit import tracked_pose_errors as tracked_pose_errors
 from .precompile import precompile as precompile
-from .rig_fit import RelativePose as RelativePose
+from .relative_pose import RelativePose as RelativePose
+from .relative_pose import relative_pose as relative_pose
 from .rig_fit import RigFit as RigFit
 from .rig_fit import fit_rig as fit_rig
 from .saved_estimate import SavedEstimate as SavedEstimate

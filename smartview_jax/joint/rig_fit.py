@@ -8,7 +8,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..argument_checks import require_instance
@@ -36,7 +35,7 @@ from ..engine import (
 )
 from ..files import file_transaction
 from ..fit_result import FitResult, Rejection
-from ..geometry import host_adjoints, host_matrices, host_transforms
+from ..geometry import host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
@@ -44,28 +43,11 @@ from ..variance import RigNoiseEstimate, estimate_rig_noise
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .gross_errors import without_views
 from .joint_fit import half_width
+from .relative_pose import RelativePose, relative_pose
 from .rig_rejection import Contradiction, contradiction, suspect_state
 from .rig_warnings import rig_warnings
 from .saved_estimate import SavedEstimate, uncertainty_to_dict
 from .view_rejection import inflation_reason, is_plausible
-
-
-class RelativePose(NamedTuple):
-    """The pose of one camera of a rig in the frame of another.
-
-    Attributes:
-        transform: transform from the second camera's frame to the first's.
-        covariance: covariance of its translation (m) and of a small rotation (rad) after it, both
-            along the axes of the first camera.
-    """
-
-    transform: SE3
-    covariance: Float[np.ndarray, "6 6"]
-
-    @property
-    def std(self) -> Float[np.ndarray, "6"]:
-        """The standard deviations of translation (m) and rotation (rad)."""
-        return np.sqrt(np.diagonal(self.covariance))
 
 
 class RigFit(eqx.Module):
@@ -194,31 +176,9 @@ class RigFit(eqx.Module):
         Raises:
             ValueError: no such camera, or cameras that the robot moves against each other.
         """
-        a, b = (self.calibrations[self._checked(name)] for name in (first, second))
-        if a.mount != b.mount:
-            raise ValueError(
-                f"relative: camera {first!r} is {a.mount} and {second!r} {b.mount}: their relative "
-                "pose changes with the robot's; use their `camera_from_world`"
-            )
-        matrix = host_matrices(a.camera_from_mount) @ np.linalg.inv(
-            host_matrices(b.camera_from_mount)
+        return relative_pose(
+            self.calibrations, self.parameter_names, self.covariance, first, second
         )
-        # A small motion (v, w) of A moves A B^-1 as it moves A; one of B by -Ad(A B^-1) (v, w).
-        by_first = _twist_by_step(host_matrices(a.camera_from_mount))
-        by_second = -host_adjoints(matrix) @ _twist_by_step(host_matrices(b.camera_from_mount))
-        names = [
-            f"{name}.{c.transform_names[0]}.{part}.{axis}"
-            for name, c in ((first, a), (second, b))
-            for part in ("translation", "rotation")
-            for axis in "xyz"
-        ]
-        place = {name: k for k, name in enumerate(self.parameter_names)}
-        free = np.array([name in place for name in names])
-        indices = [place[name] for name in names if name in place]
-        jacobian = np.linalg.solve(_twist_by_step(matrix), np.hstack([by_first, by_second]))
-        jacobian = jacobian[:, free]
-        covariance = np.asarray(self.covariance)[np.ix_(indices, indices)]
-        return RelativePose(host_transforms(matrix), jacobian @ covariance @ jacobian.T)
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.
@@ -455,14 +415,6 @@ def _residuals_at(chain: FittedChain, data: Dataset) -> Float[np.ndarray, "views
     camera, size = chain.calibration.camera, chain.calibration.target_scale
     poses = np.asarray(chain.camera_from_world)[: data.view_count]
     return np.asarray(view_residuals(camera, size, poses, data.observations))
-
-
-def _twist_by_step(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
-    """Return the twist on the left of a transform per unit of its translation and rotation step."""
-    # R -> exp(r) R and t -> t + d is the twist (d + t x r, r).
-    result = np.eye(6)
-    result[:3, 3:] = np.cross(matrix[:3, 3], np.eye(3)).T
-    return result
 
 
 def _chains(built: BuiltRig, solution: Solution) -> dict[str, FittedChain]:

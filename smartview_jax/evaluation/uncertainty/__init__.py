@@ -6,6 +6,7 @@ from .consistency import mean_nees as mean_nees
 from .consistency import nees as nees
 from .consistency import within_interval as within_interval
 from .cramer_rao import CramerRaoBound as CramerRaoBound
+from .cramer_rao import RigBound as RigBound
 from .cramer_rao import cramer_rao as cramer_rao
 from .maps import PictureUncertainty as PictureUncertainty
 from .maps import WorkspaceUncertainty as WorkspaceUncertainty

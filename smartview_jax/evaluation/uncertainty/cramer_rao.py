@@ -4,25 +4,28 @@ No unbiased estimator has a smaller covariance.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import overload
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ...calibration import Calibration
-from ...dataset import Dataset
+from ...dataset import Dataset, Rig
 from ...engine import (
-    JointProblem,
+    AbstractProblem,
     Noise,
     Observability,
     Prior,
     ScaledJacobian,
     build_problem,
+    build_rig,
     covariance,
     eliminate,
     observability,
 )
-from ...robot_errors import FieldChoice
+from ...joint import RelativePose, relative_pose
+from ...robot_errors import AbstractField, FieldChoice, checked_field_choice
 from ...runtime.compilation import compiled
 
 
@@ -45,6 +48,34 @@ class CramerRaoBound(eqx.Module):
     parameter_names: tuple[str, ...] = eqx.field(static=True)
 
 
+class RigBound(eqx.Module):
+    """The Cramer-Rao bound of a rig.
+
+    Attributes:
+        calibrations: calibration of each camera at which the bound holds, by its name.
+        covariance: smallest possible covariance of the free parameters, in the order of
+            `parameter_names`.
+        std: smallest possible standard deviation by name; infinite for an undetermined parameter.
+        parameter_names: names of the free parameters that all states have in common.
+    """
+
+    calibrations: dict[str, Calibration]
+    covariance: Float[np.ndarray, "free free"]
+    std: dict[str, float]
+    parameter_names: tuple[str, ...] = eqx.field(static=True)
+
+    def relative(self, first: str, second: str) -> RelativePose:
+        """Return the pose of the second camera in the frame of the first, with its bound.
+
+        Raises:
+            ValueError: no such camera, or cameras that the robot moves against each other.
+        """
+        return relative_pose(
+            self.calibrations, self.parameter_names, self.covariance, first, second
+        )
+
+
+@overload
 def cramer_rao(
     calibration: Calibration,
     data: Dataset,
@@ -54,14 +85,39 @@ def cramer_rao(
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
-) -> CramerRaoBound:
+) -> CramerRaoBound: ...
+
+
+@overload
+def cramer_rao(
+    calibration: Mapping[str, Calibration],
+    data: Rig,
+    noise: Noise,
+    *,
+    field: FieldChoice = "auto",
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+) -> RigBound: ...
+
+
+def cramer_rao(
+    calibration: Calibration | Mapping[str, Calibration],
+    data: Dataset | Rig,
+    noise: Noise | float,
+    *,
+    field: FieldChoice = "auto",
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+) -> CramerRaoBound | RigBound:
     """Return the Cramer-Rao bound of all parameters that a joint fit estimates.
 
     Errors of reported poses and coefficients of a field are marginalised under their priors: for
     them it is the bound on average over robots (van Trees).
 
     Args:
-        calibration: the truth, or the best guess.
+        calibration: the truth, or the best guess; of a `Rig`, by the camera's name.
         data: poses, points and their visibility. The pixels do not matter: for planned poses use
             `simulation.simulate(calibration, poses, points, pixel_noise=0.0)`.
         noise: the noise model; a number is the standard deviation of pixels, px, with an exact
@@ -81,6 +137,12 @@ def cramer_rao(
         >>> print(f"{1e3 * bound.std['camera_from_tool.translation.x']:.1f} mm at best")
         0.6 mm at best
     """
+    if isinstance(data, Rig):
+        if not isinstance(noise, Noise) or not isinstance(calibration, Mapping):
+            raise TypeError("cramer_rao: a rig needs a Noise, and calibrations by camera")
+        return _rig_bound(calibration, data, noise, field, fixed, free, priors)
+    if not isinstance(calibration, Calibration):
+        raise TypeError("cramer_rao: calibrations by camera are for a Rig")
     noise_model = noise if isinstance(noise, Noise) else "trusted"
     built = build_problem(
         data, calibration, noise=noise_model, field=field, fixed=fixed, free=free, priors=priors
@@ -103,8 +165,37 @@ def cramer_rao(
     )
 
 
+def _rig_bound(
+    calibrations: Mapping[str, Calibration],
+    rig: Rig,
+    noise: Noise,
+    field: FieldChoice,
+    fixed: Sequence[str],
+    free: Sequence[str],
+    priors: Mapping[str, Prior] | None,
+) -> RigBound:
+    """Return the bound of a rig; the arguments are as for `cramer_rao`."""
+    chosen = None if field == "auto" else checked_field_choice(field)
+    built = build_rig(
+        rig,
+        calibrations,
+        noise=noise,
+        field=chosen if isinstance(chosen, AbstractField) else None,
+        fixed=fixed,
+        free=free,
+        priors=priors,
+    )
+    reduced, column_norms = _information_matrix(built.problem)
+    scaled_jacobian = ScaledJacobian(np.asarray(reduced), np.asarray(column_norms))
+    bound_covariance, std = covariance(scaled_jacobian, 1.0)
+    names = built.shared_names
+    return RigBound(
+        dict(calibrations), bound_covariance, dict(zip(names, map(float, std), strict=True)), names
+    )
+
+
 @compiled
-def _information_matrix(problem: JointProblem) -> tuple:
+def _information_matrix(problem: AbstractProblem) -> tuple:
     """Return the information matrix, pose corrections marginalised, and its columns' lengths."""
     # Marginalising Gaussian corrections is the Schur complement: I = A - sum_v B_v^T C_v^-1 B_v.
     matrix = problem.normal_equations(problem.zero_step()).matrix

@@ -5,7 +5,17 @@ import pytest
 from jaxlie import SE3
 from standard_scene import POINTS
 
-from smartview_jax import Dataset, Noise, Prior, cramer_rao, fit_joint, fit_many, std_of
+from smartview_jax import (
+    Dataset,
+    Noise,
+    Prior,
+    Rig,
+    cramer_rao,
+    fit_joint,
+    fit_many,
+    fit_rig,
+    std_of,
+)
 from smartview_jax.evaluation import covariance_of
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.simulation import random_scene, simulate
@@ -119,3 +129,20 @@ def test_what_no_data_tell_is_refused_in_words(setting):
     assert any(np.isinf(value) for value in bound.std.values())
     with pytest.raises(ValueError, match="all rotations share that axis"):
         std_of(bound, lambda calibration: calibration.camera.alpha_u)
+
+
+def test_the_bound_of_a_rig_is_the_covariance_of_its_fit(setting):
+    scene, _ = setting
+    right = scene.data.select([0, 1, 2, 4, 5])
+    rig, truths = Rig({"left": scene.data, "right": right}), {}
+    for name in rig.cameras:
+        truths[name] = scene.calibration
+    bound = cramer_rao(truths, rig, NOISE)
+    fit = fit_rig(rig, truths, noise=NOISE)
+    assert bound.parameter_names == fit.parameter_names
+    for name in bound.parameter_names:
+        assert bound.std[name] == pytest.approx(fit.std[name], rel=1e-6)
+    expected = fit.relative("left", "right").covariance
+    np.testing.assert_allclose(bound.relative("left", "right").covariance, expected, rtol=1e-6)
+    with pytest.raises(TypeError, match="a rig needs a Noise, and calibrations by camera"):
+        cramer_rao(truths, rig, 0.15)
