@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 import smartview_jax as sv
 from smartview_jax.calibration import Calibration
 from smartview_jax.calibration_pipeline import CalibrationFit
+from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.engine import build_rig, solve
 from smartview_jax.simulation import paper_calibration, random_scene, six_axis_rig_scene
 
@@ -45,6 +46,9 @@ MAX_STEREO_RATIO = 1.1
 """Claim: error of a stereo head's relative pose to the stated one."""
 
 WORKCELL, CAMERAS = "metric_workcell", (1, 2, 3, 4)
+KNOWN_CAMERA = 1371.02, 1371.02, 959.5, 539.5
+"""Focal lengths and principal point of the workcell's cameras, px, as they were rendered."""
+
 WORKCELL_MM, WORKCELL_DEGREES = 3.0, 0.06
 """Claims: distance of the workcell's cameras from the truth."""
 
@@ -235,17 +239,22 @@ def _workcell(draws: int) -> bool:
     truth = json.loads((SHARED / WORKCELL / "truth.json").read_text())["base_from_camera"]
     data = {f"camera{k}": _workcell_data(k) for k in CAMERAS}
     fit = sv.calibrate(sv.Rig(data), lens="pinhole")
+    known = Camera(*KNOWN_CAMERA, Pinhole(), (1920, 1080))
+    with_known = sv.calibrate(sv.Rig(data), lens="pinhole", camera=dict.fromkeys(data, known))
     print(f"\n{WORKCELL}, no distortion: mm and degrees from the truth")
     close = True
     for number, place in truth.items():
         name = f"camera{number}"
         alone = sv.calibrate(data[name], lens="pinhole")
+        alone_known = sv.calibrate(data[name], lens="pinhole", camera=known)
         for kind, calibration in (
             ("together", fit.calibrations[name]),
             ("alone", alone.calibration),
+            ("together, known cameras", with_known.calibrations[name]),
+            ("alone, known camera", alone_known.calibration),
         ):
             mm, degrees = _distance(calibration, place)
-            print(f"  {name} {kind:9}{mm:6.2f} mm {degrees:6.3f} degrees")
+            print(f"  {name} {kind:25}{mm:6.2f} mm {degrees:6.3f} degrees")
             if kind == "together":
                 close &= mm <= WORKCELL_MM and degrees <= WORKCELL_DEGREES
     distances: dict[str, list[float]] = {"together": [], "alone": []}
