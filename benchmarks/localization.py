@@ -28,6 +28,7 @@ from .grasping import calibrated
 from .localization_cells import KINDS, cell_scene, true_calibration, workspace_of
 from .localization_other_kinds import print_other_kinds
 from .localization_pictures import print_real_pictures
+from .localization_renderers import print_renderers
 from .localization_scenes import CELL_ROWS, camera, solids
 from .localization_spoilt import print_spoilt_pictures
 from .localization_tables import SceneSeconds, print_seconds, print_tables
@@ -150,6 +151,7 @@ def run(smoke: bool = False, results: Path | None = None) -> bool:
     good = print_seconds(seconds_a_scene(TIMED)) and good
     good = print_spoilt_pictures() and good
     good = print_other_kinds() and good
+    good = print_renderers() and good
     return print_real_pictures() and good
 
 

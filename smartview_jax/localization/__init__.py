@@ -1,9 +1,5 @@
 """Find known objects in calibrated pictures: hypotheses, verification and the next view."""
 
-from .chance import Chance as Chance
-from .chance import ChancePoses as ChancePoses
-from .chance import chance_of as chance_of
-from .chance import chance_poses as chance_poses
 from .distinct_poses import distinct_poses as distinct_poses
 from .distinct_poses import pose_distances as pose_distances
 from .edge_lines import EdgeLines as EdgeLines

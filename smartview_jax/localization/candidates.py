@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from ..modeling import ObjectModel
 from .distinct_poses import pose_distances
-from .evidence import TYPICAL_CHANCE, log_likelihood_of
+from .evidence import log_likelihood_of
 from .hypotheses import Hypothesis
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES
@@ -60,9 +60,10 @@ class Candidate(NamedTuple):
         """The explained share of the visible edge length."""
         return self.explained_px / max(self.visible_px, 1.0)
 
-    def log_likelihood(self, chance: float = TYPICAL_CHANCE) -> float:
-        """Return the log-likelihood ratio of the object to clutter."""
-        return log_likelihood_of(self.explained, self.visible_px, chance)
+    @property
+    def log_likelihood(self) -> float:
+        """The log-likelihood ratio of the object to clutter."""
+        return log_likelihood_of(self.explained, self.visible_px)
 
 
 def converged_candidates(
@@ -89,7 +90,7 @@ def converged_candidates(
             ):
                 kept.append(candidate)
         candidates += kept
-    return sorted(candidates, key=lambda c: -c.log_likelihood())
+    return sorted(candidates, key=lambda c: -c.log_likelihood)
 
 
 def measured_candidates(
@@ -105,4 +106,4 @@ def measured_candidates(
                 Candidate(index, pose, *map(float, lengths_of_pose))
                 for pose, lengths_of_pose in zip(poses, lengths, strict=True)
             ]
-    return sorted(measured, key=lambda c: -c.log_likelihood())
+    return sorted(measured, key=lambda c: -c.log_likelihood)

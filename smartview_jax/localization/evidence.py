@@ -1,13 +1,12 @@
 """Count the evidence of the pictures for and against a pose of a known object."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import binom, gammaln
 
-from .chance import log_chance_of_exact_edges, log_odds_of
-from .edge_lines import EdgeLines
+from .edge_lines import EXPLAINED_DISTANCE, MIN_POINT_SIGMA, EdgeLines
 from .moved_faces import MovedFace
 from .view_agreement import ViewDisagreement
 from .wireframe import Wireframe
@@ -23,13 +22,15 @@ FOUND_PROBABILITY = 0.9
 """Probability that a piece of a truly visible edge has an edge point; the rest is lost to shadows
 and to equal brightness on both sides."""
 
-MIN_CHANCE, MAX_CHANCE = 0.02, 0.8
-"""Limits of the share of visible length that clutter explains: it is measured at too few places to
-believe a more extreme value."""
+TYPICAL_CHANCE = 0.2
+"""Share of an edge that clutter explains.
 
-TYPICAL_CHANCE = 0.25
-"""Share of an edge that clutter explains where this is not measured: to rank poses before they are
-judged, and in views that are not taken yet."""
+Shares measured in the pictures, with the model displaced and fitted elsewhere or by the density of
+edge points, tell right poses from wrong ones no better.
+"""
+
+MIN_EXACT_EDGES = 4
+"""Smallest number of edges for which the probability of a chance fit is computed."""
 
 INDEPENDENT_LENGTH = 12.0
 """Length of an edge, px, that counts as one independent observation (found or missing)."""
@@ -47,7 +48,6 @@ class Evidence(NamedTuple):
         has_faces: whether the model has edges between two faces; only then its size can be tested
             (`moved`).
         edge_rms: RMS distance of measured edges from the model, px.
-        contrast: see `MIN_CONTRAST`.
         in_picture: share of the vertices within the picture, in the view that shows most of them.
         in_front: share of its edges that no known object hides, all views together.
         log_likelihood: log-likelihood ratio of the found and missing edges, object to clutter.
@@ -63,7 +63,6 @@ class Evidence(NamedTuple):
     edges: int
     has_faces: bool
     edge_rms: float
-    contrast: float
     in_picture: float
     in_front: float
     log_likelihood: float
@@ -80,8 +79,6 @@ class Evidence(NamedTuple):
 def evidence_of(
     lines: EdgeLines,
     wireframe: Wireframe,
-    strengths: Sequence[Float[np.ndarray, "_"]],
-    chance: float,
     is_alone: bool,
     absorbed: float = 0.0,
 ) -> Evidence:
@@ -90,8 +87,6 @@ def evidence_of(
     Args:
         lines: edges measured at the pose, within `EXPLAINED_DISTANCE`.
         wireframe: of the model.
-        strengths: gradients of all edge points of each view, grey levels per px.
-        chance: share of visible length that clutter explains.
         is_alone: whether only one picture shows it, or several from one direction.
         absorbed: number of edge measurements absorbed by the calibration errors with which the
             views are corrected.
@@ -109,10 +104,9 @@ def evidence_of(
         int(lines.measured.sum()),
         bool((np.asarray(wireframe.edge_faces).sum(axis=1) >= 2).any()),
         float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
-        _contrast(lines, strengths),
         float(lines.in_picture.max()),
         total / max(total + float(lines.behind_px.sum()), 1.0),
-        log_likelihood_of(share, total, chance),
+        log_likelihood_of(share, total),
         log_chance_of_exact_edges(distances, absorbed),
     )
 
@@ -131,27 +125,69 @@ def are_one_direction(
     return bool((rays @ rays.T).min() > np.cos(MIN_PARALLAX))
 
 
-def log_likelihood_of(share: float, visible_px: float, chance: float) -> float:
+def log_likelihood_of(share: float, visible_px: float) -> float:
     """Return the log-likelihood ratio of found and missing edge length, object to clutter."""
     # Each piece is found with probability q if the object is there, and with p in clutter:
     #   l = n (x log(q / p) + (1 - x) log((1 - q) / (1 - p)))
-    p, q = float(np.clip(chance, MIN_CHANCE, MAX_CHANCE)), FOUND_PROBABILITY
+    p, q = TYPICAL_CHANCE, FOUND_PROBABILITY
     pieces = visible_px / INDEPENDENT_LENGTH
     return pieces * (share * np.log(q / p) + (1.0 - share) * np.log((1.0 - q) / (1.0 - p)))
 
 
-def log_likelihood_of_found(found_px: float, chance: float) -> float:
+def log_likelihood_of_found(found_px: float) -> float:
     """Return the log-likelihood ratio of found edge length, object to clutter.
 
     Missing length does not count, because something may hide it.
     """
-    return found_px / INDEPENDENT_LENGTH * float(np.log(FOUND_PROBABILITY / chance))
+    return found_px / INDEPENDENT_LENGTH * float(np.log(FOUND_PROBABILITY / TYPICAL_CHANCE))
 
 
-def _contrast(lines: EdgeLines, strengths: Sequence[Float[np.ndarray, "_"]]) -> float:
-    """Return the median gradient along measured edges, over the picture's median edge gradient."""
-    if not lines.measured.any():
+def log_odds_of(log_likelihood: float, log_exactness: float) -> float:
+    """Return the log-likelihood ratio to clutter, including how exactly the edges fit.
+
+    Args:
+        log_likelihood: natural logarithm of the likelihood ratio of found and missing edges.
+        log_exactness: decimal logarithm from `log_chance_of_exact_edges`.
+    """
+    return log_likelihood - float(np.log(10.0)) * log_exactness
+
+
+def log_chance_of_exactness(rms: float, edges: int, absorbed: float = 0.0) -> float:
+    """Return the decimal logarithm of the probability that clutter edges fit this exactly.
+
+    By chance each edge's two numbers are uniform within `EXPLAINED_DISTANCE`; the six numbers of
+    the pose and those that errors of the calibration absorb are subtracted (Moisan and Stival, "A
+    probabilistic criterion to detect rigid point matches", 2004).
+    """
+    # The ball sum x^2 <= n r^2 has the part pi^(n/2) (r sqrt(n))^n / Gamma(n/2 + 1) of the cube
+    # (2 d)^n.
+    n = 2 * edges - 6 - absorbed
+    if n <= 0:
         return 0.0
-    usual = np.array([np.median(view) if len(view) else np.inf for view in strengths])
-    ratios = lines.strength / usual[:, None]
-    return float(np.median(ratios[lines.measured]))
+    radius = max(rms, MIN_POINT_SIGMA) / np.sqrt(2.0) * np.sqrt(n)
+    part = 0.5 * n * np.log(np.pi) + n * np.log(radius / (2.0 * EXPLAINED_DISTANCE))
+    return min(float((part - gammaln(0.5 * n + 1.0)) / np.log(10.0)), 0.0)
+
+
+def log_chance_of_exact_edges(
+    distances: Float[np.ndarray, "edges"], absorbed: float = 0.0
+) -> float:
+    """Return the decimal logarithm of the expected number of edge sets that fit so well by chance.
+
+    An edge of another object next to an edge of this one is no evidence against the other edges.
+    For each k the k best edges are tested, and the least probable of these sets counts. All sets
+    of k out of n edges might have been chosen, which the number of sets corrects for (Moisan and
+    Stival).
+
+    Args:
+        distances: distances of the measured edges from the model, px.
+        absorbed: as in `log_chance_of_exactness`.
+    """
+    n, squares = len(distances), np.cumsum(np.sort(distances) ** 2)
+    sizes = range(MIN_EXACT_EDGES, n + 1)
+    logs = [
+        np.log10(len(sizes) * binom(n, k))
+        + log_chance_of_exactness(float(np.sqrt(squares[k - 1] / k)), k, absorbed)
+        for k in sizes
+    ]
+    return float(min(0.0, *logs)) if logs else 0.0

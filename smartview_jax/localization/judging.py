@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from ..modeling import CalibrationUncertainty
 from .candidates import Candidate, Prepared, measured_candidates
-from .chance import Chance, ChancePoses, chance_of, chance_poses
 from .corrected_views import corrected_views
 from .distinct_poses import (
     in_one_place,
@@ -24,11 +23,10 @@ from .distinct_poses import (
 from .evidence import Evidence
 from .localization import Localization, Rival
 from .moved_faces import likeliest_moved_face
-from .pose_convergence import lengths_of_poses
 from .pose_equations import UndeterminedPoseError
 from .refinement import RefinedPose, refine_pose
 from .scene import Scene, explained_among
-from .verdict import MIN_MARGIN, REJECTED_SHARE, judge, may_be_another_size, relative_std
+from .verdict import MIN_MARGIN, REJECTED_SHARE, Verdict, judge, may_be_another_size, relative_std
 from .view_agreement import least_agreeing_view
 
 MAX_REJECTED = 12
@@ -45,12 +43,10 @@ class Judgement(NamedTuple):
     Attributes:
         results: verdicts, known objects first.
         left: candidates that might be objects, after `MAX_REJECTED` that are not.
-        tried: for each model, where chance was measured.
     """
 
     results: list[Localization]
     left: list[Candidate]
-    tried: dict[int, ChancePoses]
 
 
 def judged(
@@ -60,7 +56,6 @@ def judged(
     uncertainty: CalibrationUncertainty,
     tested: int,
     known: Sequence[Localization] = (),
-    tried: dict[int, ChancePoses] | None = None,
 ) -> Judgement:
     """Return the verdicts on candidates, one after the other, the likeliest first.
 
@@ -75,9 +70,8 @@ def judged(
         uncertainty: of the calibration in these views.
         tested: number of poses that were examined.
         known: objects that were accepted before.
-        tried: where chance was measured before, with more edge points.
     """
-    judging = _Judging(scene, prepared, uncertainty, tested, tried or {})
+    judging = _Judging(scene, prepared, uncertainty, tested)
     judgement = judging.in_order(candidates, known)
     accepted = [obj for obj in judgement.results if obj.accepted]
     # Poses judged before their neighbours were known are judged again, with the neighbours as
@@ -85,7 +79,7 @@ def judged(
     if not accepted or all(obj.accepted for obj in judgement.results[: len(accepted)]):
         return judgement
     free = scene_without(scene, prepared, accepted)
-    judging = _Judging(free, prepared, uncertainty, tested, judgement.tried)
+    judging = _Judging(free, prepared, uncertainty, tested)
     return judging.in_order(measured_candidates(free, prepared, candidates), accepted)
 
 
@@ -106,7 +100,7 @@ def _take(scene: Scene, prepared: Sequence[Prepared], obj: Localization) -> None
 
 
 class _Judging:
-    """The verdicts on poses in a scene; chance is measured once per model and change of scene."""
+    """The verdicts on poses in a scene."""
 
     def __init__(
         self,
@@ -114,14 +108,9 @@ class _Judging:
         prepared: Sequence[Prepared],
         uncertainty: CalibrationUncertainty,
         tested: int,
-        tried_before: dict[int, ChancePoses],
     ):
         self.scene, self._prepared = scene, prepared
         self._uncertainty, self._tested = uncertainty, tested
-        # Where chance was measured in this scene, and before more edge points were taken.
-        self._tried: dict[int, ChancePoses] = {}
-        self._tried_before = dict(tried_before)
-        self._measured_again: dict[int, ChancePoses] = {}
 
     def in_order(self, candidates: Sequence[Candidate], known: Sequence[Localization]) -> Judgement:
         """Return the known objects and the verdicts on candidates at other places, in order."""
@@ -151,7 +140,7 @@ class _Judging:
                 self.take(obj)
                 waiting = measured_candidates(self.scene, self._prepared, waiting)
         left = [c for c in waiting if c.explained >= REJECTED_SHARE]
-        return Judgement(results, left, self._tried_before | self._tried)
+        return Judgement(results, left)
 
     def _elsewhere(self, obj: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the candidates that do not overlap with an object."""
@@ -169,43 +158,13 @@ class _Judging:
     def take(self, obj: Localization) -> None:
         """Take away the edge points that an object explains; an accepted one then occludes."""
         _take(self.scene, self._prepared, obj)
-        # Kept, because lengths at these places can be measured again without a search.
-        self._tried_before |= self._tried
-        self._tried.clear()
-        self._measured_again.clear()
-
-    def _chance(self, candidate: Candidate) -> Chance:
-        """Return how much of a model clutter at other places explains."""
-        entry, index = self._prepared[candidate.model], candidate.model
-        if index not in self._tried:
-            self._tried[index] = chance_poses(
-                candidate.pose, entry.model, entry.coarse, self.scene.views, self.scene.lookup
-            )
-        return chance_of(candidate.pose, entry.model, self._tried[index])
 
     def is_rejected_unrefined(self, candidate: Candidate) -> bool:
         """Return whether a pose is rejected without refinement, whatever its rivals."""
-        entry, scene = self._prepared[candidate.model], self.scene
-        before = self._tried_before.get(candidate.model)
-        if before is not None and candidate.model not in self._tried:
-            # These poses converged to edge points that have been taken since, so that they
-            # explain less than newly converged ones: a candidate that even this chance rejects is
-            # rejected.
-            if candidate.model not in self._measured_again:
-                poses = before.world_from_object
-                lengths = lengths_of_poses(entry.coarse, scene.views, scene.lookup, poses)
-                self._measured_again[candidate.model] = ChancePoses(poses, lengths)
-            least = self._measured_again[candidate.model]
-            if self._is_rejected_by(candidate, chance_of(candidate.pose, entry.model, least)):
-                return True
-        return self._is_rejected_by(candidate, self._chance(candidate))
-
-    def _is_rejected_by(self, candidate: Candidate, chance: Chance) -> bool:
-        """Return whether a pose is rejected, given the explained share at other places."""
         entry, pose = self._prepared[candidate.model], candidate.pose
         lines = self.scene.lines(pose, entry.coarse)
-        evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose), chance.mean)
-        return judge(evidence, chance, self._tested, np.inf).decision == "rejected"
+        evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose))
+        return judge(evidence, self._tested, np.inf).decision == "rejected"
 
     def best_explanation(
         self, first: Candidate, others: Sequence[Candidate]
@@ -236,11 +195,11 @@ class _Judging:
         # Too few edges are left after others were taken away: there is nothing to report.
         except UndeterminedPoseError:
             return None
-        pose, chance = refined.world_from_object, self._chance(best)
+        pose = refined.world_from_object
         lines, middle = scene.lines(pose, entry.fine), entry.middle_at(pose)
-        evidence = scene.evidence(lines, entry.fine, middle, chance.mean)
-        rivals = self._rivals(best, refined, others, chance)
-        rivals = self._distinct(best, pose, evidence, chance, rivals)
+        evidence = scene.evidence(lines, entry.fine, middle)
+        rivals = self._rivals(best, refined, others)
+        rivals = self._distinct(best, pose, evidence, rivals)
         margin = evidence.log_odds - rivals[0].log_odds if rivals else np.inf
         name = ""
         if rivals:
@@ -252,20 +211,23 @@ class _Judging:
         if len(refined.calibration_error):
             views = corrected_views(views, self._uncertainty, refined.calibration_error)
             lines = scene.lines(pose, entry.fine, views)
-            evidence = scene.evidence(lines, entry.fine, middle, chance.mean, refined.absorbed)
+            evidence = scene.evidence(lines, entry.fine, middle, refined.absorbed)
         uncertain = relative_std(entry.model, refined.covariance)
-        verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
+
+        def verdict_on(evidence: Evidence) -> Verdict:
+            return judge(evidence, self._tested, margin, name, uncertain)
+
+        verdict = verdict_on(evidence)
         if verdict.decision != "rejected":
             disagreement = least_agreeing_view(
                 refined, entry.model, entry.fine, scene.views, self._uncertainty
             )
             evidence = evidence._replace(disagreement=disagreement)
-            verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
+            verdict = verdict_on(evidence)
         # Moving faces takes time: only poses that would be accepted are tested.
         if verdict.decision == "accepted" and may_be_another_size(evidence):
             moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
-            evidence = evidence._replace(moved=moved)
-            verdict = judge(evidence, chance, self._tested, margin, name, uncertain)
+            verdict = verdict_on(evidence._replace(moved=moved))
         scale = scene.pictures[0].scale
         return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)
 
@@ -274,7 +236,6 @@ class _Judging:
         best: Candidate,
         refined: RefinedPose,
         others: Sequence[Candidate],
-        chance: Chance,
     ) -> list[Rival]:
         """Return the other explanations of the edges at one place.
 
@@ -294,13 +255,13 @@ class _Judging:
             if c.model != best.model
             or pose_distances(entry.model, pose, c.pose[None])[0] >= entry.same
         ]
-        likelihoods = [c.log_likelihood(chance.mean) for c in near]
+        likelihoods = [c.log_likelihood for c in near]
         rivals = []
         for other, likelihood in zip(near, likelihoods, strict=True):
             # The verdict rests on the best rivals: few samples are not enough for their
             # difference.
             if likelihood > max(likelihoods) - CLOSE_RIVAL:
-                rivals.append(self._as_rival(other.model, other.pose, chance))
+                rivals.append(self._as_rival(other.model, other.pose))
             else:
                 rivals.append(Rival(other.model, other.pose, likelihood))
         return rivals
@@ -325,11 +286,11 @@ class _Judging:
         lines = self.scene.lines(candidate.pose, other.coarse)
         return explained_among(lines, left) < REJECTED_SHARE * candidate.visible_px
 
-    def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"], chance: Chance) -> Rival:
+    def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"]) -> Rival:
         """Return a pose as a rival, measured with all samples."""
         entry = self._prepared[model]
         lines = self.scene.lines(pose, entry.fine)
-        evidence = self.scene.evidence(lines, entry.fine, entry.middle_at(pose), chance.mean)
+        evidence = self.scene.evidence(lines, entry.fine, entry.middle_at(pose))
         return Rival(model, pose, evidence.log_likelihood, evidence.log_exactness)
 
     def _distinct(
@@ -337,7 +298,6 @@ class _Judging:
         best: Candidate,
         pose: Float[np.ndarray, "4 4"],
         evidence: Evidence,
-        chance: Chance,
         rivals: Sequence[Rival],
     ) -> list[Rival]:
         """Return the rivals that remain distinct when the close ones are refined, the best first.
@@ -348,7 +308,6 @@ class _Judging:
         Args:
             best, pose: the judged candidate, and its refined pose.
             evidence: of that pose.
-            chance: used in that evidence.
             rivals: in any order.
         """
         entry, kept = self._prepared[best.model], list[Rival]()
@@ -359,7 +318,7 @@ class _Judging:
             if not is_close:
                 kept.append(rival)
                 continue
-            fitted = self._fitted(rival, chance)
+            fitted = self._fitted(rival)
             if rival.model != best.model:
                 kept.append(fitted)
                 continue
@@ -370,7 +329,7 @@ class _Judging:
                 kept.append(fitted)
         return sorted(kept, key=lambda rival: -rival.log_odds)
 
-    def _fitted(self, rival: Rival, chance: Chance) -> Rival:
+    def _fitted(self, rival: Rival) -> Rival:
         """Return a rival at its refined pose; unchanged where that explains less or fails."""
         entry, scene = self._prepared[rival.model], self.scene
         try:
@@ -384,6 +343,6 @@ class _Judging:
             )
         except UndeterminedPoseError:
             return rival
-        fitted = self._as_rival(rival.model, refined.world_from_object, chance)
+        fitted = self._as_rival(rival.model, refined.world_from_object)
         # A fit that leaves edges out is no evidence against the pose that has them.
         return rival if fitted.log_odds < rival.log_odds else fitted

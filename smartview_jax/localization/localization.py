@@ -10,7 +10,7 @@ from ..calibration import Calibration
 from ..features import PictureEvidence
 from ..modeling import ObjectModel
 from ..robots import Command
-from .chance import log_odds_of
+from .evidence import log_odds_of
 from .refinement import RefinedPose
 from .verdict import Verdict
 

@@ -134,13 +134,11 @@ class Scene:
         lines: EdgeLines,
         wireframe: Wireframe,
         middle: Float[np.ndarray, "3"],
-        chance: float,
         absorbed: float = 0.0,
     ) -> Evidence:
         """Return the evidence of `lines` for their pose; `middle` is the object's, in the world."""
-        strengths = [picture.edge_points.strengths for picture in self.pictures]
         is_alone = are_one_direction(self.views.camera_from_world, middle)
-        return evidence_of(lines, wireframe, strengths, chance, is_alone, absorbed)
+        return evidence_of(lines, wireframe, is_alone, absorbed)
 
 
 def explained_among(lines: EdgeLines, usable: Sequence[Bool[np.ndarray, "_"]]) -> float:

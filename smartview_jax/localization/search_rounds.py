@@ -15,7 +15,6 @@ from jaxtyping import Float
 from ..features import PictureEvidence
 from ..modeling import CalibrationUncertainty
 from .candidates import Candidate, Prepared, converged_candidates, measured_candidates
-from .chance import ChancePoses
 from .hypotheses import MAX_HYPOTHESES, Hypothesis
 from .judging import judged, scene_without
 from .localization import Localization
@@ -70,7 +69,6 @@ def judged_in_rounds(
     tried, left = [0] * len(prepared), [0] * len(prepared)
     results: list[Localization] = []
     accepted: list[Localization] = []
-    chance_poses: dict[int, ChancePoses] = {}
     waiting = search(scene.pictures, searched)
     # Objects of each model: found by the latest search, and in the last round.
     by_search: Counter[int] = Counter()
@@ -97,10 +95,7 @@ def judged_in_rounds(
             ]
             candidates = measured_candidates(free, prepared, [*candidates, *poses])
         rejected = [obj for obj in results if obj.verdict.decision == "rejected"]
-        judgement = judged(
-            free, prepared, candidates, uncertainty, sum(tried), accepted, chance_poses
-        )
-        chance_poses = judgement.tried
+        judgement = judged(free, prepared, candidates, uncertainty, sum(tried), accepted)
         left = _added(left, judgement.left)
         results = [*judgement.results, *rejected]
         now = [obj for obj in results if obj.accepted]

@@ -34,7 +34,7 @@ from .wireframe import Wireframe
 SAME_EDGE_DISTANCE, SAME_EDGE_COSINE = 4.0, 0.9
 """Distance, px, and cosine of directions within which edges of two hypotheses coincide."""
 
-ENOUGH_MARGIN = 4.0 * MIN_MARGIN
+ENOUGH_MARGIN = 3.0 * MIN_MARGIN
 """Log-likelihood ratio above which a rival counts as ruled out."""
 
 MAX_RIVALS = 6

@@ -10,9 +10,8 @@ from smartview_jax.modeling import CalibrationUncertainty
 
 @pytest.fixture(autouse=True, scope="module")
 def few_samples():
-    """Enough for wireframes among drawn edges; chance costs most of the time."""
+    """Enough for wireframes among drawn edges."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smartview_jax.localization.chance.CHANCE_POSES", 8)
         patch.setattr("smartview_jax.localization.candidates.FIT_SAMPLES", SAMPLES)
         yield
 

@@ -50,12 +50,11 @@ def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(
         lookup = EdgeLookup.of(pictures, views.camera.image_size)
         found = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
         corrected = corrected_views(views, uncertainty, found.calibration_error)
-        strengths = [one.strengths for one in pictures]
         lines = [
             measured_lines(wireframe, own, lookup, found.world_from_object, EXPLAINED_DISTANCE)
             for own in (views, corrected)
         ]
-        before, after = (evidence_of(one, wireframe, strengths, 0.2, False) for one in lines)
+        before, after = (evidence_of(one, wireframe, False) for one in lines)
         assert before.edge_rms < EXPLAINED_DISTANCE
         assert after.explained >= before.explained
         assert 0.0 < found.absorbed < 12.0

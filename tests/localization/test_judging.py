@@ -12,7 +12,7 @@ class Recorded(judging._Judging):
     """Verdicts that reject everything, and a list of the poses that were judged."""
 
     def __init__(self):
-        super().__init__(None, [], None, 0, {})
+        super().__init__(None, [], None, 0)
         self.asked = []
 
     def is_rejected_unrefined(self, candidate):
@@ -29,8 +29,8 @@ def candidate(share, visible_px):
 
 def test_a_short_pose_that_explains_little_does_not_end_the_search():
     # The shortest one comes before the longest by its likelihood, which counts what is missing.
-    given = [candidate(0.9, 1000.0), candidate(0.38, 100.0), candidate(0.58, 2500.0)]
-    assert given == sorted(given, key=lambda one: -one.log_likelihood())
+    given = [candidate(0.9, 1000.0), candidate(0.38, 100.0), candidate(0.55, 2500.0)]
+    assert given == sorted(given, key=lambda one: -one.log_likelihood)
     recorded = Recorded()
     recorded.in_order(given, [])
     assert recorded.asked == [given[0], given[2]]

@@ -184,11 +184,10 @@ def test_a_sheet_has_no_face_to_move_and_is_not_taken_for_a_solid(views):
     lines = measured_lines(wireframe, views, lookup, POSE, EXPLAINED_DISTANCE)
     assert not movements_of_face(sheet(), 0).any()
     assert likeliest_moved_face(POSE, sheet(), lines, views, lookup) == (None, 0.0, 0.0)
-    strengths = [points.strengths for points in pictures]
-    assert not evidence_of(lines, wireframe, strengths, 0.05, False).has_faces
+    assert not evidence_of(lines, wireframe, False).has_faces
     whole = Wireframe.of(MODEL, SAMPLES)
     lines = measured_lines(whole, views, lookup, POSE, EXPLAINED_DISTANCE)
-    assert evidence_of(lines, whole, strengths, 0.05, False).has_faces
+    assert evidence_of(lines, whole, False).has_faces
 
 
 def test_a_view_that_looks_away_changes_nothing(views):

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_logarithms
-from smartview_jax.localization import Chance, Localization, judge, refine_pose
+from smartview_jax.localization import Localization, judge, refine_pose
 from smartview_jax.localization.candidates import Prepared
 from smartview_jax.localization.refining_together import refined_together
 from smartview_jax.localization.scene import Scene
@@ -44,8 +44,8 @@ def alone(scene, start, uncertainty, prepared):
     refined = refine_pose(start, model, prepared.fine, scene.views, scene.lookup, uncertainty)
     lines = scene.lines(refined.world_from_object, prepared.fine)
     middle = prepared.middle_at(refined.world_from_object)
-    found = scene.evidence(lines, prepared.fine, middle, 0.1)
-    verdict = judge(found, Chance(0.1, 0.05), 1, np.inf)._replace(decision="accepted")
+    found = scene.evidence(lines, prepared.fine, middle)
+    verdict = judge(found, 1, np.inf)._replace(decision="accepted")
     return Localization(model, 0, refined, verdict, ())
 
 

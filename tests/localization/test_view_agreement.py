@@ -9,7 +9,6 @@ from placed_box import MIDDLE, MODEL, POSE
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import Hypothesis, judge, localize
-from smartview_jax.localization.chance import NOTHING_ELSE
 from smartview_jax.localization.view_agreement import EXACT_RIG_ERROR
 from smartview_jax.modeling import find_symmetry
 
@@ -53,7 +52,7 @@ def test_a_rig_that_is_taken_as_exact_may_err_by_little():
     assert found_with(SLIP).accepted
     evidence = found_with(4.0 * SLIP).verdict.evidence
     assert evidence.disagreement.relative > EXACT_RIG_ERROR
-    assert judge(evidence, NOTHING_ELSE, 24, np.inf).reasons[-1].startswith("view 1 alone puts it")
+    assert judge(evidence, 24, np.inf).reasons[-1].startswith("view 1 alone puts it")
 
 
 def test_one_view_agrees_with_itself():

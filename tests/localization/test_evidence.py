@@ -1,16 +1,10 @@
-"""How unlikely it is that edges of clutter explain a model, or fit it exactly."""
+"""How unlikely it is that edges of clutter fit a model exactly."""
 
 import numpy as np
 import pytest
-from placed_box import MODEL, POSE
 
-from smartview_jax.localization.chance import (
-    ChancePoses,
-    chance_of,
-    log_chance_of_exact_edges,
-    log_chance_of_exactness,
-)
 from smartview_jax.localization.edge_lines import EXPLAINED_DISTANCE
+from smartview_jax.localization.evidence import log_chance_of_exact_edges, log_chance_of_exactness
 
 
 @pytest.mark.parametrize(("edges", "rms"), [(4, 0.6), (5, 1.4)])
@@ -48,16 +42,3 @@ def test_sets_of_edges_that_fit_by_chance_are_as_rare_as_said():
     numbers = rng.uniform(-EXPLAINED_DISTANCE, EXPLAINED_DISTANCE, (4000, 9, 2))
     logs = [log_chance_of_exact_edges(np.linalg.norm(one, axis=1)) for one in numbers]
     assert (np.array(logs) < -1.0).mean() < 0.1
-
-
-def test_a_pose_of_which_next_to_nothing_is_seen_tells_nothing_of_chance():
-    """One edge point explained the 43 px of a wireframe that were within the pictures."""
-    rng = np.random.default_rng(0)
-    poses = np.tile(POSE, (20, 1, 1))
-    poses[:, :3, 3] += 0.2
-    visible = rng.uniform(1500.0, 2500.0, 20)
-    lengths = np.column_stack([visible, rng.uniform(0.04, 0.12, 20) * visible])
-    usual = chance_of(POSE, MODEL, ChancePoses(poses, lengths))
-    lengths = np.concatenate([lengths, [[43.0, 43.0]]])
-    found = chance_of(POSE, MODEL, ChancePoses(np.concatenate([poses, poses[:1]]), lengths))
-    assert found == usual
