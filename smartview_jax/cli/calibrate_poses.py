@@ -58,7 +58,7 @@ def calibrated_poses(
     Raises:
         ValueError: an option that only pictures have, and the errors of `fit_poses`.
     """
-    from ..evaluation import held_out_poses, without_rejected_views
+    from ..evaluation import MIN_HELD_OUT_VIEWS, held_out_poses, without_rejected_views
     from ..joint import fit_poses
 
     if settings.diagnose or settings.noise != "estimated":
@@ -69,8 +69,8 @@ def calibrated_poses(
     fit = fit_poses(data, progress=progress, **arguments)
     notes, scores = list(data.notes), None
     used = cast("PoseDataset", without_rejected_views(data, fit))
-    if settings.held_out and len(used.usable_views()) < 4:
-        notes.append("held-out error needs at least 4 usable pairs: left out")
+    if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_VIEWS:
+        notes.append(f"held-out error needs at least {MIN_HELD_OUT_VIEWS} usable pairs: left out")
     elif settings.held_out:
         scores = held_out_poses(used, lambda part: fit_poses(part, **arguments), progress=progress)
         notes += [f"fold {k + 1}: {reason}" for k, reason in scores.failures]

@@ -82,10 +82,10 @@ def _held_out_reports(
     notes: list[str],
 ) -> "dict[str, HeldOutReport]":
     """Return the held-out errors of both fits, refitting each fold once, or add a note why not."""
-    from ..evaluation import held_out_reports
+    from ..evaluation import MIN_HELD_OUT_VIEWS, held_out_reports
 
-    if len(data.usable_views()) < 4:
-        notes.append("held-out error needs at least 4 usable views: left out")
+    if len(data.usable_views()) < MIN_HELD_OUT_VIEWS:
+        notes.append(f"held-out error needs at least {MIN_HELD_OUT_VIEWS} usable views: left out")
         return {}
     # Progress is reported by fold; the stages of each fit would hide it.
     return held_out_reports(

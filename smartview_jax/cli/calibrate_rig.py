@@ -103,13 +103,13 @@ def _calibrated_rig(
 ) -> RigResult:
     """Fit a rig, and compute its held-out errors if requested."""
     from ..calibration_pipeline import calibrate
-    from ..evaluation import held_out, without_rejected_rig_views
+    from ..evaluation import MIN_HELD_OUT_VIEWS, held_out, without_rejected_rig_views
 
     fit = calibrate(rig, settings.lens, progress=progress)
     notes = [f"{camera}: {note}" for camera, data in rig.cameras.items() for note in data.notes]
     scores, used = None, without_rejected_rig_views(rig, fit)
-    if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_STATES:
-        notes.append(f"held-out error needs at least {MIN_HELD_OUT_STATES} usable states: left out")
+    if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_VIEWS:
+        notes.append(f"held-out error needs at least {MIN_HELD_OUT_VIEWS} usable states: left out")
     elif settings.held_out:
         scores = held_out(
             used,
@@ -119,10 +119,6 @@ def _calibrated_rig(
         failures = next(iter(scores.values())).failures
         notes += [f"held-out: fold {k + 1}: {reason}" for k, reason in failures]
     return RigResult(rig, name, fit, scores, tuple(notes))
-
-
-MIN_HELD_OUT_STATES = 4
-"""Fewest usable states of the robot for which held-out errors are computed."""
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:

@@ -74,7 +74,7 @@ def check(
                 raise ValueError("--camera: the folder has several cameras")
             with progress_line() as progress:
                 rig = load_rig(dataset, bad_views, progress)
-            if not check_rig(rig, dataset.resolve().name, json):
+            if not _check_rig(rig, dataset.resolve().name, json):
                 raise typer.Exit(1)
             return
         with progress_line() as progress:
@@ -129,7 +129,7 @@ def _print_lines(checked: CheckedData) -> None:
             typer.echo(f"{kind}: {text}")
 
 
-def check_rig(rig: "Rig", name: str, json: bool) -> bool:
+def _check_rig(rig: "Rig", name: str, json: bool) -> bool:
     """Check the data of several cameras, and return whether all can be calibrated."""
     checked = {camera: _checked(data, camera, None) for camera, data in rig.cameras.items()}
     shared = sum(len(cameras) > 1 for cameras in rig.seeing)

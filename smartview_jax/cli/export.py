@@ -32,7 +32,8 @@ def export(
     calibrations: Annotated[
         list[Path],
         typer.Argument(
-            help="A calibration.yaml, or those of several cameras, such as left.yaml right.yaml.",
+            help="A calibration.yaml, or one for each of several cameras, such as left.yaml "
+            "right.yaml.",
             metavar="CALIBRATION...",
         ),
     ],
@@ -67,7 +68,7 @@ def export(
     ] = None,
     debug: DebugOption = False,
 ) -> None:
-    """Print a calibration, or those of several cameras, in another program's format."""
+    """Print the calibration of one camera or of several in another program's format."""
     with errors_reported(debug):
         from ..schemas.calibration import read_calibration_file
 

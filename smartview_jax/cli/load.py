@@ -32,7 +32,7 @@ def load_named(
             errors of `load_dataset`.
     """
     from ..dataset import PoseDataset
-    from ..io import is_rig_folder, load_dataset, parse_rough_pose, sample_folder
+    from ..io import load_dataset, parse_rough_pose, sample_folder
 
     rough_pose = None
     if base_from_world is not None:
@@ -42,10 +42,6 @@ def load_named(
         # The sample belongs to the installed package, and nothing is written to its folder.
         progress("no data set given: the sample of the package")
         return load_dataset(sample_folder(), progress=progress, keep_detections=False), "the sample"
-    if is_rig_folder(dataset):
-        raise ValueError(
-            f"{dataset}: has several cameras: only smartview check, calibrate and evaluate take it"
-        )
     data = load_dataset(dataset, bad_views, progress=progress, holder_from_world=rough_pose)
     if isinstance(data, PoseDataset) and not tracked_poses:
         raise ValueError(

@@ -51,7 +51,7 @@ def new(
         from ..io import found_pictures, write_new_dataset
 
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
-        names = [] if cameras is None else camera_names(cameras)
+        names = [] if cameras is None else _camera_names(cameras)
         images = folder / "images"
         places = {name: images / name for name in names} or {"": images}
         pictures = {name: found_pictures(place) for name, place in places.items()}
@@ -99,7 +99,7 @@ def _print_pictures(folder: Path, found: "FoundPictures") -> None:
         typer.echo(f"{folder}: other files: {', '.join(found.others[:5])}")
 
 
-def camera_names(text: str) -> list[str]:
+def _camera_names(text: str) -> list[str]:
     """Return the names of cameras between commas.
 
     Raises:

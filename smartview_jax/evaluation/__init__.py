@@ -14,6 +14,7 @@ from .diagnosis import region_held_out_rms as region_held_out_rms
 from .diagnosis import scale_hypotheses as scale_hypotheses
 from .diagnosis import split_half_difference as split_half_difference
 from .free_poses import free_pose_errors as free_pose_errors
+from .held_out import MIN_HELD_OUT_VIEWS as MIN_HELD_OUT_VIEWS
 from .held_out import UNCORRECTED_SUFFIX as UNCORRECTED_SUFFIX
 from .held_out import FoldFit as FoldFit
 from .held_out import HeldOutErrors as HeldOutErrors

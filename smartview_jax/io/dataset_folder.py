@@ -106,7 +106,8 @@ def load_dataset_folder(
     raw_content = read_yaml(description_path)
     if is_rig_description(raw_content):
         raise ValueError(
-            f"{description_path}: cameras: a folder with several cameras is read by load_rig"
+            f"{description_path}: cameras: a folder with several cameras is read by load_rig; of "
+            "the commands only smartview check, calibrate and evaluate take it"
         )
     description = validate_content(raw_content, DATASET_SCHEMA, description_path)
     content = without_nulls(raw_content)
@@ -293,12 +294,10 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         }
         write_described_folder(folder, data.view_ids, data.base_from_tool, entries, pose_format)
         return
-    if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
+    if target is None or not is_described(data):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
     refuse_unreadable_robot(folder, data)
-    # A point that was hidden, such as a gross error, has no row, so it stays hidden when read back.
-    visible_pixels = np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan)
-    rows = write_detections(folder / DETECTIONS_FILE, data.view_ids, visible_pixels)
+    rows = write_visible_points(folder / DETECTIONS_FILE, data)
     write_dataset_folder(
         folder,
         data.view_ids,
@@ -309,6 +308,21 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         {"detections": {"rows": rows}, **written_joints(folder, data)},
         pose_format,
     )
+
+
+def is_described(data: Dataset) -> bool:
+    """Return whether a data set has a target whose points are the data set's."""
+    target = data.target
+    return target is not None and bool(np.allclose(data.points, target.points[None], atol=1e-9))
+
+
+def write_visible_points(path: Path, data: Dataset) -> int:
+    """Write the points that are visible to a table of detections; return the number of rows.
+
+    A point that was hidden, such as a gross error, has no row, so it stays hidden when read back.
+    """
+    visible = np.asarray(data.visible)[..., None]
+    return write_detections(path, data.view_ids, np.where(visible, data.pixels, np.nan))
 
 
 def refuse_unreadable_robot(folder: Path, data: Dataset | Rig) -> None:

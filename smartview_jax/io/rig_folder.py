@@ -30,8 +30,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..dataset import Dataset, Rig
 from ..detection import DetectionLimits
 from ..files import read_yaml
@@ -44,14 +42,15 @@ from .dataset_folder import (
     camera_board_heights,
     camera_dataset,
     detected_dataset,
+    is_described,
     is_rig_description,
     picture_files,
     refuse_unreadable_robot,
     without_nulls,
     write_described_folder,
+    write_visible_points,
     written_joints,
 )
-from .detections import write_detections
 from .poses import poses_entry
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose_of
@@ -80,7 +79,7 @@ def load_rig(
 ) -> Rig:
     """Load the pictures (or detections) of several cameras, with one robot's poses.
 
-    A camera's views are the states of the robot of which it has a picture. A picture in which the
+    A camera's views are the states of the robot that it took a picture in. A picture in which the
     target is not found is kept as a masked view.
 
     Args:
@@ -228,14 +227,15 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
     folder = Path(folder)
     targets = _described_targets(rig)
     refuse_unreadable_robot(folder, rig)
+    # An unknown format is refused before anything is written.
+    poses = poses_entry(len(rig.view_ids), pose_format)
     one_mount = len({data.mount for data in rig.cameras.values()}) == 1
     one_target = len(targets) == 1
     cameras = {}
     for name, data in rig.cameras.items():
         path = folder / DETECTIONS_FOLDER / f"{name}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
-        visible = np.asarray(data.visible)[..., None]
-        rows = write_detections(path, data.view_ids, np.where(visible, data.pixels, np.nan))
+        rows = write_visible_points(path, data)
         cameras[name] = {
             "image_size": [int(size) for size in data.image_size],
             **({} if one_mount else {"mount": data.mount}),
@@ -246,7 +246,7 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
     entries: dict[str, Any] = {"cameras": cameras}
     entries |= {"target": next(iter(described.values()))} if one_target else {"targets": described}
     entries |= {"mount": next(iter(rig.cameras.values())).mount} if one_mount else {}
-    entries["poses"] = poses_entry(len(rig.view_ids), pose_format)
+    entries["poses"] = poses
     entries |= written_joints(folder, rig)
     write_described_folder(folder, rig.view_ids, rig.base_from_tool, entries, pose_format)
 
@@ -260,7 +260,7 @@ def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:
     targets: dict[str, AbstractTarget] = {}
     for name, data in rig.cameras.items():
         target = data.target
-        if target is None or not np.allclose(data.points, target.points[None], atol=1e-9):
+        if target is None or not is_described(data):
             raise ValueError(f"save_rig: camera {name!r} needs a target that describes its points")
         known = targets.setdefault(rig.targets[name], target)
         if target_to_dict(known) != target_to_dict(target):

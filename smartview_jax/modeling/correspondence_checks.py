@@ -19,6 +19,7 @@ from ..engine import Noise
 from ..evaluation import CalibrationEstimate
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty
+from .click_deletion import deletion_of
 from .estimated_features import PointStatus
 from .pixel_jacobians import pixel_jacobians
 from .triangulation import CLICK_SIGMA, solve_points
@@ -26,9 +27,6 @@ from .view_poses import SeenViews, whitening_of
 
 FALSE_ALARM_PROBABILITY = 0.01
 """Probability that any observation is called wrong although all are right."""
-
-RELATIVE_EIGENVALUE_FLOOR = 1e-8
-"""Smallest eigenvalue, over the trace of the whole matrix, that is not treated as zero."""
 
 
 class WrongCorrespondence(NamedTuple):
@@ -201,13 +199,7 @@ class _Check(NamedTuple):
         inverse = np.linalg.inv(np.eye(count) + A @ self.uncertainty.covariance @ A.T)
         RJ = inverse @ J
         Q = inverse - RJ @ np.linalg.pinv(J.T @ RJ, hermitian=True) @ RJ.T
-        rows = slice(2 * place, 2 * place + 2)
-        values, vectors = np.linalg.eigh(Q[rows, rows])
-        used = values > RELATIVE_EIGENVALUE_FLOOR * max(np.trace(Q), 1e-300)
-        parts = vectors.T @ (Q @ r)[rows]
-        chi_square = float(np.sum(parts[used] ** 2 / values[used]))
-        degrees_of_freedom = int(used.sum())
-        rest = max(float(r @ Q @ r) - chi_square, 0.0)
+        chi_square, degrees_of_freedom, rest = deletion_of(Q, r, place)
         distance = float(np.linalg.norm(residual[place])) if len(views) > 2 else np.nan
         return chi_square, degrees_of_freedom, rest, count - 3 - degrees_of_freedom, distance
 

@@ -7,6 +7,7 @@ from .compare import Method as Method
 from .compare import MethodResult as MethodResult
 from .compare import compare as compare
 from .compare import standard_methods as standard_methods
+from .folds import MIN_HELD_OUT_VIEWS as MIN_HELD_OUT_VIEWS
 from .folds import region_folds as region_folds
 from .folds import split_views as split_views
 from .folds import view_folds as view_folds

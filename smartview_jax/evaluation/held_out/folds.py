@@ -12,6 +12,9 @@ from ...dataset import Dataset, Rig
 LEAVE_ONE_OUT_BELOW = 8
 """The number of views below which every view is its own fold."""
 
+MIN_HELD_OUT_VIEWS = 4
+"""The number of views below which hiding one leaves too few to fit."""
+
 MIN_VIEWS_BY_REGION = 6
 """The number of views below which hiding a region leaves too few to fit."""
 
@@ -37,7 +40,7 @@ def split_views(data: Dataset | Rig, folds: int, by: str = "view") -> tuple[tupl
     if folds < 2:
         raise ValueError(f"folds: expected at least 2, found {folds}")
     views = data.usable_views()
-    minimum = MIN_VIEWS_BY_REGION if by == "region" else 4
+    minimum = MIN_VIEWS_BY_REGION if by == "region" else MIN_HELD_OUT_VIEWS
     if len(views) < minimum:
         raise ValueError(
             f"held-out error by {by} needs at least {minimum} usable views, found {len(views)}"

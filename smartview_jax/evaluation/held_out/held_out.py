@@ -93,7 +93,7 @@ def held_out(
             together, so that the fit has to extrapolate.
 
     Returns:
-        The errors on the held-out views; of a rig, those of each camera by its name.
+        The errors on the held-out views; of a rig, by the camera's name.
 
     Raises:
         ValueError: fewer than two folds, or too few usable views: four, six by region.

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ...calibration import Calibration
 from ...dataset import Dataset, Rig
 from ...engine import (
+    AbstractBuiltProblem,
     AbstractProblem,
     Noise,
     Observability,
@@ -151,15 +152,12 @@ def cramer_rao(
     if not isinstance(noise, Noise):
         sigma = np.asarray(float(noise))
         built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, sigma)
-    # Bound: covariance >= I^-1, with I = J^T S^-1 J + priors the Fisher information matrix.
-    reduced, column_norms = _information_matrix(built.problem)
-    scaled_jacobian = ScaledJacobian(np.asarray(reduced), np.asarray(column_norms))
-    bound_covariance, std = covariance(scaled_jacobian, 1.0)
+    scaled_jacobian, bound_covariance, std = _bound(built)
     truth = built.problem.parameters.start
     return CramerRaoBound(
         truth,
         bound_covariance,
-        dict(zip(built.shared_names, map(float, std), strict=True)),
+        std,
         observability(scaled_jacobian, built.shared_names, truth),
         built.shared_names,
     )
@@ -185,13 +183,20 @@ def _rig_bound(
         free=free,
         priors=priors,
     )
+    _, bound_covariance, std = _bound(built)
+    return RigBound(dict(calibrations), bound_covariance, std, built.shared_names)
+
+
+def _bound(
+    built: AbstractBuiltProblem,
+) -> tuple[ScaledJacobian, Float[np.ndarray, "free free"], dict[str, float]]:
+    """Return the scaled Jacobian, the smallest covariance and the standard deviations by name."""
+    # Bound: covariance >= I^-1, with I = J^T S^-1 J + priors the Fisher information matrix.
     reduced, column_norms = _information_matrix(built.problem)
     scaled_jacobian = ScaledJacobian(np.asarray(reduced), np.asarray(column_norms))
     bound_covariance, std = covariance(scaled_jacobian, 1.0)
-    names = built.shared_names
-    return RigBound(
-        dict(calibrations), bound_covariance, dict(zip(names, map(float, std), strict=True)), names
-    )
+    by_name = dict(zip(built.shared_names, map(float, std), strict=True))
+    return scaled_jacobian, bound_covariance, by_name
 
 
 @compiled

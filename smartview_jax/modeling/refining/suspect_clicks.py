@@ -17,6 +17,7 @@ from ...engine import Noise
 from ...evaluation import CalibrationEstimate
 from ...robots import CommandLike
 from ..calibration_uncertainty import CalibrationUncertainty
+from ..click_deletion import deletion_of
 from ..line_jacobians import Lines
 from ..pixel_jacobians import pixel_jacobians
 from ..triangulation import CLICK_SIGMA
@@ -26,9 +27,6 @@ from .constraints import AbstractConstraint
 
 AGREEMENT_PROBABILITY = 0.01
 """Probability that the right clicks are said to disagree when the wrong one is left out."""
-
-EIGENVALUE_FLOOR = 1e-8
-"""Smallest eigenvalue, over the trace, of a click's part of the residuals that is not zero."""
 
 
 class SuspectClick(NamedTuple):
@@ -100,20 +98,15 @@ def suspect_clicks(
     R[: len(sensitivity), : len(sensitivity)] += (
         sensitivity @ uncertainty.covariance @ sensitivity.T
     )
-    # The least chi-square over all steps is r^T Q r, and without the rows i of a click it is less
-    # by (Q r)_i^T Q_ii^-1 (Q r)_i.
+    # The least chi-square over all steps is r^T Q r.
     inverse = np.linalg.inv(R)
     Q = inverse - inverse @ J @ np.linalg.pinv(J.T @ inverse @ J, hermitian=True) @ J.T @ inverse
-    chi_square, freedom = float(r @ Q @ r), len(r) - int(np.linalg.matrix_rank(J))
+    freedom = len(r) - int(np.linalg.matrix_rank(J))
     found = []
     for row, (view, point) in enumerate(clicks):
-        rows = slice(2 * row, 2 * row + 2)
-        values, vectors = np.linalg.eigh(Q[rows, rows])
-        used = values > EIGENVALUE_FLOOR * np.trace(Q)
-        parts = vectors.T @ (Q @ r)[rows]
-        rest = max(chi_square - float(np.sum(parts[used] ** 2 / values[used])), 0.0)
-        left = freedom - int(used.sum())
-        if used.any() and (left <= 0 or chdtrc(left, rest) >= agreement):
+        _, deleted, rest = deletion_of(Q, r, row)
+        left = freedom - deleted
+        if deleted and (left <= 0 or chdtrc(left, rest) >= agreement):
             found.append(SuspectClick(int(view), int(point), rest, left))
     return sorted(found, key=lambda click: click.chi_square)
 
