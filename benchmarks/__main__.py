@@ -29,6 +29,7 @@ BENCHMARKS = {
     "small_arm": "a hobby arm with zeros wrong by degrees: the default, and a prior of its own",
     "target_shape": "bowed boards, a lens of higher order: mounts and intervals, against OpenCV",
     "target_size": "intervals where data hardly tell the size of the target: do they agree",
+    "mistakes": "deliberate mistakes in good data sets: does `smartview check` name each of them?",
     "single_tags": "a single small tag, two poses in each view: right in how many sets?",
     "rigs": "several cameras on one arm: one fit of all against a fit for each",
     "kinhec": "poses without pixels: KinHEC's eight tracks, with its eleven reference solvers",

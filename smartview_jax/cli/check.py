@@ -15,6 +15,7 @@ from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
     from ..cameras import Camera
+    from ..data_checks import ConventionReport
     from ..dataset import Dataset, Rig
 
 MIN_VIEWS = 10
@@ -300,7 +301,7 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
         reported: names of the views whose mask is reported already.
         camera: a known camera; None to estimate it.
     """
-    from ..staged import fit_staged, mistaken_unit, require_picture_size
+    from ..staged import fit_staged, require_picture_size
 
     try:
         # As in `calibrate`, so that data are refused for the same reasons.
@@ -319,13 +320,29 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
         if point is None and not problems
     }
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
-    ratio = fit.conventions.length_ratio
-    if not problems and not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+    if not problems and not fit.conventions.change:
+        doubts += _doubts_of_motion(fit.conventions, camera is not None)
+    return Agreement(problems, (*doubts, *fit.warnings))
+
+
+def _doubts_of_motion(report: "ConventionReport", camera_is_known: bool) -> list[str]:
+    """Return what is doubtful about the motions of robot and camera, though they are alike."""
+    from ..staged import mistaken_unit
+
+    ratio, std = report.length_ratio, report.length_ratio_std
+    is_other_size = not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO
+    if is_other_size and abs(ratio - 1.0) > 2.0 * std:
         size = f"is the target {1.0 / ratio:.3g} times as large as stated? measure it"
-        if camera is not None:
+        if camera_is_known:
             size = f"is the known camera's focal length {ratio:.3g} times the true one, or {size}"
-        doubts.append(
+        return [
             f"the camera moves {ratio:.3g} times as far as the robot says: "
             f"{mistaken_unit(ratio) or size}"
-        )
-    return Agreement(problems, (*doubts, *fit.warnings))
+        ]
+    rotation, translation = report.closure_error
+    if report.is_close:
+        return []
+    return [
+        f"robot and camera agree only to {math.degrees(rotation):.2g} degrees and "
+        f"{1e3 * translation:.3g} mm between two views (median): a good arm leaves a tenth of that"
+    ]

@@ -1,14 +1,17 @@
 """Check data before and between the steps of a calibration, and name what is wrong with them.
 
 `questions.py` says in which order: the poses (`usable_views.py`), the detections
-(`target_checks.py`), the camera by
-itself (`camera_checks.py`), then whether robot and camera move alike (`conventions.py`, with the
-usual mistakes in `mistakes.py`, judged by the closure of motions, `closure.py`), and which single
-views contradict the others (`view_consistency.py`).
+(`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
+alike (`conventions.py`, with the usual mistakes in `mistakes.py`, judged by the closure of motions,
+`closure.py`), whether something was changed between two views (`changes.py`), and which single
+views contradict the others (`view_consistency.py`); both judge by transforms of their own
+(`transform_fit.py`).
 """
 
 from .camera_checks import camera_misfit as camera_misfit
 from .camera_checks import camera_problem as camera_problem
+from .changes import ChangeReport as ChangeReport
+from .changes import find_change as find_change
 from .closure import closure_error as closure_error
 from .closure import relative_motions as relative_motions
 from .conventions import ConventionHypothesis as ConventionHypothesis

@@ -142,8 +142,20 @@ def closure_errors(
     return np.stack([rotation, translation, score], axis=-1)
 
 
-def length_ratio(motions: RelativeMotions) -> float:
-    """Estimate the ratio of camera motion to robot motion, or return 1 if it is not determined.
+class LengthRatio(NamedTuple):
+    """The ratio of the camera's motion to the robot's.
+
+    Attributes:
+        value: the ratio; 1 if it is not determined.
+        std: its standard deviation; infinite if it is not determined.
+    """
+
+    value: float = 1.0
+    std: float = np.inf
+
+
+def length_ratio(motions: RelativeMotions) -> LengthRatio:
+    """Estimate the ratio of camera motion to robot motion, where the views determine it.
 
     The unknowns are the hand-eye translation t and the ratio s in
     `rotation_minus_identity t - s robot_translation = -camera_translation`. An orbit about the
@@ -157,7 +169,7 @@ def length_ratio(motions: RelativeMotions) -> float:
     right_hand_side = -motions.camera_translation.reshape(-1)
     solution, _, rank, _ = np.linalg.lstsq(rows / column_norms, right_hand_side, rcond=1e-6)
     if rank < 4 or not len(right_hand_side) > 4:
-        return 1.0
+        return LengthRatio()
     residuals = right_hand_side - rows / column_norms @ solution
     # Variance of the scale for residuals of unit variance: the last entry of (J' J)^-1.
     unit_variance = np.linalg.inv((rows / column_norms).T @ (rows / column_norms))[3, 3]
@@ -168,12 +180,10 @@ def length_ratio(motions: RelativeMotions) -> float:
         float(np.mean(residuals**2)),
         (MIN_RELATIVE_RESIDUAL * float(motions.target_distance)) ** 2,
     )
-    std = np.sqrt(unit_variance * variance * len(motions.camera_translation) / view_count)
-    return (
-        float(solution[3] / column_norms[3])
-        if std < MAX_SCALE_RELATIVE_STD * abs(solution[3])
-        else 1.0
-    )
+    std = float(np.sqrt(unit_variance * variance * len(motions.camera_translation) / view_count))
+    if std < MAX_SCALE_RELATIVE_STD * abs(solution[3]):
+        return LengthRatio(*(float(number / column_norms[3]) for number in (solution[3], std)))
+    return LengthRatio()
 
 
 def _inlier_pairs(residual: Float[np.ndarray, "*batch pairs"]) -> np.ndarray:

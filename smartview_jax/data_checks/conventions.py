@@ -24,6 +24,7 @@ from ..dataset import turns_about_one_axis
 from ..geometry import host_matrices
 from .closure import (
     ClosureError,
+    LengthRatio,
     Poses,
     RelativeMotions,
     closure_error,
@@ -61,6 +62,10 @@ class ConventionReport(NamedTuple):
         hypotheses: every mistake that was tried, smallest closure error first; empty if the
             data are plausible as given.
         explained: whether the first of them removes most of the error.
+        length_ratio_std: standard deviation of `length_ratio`; infinite if it is not determined.
+        closure_score: rotation plus translation of `closure_error` over the target's distance.
+        change: what seems to have been changed between two views, as a sentence; empty if nothing
+            does.
     """
 
     problems: tuple[str, ...]
@@ -70,6 +75,14 @@ class ConventionReport(NamedTuple):
     closure_error: tuple[float, float]
     hypotheses: tuple[ConventionHypothesis, ...]
     explained: bool = False
+    length_ratio_std: float = math.inf
+    closure_score: float = 0.0
+    change: str = ""
+
+    @property
+    def is_close(self) -> bool:
+        """Whether robot and camera move alike as nearly as those of good arms."""
+        return self.closure_score < MAX_CLOSURE_SCORE
 
 
 ANGLE_TOLERANCE = np.deg2rad(4.0)
@@ -87,6 +100,10 @@ MAX_CLOSURE_SCORE = 0.03
 
 MAX_CORRECTED_SCORE_RATIO = 0.3
 """Ratio of corrected to given closure score below which a mistake counts as an explanation."""
+
+DOUBTED_SCORE, MAX_CERTAIN_SCORE_RATIO = 0.01, 0.1
+"""Closure score from which mistakes are tried although a weak robot may have it, and the ratio of
+corrected to given score below which one counts as an explanation of so small an error."""
 
 MAX_RIVAL_SCORE_RATIO = 2.0
 """Ratio to the best closure score up to which another mistake explains the data as well."""
@@ -136,14 +153,21 @@ def check_conventions(
     # Turns that are noise seem to have many axes.
     turned = not turns_about_one_axis(robot[used])
     comparable = turned and motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO
-    given_error, ratio = closure_error(motions), length_ratio(motions) if comparable else 1.0
+    given_error = closure_error(motions)
+    ratio, ratio_std = length_ratio(motions) if comparable else LengthRatio()
     problems, hypotheses = (), ()
     # The score divides lengths by the target's distance, so a wrong unit of the target can leave
     # it small; the ratio of the motions shows it.
     if not _is_better_scale(motions, given_error, ratio):
-        ratio = 1.0
-    if comparable and (given_error.score > MAX_CLOSURE_SCORE or not 0.2 < ratio < 5.0):
+        ratio, ratio_std = LengthRatio()
+    is_accepted = given_error.score < MAX_CLOSURE_SCORE and 0.2 < ratio < 5.0
+    if comparable and not (is_accepted and given_error.score < DOUBTED_SCORE):
         hypotheses = _ranked_hypotheses(robot, camera, used, in_hand, motions)
+        # Of a hundred mistakes one may by chance close a little better than the truth.
+        certain = hypotheses[0].closure_error.score < MAX_CERTAIN_SCORE_RATIO * given_error.score
+        if is_accepted and not certain:
+            hypotheses = ()
+    if hypotheses:
         problems = _convention_problems(
             given_error, hypotheses, mismatch, _median_rotation_angles(robot, camera, compared)
         )
@@ -158,6 +182,8 @@ def check_conventions(
         (given_error.rotation, given_error.translation),
         hypotheses,
         _is_explained(given_error, hypotheses),
+        ratio_std,
+        given_error.score,
     )
 
 

@@ -22,15 +22,13 @@ from ..dataset import (
     Observations,
     chain_residuals,
     medians_by_view,
-    undetermined_twists,
 )
 from ..geometry import (
-    host_logarithms,
     host_matrices,
     host_rotation_angles,
     host_transforms,
 )
-from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
+from .transform_fit import fit_transforms
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.
@@ -87,19 +85,19 @@ def find_consistent_views(
     weighted = np.asarray(weights) > 0.0
     ids = [str(k) for k in range(len(weighted))] if view_ids is None else view_ids
     consistent, rejected, uncertain = weighted.copy(), [], []
-    distance = np.linalg.norm(np.asarray(camera_from_world.wxyz_xyz)[:, 4:], axis=1)
+    robot, camera = host_matrices(mount_from_holder), host_matrices(camera_from_world)
+    distance = np.linalg.norm(camera[:, :3, 3], axis=1)
     misfit_floor = MISFIT_FLOOR * np.stack([distance, np.ones(len(distance))], axis=1)
 
     def fit_transforms_to(used: np.ndarray) -> _TransformFit:
         """Compute the transforms from some views, and the misfits of all views."""
-        camera_from_mount, holder_from_world, misfit = _fit_transforms(
-            mount_from_holder, camera_from_world, used
-        )
+        fit = fit_transforms(robot, camera, used)
+        misfit = fit.misfit
         # Misfits are judged relative to the median view, because robots differ in accuracy.
         misfit_scale = np.maximum(np.median(misfit[used], axis=0), misfit_floor)
         return _TransformFit(
-            camera_from_mount,
-            holder_from_world,
+            host_transforms(fit.camera_from_mount),
+            host_transforms(fit.holder_from_world),
             misfit,
             (misfit / misfit_scale).max(axis=1),
             misfit_scale,
@@ -175,7 +173,8 @@ def stale_views(
     if np.count_nonzero(unrepeated) < 3:
         # A pose that is repeated was read earlier, for the first of its views.
         unrepeated[[group[0] for group in groups]] = True
-    _, _, misfit = _fit_transforms(mount_from_holder, camera_from_world, unrepeated)
+    robot, camera = host_matrices(mount_from_holder), host_matrices(camera_from_world)
+    misfit = fit_transforms(robot, camera, unrepeated).misfit
     distance = np.linalg.norm(np.asarray(camera_from_world.wxyz_xyz)[:, 4:], axis=1)
     score = misfit[:, 0] / distance + misfit[:, 1]
     found = {}
@@ -246,30 +245,3 @@ def _matching_pose_text(
     if misfit_ratio[other] < MAX_MISFIT_RATIO:
         return f"it fits the pose of view {ids[other]} ({_misfit_text(misfit[other])}): mispaired"
     return "it fits the pose of no other view either: moved, or a wrong pose?"
-
-
-def _fit_transforms(
-    T: SE3, C: SE3, used: Bool[np.ndarray, "views"]
-) -> tuple[SE3, SE3, Float[np.ndarray, "views 2"]]:
-    """Compute both transforms and each view's misfit at the mount: translation (m), rotation (rad).
-
-    The misfit of view i is the twist `log(H^-1 C_i X^-1 T_i^-1)`, zero if Eq. 10 holds exactly. It
-    is NaN for every view if a pose that is used is not finite.
-    """
-    robot, camera = host_matrices(T), host_matrices(C)
-    finite = np.isfinite(robot[used]).all() and np.isfinite(camera[used]).all()
-    if finite and len(undetermined_twists(robot[used])):
-        # A closed form would divide by noise where the motion determines nothing.
-        _, world = minimum_norm_transforms(robot[used], camera[used])
-        holder_from_world = host_transforms(world)
-    else:
-        _, holder_from_world = park_martin(T, C, used.astype(float))
-        world = host_matrices(holder_from_world)
-    hand_eye = mean_camera_from_mount(
-        world, robot[used], camera[used], np.ones(np.count_nonzero(used))
-    )
-    # closure = H^-1 C_i X^-1 T_i^-1, the identity if Eq. 10 holds.
-    closure = np.linalg.inv(hand_eye) @ camera @ np.linalg.inv(robot @ world)
-    twist = host_logarithms(closure)
-    misfit = np.linalg.norm(twist.reshape(-1, 2, 3), axis=2)
-    return host_transforms(hand_eye), holder_from_world, misfit

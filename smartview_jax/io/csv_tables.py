@@ -180,7 +180,7 @@ def refuse_out_of_range(path: str | Path, positions: np.ndarray, labels: Sequenc
             if abs(value) > MAX_COORDINATE:
                 raise ValueError(
                     f"{path}: view {label}: {axis} is {value:.6g} m, more than "
-                    f"{MAX_COORDINATE:g} m from the origin: millimetres given as metres?"
+                    f"{MAX_COORDINATE:g} m from the origin: millimetres or inches given as metres?"
                 )
 
 

@@ -22,6 +22,7 @@ from ..data_checks import (
     camera_problem,
     check_conventions,
     detection_findings,
+    find_change,
     find_consistent_views,
     mask_unusable_views,
     median_reprojection_errors,
@@ -181,6 +182,13 @@ def fit_staged(
         outlying = choice.outlying
         # The poses of a small target scatter by more than the check allows for.
         report = report._replace(problems=(), hypotheses=())
+    change = None
+    if choice is None and not report.explained:
+        change = find_change(robot, common_fit.camera_from_world, used, report.length_ratio)
+    if change is not None:
+        report = report._replace(change=change.sentence(data.mount, data.view_ids))
+        if change.contradicts:
+            report = report._replace(problems=(report.change,))
     camera_doubts = _camera_doubts(
         observations,
         used,
@@ -251,6 +259,7 @@ def fit_staged(
         _fit_result(common_fit, step3, calibration),
         (
             *camera_doubts,
+            *((report.change,) if report.change and not report.problems else ()),
             # With a wrong camera any poses explain the pictures as badly.
             *((choice.warning,) if choice and choice.warning and not camera_doubts else ()),
         ),

@@ -54,7 +54,7 @@ def test_what_could_not_be_read_back_is_refused_and_nothing_is_written(tmp_path)
             ("first", SIZE, pose(1), "exists already"),
             ("../out", SIZE, pose(1), "no name"),
             ("small", (32, 48), pose(1), r"image_size: \[32, 48\]"),
-            ("far", SIZE, far, "millimetres given as metres"),
+            ("far", SIZE, far, "millimetres or inches given as metres"),
         ):
             with pytest.raises(ValueError, match=words):
                 data.add(np.zeros(shape[::-1], np.uint8), host_transforms(where), name)

@@ -47,7 +47,7 @@ def test_lines_are_written_as_several_countries_write_numbers(tmp_path, separato
 
 def test_what_could_not_be_read_is_not_written(tmp_path):
     far = SE3.from_translation(np.array([[0.0, 0.0, 200.0]]))
-    with pytest.raises(ValueError, match="millimetres given as metres"):
+    with pytest.raises(ValueError, match="millimetres or inches given as metres"):
         write_matrix_rows(tmp_path / "poses.txt", far, "m")
     assert not list(tmp_path.iterdir())
 

@@ -38,7 +38,7 @@ def joints_of_no_arm(folder):
     write_object_views(folder, VIEWS, PICTURES, NEAR, joints=joints, arm=kuka_lwr4())
 
 
-REFUSALS = r"not written|millimetres given as metres|rad or m, more than|not readable as YAML"
+REFUSALS = r"not written|given as metres|rad or m, more than|not readable as YAML"
 WRITERS = {
     "data set": lambda folder: write_dataset_folder(
         folder, VIEWS, FAR, (9, 9), TARGET, "eye_in_hand"

@@ -1,0 +1,109 @@
+"""A set-up that changes half-way is named by kind, place and size; a good one, weak or not, never.
+
+The poses are made by SciPy's rotations and plain products of matrices.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from smartview_jax.data_checks import find_change
+from smartview_jax.geometry import as_se3, host_matrices
+from smartview_jax.staged import fit_staged
+
+VIEWS, FIRST_CHANGED = 14, 8
+IDS = [f"v{view}" for view in range(VIEWS)]
+UNCHANGED = np.eye(4)
+EVERY_VIEW = np.ones(VIEWS, dtype=bool)
+
+
+def transform(turn, shift):
+    """A homogeneous matrix from a rotation vector, degrees, and a position, m."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(turn, degrees=True).as_matrix()
+    matrix[:3, 3] = shift
+    return matrix
+
+
+CAMERA_FROM_MOUNT = transform([10.0, -20.0, 95.0], [0.02, 0.05, -0.1])
+KNOCK = transform([0.0, 1.5, 0.0], [0.003, 0.0, 0.0])
+
+
+def motions(seed=0, camera_knock=UNCHANGED, target_push=UNCHANGED, noise=(2e-4, 0.02)):
+    """Robot poses and what a camera sees, with errors of the robot, m and degrees."""
+    rng = np.random.default_rng(seed)
+    holder_from_world = transform([180.0, 0.0, 30.0], [0.4, 0.1, 0.6])
+    robot, camera = np.empty((2, VIEWS, 4, 4))
+    for view in range(VIEWS):
+        after = view >= FIRST_CHANGED
+        robot[view] = transform(rng.normal(0.0, 20.0, 3), rng.normal(0.0, 0.1, 3))
+        mount = CAMERA_FROM_MOUNT @ (camera_knock if after else UNCHANGED)
+        world = (target_push if after else UNCHANGED) @ holder_from_world
+        error = transform(rng.normal(0.0, noise[1], 3), rng.normal(0.0, noise[0], 3))
+        camera[view] = mount @ error @ robot[view] @ world
+    return as_se3(robot), as_se3(camera)
+
+
+@pytest.mark.parametrize("moved", ["camera", "target"])
+def test_what_was_moved_is_named_with_its_size(moved):
+    knocked = {"camera_knock" if moved == "camera" else "target_push": KNOCK}
+    report = find_change(*motions(**knocked), EVERY_VIEW)
+    change = report.changes[0]
+    assert (change.kind, change.first_view) == (moved, FIRST_CHANGED)
+    assert np.rad2deg(change.rotation) == pytest.approx(1.5, abs=0.05)
+    if moved == "camera":
+        assert change.translation == pytest.approx(3e-3, abs=4e-4)
+
+
+def test_the_words_follow_the_mount():
+    report = find_change(*motions(camera_knock=KNOCK), EVERY_VIEW)
+    in_hand = report.sentence("eye_in_hand", IDS)
+    assert in_hand.startswith("from view v8 on the camera was moved on the tool (or the controller")
+    assert "tool frame" in in_hand
+    assert "base frame" in report.sentence("eye_to_hand", IDS)
+    pushed = find_change(*motions(target_push=KNOCK), EVERY_VIEW)
+    assert "the target was moved in the hand" in pushed.sentence("eye_to_hand", IDS)
+
+
+def test_a_zoom_is_a_camera_that_moved_along_its_axis():
+    axis = CAMERA_FROM_MOUNT[2, :3]
+    report = find_change(*motions(camera_knock=transform([0, 0, 0], 0.02 * axis)), EVERY_VIEW)
+    assert "or the lens was zoomed" in report.sentence("eye_in_hand", IDS)
+    across = np.cross(axis, [1.0, 0.0, 0.0])
+    report = find_change(*motions(camera_knock=transform([0, 0, 0], 0.02 * across)), EVERY_VIEW)
+    assert "zoomed" not in report.sentence("eye_in_hand", IDS)
+
+
+@pytest.mark.parametrize("noise", [(1e-5, 1e-3), (2e-4, 0.02), (5e-3, 1.0)])
+def test_errors_in_single_views_are_no_change(noise):
+    for seed in range(6):
+        assert find_change(*motions(seed, noise=noise), EVERY_VIEW) is None
+
+
+def test_another_size_of_the_target_hides_no_change():
+    robot, camera = motions(camera_knock=KNOCK)
+    larger = host_matrices(robot).copy()
+    larger[:, :3, 3] /= 1.3
+    assert find_change(as_se3(larger), camera, EVERY_VIEW) is None
+    report = find_change(as_se3(larger), camera, EVERY_VIEW, length_ratio=1.3)
+    assert report.changes[0].first_view == FIRST_CHANGED
+
+
+def test_few_views_and_unused_ones_say_nothing():
+    robot, camera = motions(camera_knock=KNOCK)
+    for used, is_seen in ((slice(4, 11), False), (slice(4, 12), True)):
+        mask = np.zeros(VIEWS, dtype=bool)
+        mask[used] = True
+        assert (find_change(robot, camera, mask) is not None) == is_seen
+
+
+def test_the_staged_fit_refuses_data_with_another_base_frame_from_a_view_on(scene):
+    poses = host_matrices(scene.data.base_from_tool).copy()
+    poses[4:] = transform([0.0, 0.0, 20.0], [0.1, 0.0, 0.0]) @ poses[4:]
+    data = dataclasses.replace(scene.data, base_from_tool=as_se3(poses))
+    with pytest.raises(
+        ValueError, match=r"from view 4 on the target was moved \(or the controller"
+    ):
+        fit_staged(data)
