@@ -38,7 +38,7 @@ from jaxlie import SE3
 from ..dataset import Dataset, PoseDataset, Rig
 from ..detection import DetectionLimits, checked_pixels
 from ..files import read_yaml
-from ..geometry import PoseLike
+from ..geometry import PoseLike, pose_codec
 from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .board_heights import read_board_heights
 from .detections import DETECTIONS_FILE, read_detections, write_detections
@@ -285,7 +285,7 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """
     folder, target = Path(folder), data.target
     if isinstance(data, PoseDataset):
-        refuse_unreadable_robot(folder, data)
+        refuse_unreadable_robot(folder, data, pose_format)
         entries = {
             "mount": data.mount,
             "poses": poses_entry(data.view_count, pose_format),
@@ -296,7 +296,7 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         return
     if target is None or not is_described(data):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
-    refuse_unreadable_robot(folder, data)
+    refuse_unreadable_robot(folder, data, pose_format)
     rows = write_visible_points(folder / DETECTIONS_FILE, data)
     write_dataset_folder(
         folder,
@@ -325,8 +325,9 @@ def write_visible_points(path: Path, data: Dataset) -> int:
     return write_detections(path, data.view_ids, np.where(visible, data.pixels, np.nan))
 
 
-def refuse_unreadable_robot(folder: Path, data: Dataset | Rig) -> None:
-    """Raise a ValueError for names, poses or readings that could not be read back."""
+def refuse_unreadable_robot(folder: Path, data: Dataset | Rig, pose_format: str) -> None:
+    """Raise a ValueError for an unknown format, or what could not be read back of the robot."""
+    pose_codec(pose_format)
     refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
     if data.arm is not None and data.joints is not None:
         refuse_unreadable_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)

@@ -211,9 +211,9 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
         pose_format: pose format of the table: one of `POSE_CODECS`.
 
     Raises:
-        ValueError: a camera without a target's description, cameras that describe one target
-            differently, or a name or value with which the folder could not be read back; nothing
-            is written.
+        ValueError: an unknown pose format, a camera without a target's description, cameras that
+            describe one target differently, or a name or value with which the folder could not be
+            read back; nothing is written.
 
     Example:
         >>> import os, tempfile
@@ -226,9 +226,7 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
     """
     folder = Path(folder)
     targets = _described_targets(rig)
-    refuse_unreadable_robot(folder, rig)
-    # An unknown format is refused before anything is written.
-    poses = poses_entry(len(rig.view_ids), pose_format)
+    refuse_unreadable_robot(folder, rig, pose_format)
     one_mount = len({data.mount for data in rig.cameras.values()}) == 1
     one_target = len(targets) == 1
     cameras = {}
@@ -246,7 +244,7 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
     entries: dict[str, Any] = {"cameras": cameras}
     entries |= {"target": next(iter(described.values()))} if one_target else {"targets": described}
     entries |= {"mount": next(iter(rig.cameras.values())).mount} if one_mount else {}
-    entries["poses"] = poses
+    entries["poses"] = poses_entry(len(rig.view_ids), pose_format)
     entries |= written_joints(folder, rig)
     write_described_folder(folder, rig.view_ids, rig.base_from_tool, entries, pose_format)
 

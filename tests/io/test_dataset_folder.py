@@ -8,7 +8,8 @@ from detected_sample import copied_views, detected_sample
 from shared_data import shared_data
 from text_files import edit
 
-from smartview_jax.io import import_correspondences, load_dataset, save_dataset
+from smartview_jax.dataset import Rig
+from smartview_jax.io import import_correspondences, load_dataset, save_dataset, save_rig
 
 
 @pytest.fixture
@@ -77,6 +78,14 @@ def test_what_is_saved_is_loaded(folder, tmp_path):
         data.image_size,
         data.target,
     )
+
+
+def test_an_unknown_format_writes_nothing(folder, tmp_path):
+    data = load_dataset(folder)
+    for save, what in ((save_dataset, data), (save_rig, Rig({"left": data}))):
+        with pytest.raises(ValueError, match="found 'kuka_abd'"):
+            save(what, tmp_path / "saved", "kuka_abd")
+        assert not (tmp_path / "saved").exists()
 
 
 @pytest.mark.parametrize("pose_format", ["kuka_abc", "matrix"])
