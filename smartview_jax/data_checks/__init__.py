@@ -2,10 +2,10 @@
 
 `questions.py` says in which order: the poses (`usable_views.py`), the detections
 (`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
-alike (`conventions.py`, with the usual mistakes in `mistakes.py`, judged by the closure of motions,
-`closure.py`), whether something was changed between two views (`changes.py`), and which single
-views contradict the others (`view_consistency.py`); both judge by transforms of their own
-(`transform_fit.py`).
+alike (`conventions.py`, with the usual mistakes in `mistakes.py` and `length_units.py`, judged by
+`rotation_angles.py` and by the closure of motions, `closure.py`), whether something was changed
+between two views (`changes.py`), and which single views contradict the others
+(`view_consistency.py`); both judge by transforms of their own (`transform_fit.py`).
 """
 
 from .camera_checks import camera_misfit as camera_misfit
@@ -17,7 +17,7 @@ from .closure import relative_motions as relative_motions
 from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
-from .conventions import mistaken_unit as mistaken_unit
+from .length_units import mistaken_unit as mistaken_unit
 from .questions import Findings as Findings
 from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ..calibration import mount_frames
 from ..dataset import turns_about_one_axis
@@ -32,7 +32,14 @@ from .closure import (
     length_ratio,
     relative_motions,
 )
+from .length_units import LENGTH_UNIT_MISTAKES, length_unit_problems
 from .mistakes import GivenPoses, Mistake, mistakes
+from .rotation_angles import (
+    angle_differences,
+    compared_views,
+    median_rotation_angles,
+    suspicious_views,
+)
 
 
 class ConventionHypothesis(NamedTuple):
@@ -114,15 +121,9 @@ _EQUAL_POSES = 1e-9
 CLOSURE_SCORE_FLOOR = 1e-4
 """Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
 
-MAX_COMPARED_VIEWS = 200
-"""Largest number of views with which the rotation angles of every view are compared."""
-
 MIN_SECOND_AXIS_RATIO = 0.05
 """Ratio of rotation about a second axis to rotation about the first, up to which the motions do not
 determine a hand-eye rotation and cannot be compared."""
-
-MAX_PLAUSIBLE_DISTANCE = 30.0
-"""Distance in metres beyond the reach of any arm and beyond any target's distance."""
 
 
 def check_conventions(
@@ -143,9 +144,9 @@ def check_conventions(
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
     used = np.ones(len(robot), dtype=bool) if weights is None else np.asarray(weights) > 0.0
     used = used & np.isfinite(robot).all(axis=(1, 2)) & np.isfinite(camera).all(axis=(1, 2))
-    compared = _compared_views(used)
-    angle_differences = _angle_differences(robot, camera, used, compared)
-    mismatch = float(np.nanmedian(angle_differences)) if used.sum() > 1 else 0.0
+    compared = compared_views(used)
+    differences = angle_differences(robot, camera, used, compared)
+    mismatch = float(np.nanmedian(differences)) if used.sum() > 1 else 0.0
     # Two views give a single motion, which does not test the hand-eye transform.
     if used.sum() < 3:
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
@@ -169,14 +170,14 @@ def check_conventions(
             hypotheses = ()
     if hypotheses:
         problems = _convention_problems(
-            given_error, hypotheses, mismatch, _median_rotation_angles(robot, camera, compared)
+            given_error, hypotheses, mismatch, median_rotation_angles(robot, camera, compared)
         )
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
-        problems = _length_unit_problems(ratio, robot, camera, used)
+        problems = length_unit_problems(ratio, robot, camera, used)
     return ConventionReport(
         problems,
-        _suspicious_views(angle_differences),
+        suspicious_views(differences),
         mismatch,
         ratio,
         (given_error.rotation, given_error.translation),
@@ -208,62 +209,11 @@ def _relative_motions(
     return relative_motions(mount_from_holder[..., used, :, :], camera[..., used, :, :])
 
 
-_LENGTH_UNIT_MISTAKES = {
-    1e-3: "the robot's positions look like millimetres where metres are expected",
-    1e-2: "the robot's positions look like centimetres where metres are expected",
-    0.0254: "the robot's positions look like inches where metres are expected",
-    1.0 / 25.4: "the robot's positions look like millimetres where inches are stated, or the "
-    "target's points like inches where millimetres are",
-    0.1: "the robot's positions look like millimetres where centimetres are stated, or the "
-    "target's points like centimetres where millimetres are",
-    10.0: "the robot's positions look like centimetres where millimetres are stated, or the "
-    "target's points like millimetres where centimetres are",
-    25.4: "the robot's positions look like inches where millimetres are stated, or the target's "
-    "points like millimetres where inches are",
-    1.0 / 0.0254: "the target's points look like inches where metres are expected",
-    1e2: "the target's points look like centimetres where metres are expected",
-    1e3: "the target's points look like millimetres where metres are expected",
-}
-"""Explanations in words, by the ratio of camera motion to robot motion."""
-
-_SMALL_UNIT_MISTAKES = {
-    0.3048: "the robot's positions look like feet where metres are expected",
-    1.0 / 2.54: "the robot's positions look like centimetres where inches are stated, or the "
-    "target's points like inches where centimetres are",
-    2.54: "the robot's positions look like inches where centimetres are stated, or the target's "
-    "points like centimetres where inches are",
-    1.0 / 0.3048: "the target's points look like feet where metres are expected",
-}
-"""The same for ratios that another size of the target may have, too."""
-
-UNIT_TOLERANCE = 0.05
-"""Largest relative difference between a ratio of motions and the ratio of two units named for it.
-
-The ratio is as good as the camera's focal length, which a few views tell to some percent."""
-
-MAX_UNIT_ERROR = 0.2
-"""The same where units are all that can differ so much: halfway between two of them."""
-
-
-def mistaken_unit(ratio: float, tolerance: float = UNIT_TOLERANCE) -> str:
-    """Return which unit was mistaken for which, in words, or nothing if the ratio is of none.
-
-    Args:
-        ratio: of the camera's motion to the robot's.
-        tolerance: largest relative difference from the ratio of the units.
-    """
-    if not ratio > 0.0:
-        return ""
-    units = _LENGTH_UNIT_MISTAKES | _SMALL_UNIT_MISTAKES
-    nearest = min(units, key=lambda unit: abs(math.log(ratio / unit)))
-    return units[nearest] if abs(math.log(ratio / nearest)) < tolerance else ""
-
-
 def _ranked_hypotheses(
     robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool, motions: RelativeMotions
 ) -> tuple[ConventionHypothesis, ...]:
     """Return every mistake, alone and with another unit of length, by ascending closure error."""
-    units, scales = tuple(_LENGTH_UNIT_MISTAKES.values()), np.array(list(_LENGTH_UNIT_MISTAKES))
+    units, scales = tuple(LENGTH_UNIT_MISTAKES.values()), np.array(list(LENGTH_UNIT_MISTAKES))
     hypotheses = [
         ConventionHypothesis("length", words, ClosureError(*error))
         for words, error in zip(units, closure_errors(motions, scales).tolist(), strict=True)
@@ -447,93 +397,3 @@ def _removes_most(error: ClosureError, given_error: ClosureError) -> bool:
         error.rotation < rotation_limit
         and error.score < MAX_CORRECTED_SCORE_RATIO * given_error.score
     )
-
-
-def _median_rotation_angles(
-    robot: Poses, camera: Poses, compared: np.ndarray
-) -> tuple[float, float]:
-    """Return the median rotation angle between two views, of robot and of camera, rad."""
-    upper = np.triu_indices(len(compared), 1)
-    robot_angle, camera_angle = (
-        float(np.median(_rotation_angles(p[compared], p[compared])[upper])) for p in (robot, camera)
-    )
-    return robot_angle, camera_angle
-
-
-def _length_unit_problems(
-    ratio: float, robot: Poses, camera: Poses, used: np.ndarray
-) -> tuple[str, ...]:
-    """Return problems with units of length, by the ratio of motions or by impossible distances."""
-    if not 0.2 < ratio < 5.0:
-        words = mistaken_unit(ratio, MAX_UNIT_ERROR)
-        words = words or "robot positions and target points are not in the same unit"
-        return (f"{words}: the camera moved {ratio:.3g} times as far as the robot",)
-    # Both may be in the same wrong unit: their ratio is then 1, and only the distances show it.
-    problems = []
-    for poses, template in (
-        (robot, "the tool is reported {:.0f} m from the base"),
-        (camera, "the target seems to be {:.0f} m from the camera"),
-    ):
-        distance = float(np.median(np.linalg.norm(poses[used, :3, 3], axis=1)))
-        if distance > MAX_PLAUSIBLE_DISTANCE:
-            problems.append(f"{template.format(distance)}: millimetres where metres are expected?")
-    return tuple(problems)
-
-
-def _suspicious_views(angles: Float[np.ndarray, "views compared"]) -> tuple[tuple[int, str], ...]:
-    """Return views whose rotation angles disagree with most others, which agree with each other."""
-    used = np.isfinite(angles).any(axis=1)
-    median_differences = np.zeros(len(angles))
-    median_differences[used] = np.nanmedian(angles[used], axis=1)
-    # Relative to the typical view, because an inaccurate robot makes all views differ.
-    limit = max(6.0 * float(np.median(median_differences[used])), np.deg2rad(3.0))
-    degrees = np.rad2deg(median_differences)
-    return tuple(
-        (
-            int(view),
-            f"its rotation differs from the robot's by {degrees[view]:.1f} degrees (median over "
-            "the other views): is this picture paired with the right pose?",
-        )
-        for view in np.flatnonzero(median_differences > limit)
-    )
-
-
-def _compared_views(used: np.ndarray) -> Int[np.ndarray, "compared"]:
-    """Return the used views with which every view is compared: all, or a sample of many.
-
-    The sample is drawn at random, always alike: mistakes such as a pose that is repeated every
-    third time have a period, which views at equal distances could share.
-    """
-    indices = np.flatnonzero(used)
-    if len(indices) <= MAX_COMPARED_VIEWS:
-        return indices
-    return np.sort(np.random.default_rng(0).permutation(indices)[:MAX_COMPARED_VIEWS])
-
-
-def _angle_differences(
-    robot: Poses, camera: Poses, used: np.ndarray, compared: np.ndarray
-) -> Float[np.ndarray, "views compared"]:
-    """Return the differences of robot and camera rotation angles, rad; NaN for unused views.
-
-    The angle is the same in every frame, so this needs no hand-eye transform.
-    """
-    inverse_robot, camera = np.linalg.inv(_replace_nonfinite(robot)), _replace_nonfinite(camera)
-    robot_angles, camera_angles = (
-        _rotation_angles(poses, poses[compared]) for poses in (inverse_robot, camera)
-    )
-    unused = ~used[:, None] | (np.arange(len(used))[:, None] == compared)
-    return np.where(unused, np.nan, np.abs(robot_angles - camera_angles))
-
-
-def _replace_nonfinite(poses: Poses) -> Poses:
-    """Return the poses with the identity in place of poses that are not finite."""
-    return np.where(np.isfinite(poses).all(axis=(1, 2), keepdims=True), poses, np.eye(4))
-
-
-def _rotation_angles(
-    poses: Poses, others: Float[np.ndarray, "compared 4 4"]
-) -> Float[np.ndarray, "views compared"]:
-    """Return the angle of `R_i R_j^T` for every pair, rad: `2 cos(angle) + 1 = trace`."""
-    # trace(R_i R_j^T) is the sum of the products of their entries.
-    R, S = (p[:, :3, :3].reshape(len(p), 9) for p in (poses, others))
-    return np.arccos(np.clip(0.5 * (R @ S.T - 1.0), -1.0, 1.0))

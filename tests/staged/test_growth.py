@@ -7,7 +7,7 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax.calibration import mount_from_holder
-from smartview_jax.data_checks import conventions
+from smartview_jax.data_checks import conventions, rotation_angles
 from smartview_jax.data_checks.conventions import check_conventions
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.hand_eye import CLOSED_FORMS, closed_form, frobenius_cost
@@ -92,16 +92,16 @@ def test_every_view_is_compared_with_a_limited_number_of_others(monkeypatch):
     wrong = np.arange(1, MANY, 3)
     base_from_tool[wrong] = base_from_tool[wrong - 1]
     sizes = []
-    differences = conventions._angle_differences
+    differences = conventions.angle_differences
 
     def recorded(*arguments):
         angles = differences(*arguments)
         sizes.append(angles.shape)
         return angles
 
-    monkeypatch.setattr(conventions, "_angle_differences", recorded)
+    monkeypatch.setattr(conventions, "angle_differences", recorded)
     report = check_conventions(host_transforms(base_from_tool), camera, "eye_in_hand")
-    assert sizes == [(MANY, conventions.MAX_COMPARED_VIEWS)]
+    assert sizes == [(MANY, rotation_angles.MAX_COMPARED_VIEWS)]
     assert [view for view, _ in report.suspicious_views] == wrong.tolist()
 
 
