@@ -20,7 +20,7 @@ from smartview_jax.simulation import paper_calibration
 @pytest.fixture(autouse=True)
 def _room_for_two(monkeypatch):
     """All fits of the same options share one program, however many they are."""
-    monkeypatch.setattr("smartview_jax.joint.many.FITS_AT_A_TIME", 2)
+    monkeypatch.setattr("smartview_jax.joint.batched_fits.FITS_AT_A_TIME", 2)
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +69,9 @@ def test_each_is_what_one_fit_finds(scenes, bent, noise, monkeypatch):
     """With the field of the start, or without it where that is asked for; in turn or at once."""
     options = {"noise": noise, "field": None}
     if noise != "trusted":
-        monkeypatch.setattr("smartview_jax.joint.many._in_turn", lambda: False)
-        monkeypatch.setattr("smartview_jax.joint.many.FITS_AT_ONCE", 2)
+        for module in ("many", "batched_fits"):
+            monkeypatch.setattr(f"smartview_jax.joint.{module}.runs_in_turn", lambda: False)
+        monkeypatch.setattr("smartview_jax.joint.batched_fits.FITS_AT_ONCE", 2)
         options = {"noise": noise, "fixed": ("camera_from_tool",)}
     starts = [nudged(bent, size) for size in (1e-3, 5e-4, -1e-3)]
     starts = [dataclasses.replace(one, robot_error=bent.robot_error) for one in starts]
