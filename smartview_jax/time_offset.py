@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 from .calibration import Calibration, host_mount_from_holder
 from .cameras import AbstractLens
 from .dataset import Dataset, PoseDataset
-from .engine import Noise
+from .engine import Noise, squared_residuals
 from .geometry import as_se3, host_matrices
 from .joint import JointFit, fit_joint, fit_poses
 from .robots import Trajectory
@@ -152,7 +152,7 @@ def estimate_time_offset(
         seconds = float(minimum.x)  # pyright: ignore[reportAttributeAccessIssue]
         report(f"time offset: {1e3 * seconds:.2f} ms")
         profile = profile.again(seconds)
-    std = _standard_deviation(profile.cost, seconds, min(seconds - low, high - seconds))
+    std = standard_deviation(profile, seconds, min(seconds - low, high - seconds))
     return TimeOffset(seconds, std, data_at(seconds), profile.noise)
 
 
@@ -179,23 +179,28 @@ def _disagreement(
     return closure_error(relative_motions(robot, camera_from_world)).score
 
 
-class _Profile(NamedTuple):
+class Profile(NamedTuple):
     """The profile likelihood of an offset for given standard deviations.
 
     Attributes:
-        cost: minus the log-likelihood of an offset, maximised over all other parameters.
+        view_costs: minus the log-likelihood of an offset, maximised over all other parameters, by
+            views.
         noise: the standard deviations of pixels and poses.
         again: the same with the standard deviations that are estimated at another offset.
     """
 
-    cost: Callable[[float], float]
+    view_costs: Callable[[float], Float[np.ndarray, "views"]]
     noise: Noise
-    again: Callable[[float], "_Profile"]
+    again: Callable[[float], "Profile"]
+
+    def cost(self, offset: float) -> float:
+        """Return half the sum of squared residuals, in standard deviations."""
+        return float(self.view_costs(offset).sum())
 
 
 def _first_profile(
     data_at: Callable[[float], Dataset], seconds: float, lens: str | AbstractLens
-) -> _Profile:
+) -> Profile:
     """Return the profile likelihood with the standard deviations at an offset, s."""
     data = data_at(seconds)
     if isinstance(data, PoseDataset):
@@ -209,21 +214,21 @@ def _profile_of_pictures(
     inliers: Bool[Array, "views points"],
     start: Calibration,
     seconds: float,
-) -> _Profile:
+) -> Profile:
     """Return the profile likelihood of pictures, with the standard deviations at an offset, s.
 
     All fits use the same observations, so that their costs are comparable.
     """
     fit = fit_joint(data_at(seconds), start, inliers=inliers, field=None)
 
-    def again(offset: float) -> _Profile:
+    def again(offset: float) -> Profile:
         return _profile_of_pictures(data_at, inliers, fit.calibration, offset)
 
     assert fit.noise is not None
     return _profile(data_at, inliers, fit, fit.noise, again)
 
 
-def _profile_of_tracked_poses(data_at: Callable[[float], Dataset], seconds: float) -> _Profile:
+def _profile_of_tracked_poses(data_at: Callable[[float], Dataset], seconds: float) -> Profile:
     """Return the profile likelihood of tracked poses, with the standard deviations at an offset, s.
 
     Wrong pairs, and the ratio of the tracker's noises, are found at each offset: at a wrong one,
@@ -238,7 +243,7 @@ def _profile_of_tracked_poses(data_at: Callable[[float], Dataset], seconds: floa
         assert isinstance(moved, PoseDataset)
         return moved.with_units(*fit.tracker_noise)
 
-    def again(offset: float) -> _Profile:
+    def again(offset: float) -> Profile:
         return _profile_of_tracked_poses(data_at, offset)
 
     assert fit.noise is not None
@@ -252,13 +257,13 @@ def _profile(
     inliers: Bool[Array, "views points"],
     fit: JointFit,
     noise: Noise,
-    again: Callable[[float], _Profile],
-) -> _Profile:
+    again: Callable[[float], Profile],
+) -> Profile:
     """Return the profile likelihood with given standard deviations, whose fits start at a fit."""
     fixed = () if fit.fits_camera else ("camera",)
 
-    def cost(offset: float) -> float:
-        """Return half the sum of squared residuals, in standard deviations."""
+    def view_costs(offset: float) -> Float[np.ndarray, "views"]:
+        """Return half the squared residuals of each view, in standard deviations."""
         solved = fit_joint(
             data_at(offset),
             fit.calibration,
@@ -268,19 +273,49 @@ def _profile(
             fixed=fixed,
             gross_errors="keep",
         )
-        return solved.solution.costs[-1]
+        chain = solved.solution.chain
+        seen = np.asarray(solved.problem.observations.visible)
+        squares = np.where(seen, squared_residuals(solved.problem, chain), 0.0).sum(axis=1)
+        corrections = np.asarray(solved.pose_corrections).reshape(-1, 2, 3)
+        in_sigmas = corrections / np.array([noise.translation, noise.rotation])[:, None]
+        return 0.5 * (squares + np.sum(in_sigmas**2, axis=(1, 2)))
 
-    return _Profile(cost, noise, again)
+    return Profile(view_costs, noise, again)
 
 
-def _standard_deviation(cost: Callable[[float], float], seconds: float, max_width: float) -> float:
-    """Return the standard deviation from the curvature of the log-likelihood at its maximum."""
-    # The width at which the cost rises by one half, first from a small step, then from that width.
-    width, least_cost = 1e-4, cost(seconds)
-    for _ in range(2):
-        width = min(width, max_width)
-        curvature = (cost(seconds + width) - 2.0 * least_cost + cost(seconds - width)) / width**2
+def standard_deviation(profile: Profile, seconds: float, max_width: float) -> float:
+    """Return the standard deviation of the maximum of the likelihood.
+
+    The curvature alone is right if the robot's errors are as the model says. Jitter of the time
+    stamps errs most where the robot is fast, and slow changes are alike in successive views; what
+    the views' slopes at the maximum then vary by is larger than the curvature (White, 1980; Newey
+    and West, 1987), and the larger of the two counts.
+    """
+    least_cost = profile.cost(seconds)
+
+    def around(width: float) -> tuple[float, Float[np.ndarray, "views"]]:
+        """Return the curvature of the cost, and each view's slope, over an interval."""
+        after, before = (profile.view_costs(seconds + shift) for shift in (width, -width))
+        curvature = float(after.sum() - 2.0 * least_cost + before.sum()) / width**2
         if not curvature > 0.0:
             raise ValueError("time offset: not determined, because the robot hardly moved")
-        width = 1.0 / np.sqrt(curvature)
-    return float(width)
+        return curvature, (after - before) / (2.0 * width)
+
+    # The width at which the cost rises by one half, first from a small step, then from that width.
+    curvature, _ = around(min(1e-4, max_width))
+    curvature, slopes = around(min(1.0 / np.sqrt(curvature), max_width))
+    return float(max(1.0 / np.sqrt(curvature), np.sqrt(long_run_variance(slopes)) / curvature))
+
+
+def long_run_variance(slopes: Float[np.ndarray, "views"]) -> float:
+    """Return the variance of the sum of a series whose neighbours may be correlated.
+
+    Reference: Newey and West, "A simple, positive semi-definite, heteroskedasticity and
+    autocorrelation consistent covariance matrix", 1987.
+    """
+    deviations = slopes - slopes.mean()
+    count = len(deviations)
+    lags = int(np.ceil(count ** (1.0 / 3.0)))
+    covariances = [deviations[lag:] @ deviations[: count - lag] for lag in range(1, lags + 1)]
+    weights = 1.0 - np.arange(1, lags + 1) / (lags + 1.0)
+    return float(deviations @ deviations + 2.0 * (weights @ covariances))

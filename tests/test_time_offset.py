@@ -13,7 +13,12 @@ from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.robots import Trajectory
 from smartview_jax.simulation import paper_calibration, simulate
-from smartview_jax.time_offset import at_time_offset
+from smartview_jax.time_offset import (
+    Profile,
+    at_time_offset,
+    long_run_variance,
+    standard_deviation,
+)
 
 OFFSET = 0.035
 LOG_TIMES = 1000.0 + np.arange(0.0, 20.0, 0.02)
@@ -93,6 +98,33 @@ def test_tracked_poses_tell_the_offset_too():
     # At 5 cm/s 0.3 mm are 6 ms, and 15 pairs tell the offset four times as well.
     assert found.std < 3e-3
     assert isinstance(found.data, PoseDataset)
+
+
+def test_errors_that_are_alike_in_neighbours_widen_the_interval():
+    """The variance of sums of an autoregressive series, against sums of many such series."""
+    rng, persistence = np.random.default_rng(0), 0.6
+    series = np.zeros((400, 300))
+    for k in range(1, 400):
+        series[k] = persistence * series[k - 1] + rng.normal(size=300)
+    series = series[100:]
+    stated = np.mean([long_run_variance(one) for one in series.T])
+    true = np.var(series.sum(axis=0))
+    independent = np.sum(np.var(series, axis=1))
+    assert 0.65 * true < stated < 1.05 * true
+    assert independent < 0.35 * true
+    noise = rng.normal(size=(60, 500))
+    assert np.mean([long_run_variance(one) for one in noise.T]) == pytest.approx(60, rel=0.1)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 1.0, 4.0])
+def test_views_that_contradict_each_other_widen_the_interval(scatter):
+    """Four views, each of which tells the offset to 0.2 s and says another one."""
+    own = scatter * np.array([1.0, -1.0, -1.0, 1.0])
+    profile = Profile(lambda offset: 0.5 * ((offset - own) / 0.2) ** 2, None, None)
+    # Newey and West's weights of the two lags are 2/3 and 1/3.
+    long_run = 4.0 + 2.0 * (2.0 / 3.0 * -1.0 + 1.0 / 3.0 * -2.0)
+    expected = max(0.1, scatter * np.sqrt(long_run) / 4.0)
+    assert standard_deviation(profile, 0.0, 10.0) == pytest.approx(expected)
 
 
 def test_what_cannot_be_found_is_said(scene):
