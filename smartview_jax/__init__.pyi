@@ -61,6 +61,7 @@ from .io import load_rig as load_rig
 from .io import save_dataset as save_dataset
 from .io import save_rig as save_rig
 from .joint import JointFit as JointFit
+from .joint import RelativePose as RelativePose
 from .joint import RigFit as RigFit
 from .joint import fit_camera as fit_camera
 from .joint import fit_joint as fit_joint

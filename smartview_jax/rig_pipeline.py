@@ -29,9 +29,9 @@ def calibrate_rig(
 ) -> RigFit:
     """Calibrate all cameras of a rig together.
 
-    The camera with the most views tells where its target is; other cameras that see this target
-    start from there. So does a camera whose own views do not tell the place of the target, such as
-    one that saw it in a single orientation.
+    The camera with the most views tells where its target is; other cameras of the same arm that see
+    this target start from there. So does a camera whose own views do not tell the place of the
+    target, such as one that saw it in a single orientation.
 
     Args:
         rig: data sets of the cameras; each camera has at least three views.
@@ -57,8 +57,11 @@ def calibrate_rig(
             f"camera: expected cameras of {', '.join(rig.cameras)}, found {', '.join(strangers)}"
         )
     report = progress or (lambda _: None)
-    staged = _staged_fits(rig, lens, known, report)
-    starts = _consistent_starts(rig, staged)
+    staged, starts = {}, {}
+    for arm in rig.arm_names:
+        part = rig.of_arm(arm)
+        of_arm = _staged_fits(part, lens, known, report)
+        staged, starts = staged | of_arm, starts | _consistent_starts(part, of_arm)
     used, rejected = {}, []
     for name, data in rig.cameras.items():
         inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
@@ -66,7 +69,7 @@ def calibrate_rig(
         rejected += [(name, entry) for entry in (*staged[name].rejected, *outliers)]
     fixed = (*joint_options.get("fixed", ()), *(f"{name}.camera" for name in known))
     fit = fit_rig(
-        Rig(used, rig.targets),
+        rig.with_cameras(used),
         starts,
         progress=progress,
         rejected=rejected,

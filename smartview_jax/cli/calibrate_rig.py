@@ -70,7 +70,9 @@ def calibrate_rig_folders(
         from typer import echo
 
         for file in files[:-1]:
-            echo(f"{file}: the calibration of this camera, with its covariance")
+            is_camera = file.stem in result.fit.calibrations
+            kept = "the calibration of this camera" if is_camera else "where these arms are"
+            echo(f"{file}: {kept}, with its covariance")
         echo(f"{files[-1]}: the report: results and accuracy")
     return result.fit.result.converged
 
@@ -143,6 +145,7 @@ def _print_result(result: RigResult) -> None:
     from ..report import (
         CAMERA_HEADINGS,
         RELATIVE_HEADINGS,
+        base_rows,
         relative_pose_rows,
         rig_camera_rows,
         rig_summary,
@@ -154,6 +157,7 @@ def _print_result(result: RigResult) -> None:
     tables = (
         (CAMERA_HEADINGS, rig_camera_rows(result.fit, result.rig, result.held_out)),
         (RELATIVE_HEADINGS, relative_pose_rows(result.fit)),
+        (RELATIVE_HEADINGS, base_rows(result.fit)),
     )
     for headings, rows in tables:
         if rows:
@@ -176,7 +180,7 @@ def _write_files(result: RigResult, out: Path, run: str) -> list[Path]:
     from ..dataset import picture_digests
     from ..report import Origin, write_rig_page
 
-    names = [f"{camera}.yaml" for camera in result.fit.calibrations] + ["report.html"]
+    names = [*result.fit.file_names, "report.html"]
     with file_transaction(out, tuple(names)) as folder:
         cameras = result.rig.cameras.items()
         # A view without points has no digest.
@@ -201,9 +205,14 @@ def _document(result: RigResult) -> dict[str, Any]:
             "rms_px": fit.rms(name),
             "held_out_rms_px": scores,
         }
+    robots = {
+        name: {"translation": noise.translation, "rotation": noise.rotation}
+        for name, noise in fit.noises.items()
+    }
+    arms = {name: {**robots[name], **_base_document(fit, name)} for name in fit.bases}
     return {
         "cameras": cameras,
-        "robot": {"translation": fit.noise.translation, "rotation": fit.noise.rotation},
+        **({"arms": arms} if arms else {"robot": next(iter(robots.values()))}),
         "states": len(fit.view_ids),
         "converged": fit.result.converged,
         "notes": list(result.notes),
@@ -212,4 +221,15 @@ def _document(result: RigResult) -> dict[str, Any]:
             {"camera": name, "view": e.view, "point": e.point, "reason": e.reason}
             for name, e in fit.rejected
         ],
+    }
+
+
+def _base_document(fit: "RigFit", arm: str) -> dict[str, Any]:
+    """Return the pose of an arm's base in the base of the first arm as plain numbers."""
+    first = next(iter(fit.bases))
+    base = fit.base(first, arm)
+    return {
+        "cameras": [name for name, own in fit.arms.items() if own == arm],
+        f"base_{first}_from_base": transform_document(base.transform),
+        "std": {"translation": base.std[:3].tolist(), "rotation": base.std[3:].tolist()},
     }

@@ -147,8 +147,9 @@ def _check_rig(rig: "Rig", name: str, json: bool) -> bool:
         }
         print_document("check", document)
         return ready
+    robots = "the robot" if len(rig.arm_names) == 1 else f"the arms {', '.join(rig.arm_names)}"
     typer.echo(
-        f"{name}: {len(checked)} cameras, {rig.view_count} states of the robot, {shared} of them "
+        f"{name}: {len(checked)} cameras, {rig.view_count} states of {robots}, {shared} of them "
         "seen by several cameras"
     )
     for found in checked.values():

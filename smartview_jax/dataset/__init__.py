@@ -17,6 +17,7 @@ from .pose_dataset import UNIT_ROTATION as UNIT_ROTATION
 from .pose_dataset import UNIT_TRANSLATION as UNIT_TRANSLATION
 from .pose_dataset import PoseDataset as PoseDataset
 from .pose_observations import PoseObservations as PoseObservations
+from .rig import ONE_ARM as ONE_ARM
 from .rig import ONE_TARGET as ONE_TARGET
 from .rig import Rig as Rig
 from .robot_motion import contradictory_views as contradictory_views

@@ -1,4 +1,4 @@
-"""Hold the data sets of several cameras that watched one robot move."""
+"""Hold the data sets of several cameras that watched one robot move, or several robots."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -19,26 +19,35 @@ from .pose_dataset import PoseDataset
 ONE_TARGET = "target"
 """Name of the target if all cameras of a rig see the same one."""
 
+ONE_ARM = "arm"
+"""Name of the arm if a rig has only one."""
+
 NAME = re.compile(r"[\w-]+")
-"""The names of cameras and targets, which are parts of parameters' names."""
+"""The names of cameras, targets and arms, which are parts of parameters' names."""
 
 SAME_POSE_TOLERANCE = 1e-9
 """Largest difference, m or no unit, between the poses that two data sets have for one state."""
 
 
 class Rig:
-    """Data sets of several cameras that watched one robot move.
+    """Data sets of several cameras that watched one robot move, or several robots.
 
     Every camera has a data set of its own, with its own pictures, mount, picture size and target.
     Views with the same id were taken in the same state of the robot: they must have the same pose.
 
+    Several arms each have states, joints and errors of their own. Cameras on their hands must see a
+    target in common, which tells where the bases are to each other (`RigFit.base`). A camera on one
+    hand that looks at a target on another is not provided for.
+
     Attributes:
         cameras: data set of each camera, by its name.
         targets: name of the target that each camera sees, by the camera's name.
-        view_ids: names of the states of the robot in which any camera saw its target.
+        arms: name of the arm that moved each camera or its target, by the camera's name.
+        view_ids: names of the states of the robot in which any camera saw its target; with several
+            arms, one after the other, the arm's name and the view's, such as `left/3`.
         base_from_tool: pose that the robot reported in each state.
-        joints: joint readings of each state; None if they are not known.
-        arm: the arm whose joints these are; None if it is not known.
+        joints: joint readings of each state; None if they are not known, and with several arms.
+        arm: the arm whose joints these are; None if it is not known, and with several arms.
         masked_views: id and reason of each state whose reported pose is not used.
         state_index: state of each view of a camera, by the camera's name.
 
@@ -47,21 +56,35 @@ class Rig:
         >>> rig = sv.Rig({"left": data, "right": data.select([0, 1, 2, 4])})
         >>> print(len(rig.view_ids), rig.state_index["right"])
         8 [0 1 2 4]
+
+    With a camera on each of two arms, which see one table:
+
+        >>> rig = sv.Rig({"one": data, "two": data}, arms={"one": "left", "two": "right"})
+        >>> print(rig.arm_names, rig.view_ids[0], rig.of_arm("right").view_ids[0])
+        ('left', 'right') left/0 0
     """
 
-    def __init__(self, cameras: Mapping[str, Dataset], targets: Mapping[str, str] | None = None):
+    def __init__(
+        self,
+        cameras: Mapping[str, Dataset],
+        targets: Mapping[str, str] | None = None,
+        arms: Mapping[str, str] | None = None,
+    ):
         """Combine data sets.
 
         Args:
             cameras: data set of each camera, by a name.
             targets: name of the target that each camera sees, by the camera's name. By default all
-                cameras with the same mount see the same target. A target is on the table for
-                cameras on the hand, and on the hand for cameras next to the arm.
+                cameras with the same mount see the same target; if they are next to several
+                arms, one on the hand of each. A target is on the table for cameras on the hand, and
+                on the hand for cameras next to the arm.
+            arms: name of the arm that moved each camera or, if the camera stands next to the arm,
+                its target; by the camera's name. By default there is one arm.
 
         Raises:
             TypeError: a data set of another type.
-            ValueError: no camera; an unusable name; states whose poses differ; different arms; or
-                one target at two places.
+            ValueError: no camera; an unusable name; states whose poses differ; one arm with
+                different joints; one target at two places; or arms without a target in common.
         """
         if not cameras:
             raise ValueError("Rig: expected at least one camera, found none")
@@ -74,24 +97,78 @@ class Rig:
                     f"Rig: a camera's name has letters, digits, '_' and '-'; found {name!r}"
                 )
         self.cameras: Mapping[str, Dataset] = MappingProxyType(dict(cameras))
-        self.targets: Mapping[str, str] = MappingProxyType(_checked_targets(cameras, targets))
-        ids = list(dict.fromkeys(view for data in cameras.values() for view in data.view_ids))
-        self.view_ids: tuple[str, ...] = tuple(ids)
-        place = {view: k for k, view in enumerate(ids)}
-        self.state_index: Mapping[str, Int[np.ndarray, "views"]] = {
-            name: np.array([place[view] for view in data.view_ids])
+        self.arms: Mapping[str, str] = MappingProxyType(_checked_arms(cameras, arms))
+        self.targets: Mapping[str, str] = MappingProxyType(
+            _checked_targets(cameras, targets, self.arms)
+        )
+        ids = {
+            name: [self.state_name(name, view) for view in data.view_ids]
             for name, data in cameras.items()
         }
+        self.view_ids: tuple[str, ...] = tuple(
+            dict.fromkeys(
+                state
+                for arm in self.arm_names
+                for name in cameras
+                if self.arms[name] == arm
+                for state in ids[name]
+            )
+        )
+        place = {state: k for k, state in enumerate(self.view_ids)}
+        self.state_index: Mapping[str, Int[np.ndarray, "views"]] = {
+            name: np.array([place[state] for state in own]) for name, own in ids.items()
+        }
         self.base_from_tool: SE3 = host_transforms(self._state_poses())
-        self.arm: SerialArm | None = _common_arm(cameras)
-        self.joints: Float[np.ndarray, "states joints"] | None = self._state_joints()
+        one_arm = len(self.arm_names) == 1
+        self.arm: SerialArm | None = _common_arm(cameras) if one_arm else None
+        self.joints: Float[np.ndarray, "states joints"] | None = (
+            self._state_joints() if one_arm else None
+        )
         self.masked_views: tuple[tuple[str, str], ...] = tuple(
-            {entry[0]: entry for data in cameras.values() for entry in data.masked_views}.values()
+            {
+                self.state_name(name, view): (self.state_name(name, view), reason)
+                for name, data in cameras.items()
+                for view, reason in data.masked_views
+            }.values()
         )
 
     def __repr__(self) -> str:
         cameras = ", ".join(f"{name} ({d.view_count})" for name, d in self.cameras.items())
-        return f"<Rig: {len(self.view_ids)} robot states; views of cameras {cameras}>"
+        arms = "" if len(self.arm_names) == 1 else f" of arms {', '.join(self.arm_names)}"
+        return f"<Rig: {len(self.view_ids)} robot states{arms}; views of cameras {cameras}>"
+
+    @property
+    def arm_names(self) -> tuple[str, ...]:
+        """The names of the arms, in the order of their first cameras."""
+        return tuple(dict.fromkeys(self.arms.values()))
+
+    def of_arm(self, name: str) -> "Rig":
+        """Return the rig of one arm alone, with its cameras.
+
+        Raises:
+            ValueError: there is no such arm.
+        """
+        if name not in self.arm_names:
+            raise ValueError(
+                f"of_arm: expected an arm of {', '.join(self.arm_names)}, found {name!r}"
+            )
+        if len(self.arm_names) == 1:
+            return self
+        return self.with_cameras(
+            {camera: data for camera, data in self.cameras.items() if self.arms[camera] == name}
+        )
+
+    def with_cameras(self, cameras: Mapping[str, Dataset]) -> "Rig":
+        """Return a rig with other data of some of its cameras, whose targets and arms are kept."""
+        return Rig(
+            cameras,
+            {name: self.targets[name] for name in cameras},
+            {name: self.arms[name] for name in cameras},
+        )
+
+    def state_name(self, camera: str, view_id: str) -> str:
+        """Return the name of the robot's state in which a camera took a view."""
+        return view_id if len(self.arm_names) == 1 else f"{self.arms[camera]}/{view_id}"
 
     @property
     def command(self) -> Command:
@@ -120,11 +197,12 @@ class Rig:
         """Return the rig with some states of the robot masked for all cameras."""
         masked = np.zeros(self.view_count, dtype=bool)
         masked[np.asarray(views, dtype=int)] = True
-        cameras = {
-            name: data.mask_views(np.flatnonzero(masked[self.state_index[name]]))
-            for name, data in self.cameras.items()
-        }
-        return Rig(cameras, self.targets)
+        return self.with_cameras(
+            {
+                name: data.mask_views(np.flatnonzero(masked[self.state_index[name]]))
+                for name, data in self.cameras.items()
+            }
+        )
 
     def _state_poses(self) -> Float[np.ndarray, "states 4 4"]:
         """Return the reported pose of each state.
@@ -159,38 +237,105 @@ class Rig:
         return joints
 
 
+def _checked_arms(cameras: Mapping[str, Dataset], arms: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the name of each camera's arm.
+
+    Raises:
+        ValueError: a camera without an arm or the reverse, or an unusable name.
+    """
+    if arms is None:
+        return dict.fromkeys(cameras, ONE_ARM)
+    _require_each_camera("arms", cameras, arms)
+    several = len(set(arms.values())) > 1
+    for arm in arms.values():
+        if not NAME.fullmatch(arm) or (several and arm in cameras):
+            raise ValueError(
+                f"Rig: an arm's name has letters, digits, '_' and '-', and is no camera's name; "
+                f"found {arm!r}"
+            )
+    return {name: arms[name] for name in cameras}
+
+
+def _require_each_camera(
+    argument: str, cameras: Mapping[str, Dataset], given: Mapping[str, str]
+) -> None:
+    """Raise a ValueError unless a name is given for each camera and for nothing else."""
+    if set(given) != set(cameras):
+        raise ValueError(
+            f"Rig: {argument}: expected the cameras {', '.join(cameras)}, found {', '.join(given)}"
+        )
+
+
 def _checked_targets(
-    cameras: Mapping[str, Dataset], targets: Mapping[str, str] | None
+    cameras: Mapping[str, Dataset],
+    targets: Mapping[str, str] | None,
+    arms: Mapping[str, str],
 ) -> dict[str, str]:
     """Return the name of each camera's target.
 
     Raises:
-        ValueError: a camera without a target or the reverse, or a target at two places.
+        ValueError: a camera without a target or the reverse, a target at two places, or arms
+            without a target in common.
     """
-    mounts = {data.mount for data in cameras.values()}
     if targets is None:
-        several = len(mounts) > 1
-        return {
-            name: f"{ONE_TARGET}_{data.mount}" if several else ONE_TARGET
-            for name, data in cameras.items()
-        }
-    if set(targets) != set(cameras):
-        raise ValueError(
-            f"Rig: targets: expected the cameras {', '.join(cameras)}, found {', '.join(targets)}"
-        )
+        targets = _default_targets(cameras, arms)
+    _require_each_camera("targets", cameras, targets)
     mount_of: dict[str, str] = {}
+    hand_of: dict[str, str] = {}
+    names = {*cameras, *(arms.values() if len(set(arms.values())) > 1 else ())}
     for name, target in targets.items():
-        if not NAME.fullmatch(target) or target in cameras:
+        mount = cameras[name].mount
+        if not NAME.fullmatch(target) or target in names:
             raise ValueError(
-                f"Rig: a target's name has letters, digits, '_' and '-', and is no camera's name; "
-                f"found {target!r}"
+                f"Rig: a target's name has letters, digits, '_' and '-', and is no camera's name "
+                f"and no arm's; found {target!r}"
             )
-        if mount_of.setdefault(target, cameras[name].mount) != cameras[name].mount:
+        if mount_of.setdefault(target, mount) != mount:
             raise ValueError(
                 f"Rig: target {target!r} is on the table for cameras on the hand, and on the hand "
                 f"for cameras next to the arm; camera {name!r} says otherwise than the others"
             )
+        if mount == "eye_to_hand" and hand_of.setdefault(target, arms[name]) != arms[name]:
+            raise ValueError(
+                f"Rig: target {target!r} is on the hand of {hand_of[target]!r} and, for camera "
+                f"{name!r}, on the hand of {arms[name]!r}"
+            )
+    _require_connected_arms(targets, arms)
     return dict(targets)
+
+
+def _default_targets(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) -> dict[str, str]:
+    """Return one target for all cameras on hands, and one on the hand of each arm."""
+    several_mounts = len({data.mount for data in cameras.values()}) > 1
+    several_arms = len(set(arms.values())) > 1
+    return {
+        name: "_".join(
+            [
+                ONE_TARGET,
+                *([data.mount] if several_mounts else []),
+                *([arms[name]] if several_arms and data.mount == "eye_to_hand" else []),
+            ]
+        )
+        for name, data in cameras.items()
+    }
+
+
+def _require_connected_arms(targets: Mapping[str, str], arms: Mapping[str, str]) -> None:
+    """Raise a ValueError that names the arms which no common target connects to the first."""
+    names = list(dict.fromkeys(arms.values()))
+    connected, seen = {names[0]}, set()
+    while True:
+        seen |= {targets[camera] for camera, arm in arms.items() if arm in connected}
+        more = {arm for camera, arm in arms.items() if targets[camera] in seen}
+        if more == connected:
+            break
+        connected = more
+    if apart := [name for name in names if name not in connected]:
+        raise ValueError(
+            f"Rig: no target tells where {', '.join(apart)} and {', '.join(sorted(connected))} are "
+            "to each other: cameras on the hands of different arms must see the same target "
+            "(targets=); or make a rig of each arm"
+        )
 
 
 def _common_arm(cameras: Mapping[str, Dataset]) -> SerialArm | None:
@@ -208,5 +353,8 @@ def _common_arm(cameras: Mapping[str, Dataset]) -> SerialArm | None:
         len(own) == len(leaves[0]) and all(map(np.array_equal, own, leaves[0])) for own in leaves
     )
     if not equal:
-        raise ValueError("Rig: the data sets have different arms; a rig has one robot")
+        raise ValueError(
+            "Rig: the data sets of one arm have different joints: name the arms by arms= if there "
+            "are several"
+        )
     return known[0]

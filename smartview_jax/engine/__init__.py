@@ -3,6 +3,14 @@
 from .abstract_problem import AbstractBuiltProblem as AbstractBuiltProblem
 from .abstract_problem import AbstractProblem as AbstractProblem
 from .abstract_problem import NormalEquations as NormalEquations
+from .arms_builder import STEP_NAMES as STEP_NAMES
+from .arms_builder import ArmPaths as ArmPaths
+from .arms_builder import BuiltArms as BuiltArms
+from .arms_builder import base_path as base_path
+from .arms_builder import build_arms as build_arms
+from .arms_builder import paths_of_arms as paths_of_arms
+from .arms_problem import ArmInRig as ArmInRig
+from .arms_problem import ArmsProblem as ArmsProblem
 from .covariance import RANK_TOLERANCE as RANK_TOLERANCE
 from .covariance import ReducedEquations as ReducedEquations
 from .covariance import ScaledJacobian as ScaledJacobian
@@ -30,8 +38,10 @@ from .parameters import TARGET_SCALE as TARGET_SCALE
 from .parameters import Parameters as Parameters
 from .parameters import Step as Step
 from .parameters import host_retract as host_retract
+from .parameters import host_retract_transform as host_retract_transform
 from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
+from .parameters import twist_by_step as twist_by_step
 from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR
 from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigma
 from .pixel_sigma import squared_residuals as squared_residuals

@@ -149,6 +149,22 @@ class AbstractProblem(eqx.Module):
         """Return the entries of the free shared parameters, with zeros for padding."""
         return jnp.take(shared, self.free, axis=-1, mode="fill", fill_value=0.0)
 
+    def of_free_parameters(self, equations: NormalEquations) -> NormalEquations:
+        """Return the equations of all parameters for the free ones, in units of the step."""
+        gradient, matrix = equations.gradient, equations.matrix
+        scale = self.scale.shared
+        own_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
+        shared = self._take_free(jnp.swapaxes(self._take_free(matrix.shared), 0, 1))
+        return NormalEquations(
+            equations.cost,
+            Step(self._take_free(gradient.shared) * scale, gradient.per_view * own_scale),
+            BlockArrow(
+                shared * scale[:, None] * scale[None],
+                self._take_free(matrix.border) * own_scale[:, :, None] * scale[None, None],
+                matrix.per_view * own_scale[:, :, None] * own_scale[:, None],
+            ),
+        )
+
     @property
     def _per_view_weight(self) -> Float[Array, "corrected 6"]:
         """The inverse prior standard deviations of each view's own parameters, in their units."""

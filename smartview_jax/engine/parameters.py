@@ -186,8 +186,8 @@ class Parameters(eqx.Module):
             error = RobotError(error.field, error.coefficients + shared[layout.field])
         calibration = Calibration(
             rebuild(camera_values + shared[layout.camera]),
-            _retract_transform(start.camera_from_mount, shared[layout.mount]),
-            _retract_transform(start.holder_from_world, shared[layout.holder]),
+            retract_transform(start.camera_from_mount, shared[layout.mount]),
+            retract_transform(start.holder_from_world, shared[layout.holder]),
             start.mount,
             start.target_scale * jnp.exp(shared[layout.target_scale][0]),
             error,
@@ -205,11 +205,11 @@ class Parameters(eqx.Module):
             (layout.holder, start.holder_from_world, other.holder_from_world),
         ):
             rotation = slice(place.start + 3, place.stop)
-            step = step.at[rotation].set(_rotation_vector_between(before, after))
+            step = step.at[rotation].set(rotation_vector_between(before, after))
         return step
 
 
-def _rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:
+def rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:
     """Return the rotation vector r with `exp(r) R_start = R_end`."""
     return (end.rotation() @ start.rotation().inverse()).log()
 
@@ -247,16 +247,16 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
         error = RobotError(error.field, to_device(coefficients))
     return Calibration(
         jax.tree.unflatten(structure, camera),
-        _host_retract_transform(start.camera_from_mount, shared[layout.mount]),
-        _host_retract_transform(start.holder_from_world, shared[layout.holder]),
+        host_retract_transform(start.camera_from_mount, shared[layout.mount]),
+        host_retract_transform(start.holder_from_world, shared[layout.holder]),
         start.mount,
         np.asarray(start.target_scale) * np.exp(shared[layout.target_scale][0]),
         error,
     )
 
 
-def _host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:
-    """Return the result of `_retract_transform`, computed with NumPy."""
+def host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:
+    """Return the result of `retract_transform`, computed with NumPy."""
     matrix = host_matrices(start)
     # R = exp(step) R_start, and the translation by itself: see the module's docstring.
     rotation_alone = np.concatenate([np.zeros(3), step[3:]])
@@ -265,7 +265,26 @@ def _host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:
     return host_transforms(matrix)
 
 
-def _retract_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
+def retract_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
     """Apply a step, translation first, to a transform; both parts are changed independently."""
     rotation = SO3.exp(step[3:]) @ start.rotation()
     return SE3.from_rotation_and_translation(rotation, start.translation() + step[:3])
+
+
+def twist_by_step(
+    matrix: Float[np.ndarray, "4 4"], turned: Float[np.ndarray, "3"] | None = None
+) -> Float[np.ndarray, "6 6"]:
+    """Return the twist on the left of a transform per unit of its translation and rotation step.
+
+    Args:
+        matrix: the transform.
+        turned: rotation step from the start to the transform; None for a small one.
+    """
+    # R -> exp(r) R and t -> t + d is the twist (d + t x r, r).
+    result = np.eye(6)
+    result[:3, 3:] = np.cross(matrix[:3, 3], np.eye(3)).T
+    if turned is not None:
+        # exp(turned + r) = exp(J r) exp(turned), and exp of (v, turned) has the translation J v.
+        columns = host_exponentials(np.hstack([np.eye(3), np.tile(turned, (3, 1))]))
+        result[:, 3:] = result[:, 3:] @ columns[:, :3, 3].T
+    return result

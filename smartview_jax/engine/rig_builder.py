@@ -101,8 +101,11 @@ def build_rig(
     """
     require_names("fixed", fixed)
     require_names("free", free)
+    if len(rig.arm_names) > 1:
+        raise ValueError(f"build_rig: expected one arm, found {', '.join(rig.arm_names)}")
     starts = {name: with_field(start, field) for name, start in starts.items()}
-    names, camera_names = _all_names(rig, starts)
+    camera_names = rig_parameter_names(rig, starts)
+    names = tuple(dict.fromkeys(name for own in camera_names.values() for name in own))
     error = next(iter(starts.values())).robot_error
     prepared = prepare_poses(error, rig.command)
     place = {name: k for k, name in enumerate(names)}
@@ -143,15 +146,18 @@ def build_rig(
     )
 
 
-def _all_names(
-    rig: Rig, starts: Mapping[str, Calibration]
-) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
-    """Return the names of all shared parameters, and of each camera's in the order of its own."""
+def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str, tuple[str, ...]]:
+    """Return the name among a rig's parameters of each of a camera's, by the camera's name.
+
+    Raises:
+        ValueError: starts that do not belong to the rig.
+    """
     if set(starts) != set(rig.cameras):
         raise ValueError(
             f"starts: expected the cameras {', '.join(rig.cameras)}, found {', '.join(starts)}"
         )
     several = len(set(rig.targets.values())) > 1
+    several_arms = len(rig.arm_names) > 1
     of_cameras: dict[str, tuple[str, ...]] = {}
     for camera, start in starts.items():
         if start.mount != rig.cameras[camera].mount:
@@ -164,12 +170,12 @@ def _all_names(
             start.transform_names[0]: f"{camera}.",
             start.transform_names[1]: target,
             TARGET_SCALE: target,
-            ROBOT_ERROR: "",
+            ROBOT_ERROR: f"{rig.arms[camera]}." if several_arms else "",
         }
         of_cameras[camera] = tuple(
             prefixes[name.split(".")[0]] + name for name in parameter_names(start)
         )
-    return tuple(dict.fromkeys(name for own in of_cameras.values() for name in own)), of_cameras
+    return of_cameras
 
 
 def _grouped(

@@ -150,7 +150,7 @@ class RigProblem(AbstractProblem):
                 found.matrix.border, mode="drop"
             )
         matrix = BlockArrow(shared, border, per_view)
-        return self._of_free_parameters(NormalEquations(cost, gradient, matrix))
+        return self.of_free_parameters(NormalEquations(cost, gradient, matrix))
 
     def view_distances(self, z: Step) -> tuple[Float[Array, "cameras views"], ...]:
         """Return by how much twice the cost would fall if a single view had a pose of its own.
@@ -164,22 +164,6 @@ class RigProblem(AbstractProblem):
             whitened = jnp.linalg.solve(matrix, gradient[..., None])[..., 0]
             distances.append(jnp.sum(gradient * whitened, axis=-1))
         return tuple(distances)
-
-    def _of_free_parameters(self, equations: NormalEquations) -> NormalEquations:
-        """Return the equations of the free parameters, in units of the step."""
-        gradient, matrix = equations.gradient, equations.matrix
-        scale = self.scale.shared
-        own_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
-        shared = self._take_free(jnp.swapaxes(self._take_free(matrix.shared), 0, 1))
-        return NormalEquations(
-            equations.cost,
-            Step(self._take_free(gradient.shared) * scale, gradient.per_view * own_scale),
-            BlockArrow(
-                shared * scale[:, None] * scale[None],
-                self._take_free(matrix.border) * own_scale[:, :, None] * scale[None, None],
-                matrix.per_view * own_scale[:, :, None] * own_scale[:, None],
-            ),
-        )
 
     def _camera_equations(self, z: Step) -> tuple[NormalEquations, ...]:
         """Return the normal equations of each group's cameras alone, stacked."""

@@ -41,7 +41,7 @@ def without_rejected_rig_views(rig: Rig, fit: RigFit) -> Rig:
             entry.view for camera, entry in fit.rejected if camera == name and entry.point is None
         }
         cameras[name] = data.mask_views([k for k, v in enumerate(data.view_ids) if v in rejected])
-    return Rig(cameras, rig.targets)
+    return rig.with_cameras(cameras)
 
 
 def count_rejected(rejected: Sequence[Rejection]) -> RejectionCount:

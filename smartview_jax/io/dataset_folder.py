@@ -45,7 +45,7 @@ from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
 from .pending_pictures import standing_path
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
-from .poses import poses_entry, refuse_unreadable_poses, write_poses
+from .poses import POSES_FILE, poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose
 from .target_file import read_target
@@ -292,7 +292,8 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
             "tracked_poses": write_tracked_poses(data, folder, pose_format),
             **written_joints(folder, data),
         }
-        write_described_folder(folder, data.view_ids, data.base_from_tool, entries, pose_format)
+        poses = {POSES_FILE: (data.view_ids, data.base_from_tool)}
+        write_described_folder(folder, poses, entries, pose_format)
         return
     if target is None or not is_described(data):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
@@ -374,17 +375,23 @@ def write_dataset_folder(
         "poses": poses_entry(len(view_ids), pose_format),
         **(extra_entries or {}),
     }
-    write_described_folder(folder, view_ids, base_from_tool, entries, pose_format)
+    poses = {POSES_FILE: (view_ids, base_from_tool)}
+    write_described_folder(folder, poses, entries, pose_format)
 
 
 def write_described_folder(
     folder: Path,
-    view_ids: Sequence[str],
-    base_from_tool: SE3,
+    poses: Mapping[str, tuple[Sequence[str], SE3]],
     entries: Mapping[str, Any],
     pose_format: str,
 ) -> None:
-    """Write `poses.csv` and then the description with the given entries.
+    """Write tables of poses and then the description with the given entries.
+
+    Args:
+        folder: of the data set.
+        poses: view ids and reported poses of each table, by its name.
+        entries: of the description.
+        pose_format: one of `POSE_CODECS`.
 
     Raises:
         ValueError: a name or a value with which the folder could not be read back.
@@ -396,7 +403,8 @@ def write_described_folder(
     description = marked_entries(entries)
     schema = RIG_SCHEMA if is_rig_description(description) else DATASET_SCHEMA
     refuse_unreadable(description, schema, folder / DESCRIPTION_FILE)
-    write_poses(folder, view_ids, base_from_tool, pose_format)
+    for file, (view_ids, base_from_tool) in poses.items():
+        write_poses(folder, view_ids, base_from_tool, pose_format, file)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
     write_validated(folder / DESCRIPTION_FILE, description, schema)
 

@@ -1,4 +1,4 @@
-"""Read and write a folder with the pictures of several cameras that watched one robot.
+"""Read and write a folder with the pictures of several cameras that watched one robot or several.
 
     smartview_dataset: 1
     cameras:
@@ -21,6 +21,17 @@ none. With cameras on the hand and next to the arm, or with several targets, a c
       table: {kind: chessboard, rows: 9, columns: 6, square: 0.025}
       hand: {kind: chessboard, rows: 4, columns: 3, square: 0.05}
 
+Of several arms, each has its own tables, and a camera states which arm moved it or its target:
+
+    cameras:
+      left_hand: {image_size: [640, 480], arm: left}
+      right_hand: {image_size: [640, 480], arm: right}
+    arms:
+      left: {poses: {file: left/poses.csv, codec: ur, length_unit: m, angle_unit: rad,
+                     direction: base_from_tool}}
+      right: {poses: {file: right/poses.csv, codec: fanuc_wpr, length_unit: mm, angle_unit: deg,
+                      direction: base_from_tool}}
+
 Detected points of a camera are kept in `detections/<camera>.csv`. All else is as in a folder with
 one camera (`dataset_folder`).
 """
@@ -30,7 +41,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..dataset import Dataset, Rig
+from ..dataset import ONE_ARM, Dataset, Rig
 from ..detection import DetectionLimits
 from ..files import read_yaml
 from ..targets import AbstractTarget, target_to_dict
@@ -77,9 +88,9 @@ def load_rig(
     keep_detections: bool = True,
     detection_limits: DetectionLimits | None = None,
 ) -> Rig:
-    """Load the pictures (or detections) of several cameras, with one robot's poses.
+    """Load the pictures (or detections) of several cameras, with the poses of one robot or several.
 
-    A camera's views are the states of the robot that it took a picture in. A picture in which the
+    A camera's views are the states of its robot that it took a picture in. A picture in which the
     target is not found is kept as a masked view.
 
     Args:
@@ -116,11 +127,18 @@ def load_rig(
     cameras = _cameras(folder, description, content, path)
     pattern = None if description.pictures is None else description.pictures.pattern
     patterns = {name: (pattern or "").replace("{camera}", name) for name in cameras}
-    # A view's name in the table may end as the picture's does, which the first camera's tell.
-    first = {"pictures": {"pattern": next(iter(patterns.values()))}} if pattern else {}
-    readings = read_robot_readings(folder, {**content, **first}, path, bad_views)
+    arms = {name: entry.arm or ONE_ARM for name, entry in description.cameras.items()}
+    robots = content.get("arms") or {ONE_ARM: content}
+    readings_of = {}
+    for arm, robot in robots.items():
+        # A view's name in the table may end as the picture's does, which the arm's first camera's
+        # tell.
+        first = next(patterns[name] for name in cameras if arms[name] == arm)
+        named = {"pictures": {"pattern": first}} if pattern else {}
+        readings_of[arm] = read_robot_readings(folder, {**robot, **named}, path, bad_views)
     data = {}
     for name, camera in cameras.items():
+        readings, table = readings_of[arms[name]], table_of_views(folder, robots[arms[name]])
         report = None if progress is None else _named(progress, name)
         options = LoadOptions(bad_views, report, keep_detections, detection_limits)
         if pattern is None:
@@ -132,7 +150,7 @@ def load_rig(
             {"pattern": patterns[name]},
             readings.view_ids,
             camera.target,
-            table_of_views(folder, content),
+            table,
             path,
             camera_board_heights(camera, readings),
         )
@@ -141,11 +159,16 @@ def load_rig(
             raise FileNotFoundError(f"{folder / patterns[name]}: camera {name} has no picture")
         files = {view: files[view] for view in seen}
         data[name] = camera_dataset(camera, readings.of_views(seen), files, options, path)
-    _refuse_unseen_states(readings.view_ids, data, table_of_views(folder, content))
+    for arm, robot in robots.items():
+        own = {name: seen for name, seen in data.items() if arms[name] == arm}
+        _refuse_unseen_states(readings_of[arm].view_ids, own, table_of_views(folder, robot))
     targets = {name: entry.target for name, entry in description.cameras.items()}
-    if description.targets is None:
-        return Rig(data)
-    return Rig(data, {name: target for name, target in targets.items() if target is not None})
+    known = {name: target for name, target in targets.items() if target is not None}
+    return Rig(
+        data,
+        None if description.targets is None else known,
+        None if description.arms is None else arms,
+    )
 
 
 def _cameras(
@@ -156,8 +179,11 @@ def _cameras(
         named = content.get("targets") or {"": content["target"]}
         targets = {name: read_target(folder, entry) for name, entry in named.items()}
         rough = {
-            "eye_in_hand": rough_pose_of(description.base_from_world),
-            "eye_to_hand": rough_pose_of(description.tool_from_world),
+            arm: {
+                "eye_in_hand": rough_pose_of(robot.base_from_world),
+                "eye_to_hand": rough_pose_of(robot.tool_from_world),
+            }
+            for arm, robot in (description.arms or {ONE_ARM: description}).items()
         }
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -169,7 +195,7 @@ def _cameras(
             targets[entry.target or ""],
             mount,
             (width, height),
-            rough[mount],
+            rough[entry.arm or ONE_ARM][mount],
             folder / DETECTIONS_FOLDER / f"{name}.csv",
             None if entry.detections is None else entry.detections.rows,
         )
@@ -205,6 +231,8 @@ def _refuse_unseen_states(
 def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matrix") -> None:
     """Write poses, targets and detections of a rig as a folder that `load_rig` reads.
 
+    Each of several arms has a folder with its tables.
+
     Args:
         rig: data sets with targets, whose points must be the targets'.
         folder: folder to create.
@@ -226,7 +254,15 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
     """
     folder = Path(folder)
     targets = _described_targets(rig)
-    refuse_unreadable_robot(folder, rig, pose_format)
+    # An unknown format or name is refused before anything is written.
+    several = len(rig.arm_names) > 1
+    places = {arm: f"{arm}/" if several else "" for arm in rig.arm_names}
+    robots = {}
+    for arm, place in places.items():
+        part = rig.of_arm(arm)
+        refuse_unreadable_robot(folder / place, part, pose_format)
+        poses = poses_entry(len(part.view_ids), pose_format)
+        robots[arm] = {"poses": {**poses, "file": f"{place}{poses['file']}"}}
     one_mount = len({data.mount for data in rig.cameras.values()}) == 1
     one_target = len(targets) == 1
     cameras = {}
@@ -238,15 +274,21 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
             "image_size": [int(size) for size in data.image_size],
             **({} if one_mount else {"mount": data.mount}),
             **({} if one_target else {"target": rig.targets[name]}),
+            **({"arm": rig.arms[name]} if several else {}),
             "detections": {"rows": rows},
         }
     described = {name: target_to_dict(target) for name, target in targets.items()}
     entries: dict[str, Any] = {"cameras": cameras}
     entries |= {"target": next(iter(described.values()))} if one_target else {"targets": described}
     entries |= {"mount": next(iter(rig.cameras.values())).mount} if one_mount else {}
-    entries["poses"] = poses_entry(len(rig.view_ids), pose_format)
-    entries |= written_joints(folder, rig)
-    write_described_folder(folder, rig.view_ids, rig.base_from_tool, entries, pose_format)
+    tables = {}
+    for arm, place in places.items():
+        part, poses = rig.of_arm(arm), robots[arm]["poses"]
+        tables[poses["file"]] = (part.view_ids, part.base_from_tool)
+        for name, entry in written_joints(folder / place, part).items():
+            robots[arm][name] = {**entry, "file": f"{place}{entry['file']}"}
+    entries |= {"arms": robots} if several else robots[rig.arm_names[0]]
+    write_described_folder(folder, tables, entries, pose_format)
 
 
 def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:

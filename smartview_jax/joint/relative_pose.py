@@ -1,5 +1,6 @@
-"""The pose of one camera of a rig in another's frame, with its covariance."""
+"""The pose of one camera or one arm's base of a rig in another's frame, with its covariance."""
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -8,16 +9,35 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..geometry import host_adjoints, host_matrices, host_transforms
+from ..engine import STEP_NAMES, base_path, twist_by_step
+from ..files import read_yaml
+from ..geometry import (
+    host_adjoints,
+    host_matrices,
+    host_transforms,
+    transform_from_dict,
+    transform_to_dict,
+)
 
 
 class RelativePose(NamedTuple):
-    """The pose of one camera of a rig in the frame of another.
+    """The pose of one camera, or of one arm's base, in the frame of another.
 
     Attributes:
-        transform: transform from the second camera's frame to the first's.
+        transform: transform from the second one's frame to the first's.
         covariance: covariance of its translation (m) and of a small rotation (rad) after it, both
-            along the axes of the first camera.
+            along the axes of the first.
+
+    For example, with one camera in the place of two:
+
+        >>> rig = sv.Rig({"left": data, "right": data.select(range(4))})
+        >>> both = sv.fit_rig(rig, {"left": truth, "right": truth}, noise=noise)
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     both.relative("left", "right").save(f"{folder}/stereo.yaml")
+        ...     stereo = sv.RelativePose.load(f"{folder}/stereo.yaml")
+        >>> print(f"{1e3 * stereo.std[2]:.1f} mm along the optical axis")
+        0.9 mm along the optical axis
     """
 
     transform: SE3
@@ -27,6 +47,44 @@ class RelativePose(NamedTuple):
     def std(self) -> Float[np.ndarray, "6"]:
         """The standard deviations of translation (m) and rotation (rad)."""
         return np.sqrt(np.diagonal(self.covariance))
+
+    def save(self, path: str | os.PathLike[str], run: str | None = None) -> None:
+        """Write a file that `load` reads: YAML, or JSON where the name ends in `.json`.
+
+        Args:
+            path: of the file, which is written completely or not at all.
+            run: name of the run that produced this; None without one.
+
+        Raises:
+            ValueError: a value with which the file could not be read back.
+        """
+        # The validation library is imported only where files are read or written.
+        from ..schemas.relative_pose import RELATIVE_POSE_SCHEMA
+        from ..schemas.validation import write_validated
+
+        content = {
+            "smartview_relative_pose": 1,
+            **({} if run is None else {"run": run}),
+            "first_from_second": transform_to_dict(self.transform),
+            "covariance": np.asarray(self.covariance).tolist(),
+            "end": "smartview_relative_pose",
+        }
+        write_validated(path, content, RELATIVE_POSE_SCHEMA)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "RelativePose":
+        """Read a file that `save` wrote.
+
+        Raises:
+            FileNotFoundError: the file is missing.
+            ValueError: a wrong entry; the message names it and the file.
+        """
+        from ..schemas.relative_pose import RELATIVE_POSE_SCHEMA
+        from ..schemas.validation import validate_content
+
+        content = validate_content(read_yaml(path), RELATIVE_POSE_SCHEMA, path)
+        pose = transform_from_dict(f"{path}: pose", content.first_from_second.model_dump())
+        return cls(pose, np.array(content.covariance, dtype=float))
 
 
 def relative_pose(
@@ -57,28 +115,80 @@ def relative_pose(
             f"relative: camera {first!r} is {a.mount} and {second!r} {b.mount}: their relative "
             "pose changes with the robot's; use their `camera_from_world`"
         )
-    matrix = host_matrices(a.camera_from_mount) @ np.linalg.inv(host_matrices(b.camera_from_mount))
-    # A small motion (v, w) of A moves A B^-1 as it moves A; one of B by -Ad(A B^-1) (v, w).
-    by_first = _twist_by_step(host_matrices(a.camera_from_mount))
-    by_second = -host_adjoints(matrix) @ _twist_by_step(host_matrices(b.camera_from_mount))
-    names = [
-        f"{name}.{c.transform_names[0]}.{part}.{axis}"
+    first_pose, second_pose = (
+        _Pose(host_matrices(c.camera_from_mount), _step_names(f"{name}.{c.transform_names[0]}"))
         for name, c in ((first, a), (second, b))
-        for part in ("translation", "rotation")
-        for axis in "xyz"
-    ]
+    )
+    matrix = first_pose.matrix @ np.linalg.inv(second_pose.matrix)
+    # A small motion (v, w) of A moves A B^-1 as it moves A; one of B by -Ad(A B^-1) (v, w).
+    twists = [(first_pose, np.eye(6)), (second_pose, -host_adjoints(matrix))]
+    return _with_covariance(matrix, twists, parameter_names, covariance)
+
+
+def relative_base(
+    bases: Mapping[str, SE3],
+    parameter_names: Sequence[str],
+    covariance: Float[np.ndarray, "free free"],
+    first: str,
+    second: str,
+) -> RelativePose:
+    """Return the pose of the second arm's base in the base of the first.
+
+    Args:
+        bases: transform from each arm's base to the base of the first of all arms.
+        parameter_names: names of the free parameters, as of `build_arms`.
+        covariance: their covariance.
+        first, second: names of arms.
+
+    Raises:
+        ValueError: no such arm.
+    """
+    for name in (first, second):
+        if name not in bases:
+            raise ValueError(f"expected an arm of {', '.join(bases)}, found {name!r}")
+    reference = next(iter(bases))
+    first_pose, second_pose = (
+        _Pose(host_matrices(bases[name]), _step_names(base_path(reference, name)))
+        for name in (first, second)
+    )
+    first_inverse = np.linalg.inv(first_pose.matrix)
+    # A small motion of B moves A^-1 B by Ad(A^-1) (v, w), and one of A by as much the other way.
+    by_motion = host_adjoints(first_inverse)
+    twists = [(first_pose, -by_motion), (second_pose, by_motion)]
+    return _with_covariance(first_inverse @ second_pose.matrix, twists, parameter_names, covariance)
+
+
+class _Pose(NamedTuple):
+    """A transform, and the names of its parameters."""
+
+    matrix: Float[np.ndarray, "4 4"]
+    names: tuple[str, ...]
+
+
+def _step_names(path: str) -> tuple[str, ...]:
+    """Return the names of a transform's parameters."""
+    return tuple(f"{path}.{name}" for name in STEP_NAMES)
+
+
+def _with_covariance(
+    matrix: Float[np.ndarray, "4 4"],
+    twists: Sequence[tuple[_Pose, Float[np.ndarray, "6 6"]]],
+    parameter_names: Sequence[str],
+    covariance: Float[np.ndarray, "free free"],
+) -> RelativePose:
+    """Return a transform with its covariance by the parameters of the transforms that make it up.
+
+    Args:
+        matrix: the transform.
+        twists: its motion on the left by the motion on the left of each of these transforms.
+        parameter_names: names of the free parameters.
+        covariance: their covariance.
+    """
+    names = [name for pose, _ in twists for name in pose.names]
+    by_steps = [by_motion @ twist_by_step(pose.matrix) for pose, by_motion in twists]
     place = {name: k for k, name in enumerate(parameter_names)}
     free = np.array([name in place for name in names])
     indices = [place[name] for name in names if name in place]
-    jacobian = np.linalg.solve(_twist_by_step(matrix), np.hstack([by_first, by_second]))
-    jacobian = jacobian[:, free]
+    jacobian = np.linalg.solve(twist_by_step(matrix), np.hstack(by_steps))[:, free]
     known = np.asarray(covariance)[np.ix_(indices, indices)]
     return RelativePose(host_transforms(matrix), jacobian @ known @ jacobian.T)
-
-
-def _twist_by_step(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "6 6"]:
-    """Return the twist on the left of a transform per unit of its translation and rotation step."""
-    # R -> exp(r) R and t -> t + d is the twist (d + t x r, r).
-    result = np.eye(6)
-    result[:3, 3:] = np.cross(matrix[:3, 3], np.eye(3)).T
-    return result

@@ -1,37 +1,36 @@
-"""Fit all cameras of a rig together: one robot, one covariance over everything."""
+"""Fit all cameras and arms of a rig together: one covariance over everything."""
 
 import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..argument_checks import require_instance
+from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration
 from ..dataset import Dataset, Rig, chain_residuals, view_residuals
 from ..engine import (
-    BlockArrow,
+    BuiltArms,
     BuiltRig,
     Direction,
     FittedChain,
     Noise,
-    NormalEquations,
     Observability,
     Prior,
     ScaledJacobian,
     Solution,
-    Step,
-    build_rig,
+    base_path,
     covariance,
     describe_direction,
     parameter_names,
+    paths_of_arms,
     per_view_std,
     reduced_equations,
-    solve,
 )
 from ..files import file_transaction
 from ..fit_result import FitResult, Rejection
@@ -39,15 +38,16 @@ from ..geometry import host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
-from ..variance import RigNoiseEstimate, estimate_rig_noise
+from ..variance import RigNoiseEstimate
+from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
-from .gross_errors import without_views
 from .joint_fit import half_width
-from .relative_pose import RelativePose, relative_pose
-from .rig_rejection import Contradiction, contradiction, suspect_state
+from .relative_pose import RelativePose, relative_base, relative_pose
 from .rig_warnings import rig_warnings
 from .saved_estimate import SavedEstimate, uncertainty_to_dict
-from .view_rejection import inflation_reason, is_plausible
+from .several_arms import JoinedArms, added_by_estimation, join_arms, own_jacobians
+
+_Option = TypeVar("_Option")
 
 
 class RigFit(eqx.Module):
@@ -59,9 +59,9 @@ class RigFit(eqx.Module):
         parameter_names: names of these parameters (see `build_rig`).
         std: standard deviation of each free parameter, by name; of the states' corrections too.
         degrees_of_freedom: degrees of freedom of the common parameters' standard deviations.
-        noise: standard deviations of pixels, reported poses and robot errors.
+        noises: standard deviations of pixels, reported poses and robot errors, by the arm's name.
         pixel_sigmas: standard deviation of u and of v of each camera, px.
-        noise_estimate: the estimate of the noise; None if the noise was given.
+        noise_estimates: the estimate of the noise of each arm; empty if the noise was given.
         residuals: measured minus predicted pixels of each camera through the chain without
             corrections of single states, px; zero where not seen.
         inliers: observations of each camera within the chi-square gate around the fit.
@@ -73,6 +73,8 @@ class RigFit(eqx.Module):
         smallest_singular_value: of the Jacobian with unit columns; small for data that hardly
             determine a parameter.
         result: whether the fit converged.
+        bases: transform from each arm's base to the base of the first; empty for one arm.
+        arms: name of the arm of each camera.
         warnings: reasons to doubt the result, a sentence each.
 
     For example, with one camera in the place of two:
@@ -88,18 +90,20 @@ class RigFit(eqx.Module):
     parameter_names: tuple[str, ...] = eqx.field(static=True)
     std: dict[str, float]
     degrees_of_freedom: dict[str, float]
-    noise: Noise = eqx.field(static=True)
+    noises: dict[str, Noise] = eqx.field(static=True)
     pixel_sigmas: dict[str, float]
-    noise_estimate: RigNoiseEstimate | None
+    noise_estimates: dict[str, RigNoiseEstimate]
     residuals: dict[str, Float[Array, "views points 2"]]
     inliers: dict[str, Bool[np.ndarray, "views points"]]
     pose_corrections: Float[np.ndarray, "states 6"]
     view_ids: tuple[str, ...] = eqx.field(static=True)
     rejected: tuple[tuple[str, Rejection], ...] = eqx.field(static=True)
-    built: BuiltRig
+    built: BuiltRig | BuiltArms
     solution: Solution
     smallest_singular_value: float = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
+    bases: dict[str, SE3]
+    arms: dict[str, str] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __repr__(self) -> str:
@@ -123,12 +127,51 @@ class RigFit(eqx.Module):
                 f"  +- {1e3 * np.hypot.reduce(places):.2f} mm and "
                 f"{np.degrees(np.hypot.reduce(turns)):.3f} degrees; {self.rms(name):.3f} px RMS",
             ]
-        robot = self.noise
-        lines.append(
-            f"robot: {1e3 * robot.translation:.3f} mm and {np.degrees(robot.rotation):.4f} degrees "
-            f"of noise in {len(self.view_ids)} states"
-        )
+        for arm, built in self.built_by_arm.items():
+            robot, states = self.noises[arm], len(built.problem.per_view_free)
+            lines.append(
+                f"{arm if self.bases else 'robot'}: {1e3 * robot.translation:.3f} mm and "
+                f"{np.degrees(robot.rotation):.4f} degrees of noise in {states} states"
+            )
+        for name, base in self._named_bases():
+            x, y, z = 1e3 * host_matrices(base.transform)[:3, 3]
+            lines += [
+                f"{name}: {x:.2f}, {y:.2f}, {z:.2f} mm",
+                f"  +- {1e3 * np.hypot.reduce(base.std[:3]):.2f} mm and "
+                f"{np.degrees(np.hypot.reduce(base.std[3:])):.3f} degrees",
+            ]
         return lines
+
+    @property
+    def noise(self) -> Noise:
+        """The standard deviations of pixels, reported poses and robot errors of the only arm.
+
+        Raises:
+            ValueError: there are several arms, which have `noises`.
+        """
+        return self.noises[self._only_arm("noises")]
+
+    @property
+    def noise_estimate(self) -> RigNoiseEstimate | None:
+        """The estimate of the noise of the only arm; None if the noise was given.
+
+        Raises:
+            ValueError: there are several arms, which have `noise_estimates`.
+        """
+        return self.noise_estimates.get(self._only_arm("noise_estimates"))
+
+    def _only_arm(self, name: str) -> str:
+        """Return the name of the only arm."""
+        if len(self.noises) > 1:
+            raise ValueError(f"this rig has the arms {', '.join(self.noises)}: take {name}[...]")
+        return next(iter(self.noises))
+
+    @property
+    def built_by_arm(self) -> dict[str, BuiltRig]:
+        """The problem of each arm alone, by its name."""
+        if isinstance(self.built, BuiltRig):
+            return {next(iter(self.noises)): self.built}
+        return self.built.arms
 
     def rms(self, camera: str) -> float:
         """Return the RMS length of a camera's residuals over its inliers, px."""
@@ -142,16 +185,12 @@ class RigFit(eqx.Module):
             ValueError: there is no such camera.
         """
         calibration = self.calibrations[self._checked(camera)]
-        own, alone = self.built.camera_names[camera], parameter_names(self.built.starts[camera])
+        built = self.built_by_arm[self.arms[camera]]
+        names, known, std = self._of_arm(self.arms[camera])
+        own, alone = built.camera_names[camera], parameter_names(built.starts[camera])
         local = dict(zip(own, alone, strict=True))
-        kept = [k for k, name in enumerate(self.parameter_names) if name in local]
-        names = tuple(local[self.parameter_names[k]] for k in kept)
-        covariance = np.asarray(self.covariance)[np.ix_(kept, kept)]
-        open_names = [
-            name
-            for k, name in zip(kept, names, strict=True)
-            if not np.isfinite(self.std[self.parameter_names[k]])
-        ]
+        kept = [k for k, name in enumerate(names) if name in local]
+        open_names = [local[names[k]] for k in kept if not np.isfinite(std[k])]
         directions = tuple(
             Direction(0.0, ((name, 1.0),), describe_direction(((name, 1.0),), calibration))
             for name in open_names
@@ -159,11 +198,32 @@ class RigFit(eqx.Module):
         rank, smallest = len(kept) - len(directions), self.smallest_singular_value
         return SavedEstimate(
             calibration,
-            covariance,
-            names,
-            self.noise,
+            known[np.ix_(kept, kept)],
+            tuple(local[names[k]] for k in kept),
+            self.noises[self.arms[camera]],
             self.pixel_sigmas[camera],
             Observability(rank, len(kept), directions, (), smallest),
+        )
+
+    def _of_arm(
+        self, arm: str
+    ) -> tuple[tuple[str, ...], Float[np.ndarray, "own own"], Float[np.ndarray, "own"]]:
+        """Return the names of one arm's free parameters, their covariance and standard deviations.
+
+        Poses of targets are in the arm's base.
+        """
+        common = np.asarray(self.covariance)
+        std = np.array([self.std[name] for name in self.parameter_names])
+        if isinstance(self.built, BuiltRig):
+            return self.parameter_names, common, std
+        jacobian = own_jacobians(self.built, self.solution)[arm]
+        own = jacobian @ common @ jacobian.T
+        # A parameter is as little determined as those that it depends on.
+        is_open = (jacobian != 0.0) @ ~np.isfinite(std)
+        return (
+            self.built.arms[arm].shared_names,
+            own,
+            np.where(is_open, np.inf, np.sqrt(np.diagonal(own))),
         )
 
     def relative(self, first: str, second: str) -> RelativePose:
@@ -174,11 +234,33 @@ class RigFit(eqx.Module):
             second: name of a camera with the same mount.
 
         Raises:
-            ValueError: no such camera, or cameras that the robot moves against each other.
+            ValueError: no such camera, or cameras that a robot moves against each other.
         """
+        if self.arms[self._checked(first)] != self.arms[self._checked(second)]:
+            raise ValueError(
+                f"relative: camera {first!r} is on arm {self.arms[first]!r} and {second!r} on "
+                f"{self.arms[second]!r}: their relative pose changes with the robots'; use `base` "
+                "and their `camera_from_world`"
+            )
         return relative_pose(
             self.calibrations, self.parameter_names, self.covariance, first, second
         )
+
+    def base(self, first: str, second: str) -> RelativePose:
+        """Return the pose of the second arm's base in the base of the first, with its covariance.
+
+        It tells where both arms are to each other, from the targets that both see.
+
+        Args:
+            first: name of an arm.
+            second: name of an arm.
+
+        Raises:
+            ValueError: no such arm, or the rig has only one.
+        """
+        if not self.bases:
+            raise ValueError(f"base: the rig has one arm, {next(iter(self.noises))!r}")
+        return relative_base(self.bases, self.parameter_names, self.covariance, first, second)
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.
@@ -197,15 +279,16 @@ class RigFit(eqx.Module):
     ) -> None:
         """Write a calibration file for each camera, `left.yaml`, with its covariance: all or none.
 
-        Each file is read by `Calibration.load` and `load_estimate`.
+        Each file is read by `Calibration.load` and `load_estimate`. Of several arms, the pose of
+        every other base in the first one is written too, such as base_left_from_base_right.yaml,
+        which `RelativePose.load` reads.
 
         Args:
             folder: of the files; created if it does not exist.
             run: name of the run that made them; None without one.
             pictures: digests of each camera's pictures, by its name, so that they are known again.
         """
-        names = tuple(f"{name}.yaml" for name in self.calibrations)
-        with file_transaction(folder, names) as place:
+        with file_transaction(folder, self.file_names) as place:
             for name in self.calibrations:
                 estimate = self.estimate(name)
                 estimate.calibration.save(
@@ -216,6 +299,19 @@ class RigFit(eqx.Module):
                     uncertainty=uncertainty_to_dict(estimate),
                     pictures=(pictures or {}).get(name, ()),
                 )
+            for name, base in self._named_bases():
+                base.save(place / f"{name}.yaml", run)
+
+    @property
+    def file_names(self) -> tuple[str, ...]:
+        """The names of the files that `save` writes: of the cameras, and of the arms' bases."""
+        stems = (*self.calibrations, *(path for path, _ in self._named_bases()))
+        return tuple(f"{stem}.yaml" for stem in stems)
+
+    def _named_bases(self) -> list[tuple[str, RelativePose]]:
+        """Return the pose of every other base in the base of the first arm, by its name."""
+        names = tuple(self.bases)
+        return [(base_path(names[0], arm), self.base(names[0], arm)) for arm in names[1:]]
 
     def _checked(self, camera: str) -> str:
         """Return a camera's name, which must be known."""
@@ -230,8 +326,8 @@ def fit_rig(
     rig: Rig,
     starts: Mapping[str, Calibration],
     *,
-    noise: str | Noise = "estimated",
-    field: FieldChoice = "auto",
+    noise: str | Noise | Mapping[str, Noise] = "estimated",
+    field: FieldChoice | Mapping[str, FieldChoice] = "auto",
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
@@ -239,15 +335,20 @@ def fit_rig(
     robot_prior: RobotPrior | None = None,
     rejected: Sequence[tuple[str, Rejection]] = (),
 ) -> RigFit:
-    """Fit all cameras of a rig, their targets and the robot's errors to all pixels at once.
+    """Fit all cameras of a rig, their targets and the robots' errors to all pixels at once.
+
+    The noise and the errors of several arms are estimated one arm after the other, each from its
+    own states; then all are fitted together.
 
     Args:
         rig: data sets of the cameras.
-        starts: calibration of each camera near the solution, with the lens to fit. Cameras that see
-            the same target must agree on its pose (`calibrate` takes care of it).
-        noise: `"estimated"`, or a `Noise` that states the standard deviations.
-        field: robot error field, as in `fit_joint`.
+        starts: calibration of each camera near the solution, with the lens to fit. Cameras on one
+            arm that see the same target must agree on its pose (`calibrate` takes care of it).
+        noise: `"estimated"`, or a `Noise` that states the standard deviations; of several arms, one
+            for all or one for each by its name.
+        field: robot error field, as in `fit_joint`; of several arms, one for all or one for each.
         fixed: paths of parameters that keep the start's value: `left.camera`, `base_from_world`.
+            See `build_rig`, and `build_arms` for several arms.
         free: paths to free that are held by default: `target_scale`.
         priors: a `Prior` by path.
         progress: called with a line of text for each stage.
@@ -267,126 +368,95 @@ def fit_rig(
         0.9 mm along the optical axis
     """
     require_instance("rig", rig, Rig)
-    field, left_out = checked_field_choice(field), list(rejected)
-    if noise != "estimated" and not isinstance(noise, Noise):
-        raise ValueError(f'noise is "estimated" or a Noise for a rig; found {noise!r}')
-
-    def fit_once(rig: Rig) -> _Solved:
-        built, start, estimate = _built(
-            rig, starts, noise, field, fixed, free, priors, progress, robot_prior
+    require_names("fixed", fixed)
+    require_names("free", free)
+    known, prior = dict(priors or {}), robot_prior or RobotPrior()
+    several, arms = len(rig.arm_names) > 1, {}
+    paths = paths_of_arms(rig, starts, fixed, free, known)
+    for arm in rig.arm_names:
+        own_noise = _option_of(arm, "noise", noise)
+        if own_noise != "estimated" and not isinstance(own_noise, Noise):
+            raise ValueError(f'noise is "estimated" or a Noise for a rig; found {own_noise!r}')
+        own_field = checked_field_choice(_option_of(arm, "field", field))
+        arms[arm] = fit_arm(
+            rig.of_arm(arm),
+            {name: start for name, start in starts.items() if rig.arms.get(name, arm) == arm},
+            ArmOptions(own_noise, own_field, paths[arm], prior),
+            _named(progress, arm) if several else progress,
         )
-        if progress is not None:
-            count = sum(int(np.asarray(data.visible).sum()) for data in rig.cameras.values())
-            shared = len(built.shared_names)
-            progress(f"joint fit of the rig: {shared} shared parameters, {count} points")
-        return _Solved(rig, built, estimate, *solve(built.problem, start=start))
-
-    # The noise is estimated again without a wrong pose, since one inflates it for all states.
-    found = fit_once(rig)
-    while (estimate := found.estimate) is not None:
-        wrong = contradiction(*found.at_optimum)
-        if wrong is not None:
-            found = fit_once(_without(found.rig, wrong))
-        else:
-            # One wrong pose may inflate the noise so much that no state fails the test.
-            plausible = is_plausible(estimate.noise, robot_prior or RobotPrior())
-            suspect = None if plausible else suspect_state(*found.at_optimum)
-            if suspect is None:
-                break
-            refitted = fit_once(_without(found.rig, suspect))
-            assert refitted.estimate is not None
-            reason = inflation_reason(estimate.noise, refitted.estimate.noise)
-            if reason is None:
-                break
-            found, wrong = refitted, suspect._replace(reason=reason)
-        left_out += [(name, Rejection(wrong.view_id, None, wrong.reason)) for name in wrong.cameras]
-    fit = _assembled(found, tuple(left_out))
-    return dataclasses.replace(fit, warnings=rig_warnings(fit, robot_prior or RobotPrior()))
+    joined = join_arms(rig, arms, known) if several else None
+    fit = _assembled(rig, arms, joined, tuple(rejected))
+    disagreement = () if joined is None else joined.disagreement
+    return dataclasses.replace(fit, warnings=(*rig_warnings(fit, prior), *disagreement))
 
 
-class _Solved(NamedTuple):
-    """A rig, its problem, and the problem's solution."""
-
-    rig: Rig
-    built: BuiltRig
-    estimate: RigNoiseEstimate | None
-    solution: Solution
-    equations: NormalEquations
-
-    @property
-    def at_optimum(self) -> tuple[Rig, BuiltRig, Step, BlockArrow]:
-        """The arguments of `contradiction` and `suspect_state`."""
-        return self.rig, self.built, self.solution.z, self.equations.matrix
+def _named(progress: Callable[[str], None] | None, arm: str) -> Callable[[str], None] | None:
+    """Return a function that reports progress with the arm's name."""
+    return None if progress is None else lambda text: progress(f"{arm}: {text}")
 
 
-def _built(
+def _option_of(arm: str, name: str, option: _Option | Mapping[str, _Option]) -> _Option:
+    """Return an option for one arm, of a value for all arms or of one for each.
+
+    Raises:
+        ValueError: the arm has no value.
+    """
+    if not isinstance(option, Mapping):
+        return option
+    if arm not in option:
+        raise ValueError(f"{name}: expected a value for arm {arm!r}, found {', '.join(option)}")
+    return option[arm]
+
+
+def _assembled(
     rig: Rig,
-    starts: Mapping[str, Calibration],
-    noise: str | Noise,
-    field: FieldChoice,
-    fixed: Sequence[str],
-    free: Sequence[str],
-    priors: Mapping[str, Prior] | None,
-    progress: Callable[[str], None] | None,
-    robot_prior: RobotPrior | None,
-) -> tuple[BuiltRig, Step, RigNoiseEstimate | None]:
-    """Build the problem, with estimated noise unless it is given; return the first step too."""
-    if isinstance(noise, Noise):
-        given = None if field == "auto" else field
-        built = build_rig(
-            rig, starts, noise=noise, field=given, fixed=fixed, free=free, priors=priors
-        )
-        return built, built.problem.zero_step(), None
-    estimate = estimate_rig_noise(
-        rig,
-        starts,
-        field=field,
-        fixed=fixed,
-        free=free,
-        priors=priors,
-        progress=progress,
-        robot_prior=robot_prior,
-    )
-    return estimate.built, estimate.step, estimate
+    arms: Mapping[str, SolvedArm],
+    joined: JoinedArms | None,
+    rejected: tuple[tuple[str, Rejection], ...],
+) -> RigFit:
+    """Build the result: calibrations, covariance and inliers at the solution.
 
-
-def _without(rig: Rig, wrong: Contradiction) -> Rig:
-    """Return the rig without some cameras' views of a state."""
-    cameras = dict(rig.cameras)
-    for name in wrong.cameras:
-        view = cameras[name].view_ids.index(wrong.view_id)
-        cameras[name] = without_views(cameras[name], {view: wrong.reason})
-    return Rig(cameras, rig.targets)
-
-
-def _assembled(found: _Solved, rejected: tuple[tuple[str, Rejection], ...]) -> RigFit:
-    """Build the result: calibrations, covariance and inliers at the solution."""
-    rig, built, estimate, solution, equations = found
+    Args:
+        rig: data sets of all arms.
+        arms: the fit of each arm alone.
+        joined: the fit of all arms; None if there is one.
+        rejected: what was left out before.
+    """
+    first = next(iter(arms.values()))
+    together = joined or first
+    built, solution, equations = together.built, together.solution, together.equations
     reduced = reduced_equations(equations.matrix)
     norms = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
     jacobian = ScaledJacobian(reduced.schur_complement, norms)
     # The noise is stated or estimated: the variance factor is one.
     common, std = covariance(jacobian, 1.0)
     freedom = np.full(len(std), np.inf)
-    if estimate is not None:
-        added = estimate.small_sample_correction.added_covariance
-        added = added + estimate.between_models_covariance
-        common, freedom = common + added, estimate.small_sample_correction.degrees_of_freedom
+    estimated = (
+        _added_by_estimation(first) if joined is None else added_by_estimation(joined, arms, common)
+    )
+    if estimated is not None:
+        added, freedom = estimated
+        common = common + added
         std = np.sqrt(std**2 + np.diagonal(added))
     of_states = per_view_std(reduced, common, 1.0)[np.asarray(built.problem.per_view_free)]
-    sigma = float(built.problem.pixel_sigma)
-    relative = {} if estimate is None else estimate.relative_sigmas
-    calibrations, residuals, inliers = {}, {}, {}
-    for name, chain in _chains(built, solution).items():
-        data, calibration = rig.cameras[name], chain.calibration
-        if estimate is not None and (error := calibration.robot_error) is not None:
-            fitted = None if estimate.field is None else error.converted_to(estimate.field)
-            calibration = dataclasses.replace(calibration, robot_error=fitted)
-        own = _residuals_at(chain, data)
-        gate = MAX_INLIER_CHI_SQUARE * (sigma * relative.get(name, 1.0)) ** 2
-        inliers[name] = np.asarray(data.visible) & (np.sum(own**2, axis=-1) <= gate)
-        residuals[name] = chain_residuals(calibration, data.observations)
-        calibrations[name] = with_region(calibration, data)
+    calibrations, residuals, inliers, pixel_sigmas = {}, {}, {}, {}
+    chains = (solution.chain,) if joined is None else solution.chain
+    for arm, of_cameras in zip(arms.values(), chains, strict=True):
+        sigma = float(arm.built.problem.pixel_sigma)
+        estimate = arm.estimate
+        relative = {} if estimate is None else estimate.relative_sigmas
+        for name, chain in _chains(arm.built, of_cameras).items():
+            data, calibration = arm.rig.cameras[name], chain.calibration
+            if estimate is not None and (error := calibration.robot_error) is not None:
+                fitted = None if estimate.field is None else error.converted_to(estimate.field)
+                calibration = dataclasses.replace(calibration, robot_error=fitted)
+            own = _residuals_at(chain, data)
+            pixel_sigmas[name] = sigma * relative.get(name, 1.0)
+            gate = MAX_INLIER_CHI_SQUARE * pixel_sigmas[name] ** 2
+            inliers[name] = np.asarray(data.visible) & (np.sum(own**2, axis=-1) <= gate)
+            residuals[name] = chain_residuals(calibration, data.observations)
+            calibrations[name] = with_region(calibration, data)
+    left_out = [entry for arm in arms.values() for entry in arm.rejected]
     return RigFit(
         calibrations=calibrations,
         covariance=common,
@@ -395,19 +465,37 @@ def _assembled(found: _Solved, rejected: tuple[tuple[str, Rejection], ...]) -> R
             zip((*built.shared_names, *built.per_view_names), (*std, *of_states), strict=True)
         ),
         degrees_of_freedom=dict(zip(built.shared_names, map(float, freedom), strict=True)),
-        noise=built.noise if estimate is None else estimate.noise,
-        pixel_sigmas={name: sigma * relative.get(name, 1.0) for name in rig.cameras},
-        noise_estimate=estimate,
+        noises={
+            name: arm.built.noise if arm.estimate is None else arm.estimate.noise
+            for name, arm in arms.items()
+        },
+        pixel_sigmas=pixel_sigmas,
+        noise_estimates={
+            name: arm.estimate for name, arm in arms.items() if arm.estimate is not None
+        },
         residuals=residuals,
         inliers=inliers,
         pose_corrections=np.asarray(solution.z.per_view),
         view_ids=rig.view_ids,
-        rejected=rejected,
+        rejected=(*rejected, *left_out),
         built=built,
         solution=solution,
         smallest_singular_value=float(jacobian.singular_values[-1]),
         result=solver_result(solution),
+        bases={} if joined is None else joined.bases,
+        arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
     )
+
+
+def _added_by_estimation(
+    arm: SolvedArm,
+) -> tuple[Float[np.ndarray, "free free"], Float[np.ndarray, "free"]] | None:
+    """Return what estimated noise adds to one arm's covariance, and the degrees of freedom."""
+    if arm.estimate is None:
+        return None
+    correction = arm.estimate.small_sample_correction
+    added = correction.added_covariance + arm.estimate.between_models_covariance
+    return added, correction.degrees_of_freedom
 
 
 def _residuals_at(chain: FittedChain, data: Dataset) -> Float[np.ndarray, "views points 2"]:
@@ -417,10 +505,10 @@ def _residuals_at(chain: FittedChain, data: Dataset) -> Float[np.ndarray, "views
     return np.asarray(view_residuals(camera, size, poses, data.observations))
 
 
-def _chains(built: BuiltRig, solution: Solution) -> dict[str, FittedChain]:
+def _chains(built: BuiltRig, of_groups: tuple[FittedChain, ...]) -> dict[str, FittedChain]:
     """Return the chain of each camera, by its name."""
     return {
         name: jax.tree.map(lambda x, row=row: to_device(np.asarray(x)[row]), chains)
-        for cameras, chains in zip(built.cameras, solution.chain, strict=True)
+        for cameras, chains in zip(built.cameras, of_groups, strict=True)
         for row, name in enumerate(cameras)
     }

@@ -33,22 +33,24 @@ def rig_warnings(fit: "RigFit", prior: RobotPrior) -> tuple[str, ...]:
             f"the data do not determine {listed}: turn the robot about other axes, hold them by "
             "fixed=, or give priors"
         )
-    warnings += _estimate_warnings(fit, prior)
-    # Several pictures from one pose have no more information on the robot than one.
-    poses = host_matrices(fit.built.problem.command.base_from_tool)
-    used = np.asarray(fit.built.problem.per_view_free).any(axis=1)
-    states = len(distinct_poses(poses[used]))
-    if states < MINIMUM_RELIABLE_VIEWS:
-        warnings.append(
-            f"{states} states of the robot are few: no figure is reliable with fewer than "
-            f"{MINIMUM_RELIABLE_VIEWS}"
-        )
+    for arm, built in fit.built_by_arm.items():
+        named = f"{arm}: " if fit.bases else ""
+        warnings += [f"{named}{text}" for text in _estimate_warnings(fit, arm, prior)]
+        # Several pictures from one pose have no more information on the robot than one.
+        poses = host_matrices(built.problem.command.base_from_tool)
+        used = np.asarray(built.problem.per_view_free).any(axis=1)
+        states = len(distinct_poses(poses[used]))
+        if states < MINIMUM_RELIABLE_VIEWS:
+            warnings.append(
+                f"{named}{states} states of the robot are few: no figure is reliable with fewer "
+                f"than {MINIMUM_RELIABLE_VIEWS}"
+            )
     return tuple(warnings)
 
 
-def _estimate_warnings(fit: "RigFit", prior: RobotPrior) -> list[str]:
-    """Return warnings about the estimated sizes of the errors, and about the target's size."""
-    estimate = fit.noise_estimate
+def _estimate_warnings(fit: "RigFit", arm: str, prior: RobotPrior) -> list[str]:
+    """Return warnings about the estimated sizes of an arm's errors, and about the target's size."""
+    estimate, noise = fit.noise_estimates.get(arm), fit.noises[arm]
     if estimate is None:
         return []
     warnings = []
@@ -58,10 +60,10 @@ def _estimate_warnings(fit: "RigFit", prior: RobotPrior) -> list[str]:
             f"the target may be {size.scale:.4f} +- {size.std:.4f} of its stated size (probability "
             f"{size.probability:.2f}): measure it"
         )
-    if not is_plausible(fit.noise, prior):
+    if not is_plausible(noise, prior):
         warnings.append(
-            f"the robot's poses err by {1e3 * fit.noise.translation:.3g} mm and "
-            f"{np.degrees(fit.noise.rotation):.3g} degrees, which is much for a robot: mispaired "
+            f"the robot's poses err by {1e3 * noise.translation:.3g} mm and "
+            f"{np.degrees(noise.rotation):.3g} degrees, which is much for a robot: mispaired "
             "views, a camera or a target that moved?"
         )
     if not estimate.converged:

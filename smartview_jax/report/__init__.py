@@ -12,6 +12,7 @@ from .pose_page import pose_fit_summary as pose_fit_summary
 from .pose_page import write_pose_page as write_pose_page
 from .rig_page import CAMERA_HEADINGS as CAMERA_HEADINGS
 from .rig_page import RELATIVE_HEADINGS as RELATIVE_HEADINGS
+from .rig_page import base_rows as base_rows
 from .rig_page import relative_pose_rows as relative_pose_rows
 from .rig_page import rig_camera_rows as rig_camera_rows
 from .rig_page import rig_summary as rig_summary

@@ -10,7 +10,7 @@ from .. import plots
 from ..dataset import Rig
 from ..evaluation import HeldOutErrors, reprojection_errors, without_rejected_rig_views
 from ..geometry import host_matrices, vector_text
-from ..joint import RigFit, calibration_forms
+from ..joint import RelativePose, RigFit, calibration_forms
 from .page import Origin, prediction_overlays
 from .story import Section, StoryFigure, write_story
 from .tables import ErrorSummary
@@ -27,7 +27,7 @@ CAMERA_HEADINGS = (
 """Headings of `rig_camera_rows`; the two intervals hold 95 %, along the least known axis."""
 
 RELATIVE_HEADINGS = ("second in first", "x, y, z (mm)", "std (mm)", "std (deg)")
-"""Headings of `relative_pose_rows`."""
+"""Headings of `relative_pose_rows` and `base_rows`."""
 
 
 def rig_camera_rows(
@@ -73,34 +73,60 @@ def _half_width(fit: RigFit, name: str) -> float:
 def relative_pose_rows(fit: RigFit) -> list[tuple[str, ...]]:
     """Return a row for each pair of cameras on one mount: the second's pose in the first's frame.
 
+    They are cameras of one arm.
+
     The standard deviations are along the least known axis.
     """
     rows = []
     for first, second in combinations(fit.calibrations, 2):
-        if fit.calibrations[first].mount != fit.calibrations[second].mount:
-            continue
-        relative = fit.relative(first, second)
-        rows.append(
-            (
-                f"{second} in {first}",
-                vector_text(1e3 * host_matrices(relative.transform)[:3, 3], 2).strip("()"),
-                f"{1e3 * relative.std[:3].max():.2g}",
-                f"{np.rad2deg(relative.std[3:].max()):.2g}",
-            )
-        )
+        one_mount = fit.calibrations[first].mount == fit.calibrations[second].mount
+        if one_mount and fit.arms[first] == fit.arms[second]:
+            rows.append(_relative_row(first, second, fit.relative(first, second)))
     return rows
+
+
+def base_rows(fit: RigFit) -> list[tuple[str, ...]]:
+    """Return a row for each pair of arms: the second's base in the first's.
+
+    The standard deviations are along the least known axis.
+    """
+    return [
+        _relative_row(first, second, fit.base(first, second))
+        for first, second in combinations(fit.bases, 2)
+    ]
+
+
+def _relative_row(first: str, second: str, relative: RelativePose) -> tuple[str, ...]:
+    """Return the row of one pair: the second's pose in the first's frame."""
+    return (
+        f"{second} in {first}",
+        vector_text(1e3 * host_matrices(relative.transform)[:3, 3], 2).strip("()"),
+        f"{1e3 * relative.std[:3].max():.2g}",
+        f"{np.rad2deg(relative.std[3:].max()):.2g}",
+    )
 
 
 def rig_summary(fit: RigFit, held_out: Mapping[str, HeldOutErrors] | None = None) -> str:
     """Return the result in a few sentences."""
     if not fit.result.converged:
         return f"The joint fit did not converge: {fit.result.message}."
-    robot = fit.noise
-    text = (
-        f"{len(fit.calibrations)} cameras and one robot were calibrated together. The robot's "
-        f"reported poses have noise of {1e3 * robot.translation:.2g} mm and "
-        f"{np.rad2deg(robot.rotation):.2g} degrees per axis."
-    )
+    noises = {
+        name: f"{1e3 * robot.translation:.2g} mm and {np.rad2deg(robot.rotation):.2g} degrees"
+        for name, robot in fit.noises.items()
+    }
+    count = len(fit.calibrations)
+    if fit.bases:
+        each = ", ".join(f"{text} ({name})" for name, text in noises.items())
+        text = (
+            f"{count} cameras and {len(noises)} arms were calibrated together. The arms' reported "
+            f"poses have noise of {each} per axis."
+        )
+    else:
+        (noise,) = noises.values()
+        text = (
+            f"{count} cameras and one robot were calibrated together. The robot's "
+            f"reported poses have noise of {noise} per axis."
+        )
     errors = {} if held_out is None else {name: e.errors.rms for name, e in held_out.items()}
     if errors and np.isfinite(list(errors.values())).all():
         worst = max(errors, key=lambda name: errors[name])
@@ -147,6 +173,9 @@ def write_rig_page(
     if pairs:
         text = "Poses of cameras on one mount in the frame of another, by their joint covariance."
         sections.append(Section("Between the cameras", text, header=RELATIVE_HEADINGS, rows=pairs))
+    if arms := base_rows(fit):
+        text = "Bases of the arms in the base of another, by the targets that several arms see."
+        sections.append(Section("Between the arms", text, header=RELATIVE_HEADINGS, rows=arms))
     used = without_rejected_rig_views(rig, fit)
     sections += [_camera_section(fit, used, name, held_out) for name in fit.calibrations]
     left_out = [
@@ -210,7 +239,11 @@ def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]
     for target in dict.fromkeys(rig.targets.values()):
         seeing = ", ".join(name for name in rig.cameras if rig.targets[name] == target)
         facts.append((f"target {target}", f"seen by {seeing}"))
+    for arm in fit.bases:
+        moved = ", ".join(name for name in fit.calibrations if fit.arms[name] == arm)
+        facts.append((f"arm {arm}", f"of the cameras {moved}"))
     facts.append(("joint fit", fit.result.message))
-    if fit.noise_estimate is not None:
-        facts.append(("model of the robot's error", fit.noise_estimate.name))
+    for arm, estimate in fit.noise_estimates.items():
+        robot = arm if fit.bases else "the robot"
+        facts.append((f"model of {robot}'s error", estimate.name))
     return facts

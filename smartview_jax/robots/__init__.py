@@ -24,6 +24,7 @@ from .models import kuka_lwr4 as kuka_lwr4
 from .models import puma_560 as puma_560
 from .models import puma_560_lee as puma_560_lee
 from .models import six_axes as six_axes
+from .positioner import arm_with_positioner as arm_with_positioner
 from .puma_inverse_kinematics import branch_joints as branch_joints
 from .puma_inverse_kinematics import is_puma_like as is_puma_like
 from .puma_inverse_kinematics import nearest_puma_joints as nearest_puma_joints

@@ -1,6 +1,7 @@
 """Define the schema of `calibration.yaml`, the file that `Calibration.save` writes."""
 
 import os
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -109,11 +110,11 @@ class CameraEntry(PinholeEntry):
     lens: LensEntry
 
 
-_NumberRow = Annotated[
+NumberRow = Annotated[
     list[FiniteNumber], Field(max_length=1000), Expected("a row of up to 1000 numbers")
 ]
 _NumberArray = Annotated[
-    list[FiniteNumber | _NumberRow], Field(max_length=1000), Expected("up to 1000 numbers")
+    list[FiniteNumber | NumberRow], Field(max_length=1000), Expected("up to 1000 numbers")
 ]
 _Distance = Annotated[float, Field(gt=0.0, le=1e4), Expected("a distance in m, above 0 up to 1e4")]
 
@@ -201,7 +202,7 @@ class UncertaintyEntry(Entry):
     parameters: Annotated[
         list[PrintableText], Field(max_length=1000), Expected("names of parameters")
     ]
-    covariance: Annotated[list[_NumberRow], Field(max_length=1000), Expected("a square matrix")]
+    covariance: Annotated[list[NumberRow], Field(max_length=1000), Expected("a square matrix")]
     noise: NoiseEntry | None = None
     pixel_sigma: _Sigma
     smallest_singular_value: FiniteNumber
@@ -209,30 +210,35 @@ class UncertaintyEntry(Entry):
     @model_validator(mode="after")
     def _check_covariance(self) -> "UncertaintyEntry":
         """Raise a ValueError for a matrix that is not a covariance of the parameters."""
-        count = len(self.parameters)
-        if len(self.covariance) != count or any(len(row) != count for row in self.covariance):
-            raise ValueError(f"covariance: expected {count} rows of {count} numbers")
-        for i, name in enumerate(self.parameters):
-            if not self.covariance[i][i] > 0.0:
-                raise ValueError(f"covariance: the variance of {name} is not positive")
-            for j in range(i):
-                scale = (self.covariance[i][i] * self.covariance[j][j]) ** 0.5
-                if abs(self.covariance[i][j] - self.covariance[j][i]) > 1e-9 * scale:
-                    raise ValueError(f"covariance: not symmetric in row {i + 1}, column {j + 1}")
-        if len(set(self.parameters)) != count:
+        check_covariance(self.covariance, self.parameters)
+        if len(set(self.parameters)) != len(self.parameters):
             twice = next(name for name in self.parameters if self.parameters.count(name) > 1)
             raise ValueError(f"parameters: {twice} occurs twice")
-        # As correlations, because variances in m and px differ by many powers of ten.
-        matrix = np.array(self.covariance, float).reshape(count, count)
-        sigmas = np.sqrt(np.diag(matrix))
-        smallest = np.linalg.eigvalsh(matrix / sigmas / sigmas[:, None]).min(initial=0.0)
-        # The rounding error of a computed covariance's eigenvalues scales with the largest.
-        if smallest < -ROUNDING * count:
-            raise ValueError(
-                "covariance: not positive semidefinite: some combination of the parameters has a "
-                "negative variance"
-            )
         return self
+
+
+def check_covariance(covariance: Sequence[Sequence[float]], names: Sequence[str]) -> None:
+    """Raise a ValueError for a matrix that is not a covariance of the named numbers."""
+    count = len(names)
+    if len(covariance) != count or any(len(row) != count for row in covariance):
+        raise ValueError(f"covariance: expected {count} rows of {count} numbers")
+    for i, name in enumerate(names):
+        if not covariance[i][i] > 0.0:
+            raise ValueError(f"covariance: the variance of {name} is not positive")
+        for j in range(i):
+            scale = (covariance[i][i] * covariance[j][j]) ** 0.5
+            if abs(covariance[i][j] - covariance[j][i]) > 1e-9 * scale:
+                raise ValueError(f"covariance: not symmetric in row {i + 1}, column {j + 1}")
+    # As correlations, because variances in m and px differ by many powers of ten.
+    matrix = np.array(covariance, float).reshape(count, count)
+    sigmas = np.sqrt(np.diag(matrix))
+    smallest = np.linalg.eigvalsh(matrix / sigmas / sigmas[:, None]).min(initial=0.0)
+    # The rounding error of a computed covariance's eigenvalues scales with the largest.
+    if smallest < -ROUNDING * count:
+        raise ValueError(
+            "covariance: not positive semidefinite: some combination of the parameters has a "
+            "negative variance"
+        )
 
 
 class _CalibrationFile(Entry):

@@ -1,5 +1,6 @@
-"""Define the schema of a `dataset.yaml` with several cameras, which watched one robot."""
+"""Define the schema of a `dataset.yaml` with several cameras, which watched robots."""
 
+from collections.abc import Collection
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter, model_validator
@@ -40,19 +41,44 @@ class RigPicturesEntry(Entry):
 
 
 class RigCameraEntry(Entry):
-    """The size of a camera's pictures, its mount, and the name of the target that it sees."""
+    """The size of a camera's pictures, its mount, and the names of its target and of its arm."""
 
     image_size: ImageSize
     mount: _Mount | None = None
     target: PrintableText | None = None
+    arm: PrintableText | None = None
     detections: DetectionsEntry | None = None
 
 
-class RigFile(Entry):
+class RobotEntries(Entry):
+    """The tables of one arm's reports, and the rough poses of its targets."""
+
+    poses: PosesEntry | None = None
+    joints: JointsEntry | None = None
+    base_from_world: RoughPose | None = None
+    tool_from_world: RoughPose | None = None
+
+    def check_robot(self, mounts: Collection[str]) -> None:
+        """Raise a ValueError unless a table tells the poses, and for a pose that no camera needs.
+
+        Args:
+            mounts: mounts of the arm's cameras.
+        """
+        if self.poses is None and self.joints is None:
+            raise ValueError("expected an entry 'poses', 'joints', or both")
+        for name, mount in (
+            ("base_from_world", "eye_in_hand"),
+            ("tool_from_world", "eye_to_hand"),
+        ):
+            if getattr(self, name) is not None and mount not in mounts:
+                raise ValueError(f"{name}: no camera is {mount}")
+
+
+class RigFile(RobotEntries):
     """The description of a folder with several cameras.
 
     All cameras see the one `target`, or each its own of the `targets`. A camera without a mount
-    has the folder's.
+    has the folder's. Of several `arms`, each has its own tables, and each camera names its arm.
     """
 
     smartview_dataset: Literal[1]
@@ -60,29 +86,45 @@ class RigFile(Entry):
     cameras: Annotated[dict[_Name, RigCameraEntry], Field(min_length=1)]
     target: TargetEntry | None = None
     targets: Annotated[dict[_Name, TargetEntry], Field(min_length=1)] | None = None
+    arms: Annotated[dict[_Name, RobotEntries], Field(min_length=1)] | None = None
     mount: _Mount = "eye_in_hand"
-    poses: PosesEntry | None = None
-    joints: JointsEntry | None = None
     pictures: RigPicturesEntry | None = None
-    base_from_world: RoughPose | None = None
-    tool_from_world: RoughPose | None = None
     end: Literal["smartview_dataset"] | None = None
 
     @model_validator(mode="after")
     def _check_consistency(self) -> "RigFile":
         if self.end_mark and self.end != END_MARK:
             raise ValueError(f"the last line, 'end: {END_MARK}', is missing: the file was cut")
-        if self.poses is None and self.joints is None:
-            raise ValueError("expected an entry 'poses', 'joints', or both")
         self._check_targets()
-        mounts = {camera.mount or self.mount for camera in self.cameras.values()}
-        for name, mount in (
-            ("base_from_world", "eye_in_hand"),
-            ("tool_from_world", "eye_to_hand"),
-        ):
-            if getattr(self, name) is not None and mount not in mounts:
-                raise ValueError(f"{name}: no camera is {mount}")
+        self._check_arms()
         return self
+
+    def _check_arms(self) -> None:
+        """Raise a ValueError unless every arm has cameras and tables, and every camera an arm."""
+        mounts = {name: camera.mount or self.mount for name, camera in self.cameras.items()}
+        if self.arms is None:
+            for name, camera in self.cameras.items():
+                if camera.arm is not None:
+                    raise ValueError(f"cameras.{name}.arm: the file has no 'arms'")
+            self.check_robot(set(mounts.values()))
+            return
+        for name in RobotEntries.model_fields:
+            if getattr(self, name) is not None:
+                raise ValueError(f"{name}: with several arms it is an entry of each of the 'arms'")
+        for name, camera in self.cameras.items():
+            if camera.arm not in self.arms:
+                raise ValueError(
+                    f"cameras.{name}.arm: expected one of {', '.join(self.arms)}, "
+                    f"found {camera.arm!r}"
+                )
+        for arm, entries in self.arms.items():
+            own = {mounts[name] for name, camera in self.cameras.items() if camera.arm == arm}
+            try:
+                entries.check_robot(own)
+            except ValueError as error:
+                raise ValueError(f"arms.{arm}: {error}") from error
+            if not own:
+                raise ValueError(f"arms.{arm}: no camera names this arm")
 
     def _check_targets(self) -> None:
         """Raise a ValueError unless every camera has one target that the file describes."""

@@ -1,5 +1,6 @@
 """Estimate the standard deviations of all errors by restricted likelihood, over several models."""
 
+from .kenward_roger import joined_corrections as joined_corrections
 from .kenward_roger import p_value as p_value
 from .model_comparison import compare_models as compare_models
 from .model_selection import WHITE_NOISE as WHITE_NOISE

@@ -8,11 +8,13 @@ References:
     Satterthwaite, An approximate distribution of estimates of variance components, 1946.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 from scipy.special import chdtrc, fdtrc
 
 from .fisher_scoring import LikelihoodMaximum
@@ -99,20 +101,8 @@ def small_sample_correction(
     step_derivatives = log_sigma_by_log_excess[:, None] * step_derivatives
     covariance_derivatives = log_sigma_by_log_excess[:, None, None] * covariance_derivatives
 
-    # Satterthwaite: Var(log v_i) = a_i^T W a_i for the variance v_i of parameter i, with
-    # W = `log_excess_covariance` and a_i = `log_variance_gradient[i]`, the derivatives of log(v_i)
-    # by log(excess).
-    variance = np.diagonal(marginal.shared_covariance)
-    log_variance_gradient = np.diagonal(covariance_derivatives, axis1=1, axis2=2).T
-    log_variance_gradient = log_variance_gradient / variance[:, None]
-    # The logarithm of a variance with n degrees of freedom has variance 2 / n.
-    log_variance_variance = np.sum(
-        (log_variance_gradient @ log_excess_covariance) * log_variance_gradient, axis=1
-    )
-    degrees_of_freedom = np.where(
-        log_variance_variance > 0.0,
-        2.0 / np.where(log_variance_variance > 0.0, log_variance_variance, 1.0),
-        np.inf,
+    degrees_of_freedom = _degrees_of_freedom(
+        np.diagonal(marginal.shared_covariance), covariance_derivatives, log_excess_covariance
     )
     relative_std = np.sqrt(np.diagonal(np.linalg.inv(maximum.information + vague_precision)))
     # To first order Cov(x) = J^T W J with J = `step_derivatives`; twice that is added.
@@ -122,6 +112,56 @@ def small_sample_correction(
         degrees_of_freedom,
         log_excess_covariance,
         covariance_derivatives,
+    )
+
+
+def joined_corrections(
+    parts: Sequence[tuple[SmallSampleCorrection, Float[np.ndarray, "joint shared"]]],
+    variance: Float[np.ndarray, "joint"],
+) -> SmallSampleCorrection:
+    """Return the correction of parameters that several independent estimates have in common.
+
+    Args:
+        parts: the correction of each estimate, and the effect of its parameters on the common ones.
+        variance: variances of the common parameters without the correction.
+    """
+    log_excess_covariance = np.asarray(
+        block_diag(*(part.log_excess_covariance for part, _ in parts))
+    )
+    covariance_derivatives = np.concatenate(
+        [effect[None] @ part.covariance_derivatives @ effect.T[None] for part, effect in parts]
+    )
+    return SmallSampleCorrection(
+        np.concatenate([part.relative_std for part, _ in parts]),
+        sum(
+            (effect @ part.added_covariance @ effect.T for part, effect in parts),
+            np.zeros((len(variance), len(variance))),
+        ),
+        _degrees_of_freedom(variance, covariance_derivatives, log_excess_covariance),
+        log_excess_covariance,
+        covariance_derivatives,
+    )
+
+
+def _degrees_of_freedom(
+    variance: Float[np.ndarray, "shared"],
+    covariance_derivatives: Float[np.ndarray, "kinds shared shared"],
+    log_excess_covariance: Float[np.ndarray, "kinds kinds"],
+) -> Float[np.ndarray, "shared"]:
+    """Return the degrees of freedom of each parameter's estimated variance."""
+    # Satterthwaite: Var(log v_i) = a_i^T W a_i for the variance v_i of parameter i, with
+    # W = `log_excess_covariance` and a_i = `log_variance_gradient[i]`, the derivatives of log(v_i)
+    # by log(excess).
+    log_variance_gradient = np.diagonal(covariance_derivatives, axis1=1, axis2=2).T
+    log_variance_gradient = log_variance_gradient / variance[:, None]
+    # The logarithm of a variance with n degrees of freedom has variance 2 / n.
+    log_variance_variance = np.sum(
+        (log_variance_gradient @ log_excess_covariance) * log_variance_gradient, axis=1
+    )
+    return np.where(
+        log_variance_variance > 0.0,
+        2.0 / np.where(log_variance_variance > 0.0, log_variance_variance, 1.0),
+        np.inf,
     )
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms_scene import FOUR_CAMERAS, arms_fit, arms_scene
 from calibrated_rig import calibrated_rig, rig_scene
 from jaxlie import SE3
 from typer.testing import CliRunner
@@ -19,9 +20,10 @@ from smartview_jax import (
 )
 from smartview_jax.cli import app
 from smartview_jax.cli.calibrate_folder import CalibrateSettings
-from smartview_jax.cli.calibrate_rig import _loaded_rig
+from smartview_jax.cli.calibrate_rig import RigResult, _document, _loaded_rig
 from smartview_jax.cli.check import _lonely_cameras
 from smartview_jax.cli.fit_options import FitKnowledge
+from smartview_jax.report import base_rows, relative_pose_rows, rig_summary
 from smartview_jax.targets import Chessboard
 
 
@@ -159,3 +161,29 @@ def test_a_camera_that_shares_nothing_is_named(rig):
         f"camera {name} shares no state of the robot" for name in rig.cameras
     ]
     assert _lonely_cameras(rig) == []
+
+
+def test_several_arms_are_named():
+    fit = arms_fit()
+    assert [row[0] for row in base_rows(fit)] == ["right in left"]
+    # A robot moves cameras of different arms against each other.
+    assert [row[0] for row in relative_pose_rows(fit)] == [
+        "left_wall in left_table",
+        "right_wall in right_table",
+    ]
+    assert rig_summary(fit).startswith(
+        "4 cameras and 2 arms were calibrated together. The arms' reported poses have noise of "
+        "0.1 mm and 0.011 degrees (left), 0.1 mm and 0.011 degrees (right) per axis."
+    )
+
+
+def test_the_document_has_the_arms():
+    fit, (rig, _) = arms_fit(), arms_scene(0, FOUR_CAMERAS, 4)
+    document = _document(RigResult(rig, "cell", fit, None, ()))
+    assert "robot" not in document
+    right = document["arms"]["right"]
+    assert right["cameras"] == ["right_table", "right_wall"]
+    assert right["translation"] == 1e-4
+    base = right["base_left_from_base"]
+    assert base["translation"] == fit.base("left", "right").transform.translation().tolist()
+    assert right["std"]["translation"] == fit.base("left", "right").std[:3].tolist()

@@ -54,3 +54,61 @@ def test_only_data_sets_with_pictures_make_a_rig(data):
         Rig({"left": "folder"})
     with pytest.raises(TypeError, match="tracked poses have no pixels"):
         Rig({"left": data_of(0)})
+
+
+def test_the_states_of_several_arms_are_apart(data):
+    """Views of two arms may have the same names, and different poses."""
+    turned = SE3(data.base_from_tool.wxyz_xyz.at[:, 4].add(0.3))
+    masks = (("2", "cannot be read"),)
+    other = dataclasses.replace(data, base_from_tool=turned, masked_views=masks)
+    rig = Rig(
+        {"one": data, "two": other, "three": data},
+        arms={"one": "left", "two": "right", "three": "left"},
+    )
+    assert rig.arm_names == ("left", "right")
+    assert rig.targets == dict.fromkeys(rig.cameras, "target")
+    assert rig.view_ids[:2] == ("left/0", "left/1")
+    assert rig.view_ids[-1] == f"right/{data.view_count - 1}"
+    assert rig.state_index["three"].tolist() == list(range(data.view_count))
+    assert rig.masked_views == (("right/2", "cannot be read"),)
+    assert rig.joints is None
+    assert repr(rig).startswith(f"<Rig: {2 * data.view_count} robot states of arms left, right;")
+    right = rig.of_arm("right")
+    assert (tuple(right.cameras), right.view_ids) == (("two",), data.view_ids)
+    assert right.of_arm("right") is right
+    np.testing.assert_allclose(right.base_from_tool.wxyz_xyz, turned.wxyz_xyz, atol=1e-12)
+    masked = rig.mask_views([data.view_count])
+    assert not np.asarray(masked.cameras["two"].visible)[0].any()
+    assert np.asarray(masked.cameras["one"].visible).any(axis=1).all()
+    with pytest.raises(ValueError, match="of_arm: expected an arm of left, right, found 'up'"):
+        rig.of_arm("up")
+
+
+@pytest.mark.parametrize(
+    ("targets", "mounts", "arms", "message"),
+    [
+        ("tt", "hh", {"a": "left"}, "arms: expected the cameras a, b, found a"),
+        ("tt", "hh", {"a": "left", "b": "a"}, "an arm's name has letters.*found 'a'"),
+        ("rr", "hh", {"a": "left", "b": "r"}, "is no camera's name and no arm's; found 'r'"),
+        ("tw", "hh", {"a": "left", "b": "right"}, "no target tells where right and left are"),
+        (None, "bb", {"a": "left", "b": "right"}, "no target tells where right and left are"),
+        ("tt", "bb", {"a": "left", "b": "right"}, "target 't' is on the hand of 'left' and, for"),
+    ],
+)
+def test_arms_that_cannot_be_placed_are_named(data, targets, mounts, arms, message):
+    """Before any fit."""
+    mount = {"h": "eye_in_hand", "b": "eye_to_hand"}
+    cameras = {
+        name: dataclasses.replace(data, mount=mount[key])
+        for name, key in zip("ab", mounts, strict=True)
+    }
+    seen = None if targets is None else dict(zip("ab", targets, strict=True))
+    with pytest.raises(ValueError, match=message):
+        Rig(cameras, seen, arms)
+
+
+def test_arms_that_a_third_one_connects_are_one_rig(data):
+    cameras = dict.fromkeys("abcd", data)
+    targets = {"a": "table", "b": "table", "c": "wall", "d": "wall"}
+    rig = Rig(cameras, targets, {"a": "one", "b": "two", "c": "two", "d": "three"})
+    assert rig.arm_names == ("one", "two", "three")

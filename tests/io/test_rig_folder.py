@@ -11,7 +11,9 @@ from jaxlie import SE3
 from text_files import edit
 
 from smartview_jax import Rig, load_dataset, load_rig, save_rig
+from smartview_jax.geometry import host_matrices
 from smartview_jax.io import is_rig_folder, sample_folder
+from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_calibration, simulate
 from smartview_jax.targets import Chessboard
 
@@ -140,3 +142,66 @@ def test_a_camera_without_a_described_target_is_not_written(rig, tmp_path):
     with pytest.raises(ValueError, match="camera 'right' describes 'target' otherwise"):
         save_rig(Rig({"left": wrist, "right": other}), tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+@pytest.fixture(scope="module")
+def arms_folder(tmp_path_factory):
+    """Two arms that see one table; the states of both have the same names."""
+    left = seen(slice(0, 4), TARGET)
+    joints = np.linspace(-1.0, 1.0, 24).reshape(4, 6)
+    right = dataclasses.replace(
+        seen(slice(3, 7), TARGET),
+        base_from_tool=six_axes().base_from_tool(joints),
+        view_ids=left.view_ids,
+    ).with_joints(joints, six_axes())
+    rig = Rig({"l": left, "r": right}, arms={"l": "left", "r": "right"})
+    folder = tmp_path_factory.mktemp("arms")
+    save_rig(rig, folder)
+    return rig, folder
+
+
+def test_every_arm_has_its_own_tables(arms_folder):
+    rig, folder = arms_folder
+    assert (folder / "left/poses.csv").is_file()
+    assert (folder / "right/joints.csv").is_file()
+    loaded = load_rig(folder)
+    assert loaded.arms == rig.arms
+    assert loaded.targets == rig.targets
+    assert loaded.view_ids == rig.view_ids
+    np.testing.assert_allclose(
+        host_matrices(loaded.base_from_tool), host_matrices(rig.base_from_tool), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        loaded.of_arm("right").joints, rig.of_arm("right").joints, atol=1e-12
+    )
+    assert loaded.of_arm("left").joints is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("arm: right", "arm: up", "cameras.r.arm: expected one of left, right, found 'up'"),
+        ("arm: right", "arm: left", "arms.right: no camera names this arm"),
+        ("file: right/poses.csv", "file: none.csv", "none.csv"),
+        (
+            "arms:",
+            "base_from_world: {translation: [0, 0, 1], quaternion_wxyz: [1, 0, 0, 0]}\narms:",
+            "base_from_world: with several arms it is an entry of each of the 'arms'",
+        ),
+        ("right:\n    poses:", "right:\n    poses_of_arm:", "arms.right"),
+    ],
+)
+def test_mistakes_in_arms_are_named(arms_folder, tmp_path, old, new, message):
+    folder = tmp_path / "spoilt"
+    shutil.copytree(arms_folder[1], folder)
+    edit(folder / "dataset.yaml", old, new)
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        load_rig(folder)
+
+
+def test_an_arm_without_arms_is_named(pictured, tmp_path):
+    folder = tmp_path / "spoilt"
+    shutil.copytree(pictured, folder)
+    edit(folder / "dataset.yaml", "right: {", "right: {arm: left, ")
+    with pytest.raises(ValueError, match=r"cameras.right.arm: the file has no 'arms'"):
+        load_rig(folder)

@@ -176,12 +176,14 @@ def test_reasons_to_doubt_are_said(fit):
     assert direction.components == (("camera.u0", 1.0),)
     whole = undetermined.estimate("camera2").observability
     assert whole.rank == whole.parameter_count
-    weak = dataclasses.replace(fit, noise=dataclasses.replace(fit.noise, translation=0.05))
+    weak = dataclasses.replace(
+        fit, noises={"arm": dataclasses.replace(fit.noise, translation=0.05)}
+    )
     (text,) = rig_warnings(weak, prior)
     assert "the robot's poses err by 50 mm" in text
     size = TargetScaleEvidence(0.9, 0.98, 0.001)
     larger = fit.noise_estimate._replace(target_scale=size, converged=False)
-    texts = rig_warnings(dataclasses.replace(fit, noise_estimate=larger), prior)
+    texts = rig_warnings(dataclasses.replace(fit, noise_estimates={"arm": larger}), prior)
     assert texts[0] == (
         "the target may be 0.9800 +- 0.0010 of its stated size (probability 0.90): measure it"
     )

@@ -1,0 +1,387 @@
+"""Build the least-squares problem of several arms from the problem of each arm alone."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float, Int
+
+from ..calibration import Calibration
+from ..dataset import Rig
+from ..geometry import host_matrices, host_transforms
+from ..runtime.array_namespace import to_device
+from .abstract_problem import AbstractBuiltProblem
+from .arms_problem import ArmInRig, ArmsProblem
+from .parameters import POSE_CORRECTIONS, Step, host_retract_transform, parameter_mask
+from .priors import Prior
+from .problem_builder import prior_means_and_weights
+from .rig_builder import BuiltRig, rig_parameter_names
+from .rig_problem import RigProblem
+
+BASE_FROM_WORLD = "base_from_world"
+"""Name of the pose of a target on the table, after the target's own name."""
+
+STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
+"""Names of the parameters of a transform, after the transform's own name."""
+
+
+class BuiltArms(AbstractBuiltProblem):
+    """The least-squares problem of several arms together with the names of its parameters.
+
+    Attributes:
+        problem: the problem, in the parameters' own units.
+        shared_names: names of the free shared parameters.
+        per_view_names: names of the free parameters of single states, in order.
+        arms: the problem of each arm alone, by its name; the first arm's base is the reference.
+    """
+
+    problem: ArmsProblem
+    shared_names: tuple[str, ...] = eqx.field(static=True)
+    per_view_names: tuple[str, ...] = eqx.field(static=True)
+    arms: dict[str, BuiltRig]
+
+
+class ArmPaths(NamedTuple):
+    """The paths of one arm's parameters, in the names of its rig alone.
+
+    Attributes:
+        fixed, free: paths of parameters to hold and to free.
+        priors: priors by path.
+    """
+
+    fixed: tuple[str, ...]
+    free: tuple[str, ...]
+    priors: dict[str, Prior]
+
+
+def base_path(first: str, other: str) -> str:
+    """Return the name of the transform from another arm's base to the first arm's."""
+    return f"base_{first}_from_base_{other}"
+
+
+def paths_of_arms(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    fixed: Sequence[str],
+    free: Sequence[str],
+    priors: Mapping[str, Prior],
+) -> dict[str, ArmPaths]:
+    """Return the paths of each arm's parameters, of those that were given for a rig.
+
+    The pose of a target that several arms see is a parameter of the first arm alone.
+
+    Args:
+        rig: data sets of all arms.
+        starts: calibration of each camera.
+        fixed, free, priors: as for `build_rig`; with several arms in the names of `build_arms`.
+
+    Raises:
+        ValueError: a path that selects nothing, or a base that is held, or has a prior without a
+            mean.
+    """
+    if len(rig.arm_names) == 1:
+        return {rig.arm_names[0]: ArmPaths(tuple(fixed), tuple(free), dict(priors))}
+    names = {arm: _names_of_arm(rig, arm, starts) for arm in rig.arm_names}
+    for arm in rig.arm_names[1:]:
+        moved = {name for own in _common_poses(rig, arm, starts).values() for name in own}
+        names[arm] = {own: name for own, name in names[arm].items() if own not in moved}
+    bases = [base_path(rig.arm_names[0], arm) for arm in rig.arm_names[1:]]
+    of_bases = (f"{base}.{name}" for base in bases for name in STEP_NAMES)
+    for path in fixed:
+        if path.partition(".")[0] in bases:
+            raise ValueError(f"fixed: {path!r}: a base has no start; give a prior with a mean")
+    for path, prior in priors.items():
+        if path.partition(".")[0] in bases and prior.mean is None:
+            raise ValueError(f"prior on {path!r}: a base has no start; give the mean")
+    everything = [*of_bases, *(name for own in names.values() for name in own.values())]
+
+    def own_paths(arm: str, path: str) -> list[str]:
+        """Return the arm's own names of the parameters that a path selects."""
+        first, _, rest = path.partition(".")
+        if first in rig.arm_names:
+            # The coefficients of its error are not known before the views are compared.
+            return [rest] if first == arm else []
+        parameter_mask(everything, (path,))
+        return [own for own, name in names[arm].items() if f"{name}.".startswith(f"{path}.")]
+
+    return {
+        arm: ArmPaths(
+            tuple(own for path in fixed for own in own_paths(arm, path)),
+            tuple(own for path in free for own in own_paths(arm, path)),
+            {own: prior for path, prior in priors.items() for own in own_paths(arm, path)},
+        )
+        for arm in rig.arm_names
+    }
+
+
+def build_arms(
+    rig: Rig,
+    arms: Mapping[str, tuple[BuiltRig, Step]],
+    priors: Mapping[str, Prior] | None = None,
+) -> tuple[BuiltArms, Step]:
+    """Build the least-squares problem of several arms from the solved problem of each.
+
+    The parameters of cameras and targets have the names of `build_rig`; a target that several arms
+    see has its pose in the base of the first arm. An arm's errors are called `left.robot_error...`
+    and `pose_corrections.left/<view>...`, with `left` the arm's name, and the base of every other
+    arm is called base_left_from_base_right.translation.x.
+
+    Args:
+        rig: data sets of all arms.
+        arms: problem of each arm, with its noise as priors, and its solution.
+        priors: priors by path; only those of bases matter, since the arms' problems have the
+            others.
+
+    Returns:
+        The problem, and a step near its solution.
+    """
+    starts = {name: start for built, _ in arms.values() for name, start in built.starts.items()}
+    parts = [_Part.of(rig, arm, starts, *arms[arm]) for arm in rig.arm_names]
+    bases = {
+        part.arm: tuple(f"{base_path(parts[0].arm, part.arm)}.{name}" for name in STEP_NAMES)
+        for part in parts[1:]
+    }
+    of_arms = (name for part in parts for name in part.names.values())
+    of_bases = [name for own in bases.values() for name in own]
+    names = tuple(dict.fromkeys((*of_arms, *of_bases)))
+    place = {name: k for k, name in enumerate(names)}
+
+    shared = _shared_parameters(parts, place)
+    mean, weight = _with_priors_of_bases(names, shared, list(bases), parts[0].arm, priors or {})
+
+    problems = [part.built.problem for part in parts]
+    per_view_free = np.concatenate([np.asarray(p.per_view_free) for p in problems])
+    means, weights = (
+        np.concatenate([np.asarray(step.per_view) for step in of_arms])
+        for of_arms in ([p.prior_mean for p in problems], [p.prior_weight for p in problems])
+    )
+    problem = ArmsProblem(
+        arms=_placed(parts, place, bases),
+        camera_mask=to_device(np.array([".camera." in name for name in names])),
+        pixel_sigma=to_device(np.array(1.0)),
+        free=to_device(np.flatnonzero(shared.free)),
+        per_view_free=to_device(per_view_free),
+        prior_mean=Step(to_device(mean), to_device(means)),
+        prior_weight=Step(to_device(weight), to_device(weights)),
+        scale=Step(to_device(np.ones(shared.free.sum())), to_device(np.ones(per_view_free.shape))),
+    )
+    corrections = np.concatenate([np.asarray(arms[part.arm][1].per_view) for part in parts])
+    built = BuiltArms(
+        problem,
+        tuple(names[k] for k in np.flatnonzero(shared.free)),
+        tuple(
+            name.replace(f"{POSE_CORRECTIONS}.", f"{POSE_CORRECTIONS}.{part.arm}/", 1)
+            for part in parts
+            for name in part.built.per_view_names
+        ),
+        {part.arm: part.built for part in parts},
+    )
+    return built, Step(to_device(shared.step[shared.free]), to_device(corrections))
+
+
+class _Shared(NamedTuple):
+    """The shared parameters of all arms.
+
+    Attributes:
+        step: solution of the arms' own problems; zero for held ones, bases, and poses of targets
+            that the first arm does not see.
+        free: mask of the free ones.
+        mean, weight: mean and weight of the arms' priors.
+    """
+
+    step: Float[np.ndarray, "shared"]
+    free: Bool[np.ndarray, "shared"]
+    mean: Float[np.ndarray, "shared"]
+    weight: Float[np.ndarray, "shared"]
+
+
+def _shared_parameters(parts: Sequence["_Part"], place: Mapping[str, int]) -> _Shared:
+    """Return the shared parameters of all arms.
+
+    Args:
+        parts: the arms.
+        place: index of each parameter, by its name.
+    """
+    size = len(place)
+    known, free = np.zeros(size, dtype=bool), np.zeros(size, dtype=bool)
+    step, mean, weight = np.zeros(size), np.full(size, np.nan), np.zeros(size)
+    for part in parts:
+        kept = ~part.is_moved
+        index = np.array([place[name] for name in part.names.values()])[kept]
+        own_free, own_step = part.is_free[kept], part.step[kept]
+        own_mean, own_weight = (
+            np.asarray(values.shared)[kept]
+            for values in (part.built.problem.prior_mean, part.built.problem.prior_weight)
+        )
+        # Only the size of a common target belongs to several arms. It has the weakest of their
+        # priors, since the pixels of all are in the fit.
+        weaker = own_free & (~free[index] | (own_weight < weight[index]))
+        taken = weaker | ~known[index]
+        for values, own in ((step, own_step), (mean, own_mean), (weight, own_weight)):
+            values[index[taken]] = own[taken]
+        free[index] |= own_free
+        known[index] = True
+    # Bases, and poses of targets that the first arm does not see, are free.
+    return _Shared(step, free | ~known, mean, weight)
+
+
+def _with_priors_of_bases(
+    names: tuple[str, ...],
+    shared: _Shared,
+    others: Sequence[str],
+    first: str,
+    priors: Mapping[str, Prior],
+) -> tuple[Float[np.ndarray, "shared"], Float[np.ndarray, "shared"]]:
+    """Return the means and weights of all priors, with those of bases among the given ones.
+
+    Args:
+        names: names of the parameters.
+        shared: the parameters, with the arms' priors.
+        others: names of the arms but the first.
+        first: name of the first arm.
+        priors: priors by path.
+    """
+    paths = {base_path(first, arm) for arm in others}
+    given = {path: prior for path, prior in priors.items() if path.split(".")[0] in paths}
+    mean, weight = prior_means_and_weights(names, len(names), given, None, None, 1.0)
+    return np.where(weight > 0.0, mean, shared.mean), shared.weight + weight
+
+
+class _Part(NamedTuple):
+    """An arm with its solved problem and the names of its parameters.
+
+    Attributes:
+        arm: name of the arm.
+        built: its problem alone.
+        step: solution of this problem for all shared parameters, zero for held ones.
+        names: name among the parameters of all arms of each of the arm's.
+        starts: pose of each common target in the arm's base, from which the steps are taken.
+        poses: the arm's own names of these poses.
+        moved: the same where the pose is a parameter in the base of the first arm.
+    """
+
+    arm: str
+    built: BuiltRig
+    step: Float[np.ndarray, "own"]
+    names: dict[str, str]
+    starts: dict[str, SE3]
+    poses: dict[str, tuple[str, ...]]
+    moved: dict[str, tuple[str, ...]]
+
+    @classmethod
+    def of(
+        cls, rig: Rig, arm: str, starts: Mapping[str, Calibration], built: BuiltRig, z: Step
+    ) -> "_Part":
+        """Return an arm of a rig."""
+        names = _names_of_arm(rig, arm, starts)
+        step = np.zeros(len(names))
+        step[np.asarray(built.problem.free)] = np.asarray(z.shared)
+        poses = _common_poses(rig, arm, starts)
+        targets = {rig.targets[camera]: camera for camera, own in rig.arms.items() if own == arm}
+        return cls(
+            arm,
+            built,
+            step,
+            names,
+            {target: starts[targets[target]].holder_from_world for target in poses},
+            poses,
+            {} if arm == rig.arm_names[0] else poses,
+        )
+
+    @property
+    def is_free(self) -> Bool[np.ndarray, "own"]:
+        """Mask of the free shared parameters."""
+        return np.isin(np.arange(len(self.names)), np.asarray(self.built.problem.free))
+
+    @property
+    def is_moved(self) -> Bool[np.ndarray, "own"]:
+        """Mask of the poses of targets that are parameters in the base of the first arm."""
+        return np.isin(list(self.names), [name for own in self.moved.values() for name in own])
+
+    def indices(self, target: str) -> Int[np.ndarray, "6"]:
+        """Return the indices of the pose of a common target among the arm's own parameters."""
+        own = list(self.names)
+        return np.array([own.index(name) for name in self.poses[target]])
+
+    def solved_pose(self, target: str) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a common target in the arm's base by the arm's own solution."""
+        return host_matrices(
+            host_retract_transform(self.starts[target], self.step[self.indices(target)])
+        )
+
+
+def _names_of_arm(rig: Rig, arm: str, starts: Mapping[str, Calibration]) -> dict[str, str]:
+    """Return the name among the parameters of all arms of each of one arm's."""
+    of_all, part = rig_parameter_names(rig, starts), rig.of_arm(arm)
+    own = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
+    return {
+        name: given
+        for camera, names in own.items()
+        for name, given in zip(names, of_all[camera], strict=True)
+    }
+
+
+def _common_poses(
+    rig: Rig, arm: str, starts: Mapping[str, Calibration]
+) -> dict[str, tuple[str, ...]]:
+    """Return an arm's own names of the pose of each target that another arm sees too."""
+    others = {rig.targets[camera] for camera, own in rig.arms.items() if own != arm}
+    part = rig.of_arm(arm)
+    own = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
+    return {
+        target: tuple(name for name in own[camera] if BASE_FROM_WORLD in name.split("."))
+        for camera, target in part.targets.items()
+        if target in others
+    }
+
+
+def _placed(
+    parts: Sequence[_Part], place: Mapping[str, int], bases: Mapping[str, tuple[str, ...]]
+) -> tuple[ArmInRig, ...]:
+    """Return the arms with the bases and the common targets where the arms' solutions are.
+
+    A target that the first arm sees begins where its own start is.
+    """
+    worlds = {target: parts[0].solved_pose(target) for target in parts[0].poses}
+    begins = {target: host_matrices(start) for target, start in parts[0].starts.items()}
+    poses = {parts[0].arm: np.eye(4)}
+    while len(poses) < len(parts):
+        for part in parts:
+            known = [target for target in part.poses if target in worlds]
+            if part.arm in poses or not known:
+                continue
+            poses[part.arm] = worlds[known[0]] @ np.linalg.inv(part.solved_pose(known[0]))
+            for target in part.poses:
+                worlds.setdefault(target, poses[part.arm] @ part.solved_pose(target))
+                begins.setdefault(target, worlds[target])
+    members = []
+    for part in parts:
+        index = [place[name] for name in part.names.values()]
+        # The first arm has no such parameters.
+        base_index = [place[name] for name in bases[part.arm]] if part.arm in bases else [0] * 6
+        moved = list(part.moved)
+        of_targets = np.array([part.indices(target) for target in moved], dtype=int).reshape(-1, 6)
+        firsts = np.array([begins[target] for target in moved]).reshape(-1, 4, 4)
+        owns = np.array([host_matrices(part.starts[t]) for t in moved]).reshape(-1, 4, 4)
+        members.append(
+            ArmInRig(
+                problem=_with_all_free(part.built.problem),
+                parameter_index=to_device(np.array(index)),
+                base_index=to_device(np.array(base_index, dtype=int)),
+                common_targets=to_device(of_targets),
+                first_base_from_base=host_transforms(poses[part.arm]),
+                first_base_from_world=host_transforms(firsts),
+                base_from_world=host_transforms(owns),
+            )
+        )
+    return tuple(members)
+
+
+def _with_all_free(problem: RigProblem) -> RigProblem:
+    """Return the problem of one arm with all its shared parameters free, in their own units."""
+    size = problem.parameter_count
+    scale = Step(to_device(np.ones(size)), problem.scale.per_view)
+    return dataclasses.replace(problem, free=to_device(np.arange(size)), scale=scale)

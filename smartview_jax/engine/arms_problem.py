@@ -1,0 +1,246 @@
+"""The joint fit of several arms that see targets in common, as a least-squares problem.
+
+Each arm is a rig of its own (`rig_problem.py`). The pose of a target that several arms see is a
+parameter in the base of the first arm, and so is the base of every other arm. The pose of the
+target in another arm's base follows from both,
+
+    base_from_world = first_base_from_base^-1 first_base_from_world
+
+and the arms' equations are added up by this chain rule.
+"""
+
+import dataclasses
+import itertools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float, Int
+
+from ..geometry import host_adjoints, host_logarithms, host_matrices
+from ..robot_errors import RobotError
+from .abstract_problem import AbstractProblem, NormalEquations
+from .parameters import (
+    Step,
+    host_retract_transform,
+    retract_transform,
+    rotation_vector_between,
+    twist_by_step,
+)
+from .problem import FittedChain
+from .rig_problem import RigProblem
+from .schur import BlockArrow
+
+
+class ArmInRig(eqx.Module):
+    """An arm of several: its problem alone, and the places of its parameters among all.
+
+    Attributes:
+        problem: the problem of the arm alone; all shared parameters are free.
+        parameter_index: index among the parameters of all arms of each of the arm's; for the pose
+            of a common target, of its pose in the base of the first arm.
+        base_index: index of the six parameters of the arm's base, in the base of the first arm;
+            zeros for the first arm.
+        common_targets: the arm's own indices of the pose of each common target in its base; none
+            for the first arm.
+        first_base_from_base: base of the arm in the base of the first, at the start.
+        first_base_from_world: pose of each common target in the base of the first arm, at the
+            start.
+        base_from_world: pose of each common target in the arm's base, at its own start.
+    """
+
+    problem: RigProblem
+    parameter_index: Int[Array, "own"]
+    base_index: Int[Array, "6"]
+    common_targets: Int[Array, "targets 6"]
+    first_base_from_base: SE3
+    first_base_from_world: SE3
+    base_from_world: SE3
+
+    @property
+    def is_first(self) -> bool:
+        """Whether the arm's base is the reference."""
+        return not len(self.common_targets)
+
+    def own_step(self, shared: Float[Array, "shared"]) -> Float[Array, "own"]:
+        """Return the step of the arm's own parameters at a step of all arms' parameters."""
+        own = shared[self.parameter_index]
+        if self.is_first:
+            return own
+        base = retract_transform(self.first_base_from_base, shared[self.base_index])
+
+        def of_target(step: Float[Array, "6"], first: SE3, start: SE3) -> Float[Array, "6"]:
+            """Return the step of a target's pose in the base of the arm."""
+            pose = base.inverse() @ retract_transform(first, step)
+            turn = rotation_vector_between(start, pose)
+            return jnp.append(pose.translation() - start.translation(), turn)
+
+        steps = jax.vmap(of_target)(
+            own[self.common_targets], self.first_base_from_world, self.base_from_world
+        )
+        return own.at[self.common_targets].set(steps)
+
+    def host_jacobian(self, shared: Float[np.ndarray, "shared"]) -> Float[np.ndarray, "own shared"]:
+        """Return the derivative of `own_step`, computed with NumPy."""
+        index, base_index = np.asarray(self.parameter_index), np.asarray(self.base_index)
+        jacobian = np.zeros((len(index), len(shared)))
+        jacobian[np.arange(len(index)), index] = 1.0
+        for k, rows in enumerate(np.asarray(self.common_targets)):
+            columns, of_base, of_world = index[rows], shared[base_index], shared[index[rows]]
+            first, start = (
+                SE3(pose.wxyz_xyz[k]) for pose in (self.first_base_from_world, self.base_from_world)
+            )
+            base = host_matrices(host_retract_transform(self.first_base_from_base, of_base))
+            world = host_matrices(host_retract_transform(first, of_world))
+            # A small motion of the target moves its pose B^-1 W in the arm's base by Ad(B^-1), and
+            # one of the base by as much the other way.
+            inverse = np.linalg.inv(base)
+            pose = inverse @ world
+            turned = host_logarithms(pose @ np.linalg.inv(host_matrices(start)))[3:]
+            by_motion = np.linalg.solve(twist_by_step(pose, turned), host_adjoints(inverse))
+            jacobian[rows] = 0.0
+            jacobian[np.ix_(rows, columns)] = by_motion @ twist_by_step(world, of_world[3:])
+            jacobian[np.ix_(rows, base_index)] = -by_motion @ twist_by_step(base, of_base[3:])
+        return jacobian
+
+
+class ArmsProblem(AbstractProblem):
+    """A least-squares problem: all arms' observations, and priors.
+
+    The views' own parameters are the corrections of all arms' states, one arm after the other.
+
+    Attributes:
+        arms: the arms; the first one's base is the reference.
+        camera_mask: mask of the parameters of cameras (focal lengths, lens) among the shared ones.
+        pixel_sigma: one; every arm's problem has its own.
+        free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
+    """
+
+    arms: tuple[ArmInRig, ...]
+    camera_mask: Bool[Array, "shared"]
+    pixel_sigma: Float[Array, ""]
+    free: Int[Array, "free"]
+    per_view_free: Bool[Array, "states 6"]
+    prior_mean: Step
+    prior_weight: Step
+    scale: Step
+    mesh: Mesh | None = eqx.field(static=True, default=None)
+
+    @property
+    def parameter_count(self) -> int:
+        """The number of shared parameters, free or not."""
+        return len(self.camera_mask)
+
+    @property
+    def is_camera(self) -> Bool[Array, "shared"]:
+        """Mask of the parameters of cameras (focal lengths, lens) among the shared ones."""
+        return self.camera_mask
+
+    @property
+    def robot_error(self) -> RobotError | None:
+        """None, since each arm has an error of its own."""
+        return None
+
+    @property
+    def visible_count(self) -> int:
+        """The number of visible points in all pictures."""
+        return sum(arm.problem.visible_count for arm in self.arms)
+
+    @property
+    def observation_count(self) -> int:
+        """The number of points in all pictures, visible or not."""
+        return sum(arm.problem.observation_count for arm in self.arms)
+
+    @property
+    def has_pixels(self) -> bool:
+        """Whether the observations are points in pictures."""
+        return True
+
+    def start_values(self) -> Float[Array, "shared"]:
+        """Return the values of the shared parameters at the start."""
+        values = jnp.zeros(self.parameter_count)
+        for arm in self.arms:
+            own = arm.problem.start_values()
+            own = own.at[arm.common_targets].set(_values_of(arm.first_base_from_world))
+            values = values.at[arm.parameter_index].set(own)
+            if not arm.is_first:
+                base = _values_of(arm.first_base_from_base)
+                values = values.at[arm.base_index].set(base)
+        return values
+
+    def host_start_values(self) -> Float[np.ndarray, "shared"]:
+        """Return `start_values`, computed with NumPy."""
+        values = np.zeros(self.parameter_count)
+        for arm in self.arms:
+            own, common = arm.problem.host_start_values(), np.asarray(arm.common_targets)
+            for index, pose in zip(
+                common, np.asarray(arm.first_base_from_world.wxyz_xyz), strict=True
+            ):
+                own[index] = [*pose[4:], 0.0, 0.0, 0.0]
+            values[np.asarray(arm.parameter_index)] = own
+            if not arm.is_first:
+                place = np.asarray(arm.first_base_from_base.wxyz_xyz)[4:]
+                values[np.asarray(arm.base_index)] = [*place, 0.0, 0.0, 0.0]
+        return values
+
+    def with_noise_corrections(self, corrections: Float[np.ndarray, "states 6"]) -> "ArmsProblem":
+        """Return the problem with the robots' error fields at poses corrected for noise."""
+        arms = [
+            dataclasses.replace(arm, problem=arm.problem.with_noise_corrections(corrections[rows]))
+            for arm, rows in zip(self.arms, self.states_of_arms, strict=True)
+        ]
+        return dataclasses.replace(self, arms=tuple(arms))
+
+    @property
+    def states_of_arms(self) -> tuple[slice, ...]:
+        """The rows of each arm's states among all states."""
+        ends = np.cumsum([0, *(len(arm.problem.per_view_free) for arm in self.arms)])
+        return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
+
+    def observation_residuals(self, z: Step) -> tuple[Any, ...]:
+        """Return the whitened residuals of each arm's observations."""
+        return tuple(arm.problem.observation_residuals(own) for arm, own in self._own_steps(z))
+
+    def chain(self, z: Step) -> tuple[tuple[FittedChain, ...], ...]:
+        """Return the chains of each arm's cameras at a scaled step."""
+        return tuple(arm.problem.chain(own) for arm, own in self._own_steps(z))
+
+    def normal_equations_without_priors(self, z: Step) -> NormalEquations:
+        """Return the normal equations of the observations alone, without priors."""
+        size, states = self.parameter_count, len(self.per_view_free)
+        cost = jnp.zeros(())
+        gradient = Step(jnp.zeros(size), jnp.zeros((states, 6)))
+        shared, per_view = jnp.zeros((size, size)), jnp.zeros((states, 6, 6))
+        border = jnp.zeros((states, 6, size))
+        step = self.unscaled_step(z)
+        for (arm, own), rows in zip(self._own_steps(z), self.states_of_arms, strict=True):
+            found = arm.problem.normal_equations_without_priors(own)
+            by_all = jax.jacfwd(arm.own_step)(step.shared)
+            cost = cost + found.cost
+            gradient = Step(
+                gradient.shared + found.gradient.shared @ by_all,
+                gradient.per_view.at[rows].set(found.gradient.per_view),
+            )
+            shared = shared + by_all.T @ found.matrix.shared @ by_all
+            per_view = per_view.at[rows].set(found.matrix.per_view)
+            border = border.at[rows].set(found.matrix.border @ by_all)
+        matrix = BlockArrow(shared, border, per_view)
+        return self.of_free_parameters(NormalEquations(cost, gradient, matrix))
+
+    def _own_steps(self, z: Step) -> list[tuple[ArmInRig, Step]]:
+        """Return each arm with the step of its own parameters at a scaled step."""
+        step = self.unscaled_step(z)
+        return [
+            (arm, Step(arm.own_step(step.shared), step.per_view[rows]))
+            for arm, rows in zip(self.arms, self.states_of_arms, strict=True)
+        ]
+
+
+def _values_of(pose: SE3) -> Float[Array, "*batch 6"]:
+    """Return the values of a transform's parameters at the start: its translation, no rotation."""
+    translation = pose.translation()
+    return jnp.concatenate([translation, jnp.zeros_like(translation)], axis=-1)

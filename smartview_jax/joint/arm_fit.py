@@ -1,0 +1,148 @@
+"""Fit the cameras of one arm of a rig, and leave out the states that contradict the others."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..dataset import Rig
+from ..engine import (
+    ArmPaths,
+    BlockArrow,
+    BuiltRig,
+    Noise,
+    NormalEquations,
+    Solution,
+    Step,
+    build_rig,
+    solve,
+)
+from ..fit_result import Rejection
+from ..robot_errors import FieldChoice, RobotPrior
+from ..variance import RigNoiseEstimate, estimate_rig_noise
+from .gross_errors import without_views
+from .rig_rejection import Contradiction, contradiction, suspect_state
+from .view_rejection import inflation_reason, is_plausible
+
+
+class SolvedArm(NamedTuple):
+    """The rig of one arm, its problem, and the problem's solution.
+
+    Attributes:
+        rig: the data sets, without what was left out.
+        built: the problem.
+        estimate: the estimate of the noise; None if the noise was given.
+        solution: the solution.
+        equations: the normal equations at the solution.
+        rejected: what was left out, with the camera's name.
+    """
+
+    rig: Rig
+    built: BuiltRig
+    estimate: RigNoiseEstimate | None
+    solution: Solution
+    equations: NormalEquations
+    rejected: tuple[tuple[str, Rejection], ...] = ()
+
+    @property
+    def at_optimum(self) -> tuple[Rig, BuiltRig, Step, BlockArrow]:
+        """The arguments of `contradiction` and `suspect_state`."""
+        return self.rig, self.built, self.solution.z, self.equations.matrix
+
+
+class ArmOptions(NamedTuple):
+    """The options of `fit_rig` that concern one arm.
+
+    Attributes:
+        noise: `"estimated"`, or the noise.
+        field: robot error field.
+        paths: paths of parameters to hold and to free, and priors.
+        robot_prior: prior on the sizes of the robot's errors.
+    """
+
+    noise: str | Noise
+    field: FieldChoice
+    paths: ArmPaths
+    robot_prior: RobotPrior
+
+
+def fit_arm(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    options: ArmOptions,
+    progress: Callable[[str], None] | None,
+) -> SolvedArm:
+    """Fit the cameras of one arm, without the states that contradict the others.
+
+    Args:
+        rig: data sets of the cameras.
+        starts: calibration of each camera near the solution.
+        options: options of the fit.
+        progress: called with a line of text for each stage.
+
+    Raises:
+        ValueError: an unknown path, or a start at which no point of a view can be projected.
+    """
+
+    def fit_once(rig: Rig) -> SolvedArm:
+        """Fit the rig as it is."""
+        built, start, estimate = _built(rig, starts, options, progress)
+        if progress is not None:
+            count = sum(int(np.asarray(data.visible).sum()) for data in rig.cameras.values())
+            shared = len(built.shared_names)
+            progress(f"joint fit of the rig: {shared} shared parameters, {count} points")
+        return SolvedArm(rig, built, estimate, *solve(built.problem, start=start))
+
+    # The noise is estimated again without a wrong pose, since one inflates it for all states.
+    found, left_out = fit_once(rig), []
+    while (estimate := found.estimate) is not None:
+        wrong = contradiction(*found.at_optimum)
+        if wrong is not None:
+            found = fit_once(_without(found.rig, wrong))
+        else:
+            # One wrong pose may inflate the noise so much that no state fails the test.
+            plausible = is_plausible(estimate.noise, options.robot_prior)
+            suspect = None if plausible else suspect_state(*found.at_optimum)
+            if suspect is None:
+                break
+            refitted = fit_once(_without(found.rig, suspect))
+            assert refitted.estimate is not None
+            reason = inflation_reason(estimate.noise, refitted.estimate.noise)
+            if reason is None:
+                break
+            found, wrong = refitted, suspect._replace(reason=reason)
+        left_out += [(name, Rejection(wrong.view_id, None, wrong.reason)) for name in wrong.cameras]
+    return found._replace(rejected=tuple(left_out))
+
+
+def _built(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    options: ArmOptions,
+    progress: Callable[[str], None] | None,
+) -> tuple[BuiltRig, Step, RigNoiseEstimate | None]:
+    """Build the problem, with estimated noise unless it is given; return the first step too."""
+    noise, field, paths, robot_prior = options
+    if isinstance(noise, Noise):
+        given = None if field == "auto" else field
+        built = build_rig(rig, starts, noise=noise, field=given, **paths._asdict())
+        return built, built.problem.zero_step(), None
+    estimate = estimate_rig_noise(
+        rig,
+        starts,
+        field=field,
+        progress=progress,
+        robot_prior=robot_prior,
+        **paths._asdict(),
+    )
+    return estimate.built, estimate.step, estimate
+
+
+def _without(rig: Rig, wrong: Contradiction) -> Rig:
+    """Return the rig without some cameras' views of a state."""
+    cameras = dict(rig.cameras)
+    for name in wrong.cameras:
+        view = cameras[name].view_ids.index(wrong.view_id)
+        cameras[name] = without_views(cameras[name], {view: wrong.reason})
+    return rig.with_cameras(cameras)

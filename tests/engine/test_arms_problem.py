@@ -1,0 +1,51 @@
+"""The problem of two arms that see two targets: its optimum, and its derivatives there."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arms_scene import FOUR_CAMERAS, NOISE, arms_scene
+from jax.flatten_util import ravel_pytree
+from scipy.optimize import least_squares
+
+from smartview_jax.engine import build_arms, build_rig, solve
+
+
+def test_scipy_finds_the_same_optimum_and_derivatives():
+    """The lenses are known, and both targets couple the arms."""
+    rig, truths = arms_scene(0, FOUR_CAMERAS, 4)
+    solved = {}
+    for arm in rig.arm_names:
+        part = rig.of_arm(arm)
+        starts = {name: truths[name] for name in part.cameras}
+        lenses = [f"{name}.camera" for name in part.cameras]
+        built = build_rig(part, starts, noise=NOISE, fixed=lenses)
+        solved[arm] = built, solve(built.problem)[0].z
+    built, start = build_arms(rig, solved)
+    problem = built.problem
+    solution, equations = solve(problem, start=start)
+    flat, unravel = ravel_pytree(start)
+    residuals = jax.jit(lambda x: ravel_pytree(problem.residuals(unravel(x)))[0])
+    jacobian = jax.jit(jax.jacfwd(residuals))
+    found = least_squares(
+        residuals,
+        np.asarray(flat),
+        lambda x: np.asarray(jacobian(x)),  # pyright: ignore[reportArgumentType]
+        method="lm",
+        x_scale="jac",
+        ftol=1e-15,
+        xtol=1e-15,
+        gtol=1e-15,
+    )
+    assert found.cost == pytest.approx(solution.costs[-1], rel=1e-9)
+    by_scipy = unravel(jnp.asarray(found.x))
+    np.testing.assert_allclose(by_scipy.per_view, solution.z.per_view, atol=1e-8)
+    shared = len(start.shared)
+    own = np.asarray(equations.matrix.shared)
+    squares = (found.jac.T @ found.jac)[:shared, :shared]
+    sizes = np.sqrt(np.outer(np.diagonal(own), np.diagonal(own)))
+    np.testing.assert_allclose(own / sizes, squares / sizes, atol=1e-6)
+    # The second arm's own parameters follow by the same derivatives on the host.
+    step, arm = np.asarray(problem.unscaled_step(solution.z).shared), problem.arms[1]
+    automatic = jax.jit(jax.jacfwd(arm.own_step))(step)
+    np.testing.assert_allclose(arm.host_jacobian(step), automatic, atol=1e-9)
