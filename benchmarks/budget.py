@@ -10,7 +10,7 @@ import jax
 
 import smartview_jax as sv
 from smartview_jax.evaluation import ErrorBudget
-from smartview_jax.evaluation.diagnosis.budget import (
+from smartview_jax.evaluation.diagnosis.causes import (
     ROBOT_NOISE,
     SCALE_ERROR,
     SYSTEMATIC_ROBOT_ERROR,

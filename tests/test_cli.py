@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from smartview_jax import Calibration, report
 from smartview_jax.cli import app
 from smartview_jax.evaluation import ErrorBudget, reprojection_errors
-from smartview_jax.evaluation.diagnosis.budget import ErrorCause
+from smartview_jax.evaluation.diagnosis.causes import ErrorCause
 from smartview_jax.files import read_yaml
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
 

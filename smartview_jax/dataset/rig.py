@@ -142,6 +142,14 @@ class Rig:
         """The names of the arms, in the order of their first cameras."""
         return tuple(dict.fromkeys(self.arms.values()))
 
+    def require_one_arm(self, function: str) -> None:
+        """Raise a ValueError if there are several arms, for a function that takes one."""
+        if len(self.arm_names) > 1:
+            raise ValueError(
+                f"{function}: expected a rig with one arm, found {', '.join(self.arm_names)}: take "
+                "one by rig.of_arm"
+            )
+
     def of_arm(self, name: str) -> "Rig":
         """Return the rig of one arm alone, with its cameras.
 

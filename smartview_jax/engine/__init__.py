@@ -16,6 +16,7 @@ from .covariance import ReducedEquations as ReducedEquations
 from .covariance import ScaledJacobian as ScaledJacobian
 from .covariance import covariance as covariance
 from .covariance import covariance_factor as covariance_factor
+from .covariance import inverse_of_covariance as inverse_of_covariance
 from .covariance import per_view_std as per_view_std
 from .covariance import reduced_equations as reduced_equations
 from .covariance import robust_variance as robust_variance

@@ -37,6 +37,20 @@ class NormalEquations(eqx.Module):
     matrix: BlockArrow
 
 
+class ViewBlocks(eqx.Module):
+    """The terms that each view, or state of a rig's robot, adds to the normal equations' matrix.
+
+    Attributes:
+        shared: by the free shared parameters.
+        border: by the view's own parameters and the free shared ones; empty without corrections.
+        per_view: by the view's own parameters; empty without corrections.
+    """
+
+    shared: Float[Array, "views free free"]
+    border: Float[Array, "corrected 6 free"]
+    per_view: Float[Array, "corrected 6 6"]
+
+
 class AbstractProblem(eqx.Module):
     """A least-squares problem: observations, and Gaussian priors of the parameters.
 
@@ -81,6 +95,10 @@ class AbstractProblem(eqx.Module):
     @abc.abstractmethod
     def normal_equations_without_priors(self, z: Step) -> NormalEquations:
         """Return the normal equations of the observations alone, without priors."""
+
+    @abc.abstractmethod
+    def blocks_by_view(self, z: Step) -> ViewBlocks:
+        """Return what each view adds to the matrix of the normal equations, without priors."""
 
     @property
     @abc.abstractmethod
@@ -145,6 +163,24 @@ class AbstractProblem(eqx.Module):
         """Return the normal equations at a step; robust losses by iterative reweighting."""
         return self._with_priors(self.unscaled_step(z), self.normal_equations_without_priors(z))
 
+    def information_by_view(self, z: Step) -> Float[Array, "views free free"]:
+        """Compute every view's information matrix of the shared parameters.
+
+        The view's own correction is marginalised. The matrices add up to the normal equations with
+        the views' own parameters eliminated, except for the priors of the shared parameters.
+        """
+        return self.without_corrections(self.blocks_by_view(z))
+
+    def without_corrections(self, blocks: ViewBlocks) -> Float[Array, "views free free"]:
+        """Return the information matrices of `information_by_view` from the views' blocks."""
+        if not len(self.per_view_free):
+            return blocks.shared
+        # I_v = A_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the prior of
+        # the view's own parameters.
+        border, own = blocks.border, jnp.eye(6)[None] * self._per_view_precision[:, None]
+        gain = jnp.linalg.solve(blocks.per_view + own, border)
+        return blocks.shared - jnp.swapaxes(border, 1, 2) @ gain
+
     def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:
         """Return the entries of the free shared parameters, with zeros for padding."""
         return jnp.take(shared, self.free, axis=-1, mode="fill", fill_value=0.0)
@@ -152,18 +188,35 @@ class AbstractProblem(eqx.Module):
     def of_free_parameters(self, equations: NormalEquations) -> NormalEquations:
         """Return the equations of all parameters for the free ones, in units of the step."""
         gradient, matrix = equations.gradient, equations.matrix
-        scale = self.scale.shared
-        own_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
-        shared = self._take_free(jnp.swapaxes(self._take_free(matrix.shared), 0, 1))
         return NormalEquations(
             equations.cost,
-            Step(self._take_free(gradient.shared) * scale, gradient.per_view * own_scale),
-            BlockArrow(
-                shared * scale[:, None] * scale[None],
-                self._take_free(matrix.border) * own_scale[:, :, None] * scale[None, None],
-                matrix.per_view * own_scale[:, :, None] * own_scale[:, None],
+            Step(
+                self._take_free(gradient.shared) * self.scale.shared,
+                gradient.per_view * self._own_scale,
             ),
+            BlockArrow(*self.by_free_parameters(matrix.shared, matrix.border, matrix.per_view)),
         )
+
+    def by_free_parameters(
+        self,
+        shared: Float[Array, "*batch shared shared"],
+        border: Float[Array, "corrected 6 shared"],
+        per_view: Float[Array, "corrected 6 6"],
+    ) -> tuple[Array, Array, Array]:
+        """Return blocks of a matrix by the free parameters, in units of the step."""
+        scale, own_scale = self.scale.shared, self._own_scale
+        rows_taken = jnp.swapaxes(self._take_free(shared), -1, -2)
+        units = scale[:, None] * scale[None]
+        return (
+            self._take_free(rows_taken) * units[(None,) * (shared.ndim - 2)],
+            self._take_free(border) * own_scale[:, :, None] * scale[None, None],
+            per_view * own_scale[:, :, None] * own_scale[:, None],
+        )
+
+    @property
+    def _own_scale(self) -> Float[Array, "corrected 6"]:
+        """The unit of the views' own parameters; zero for those that are held."""
+        return jnp.where(self.per_view_free, self.scale.per_view, 0.0)
 
     @property
     def _per_view_weight(self) -> Float[Array, "corrected 6"]:

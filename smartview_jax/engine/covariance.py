@@ -174,6 +174,13 @@ def per_view_std(
     return np.sqrt(conditional_variance + np.sum((gain @ shared_covariance) * gain, axis=2))
 
 
+def inverse_of_covariance(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Return the information matrix of a covariance of full rank."""
+    # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
+    scale = np.sqrt(np.diagonal(covariance))
+    return np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+
+
 def covariance_factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return a matrix R with R R^T equal to a covariance, which may be singular."""
     # Not a Cholesky factor, because averaged models can have a covariance without full rank. From

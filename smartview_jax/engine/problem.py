@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration, TargetShape
 from ..dataset import AnyObservations, Observations, PoseObservations
 from ..robot_errors import RobotError
-from .abstract_problem import AbstractProblem, NormalEquations
+from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .losses import AbstractLoss
 from .parameters import Parameters, Step, host_values
 from .pose_jacobians import PoseJacobians, linearise_poses
@@ -378,21 +378,11 @@ class JointProblem(AbstractProblem):
         gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
         return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
 
-    def information_by_view(self, z: Step) -> Float[Array, "views free free"]:
-        """Compute every view's information matrix of the shared parameters.
-
-        The view's own correction is marginalised. The matrices add up to the normal equations with
-        the views' own parameters eliminated, except for the priors of the shared parameters.
-        """
+    def blocks_by_view(self, z: Step) -> ViewBlocks:
+        """Return every view's own term of the matrix of the normal equations, without priors."""
         pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         shared = self._shared_jacobian(pose_jacobians)
         matrix_shared = views.matrix @ shared
-        information = jnp.swapaxes(shared, 1, 2) @ matrix_shared
-        if not len(self.per_view_free):
-            return information
-        # I_v = S_v^T G_v S_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the
-        # prior of the view's own parameters.
         _, border, block = self._per_view_blocks(pose_jacobians, views, matrix_shared[:, _TWIST])
-        block = block + jnp.eye(6)[None] * self._per_view_precision[:, None]
-        return information - jnp.swapaxes(border, 1, 2) @ jnp.linalg.solve(block, border)
+        return ViewBlocks(jnp.swapaxes(shared, 1, 2) @ matrix_shared, border, block)

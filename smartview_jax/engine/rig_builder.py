@@ -9,7 +9,7 @@ import numpy as np
 from ..argument_checks import require_names
 from ..calibration import Calibration
 from ..dataset import Rig
-from ..robot_errors import AbstractField
+from ..robot_errors import FieldChoice, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import padded_counts, repeat_last
 from .abstract_problem import AbstractBuiltProblem
@@ -73,7 +73,7 @@ def build_rig(
     starts: Mapping[str, Calibration],
     *,
     noise: Noise,
-    field: AbstractField | None = None,
+    field: FieldChoice = None,
     relative_sigmas: Mapping[str, float] | None = None,
     fixed: Sequence[str] = (),
     free: Sequence[str] = (),
@@ -89,20 +89,22 @@ def build_rig(
         rig: data sets of the cameras.
         starts: calibration of each camera; cameras of one target agree on its pose and size.
         noise: standard deviations of the pixels, of the robot's poses and of its error field.
-        field: error field of the robot; None for none.
+        field: error field of the robot; None for none, and `"auto"` to hold the starts' own error.
         relative_sigmas: factor on `noise.pixel` for each camera; by default one.
         fixed: paths of parameters that keep the start's values.
         free: paths to free that are held by default: sizes of targets.
         priors: a `Prior` by path.
 
     Raises:
-        ValueError: starts that do not belong to the rig, an unknown path, or a start at which no
-            point of a view can be projected.
+        ValueError: starts that do not belong to the rig or hold different errors of the robot, an
+            unknown path, or a start at which no point of a view can be projected.
     """
     require_names("fixed", fixed)
     require_names("free", free)
-    if len(rig.arm_names) > 1:
-        raise ValueError(f"build_rig: expected one arm, found {', '.join(rig.arm_names)}")
+    rig.require_one_arm("build_rig")
+    field = checked_field_choice(field)
+    if field == "auto":
+        _require_one_robot_error(starts)
     starts = {name: with_field(start, field) for name, start in starts.items()}
     camera_names = rig_parameter_names(rig, starts)
     names = tuple(dict.fromkeys(name for own in camera_names.values() for name in own))
@@ -114,13 +116,18 @@ def build_rig(
 
     corrections = correction_names(rig.view_ids)
     whole, size = (*names, *corrections), len(names)
-    sizes = [name for name in names if name.split(".")[-1] == TARGET_SCALE]
-    is_free = ~parameter_mask(whole, sizes) | parameter_mask(whole, free)
+    held = [name for name in names if name.split(".")[-1] == TARGET_SCALE]
+    if field == "auto" and error is not None:
+        held.append(ROBOT_ERROR)
+    is_free = ~parameter_mask(whole, held) | parameter_mask(whole, free)
     is_free &= ~parameter_mask(whole, fixed)
     # A state that no camera saw well enough keeps its reported pose.
     placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
     is_free[size:] &= placed.repeat(6)
-    mean, weight = prior_means_and_weights(whole, size, dict(priors or {}), noise, field, 1.0)
+    fitted_field = None if field == "auto" else field
+    mean, weight = prior_means_and_weights(
+        whole, size, dict(priors or {}), noise, fitted_field, 1.0
+    )
     is_camera = np.array([".camera." in name for name in names])
     states = len(rig.view_ids)
     problem = RigProblem(
@@ -144,6 +151,22 @@ def build_rig(
         cameras,
         camera_names,
     )
+
+
+def _require_one_robot_error(starts: Mapping[str, Calibration]) -> None:
+    """Raise a ValueError unless all starts have the same error of the robot, or none."""
+    first, *others = starts
+    expected = starts[first].robot_error
+    for name in others:
+        found = starts[name].robot_error
+        leaves = jax.tree.leaves(expected), jax.tree.leaves(found)
+        if jax.tree.structure(expected) != jax.tree.structure(found) or not all(
+            np.array_equal(a, b) for a, b in zip(*leaves, strict=True)
+        ):
+            raise ValueError(
+                f"starts: the robot's error in {name!r} is another than in {first!r}, but a rig "
+                "has one robot; give field="
+            )
 
 
 def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str, tuple[str, ...]]:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
 from ..robots import Command
-from .abstract_problem import AbstractProblem, NormalEquations
+from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .parameters import Step, host_values
 from .prepared_poses import PreparedPoses, prepare_poses
 from .problem import FittedChain, JointProblem
@@ -151,6 +151,24 @@ class RigProblem(AbstractProblem):
             )
         matrix = BlockArrow(shared, border, per_view)
         return self.of_free_parameters(NormalEquations(cost, gradient, matrix))
+
+    def blocks_by_view(self, z: Step) -> ViewBlocks:
+        """Return what each state adds to the matrix, of all cameras that saw their targets."""
+        size, states = self.parameter_count, len(self.per_view_free)
+        shared, per_view = jnp.zeros((states, size, size)), jnp.zeros((states, 6, 6))
+        border = jnp.zeros((states, 6, size))
+        found = self._by_group(z, lambda problem, own: problem.blocks_by_view(own))
+        for group, blocks in zip(self.groups, found, strict=True):
+            place, state = group.parameter_index[:, None], group.state_index
+            # Padding of the views has a state after the last one.
+            by_row = state[..., None, None]
+            shared = shared.at[by_row, place[..., None], place[:, :, None]].add(
+                blocks.shared, mode="drop"
+            )
+            per_view = per_view.at[state].add(blocks.per_view, mode="drop")
+            rows = jnp.arange(6)[None, None, :, None]
+            border = border.at[by_row, rows, place[:, :, None]].add(blocks.border, mode="drop")
+        return ViewBlocks(*self.by_free_parameters(shared, border, per_view))
 
     def view_distances(self, z: Step) -> tuple[Float[Array, "cameras views"], ...]:
         """Return by how much twice the cost would fall if a single view had a pose of its own.

@@ -6,10 +6,13 @@ uncertainty of a result is in `uncertainty`, and the causes of an error are in `
 
 from ..fit_result import Rejection as Rejection
 from .diagnosis import ErrorBudget as ErrorBudget
+from .diagnosis import PoseUncertainty as PoseUncertainty
+from .diagnosis import RigErrorBudget as RigErrorBudget
 from .diagnosis import ScaleHypothesis as ScaleHypothesis
 from .diagnosis import SplitHalfDifference as SplitHalfDifference
 from .diagnosis import error_budget as error_budget
 from .diagnosis import lens_misfit as lens_misfit
+from .diagnosis import pose_uncertainties as pose_uncertainties
 from .diagnosis import region_held_out_rms as region_held_out_rms
 from .diagnosis import scale_hypotheses as scale_hypotheses
 from .diagnosis import split_half_difference as split_half_difference
@@ -24,6 +27,7 @@ from .held_out import Interval as Interval
 from .held_out import Method as Method
 from .held_out import MethodResult as MethodResult
 from .held_out import PredictedError as PredictedError
+from .held_out import RigMethod as RigMethod
 from .held_out import choose_uncorrected as choose_uncorrected
 from .held_out import compare as compare
 from .held_out import expected_reprojection_errors as expected_reprojection_errors
@@ -38,6 +42,7 @@ from .held_out import rms_interval as rms_interval
 from .held_out import score as score
 from .held_out import split_views as split_views
 from .held_out import standard_methods as standard_methods
+from .held_out import standard_rig_methods as standard_rig_methods
 from .held_out import view_folds as view_folds
 from .measures import Predictor as Predictor
 from .measures import ReprojectionErrors as ReprojectionErrors

@@ -125,8 +125,7 @@ def _built(
     """Build the problem, with estimated noise unless it is given; return the first step too."""
     noise, field, paths, robot_prior = options
     if isinstance(noise, Noise):
-        given = None if field == "auto" else field
-        built = build_rig(rig, starts, noise=noise, field=given, **paths._asdict())
+        built = build_rig(rig, starts, noise=noise, field=field, **paths._asdict())
         return built, built.problem.zero_step(), None
     estimate = estimate_rig_noise(
         rig,

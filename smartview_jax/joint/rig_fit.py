@@ -196,12 +196,16 @@ class RigFit(eqx.Module):
             for name in open_names
         )
         rank, smallest = len(kept) - len(directions), self.smallest_singular_value
+        noise, sigma = self.noises[self.arms[camera]], self.pixel_sigmas[camera]
+        white = noise.white_pixel
+        if white is not None:
+            white *= sigma / noise.pixel
         return SavedEstimate(
             calibration,
             known[np.ix_(kept, kept)],
             tuple(local[names[k]] for k in kept),
-            self.noises[self.arms[camera]],
-            self.pixel_sigmas[camera],
+            dataclasses.replace(noise, pixel=sigma, white_pixel=white),
+            sigma,
             Observability(rank, len(kept), directions, (), smallest),
         )
 

@@ -17,6 +17,8 @@ from .object_pictures import edge_map as edge_map
 from .object_pictures import object_model_3d as object_model_3d
 from .object_pictures import with_wireframes as with_wireframes
 from .pose_errors import pose_errors as pose_errors
+from .rigs import camera_mounts as camera_mounts
+from .rigs import pose_uncertainties as pose_uncertainties
 from .uncertainty import parameter_intervals as parameter_intervals
 from .uncertainty import picture_uncertainty as picture_uncertainty
 from .uncertainty import workspace_uncertainty as workspace_uncertainty

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
+from ..cameras import Camera
 from ..dataset import Dataset
 
 FRUSTUM_DEPTH = 0.18
@@ -53,14 +54,18 @@ def camera_scene(data: Dataset, calibration: Calibration) -> CameraScene:
     # same.
     target = target[np.unique(np.round(target, 6), axis=0, return_index=True)[1]]
     length = FRUSTUM_DEPTH * float(np.median(np.linalg.norm(centres - target.mean(axis=0), axis=1)))
-    camera = calibration.camera
-    width, height = camera.image_size
-    # Corners at depth 1, without distortion: ((u - u0) / alpha_u, (v - v0) / alpha_v, 1).
-    x = (np.array([0.0, width, width, 0.0]) - float(camera.u0)) / float(camera.alpha_u)
-    y = (np.array([0.0, 0.0, height, height]) - float(camera.v0)) / float(camera.alpha_v)
-    corners = np.stack([x, y, np.ones(4)], axis=1)
+    corners = picture_corners(calibration.camera)
     # p_world = centre + depth * R_world_from_camera * ray
     in_world = centres[:, None] + length * np.einsum("kj,vij->vki", corners, rotations)
     return CameraScene(
         data.view_ids, centres, in_world, np.asarray(visible.any(axis=1)), target, length
     )
+
+
+def picture_corners(camera: Camera) -> Float[np.ndarray, "4 3"]:
+    """Return the corners of a camera's picture at depth 1 in its frame, without distortion."""
+    # ((u - u0) / alpha_u, (v - v0) / alpha_v, 1)
+    width, height = camera.image_size
+    x = (np.array([0.0, width, width, 0.0]) - float(camera.u0)) / float(camera.alpha_u)
+    y = (np.array([0.0, 0.0, height, height]) - float(camera.v0)) / float(camera.alpha_v)
+    return np.stack([x, y, np.ones(4)], axis=1)

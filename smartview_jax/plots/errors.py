@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from ..dataset import Dataset
+from ..dataset import Dataset, Rig
 from ..evaluation import ReprojectionErrors
 from ..joint import Influence
 from .figures import BLUE, GREY, PlotFigure, method_colour, picture_axes, single_plot
@@ -45,17 +45,21 @@ def error_histogram(errors: Mapping[str, ReprojectionErrors]) -> PlotFigure:
     return figure
 
 
-def view_errors(data: Dataset, errors: Mapping[str, ReprojectionErrors]) -> PlotFigure:
+def view_errors(data: Dataset | Rig, errors: Mapping[str, ReprojectionErrors]) -> PlotFigure:
     """Draw the RMS reprojection error of every view as bars, px, which exposes outlying views.
 
     Args:
-        data: the views.
-        errors: reprojection errors by the name of the calibration that made them.
+        data: the views. Of a rig, the bars of a state of the robot stand side by side: if all are
+            high, the robot's pose is wrong, and if one is, the picture.
+        errors: reprojection errors by the name of the calibration that made them; of a rig, by the
+            name of the camera.
     """
     figure, axes = single_plot(9.6, 3.2)
-    positions = np.arange(data.view_count)
     width = 0.8 / max(len(errors), 1)
     for k, (name, method_errors) in enumerate(errors.items()):
+        positions = np.arange(data.view_count)
+        if isinstance(data, Rig):
+            positions = data.state_index[name]
         # The bars of a view stand side by side, centred on its position.
         offset = (k - 0.5 * (len(errors) - 1)) * width
         heights = np.nan_to_num(method_errors.rms_per_view)

@@ -8,7 +8,12 @@ import numpy as np
 
 from .. import plots
 from ..dataset import Rig
-from ..evaluation import HeldOutErrors, reprojection_errors, without_rejected_rig_views
+from ..evaluation import (
+    HeldOutErrors,
+    pose_uncertainties,
+    reprojection_errors,
+    without_rejected_rig_views,
+)
 from ..geometry import host_matrices, vector_text
 from ..joint import RelativePose, RigFit, calibration_forms
 from .page import Origin, prediction_overlays
@@ -177,6 +182,7 @@ def write_rig_page(
         text = "Bases of the arms in the base of another, by the targets that several arms see."
         sections.append(Section("Between the arms", text, header=RELATIVE_HEADINGS, rows=arms))
     used = without_rejected_rig_views(rig, fit)
+    sections.append(_joint_section(fit, used))
     sections += [_camera_section(fit, used, name, held_out) for name in fit.calibrations]
     left_out = [
         (camera, entry.view, "all" if entry.point is None else str(entry.point), entry.reason)
@@ -194,6 +200,40 @@ def write_rig_page(
     ]
     title = "Calibration" if origin is None else f"Calibration of {origin.source}"
     write_story(path, title, rig_summary(fit, held_out), sections, forms)
+
+
+def _joint_section(fit: RigFit, used: Rig) -> Section:
+    """Return the section of all cameras: their frames, their uncertainty by cause, their errors."""
+    errors = {
+        name: reprojection_errors(calibration, used.cameras[name])
+        for name, calibration in fit.calibrations.items()
+    }
+    figures = [
+        StoryFigure(
+            "Where the cameras are.",
+            "Pyramids open along the optical axes; axes are red (x), green (y) and blue (z).",
+            plots.camera_mounts(fit),
+        ),
+        StoryFigure(
+            "State by state.",
+            "A state in which all cameras have large errors has a wrong pose.",
+            plots.view_errors(used, errors),
+        ),
+    ]
+    poses = pose_uncertainties(fit)
+    if any(pose.translation > 0.0 for pose in poses) and np.isfinite(fit.covariance).all():
+        figures.insert(
+            1,
+            StoryFigure(
+                "What limits each pose.",
+                "Shares of the variance by cause, with standard deviations. More points reduce the "
+                "part of the pixels; more states of the robot, every part. Cameras on one mount "
+                "share the robot's error, so that it hardly affects their relative pose. The sizes "
+                "of the errors are estimates, too.",
+                plots.pose_uncertainties(poses),
+            ),
+        )
+    return Section("All cameras", figures=figures)
 
 
 def _camera_section(

@@ -3,12 +3,14 @@
 Reference: Fedorov, Theory of optimal experiments, 1972 (exchange).
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..runtime.array_namespace import AnyArray
+from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import compiled_optimised
 from .optimality_criteria import OptimalityCriterion
 
@@ -23,6 +25,42 @@ MIN_RELATIVE_DECREASE = 1e-6
 
 MAX_EXCHANGE_SWEEPS = 10
 """Largest number of exchange passes over all chosen views."""
+
+
+def best_candidates(
+    information: Float[Array, "candidates free free"],
+    prior_information: Float[Array, "free free"],
+    criterion: OptimalityCriterion,
+    count: int,
+    allowed: Bool[Array, "candidates"],
+    say: Callable[[str], None],
+) -> Int[Array, "count"]:
+    """Return indices of the candidates that together make the criterion as small as possible.
+
+    Args:
+        information: information matrix of each candidate.
+        prior_information: information without any candidate.
+        criterion: the criterion.
+        count: number of candidates to choose.
+        allowed: whether each candidate may be chosen; at least `count` may.
+        say: called with a text for each stage.
+    """
+    allowed_count = int(np.sum(allowed))
+    say(f"choosing {count} of {allowed_count} candidates")
+    # Greedy selection is fast but depends on the order; exchange corrects its early choices.
+    index = greedy_selection(information, prior_information, criterion, count, allowed)
+    say(f"exchanging chosen views for better ones among {allowed_count} candidates")
+    return exchange_selection(information, prior_information, criterion, index, allowed)
+
+
+def order_by_gain(
+    information: Float[Array, "views free free"],
+    prior_information: Float[Array, "free free"],
+    criterion: OptimalityCriterion,
+) -> Int[Array, "views"]:
+    """Return an order of views in which each is the best addition to those before it."""
+    all_views = to_device(np.ones(len(information), dtype=bool))
+    return greedy_selection(information, prior_information, criterion, len(information), all_views)
 
 
 @compiled_optimised

@@ -10,7 +10,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..engine import Noise, parameter_names
+from ..engine import Noise, inverse_of_covariance, parameter_names
 from ..geometry import ViewedRegion, host_matrices
 from ..joint import SavedEstimate
 from ..robots import JointsLike, SerialArm
@@ -87,10 +87,7 @@ def model_from_estimate(
     )
     # The order in the file need not be the model's.
     order = [estimate.parameter_names.index(name) for name in model.parameter_names]
-    covariance = estimate.covariance[np.ix_(order, order)]
-    # Pixels and radians differ by many orders of magnitude: invert the correlations instead.
-    scale = np.sqrt(np.diagonal(covariance))
-    information = np.linalg.inv(covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    information = inverse_of_covariance(estimate.covariance[np.ix_(order, order)])
     return eqx.tree_at(lambda m: m.prior_information, model, to_device(information))
 
 

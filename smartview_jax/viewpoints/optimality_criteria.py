@@ -8,6 +8,8 @@ a parameter, I-optimal if it is a prediction).
 Reference: Pukelsheim, Optimal design of experiments, 1993.
 """
 
+from typing import overload
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -15,10 +17,13 @@ from jax.scipy.linalg import solve_triangular
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..dataset import Rig
 from ..engine import RANK_TOLERANCE
+from ..robots import CommandLike
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .information_model import InformationModel
+from .rig_information import RigInformationModel
 
 
 class OptimalityCriterion(eqx.Module):
@@ -62,36 +67,79 @@ def d_optimal() -> OptimalityCriterion:
     return OptimalityCriterion(None, "")
 
 
-def a_optimal(information_model: InformationModel, lever_arm: float) -> OptimalityCriterion:
+def a_optimal(
+    information_model: InformationModel | RigInformationModel,
+    lever_arm: float,
+    camera: str | None = None,
+) -> OptimalityCriterion:
     """Return the A-optimal criterion of the hand-eye transform: the displacement of a point, m.
 
-    It is the root mean square displacement that the uncertainty of the transform causes.
+    It is the root mean square displacement that the uncertainty of the transform causes; of a rig,
+    over all cameras whose transforms are fitted.
 
     Args:
         information_model: the model whose parameters the criterion refers to.
         lever_arm: distance from the mount's origin of the point whose displacement is minimised, m;
             it weights rotations against translations.
+        camera: name of the only camera of a rig that counts; None for all of them.
 
     Raises:
-        ValueError: all parameters of the transform are fixed.
+        ValueError: all parameters of the transforms are fixed, or there is no such camera.
     """
-    name = information_model.calibration.transform_names[0]
+    paths = _mounts(information_model, camera)
+    names = information_model.parameter_names
     is_translation, is_rotation = (
-        np.array([p.startswith(f"{name}.{part}") for p in information_model.parameter_names])
+        np.array([name.startswith(tuple(f"{path}.{part}" for path in paths)) for name in names])
         for part in ("translation", "rotation")
     )
-    if not (is_translation | is_rotation).any():
-        raise ValueError(f"{name} is held fixed: it has no uncertainty to minimise")
+    fitted = sum(any(name.startswith(f"{path}.") for name in names) for path in paths)
+    if not fitted:
+        raise ValueError(f"{', '.join(paths)} is held fixed: it has no uncertainty to minimise")
     # A rotation about an axis does not displace points on the axis: on average over directions, two
     # of three axes displace the point, hence 2/3 lever_arm^2.
-    return OptimalityCriterion(
-        to_device(np.diag(is_translation + 2.0 / 3.0 * lever_arm**2 * is_rotation)), "m"
-    )
+    weights = is_translation + 2.0 / 3.0 * lever_arm**2 * is_rotation
+    return OptimalityCriterion(to_device(np.diag(weights / fitted)), "m")
 
 
-def i_optimal(information_model: InformationModel, camera_from_world: SE3) -> OptimalityCriterion:
-    """Return the I-optimal criterion: the expected registration error in other views `(views)`, px.
+def _mounts(
+    information_model: InformationModel | RigInformationModel, camera: str | None
+) -> tuple[str, ...]:
+    """Return the paths of the hand-eye transforms that count."""
+    if isinstance(information_model, InformationModel):
+        if camera is not None:
+            raise ValueError(f"camera: only a rig has cameras with names; found {camera!r}")
+        return (information_model.calibration.transform_names[0],)
+    mounts = information_model.mounts
+    if camera is not None and camera not in mounts:
+        raise ValueError(f"expected a camera of {', '.join(mounts)}, found {camera!r}")
+    return tuple(mounts.values()) if camera is None else (mounts[camera],)
+
+
+@overload
+def i_optimal(information_model: InformationModel, views: SE3) -> OptimalityCriterion: ...
+
+
+@overload
+def i_optimal(
+    information_model: RigInformationModel, views: Rig | CommandLike
+) -> OptimalityCriterion: ...
+
+
+def i_optimal(
+    information_model: InformationModel | RigInformationModel, views: SE3 | Rig | CommandLike
+) -> OptimalityCriterion:
+    """Return the I-optimal criterion: the expected registration error in other views, px.
 
     The robot is assumed to be where it reports to be.
+
+    Args:
+        information_model: the model whose parameters the criterion refers to.
+        views: camera poses `camera_from_world` `(views)`. Of a rig, states of the robot as for
+            `choose_views`; the error is over all points that all cameras see.
     """
-    return OptimalityCriterion(information_model.pixel_moment_matrix(camera_from_world), "px")
+    if isinstance(information_model, RigInformationModel):
+        rig = views if isinstance(views, Rig) else information_model.planned(views)
+        return OptimalityCriterion(information_model.pixel_moment_matrix(rig), "px")
+    if not isinstance(views, SE3):
+        raise TypeError("i_optimal: the views of one camera are poses camera_from_world")
+    return OptimalityCriterion(information_model.pixel_moment_matrix(views), "px")

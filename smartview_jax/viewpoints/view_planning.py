@@ -1,7 +1,7 @@
 """Choose the best next views: greedy selection, exchange, and refinement by gradient."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, overload
 
 import equinox as eqx
 import jax
@@ -11,11 +11,15 @@ import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
+from ..dataset import Rig
+from ..robots import CommandLike
 from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import compiled_optimised, one_program
-from .candidate_selection import cumulative_criterion, exchange_selection, greedy_selection
+from .candidate_selection import best_candidates, cumulative_criterion, order_by_gain
 from .information_model import InformationModel
 from .optimality_criteria import OptimalityCriterion
+from .rig_information import RigInformationModel
+from .rig_planning import ChosenStates, choose_states
 from .view_range import ViewRange
 
 DEFAULT_CANDIDATE_COUNT = 1000
@@ -53,6 +57,7 @@ class ChosenViews(eqx.Module):
         return self.cumulative_criterion[-1]
 
 
+@overload
 def choose_views(
     information_model: InformationModel,
     criterion: OptimalityCriterion,
@@ -64,24 +69,58 @@ def choose_views(
     seed: int = 0,
     refine: bool = True,
     progress: Callable[[str], None] | None = None,
-) -> ChosenViews:
+) -> ChosenViews: ...
+
+
+@overload
+def choose_views(
+    information_model: RigInformationModel,
+    criterion: OptimalityCriterion,
+    count: int,
+    views: Rig | CommandLike,
+    border_margin: float = 0.0,
+    min_visible_fraction: float = 1.0,
+    allowed: ViewPredicate | None = None,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> ChosenStates: ...
+
+
+def choose_views(
+    information_model: InformationModel | RigInformationModel,
+    criterion: OptimalityCriterion,
+    count: int,
+    views: SE3 | ViewRange | Rig | CommandLike,
+    border_margin: float = 0.0,
+    min_visible_fraction: float = 1.0,
+    allowed: ViewPredicate | None = None,
+    seed: int = 0,
+    refine: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> ChosenViews | ChosenStates:
     """Return the next views that make an optimality criterion as small as possible.
+
+    Of a rig, the views are states of the robot, in each of which all cameras count together.
 
     Args:
         information_model: prior information, and the model of the information of views.
         criterion: the criterion that the views minimise.
         count: number of views to choose.
         views: candidates `camera_from_world`, or the range in which candidates are sampled at
-            random and then refined by gradient, unless `refine` is False.
+            random and then refined by gradient, unless `refine` is False. Of a rig, commands
+            `base_from_tool` of states to take, or a `Rig` of states to keep.
         border_margin: smallest distance from the picture's border of a point that counts as
             visible, px.
-        min_visible_fraction: smallest fraction of the target's points that a view has to show.
-        allowed: returns which views may be taken, such as those that an arm reaches.
+        min_visible_fraction: smallest fraction of the target's points that a view has to show; in a
+            state to take, at least one camera has to see so many.
+        allowed: returns which views may be taken, such as those that an arm reaches. Of a rig, it
+            is called with `base_from_tool`.
         seed: seed of the random candidates.
         refine: see `views`.
         progress: called with a text for each stage.
 
     Raises:
+        TypeError: views of a wrong type.
         ValueError: fewer than `count` candidates may be taken.
 
     For example:
@@ -91,7 +130,31 @@ def choose_views(
         >>> chosen = sv.choose_views(model, sv.viewpoints.d_optimal(), 4, candidates)
         >>> chosen.camera_from_world.get_batch_axes()
         (4,)
+
+    Of a rig, here with one camera in the place of two:
+
+        >>> rig = sv.Rig({"left": data, "right": data.select(range(4))})
+        >>> truths = {"left": truth, "right": truth}
+        >>> model = sv.viewpoints.RigInformationModel.from_calibrations(truths, rig, noise)
+        >>> chosen = sv.choose_views(model, sv.viewpoints.a_optimal(model, 0.2), 4, rig)
+        >>> chosen.view_ids
+        ('0', '1', '5', '2')
     """
+    if isinstance(information_model, RigInformationModel):
+        if isinstance(views, ViewRange):
+            raise TypeError("choose_views: of a rig, expected states of the robot or a Rig")
+        return choose_states(
+            information_model,
+            criterion,
+            count,
+            views,
+            border_margin,
+            min_visible_fraction,
+            allowed,
+            progress,
+        )
+    if not isinstance(views, SE3 | ViewRange):
+        raise TypeError("choose_views: expected poses camera_from_world or a ViewRange")
     say = progress or (lambda _: None)
 
     def is_admissible(poses: SE3) -> Bool[Array, "views"]:
@@ -115,17 +178,12 @@ def choose_views(
             "may be taken"
         )
     say("computing what each candidate would tell")
-    information = information_model.information(candidates)
-    say(f"choosing {count} of {admissible_count} candidates")
-    # Greedy selection is fast but depends on the order; exchange corrects its early choices. Then
-    # the gradient moves the views away from their candidates.
-    index = greedy_selection(
-        information, information_model.prior_information, criterion, count, admissible
+    information, prior = (
+        information_model.information(candidates),
+        information_model.prior_information,
     )
-    say(f"exchanging chosen views for better ones among {admissible_count} candidates")
-    index = exchange_selection(
-        information, information_model.prior_information, criterion, index, admissible
-    )
+    index = best_candidates(information, prior, criterion, count, admissible, say)
+    # Then the gradient moves the views away from their candidates.
     poses, selected_information = _rows((candidates, information), index)
     if refine and isinstance(views, ViewRange) and coordinates is not None:
         say("moving them by the gradient")
@@ -148,17 +206,11 @@ def choose_views(
     say("ordering them, best first")
     # Sorted by how much each view reduces the criterion, so that the first few are a good choice
     # too.
-    order = greedy_selection(
-        selected_information,
-        information_model.prior_information,
-        criterion,
-        count,
-        to_device(np.ones(count, dtype=bool)),
-    )
+    order = order_by_gain(selected_information, prior, criterion)
     poses, selected_information = _rows((poses, selected_information), order)
     return ChosenViews(
         poses,
-        cumulative_criterion(selected_information, information_model.prior_information, criterion),
+        cumulative_criterion(selected_information, prior, criterion),
         criterion.unit,
     )
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 from smartview_jax import (
     Rig,
     calibration_pipeline,
+    compare,
     load_estimate,
     save_dataset,
     save_rig,
@@ -23,6 +25,7 @@ from smartview_jax.cli.calibrate_folder import CalibrateSettings
 from smartview_jax.cli.calibrate_rig import RigResult, _document, _loaded_rig
 from smartview_jax.cli.check import _lonely_cameras
 from smartview_jax.cli.fit_options import FitKnowledge
+from smartview_jax.evaluation import RigMethod
 from smartview_jax.report import base_rows, relative_pose_rows, rig_summary
 from smartview_jax.targets import Chessboard
 
@@ -102,7 +105,13 @@ def test_a_calibration_for_each_camera_and_one_report(
         # They are the pictures of the fit.
         assert entry["fitted_views"] == list(data.view_ids)
     page = (out / "report.html").read_text(encoding="utf-8")
-    for text in ("camera2 in camera1", "Camera camera1", "camera2: camera_from_tool", "Left out"):
+    for text in (
+        "camera2 in camera1",
+        "What limits each pose.",
+        "Camera camera1",
+        "camera2: camera_from_tool",
+        "Left out",
+    ):
         assert (text in page) == (text != "Left out" or bool(document["left_out"]))
     assert document["files"][-1] == str(out / "report.html")
 
@@ -149,10 +158,12 @@ def test_check_looks_at_every_camera(rig, tmp_path):
     assert document["cameras"]["camera2"]["problems"]
 
 
-def test_other_verbs_say_what_takes_several_cameras(folder):
-    told = CliRunner().invoke(app, ["compare", folder])
+def test_other_verbs_say_what_takes_several_cameras(fit, folder, tmp_path):
+    fit.save(tmp_path)
+    told = CliRunner().invoke(app, ["plan", str(tmp_path / "camera1.yaml"), folder])
     assert told.exit_code == 2
-    assert "only smartview check, calibrate and evaluate take it" in " ".join(told.stderr.split())
+    message = "only smartview check, calibrate, compare and evaluate do"
+    assert message in " ".join(told.stderr.split())
 
 
 def test_a_camera_that_shares_nothing_is_named(rig):
@@ -187,3 +198,28 @@ def test_the_document_has_the_arms():
     base = right["base_left_from_base"]
     assert base["translation"] == fit.base("left", "right").transform.translation().tolist()
     assert right["std"]["translation"] == fit.base("left", "right").std[:3].tolist()
+
+
+def test_methods_of_several_cameras_stand_side_by_side(rig, fit, folder, monkeypatch):
+    """Fits take long and are tested in other files: these are known."""
+    methods = {
+        "alone": RigMethod(lambda _: fit.calibrations["camera1"], alone=True),
+        "together": lambda _: fit,
+    }
+    monkeypatch.setattr(
+        sys.modules["smartview_jax.evaluation"], "standard_rig_methods", lambda _: methods
+    )
+    ended = CliRunner().invoke(app, ["compare", folder])
+    assert ended.exit_code == 0, ended.output
+    for camera in rig.cameras:
+        assert f"camera {camera}, lens opencv4" in ended.output
+    ended = CliRunner().invoke(app, ["compare", folder, "--json"])
+    content = json.loads(ended.stdout)
+    expected = compare(rig, methods)
+    for camera, rows in expected.items():
+        shown = content["cameras"][camera]["methods"]
+        assert [row["name"] for row in shown] == [row.name for row in rows]
+        assert shown[-1]["held_out"]["rms_px"] == pytest.approx(rows[-1].held_out.errors.rms)
+    ended = CliRunner().invoke(app, ["compare", folder, "--fixed", "camera"])
+    assert ended.exit_code == 2
+    assert "--fixed: not for several cameras" in ended.stderr

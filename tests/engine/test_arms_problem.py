@@ -8,7 +8,7 @@ from arms_scene import FOUR_CAMERAS, NOISE, arms_scene
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import least_squares
 
-from smartview_jax.engine import build_arms, build_rig, solve
+from smartview_jax.engine import build_arms, build_rig, reduced_equations, solve
 
 
 def test_scipy_finds_the_same_optimum_and_derivatives():
@@ -49,3 +49,9 @@ def test_scipy_finds_the_same_optimum_and_derivatives():
     step, arm = np.asarray(problem.unscaled_step(solution.z).shared), problem.arms[1]
     automatic = jax.jit(jax.jacfwd(arm.own_step))(step)
     np.testing.assert_allclose(arm.host_jacobian(step), automatic, atol=1e-9)
+    # What each state tells adds up to all that the states tell.
+    tells = np.asarray(jax.jit(lambda z: problem.information_by_view(z))(solution.z)).sum(axis=0)
+    reduced = np.asarray(reduced_equations(equations.matrix).schur_complement)
+    free = np.asarray(problem.free)
+    weight = np.asarray(problem.prior_weight.shared)[free] * np.asarray(problem.scale.shared)
+    np.testing.assert_allclose((tells + np.diag(weight**2)) / sizes, reduced / sizes, atol=1e-7)

@@ -123,6 +123,10 @@ def test_each_camera_is_saved_with_its_covariance(fit, tmp_path):
         kept = fit.estimate(name)
         assert read.parameter_names == kept.parameter_names
         np.testing.assert_allclose(read.covariance, kept.covariance, rtol=1e-12)
+        # The noise is of this camera, not of the rig's average one.
+        assert read.noise.pixel == read.pixel_sigma == fit.pixel_sigmas[name]
+        ratio = fit.noise.white_pixel / fit.noise.pixel
+        assert read.noise.white_pixel == pytest.approx(ratio * read.pixel_sigma, rel=1e-12)
         assert isinstance(read.calibration, Calibration)
         np.testing.assert_allclose(
             read.calibration.camera_from_tool.wxyz_xyz, calibration.camera_from_tool.wxyz_xyz

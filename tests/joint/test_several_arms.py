@@ -16,7 +16,7 @@ from arms_scene import (
 from jaxlie import SE3
 from scipy.stats import chi2
 
-from smartview_jax import Prior, RelativePose, fit_rig, load_estimate
+from smartview_jax import Prior, RelativePose, error_budget, fit_rig, load_estimate
 from smartview_jax.engine import STEP_NAMES, build_rig
 from smartview_jax.geometry import (
     host_exponentials,
@@ -25,6 +25,7 @@ from smartview_jax.geometry import (
     host_transforms,
 )
 from smartview_jax.joint.relative_pose import relative_base
+from smartview_jax.viewpoints import RigInformationModel
 
 STATE = 5
 
@@ -198,5 +199,11 @@ def test_starts_and_problems_of_other_rigs_are_refused():
     rig, truths = arms_scene(0, FOUR_CAMERAS, 4)
     with pytest.raises(ValueError, match="starts: expected the cameras left_table, left_wall"):
         fit_rig(rig, {"left_table": truths["left_table"]}, noise=NOISE)
-    with pytest.raises(ValueError, match="build_rig: expected one arm, found left, right"):
+    with pytest.raises(
+        ValueError, match="build_rig: expected a rig with one arm, found left, right"
+    ):
         build_rig(rig, truths, noise=NOISE)
+    with pytest.raises(ValueError, match="error_budget: expected a rig with one arm"):
+        error_budget(rig, arms_fit())
+    with pytest.raises(ValueError, match="RigInformationModel: expected a rig with one arm"):
+        RigInformationModel.from_fit(arms_fit(), rig)

@@ -2,9 +2,6 @@
 
 from .bootstrap import Interval as Interval
 from .bootstrap import rms_interval as rms_interval
-from .compare import UNCORRECTED_SUFFIX as UNCORRECTED_SUFFIX
-from .compare import Method as Method
-from .compare import MethodResult as MethodResult
 from .compare import compare as compare
 from .compare import standard_methods as standard_methods
 from .folds import MIN_HELD_OUT_VIEWS as MIN_HELD_OUT_VIEWS
@@ -21,9 +18,14 @@ from .held_out import predictor_of as predictor_of
 from .held_out import score as score
 from .held_out_report import HeldOutReport as HeldOutReport
 from .held_out_report import held_out_reports as held_out_reports
+from .methods import UNCORRECTED_SUFFIX as UNCORRECTED_SUFFIX
+from .methods import Method as Method
+from .methods import MethodResult as MethodResult
 from .predicted_error import PredictedError as PredictedError
 from .predicted_error import expected_reprojection_errors as expected_reprojection_errors
 from .predicted_error import expected_squared_errors as expected_squared_errors
 from .predicted_error import predicted_error as predicted_error
+from .rig_compare import RigMethod as RigMethod
+from .rig_compare import standard_rig_methods as standard_rig_methods
 from .tracked_poses import HeldOutPoses as HeldOutPoses
 from .tracked_poses import held_out_poses as held_out_poses

@@ -8,6 +8,7 @@ from jaxlie import SE3
 
 from ...calibration import Calibration
 from ...dataset import Dataset, Rig
+from ...fit_result import FitResult, Rejection
 from ...joint import RigFit
 from ...runtime.array_namespace import to_device
 from ..measures import Predictor, ReprojectionErrors, reprojection_errors
@@ -109,20 +110,48 @@ def held_out(
     fits = fit_folds(data, fitter, folds, progress, by)
     if isinstance(data, Dataset):
         return score(fits, data)
-    return {name: score(_of_camera(fits, data, name), data.cameras[name]) for name in data.cameras}
+    return {
+        name: score(folds_of_camera(fits, data, name), data.cameras[name]) for name in data.cameras
+    }
 
 
-def _of_camera(fits: Sequence[FoldFit], rig: Rig, name: str) -> list[FoldFit]:
+class CameraOfRig(NamedTuple):
+    """The part of a rig's fit that belongs to one camera, like a fit of this camera.
+
+    Attributes:
+        calibration: the camera's calibration.
+        rejected: what the fit left out of the camera's observations; None if it does not say.
+        result: whether the fit converged; None if it does not say.
+    """
+
+    calibration: Calibration
+    rejected: tuple[Rejection, ...] | None
+    result: FitResult | None
+
+
+def camera_of_rig(fit: Any, name: str) -> CameraOfRig:
+    """Return one camera's part of a `RigFit`, or of anything with `calibrations`."""
+    rejected = getattr(fit, "rejected", None)
+    if rejected is not None:
+        rejected = tuple(entry for camera, entry in rejected if camera == name)
+    return CameraOfRig(fit.calibrations[name], rejected, getattr(fit, "result", None))
+
+
+def camera_views(rig: Rig, name: str, states: Sequence[int]) -> tuple[int, ...]:
+    """Return the views of one camera that were taken in the given states."""
+    return tuple(np.flatnonzero(np.isin(rig.state_index[name], states)).tolist())
+
+
+def folds_of_camera(fits: Sequence[FoldFit], rig: Rig, name: str) -> tuple[FoldFit, ...]:
     """Return the fits of a rig's folds as fits of one camera, with its own hidden views."""
-    states = rig.state_index[name]
-    return [
+    return tuple(
         FoldFit(
-            tuple(np.flatnonzero(np.isin(states, fold.views)).tolist()),
-            None if fold.failure is not None else fold.fit.calibrations[name],
+            camera_views(rig, name, fold.views),
+            None if fold.failure is not None else camera_of_rig(fold.fit, name),
             fold.failure,
         )
         for fold in fits
-    ]
+    )
 
 
 def fit_folds(
@@ -136,7 +165,16 @@ def fit_folds(
 
     The arguments are as for `held_out`.
     """
-    split = split_views(data, folds, by)
+    return fit_split(data, fitter, split_views(data, folds, by), progress)
+
+
+def fit_split(
+    data: Dataset | Rig,
+    fitter: Callable[[Any], Any],
+    split: Sequence[tuple[int, ...]],
+    progress: Callable[[str], None] | None = None,
+) -> tuple[FoldFit, ...]:
+    """Return the fits of folds that hide the given views, or states of a rig's robot."""
     fits = []
     for number, hidden_views in enumerate(split):
         if progress is not None:

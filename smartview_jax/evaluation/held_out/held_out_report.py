@@ -6,9 +6,9 @@ from typing import NamedTuple
 from ...calibration_pipeline import CalibrationFit
 from ...dataset import Dataset
 from ..free_poses import free_pose_errors
-from .compare import UNCORRECTED_SUFFIX
 from .folds import MIN_VIEWS_BY_REGION
 from .held_out import FoldFit, HeldOutErrors, choose_uncorrected, fit_folds, has_correction, score
+from .methods import UNCORRECTED_SUFFIX
 from .predicted_error import PredictedError, predicted_error
 
 

@@ -26,7 +26,7 @@ from ...engine import (
     observability,
 )
 from ...joint import RelativePose, relative_pose
-from ...robot_errors import AbstractField, FieldChoice, checked_field_choice
+from ...robot_errors import FieldChoice
 from ...runtime.compilation import compiled
 
 
@@ -173,15 +173,8 @@ def _rig_bound(
     priors: Mapping[str, Prior] | None,
 ) -> RigBound:
     """Return the bound of a rig; the arguments are as for `cramer_rao`."""
-    chosen = None if field == "auto" else checked_field_choice(field)
     built = build_rig(
-        rig,
-        calibrations,
-        noise=noise,
-        field=chosen if isinstance(chosen, AbstractField) else None,
-        fixed=fixed,
-        free=free,
-        priors=priors,
+        rig, calibrations, noise=noise, field=field, fixed=fixed, free=free, priors=priors
     )
     _, bound_covariance, std = _bound(built)
     return RigBound(dict(calibrations), bound_covariance, std, built.shared_names)

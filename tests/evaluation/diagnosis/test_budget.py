@@ -10,7 +10,7 @@ from starts import nudged
 from smartview_jax import Noise, error_budget, fit_joint, held_out
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.evaluation.diagnosis import budget as budget_module
-from smartview_jax.evaluation.diagnosis.budget import (
+from smartview_jax.evaluation.diagnosis.causes import (
     SCALE_ERROR,
     SYSTEMATIC_ROBOT_ERROR,
     TOO_FEW_VIEWS,

@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,15 +11,15 @@ from smartview_jax import (
     Dataset,
     Noise,
     Prior,
-    Rig,
     cramer_rao,
     fit_joint,
     fit_many,
-    fit_rig,
     std_of,
 )
+from smartview_jax.engine import build_problem, build_rig
 from smartview_jax.evaluation import covariance_of
 from smartview_jax.geometry import host_exponentials
+from smartview_jax.robot_errors import RobotError
 from smartview_jax.simulation import random_scene, simulate
 from smartview_jax.simulation.scenes import reported_poses
 
@@ -131,14 +133,9 @@ def test_what_no_data_tell_is_refused_in_words(setting):
         std_of(bound, lambda calibration: calibration.camera.alpha_u)
 
 
-def test_the_bound_of_a_rig_is_the_covariance_of_its_fit(setting):
-    scene, _ = setting
-    right = scene.data.select([0, 1, 2, 4, 5])
-    rig, truths = Rig({"left": scene.data, "right": right}), {}
-    for name in rig.cameras:
-        truths[name] = scene.calibration
-    bound = cramer_rao(truths, rig, NOISE)
-    fit = fit_rig(rig, truths, noise=NOISE)
+def test_the_bound_of_a_rig_is_the_covariance_of_its_fit(fitted_rig):
+    rig, truths, noise, options, fit = fitted_rig
+    bound = cramer_rao(truths, rig, noise, **options)
     assert bound.parameter_names == fit.parameter_names
     for name in bound.parameter_names:
         assert bound.std[name] == pytest.approx(fit.std[name], rel=1e-6)
@@ -146,3 +143,24 @@ def test_the_bound_of_a_rig_is_the_covariance_of_its_fit(setting):
     np.testing.assert_allclose(bound.relative("left", "right").covariance, expected, rtol=1e-6)
     with pytest.raises(TypeError, match="a rig needs a Noise, and calibrations by camera"):
         cramer_rao(truths, rig, 0.15)
+
+
+def test_a_rigs_robot_has_the_known_error_of_its_calibrations(fitted_rig):
+    """Unless a field is given, as for one camera; a rig has one robot, so that they must agree."""
+    rig, truths, noise, options, _ = fitted_rig
+    field = options["field"]
+    known = RobotError(field, jnp.full(field.size, 1e-3))
+    erring = {name: dataclasses.replace(t, robot_error=known) for name, t in truths.items()}
+    built = build_rig(rig, erring, noise=NOISE, field="auto")
+    assert built.shared_names == build_rig(rig, truths, noise=NOISE).shared_names
+    assert built.problem.start_error is known
+    (group,) = built.problem.groups
+    alone = build_problem(rig.cameras["left"], erring["left"], noise=NOISE).problem
+    for own, expected in zip(
+        jax.tree.leaves(group.problems.prepared_poses),
+        jax.tree.leaves(alone.prepared_poses),
+        strict=True,
+    ):
+        np.testing.assert_allclose(np.asarray(own)[0], expected, rtol=1e-12)
+    with pytest.raises(ValueError, match="error in 'right' is another than in 'left'"):
+        cramer_rao(erring | {"right": truths["right"]}, rig, noise)

@@ -1,0 +1,101 @@
+"""Choose the states of a rig's robot that tell most about all of its cameras."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Array, Bool, Float, Int
+
+from ..dataset import Rig
+from ..geometry import host_matrices, host_transforms
+from ..robots import CommandLike
+from ..runtime.array_namespace import to_device
+from .candidate_selection import best_candidates, cumulative_criterion, order_by_gain
+from .optimality_criteria import OptimalityCriterion
+from .rig_information import RigInformationModel
+
+StatePredicate = Callable[[SE3], Bool[Array, "states"] | np.ndarray]
+"""A function that returns which commands `base_from_tool` `(states)` may be taken."""
+
+
+class ChosenStates(eqx.Module):
+    """The chosen states of a rig's robot, best first.
+
+    Attributes:
+        states: index of each among the candidates.
+        view_ids: names of these states in the rig of the candidates; numbers from 0 for poses.
+        base_from_tool: commands of the states `(count)`.
+        cumulative_criterion: the criterion after the first state, the first two, and so on.
+        unit: unit of the criterion.
+    """
+
+    states: Int[np.ndarray, "count"]
+    view_ids: tuple[str, ...] = eqx.field(static=True)
+    base_from_tool: SE3
+    cumulative_criterion: Float[Array, "count"]
+    unit: str = eqx.field(static=True)
+
+    @property
+    def value(self) -> Float[Array, ""]:
+        """The value of the criterion after all states."""
+        return self.cumulative_criterion[-1]
+
+
+def choose_states(
+    model: RigInformationModel,
+    criterion: OptimalityCriterion,
+    count: int,
+    candidates: Rig | CommandLike,
+    border_margin: float = 0.0,
+    min_visible_fraction: float = 1.0,
+    allowed: StatePredicate | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ChosenStates:
+    """Return the states of the robot that make an optimality criterion as small as possible.
+
+    `choose_views` calls it for a rig; its arguments are explained there.
+
+    Raises:
+        ValueError: fewer than `count` candidates may be taken.
+    """
+    say = progress or (lambda _: None)
+    rig = candidates
+    if not isinstance(candidates, Rig):
+        say("computing what each camera would see")
+        rig = model.planned(candidates, border_margin)
+    assert isinstance(rig, Rig)
+    admissible = np.zeros(rig.view_count, dtype=bool)
+    admissible[rig.usable_views()] = True
+    if not isinstance(candidates, Rig):
+        admissible &= _largest_visible_fraction(rig) >= min_visible_fraction - 1e-9
+    if allowed is not None:
+        admissible &= np.asarray(allowed(rig.base_from_tool))
+    if admissible.sum() < count or count < 1:
+        raise ValueError(
+            f"{count} states requested, but only {admissible.sum()} of {len(admissible)} "
+            "candidates may be taken"
+        )
+    say("computing what each state would tell")
+    information, prior = model.information(rig), model.prior_information
+    index = best_candidates(information, prior, criterion, count, to_device(admissible), say)
+    say("ordering them, best first")
+    chosen, of_states = np.asarray(index), np.asarray(information)
+    order = order_by_gain(to_device(of_states[chosen]), prior, criterion)
+    chosen = chosen[np.asarray(order)]
+    return ChosenStates(
+        chosen,
+        tuple(rig.view_ids[state] for state in chosen),
+        host_transforms(host_matrices(rig.base_from_tool)[chosen]),
+        cumulative_criterion(to_device(of_states[chosen]), prior, criterion),
+        criterion.unit,
+    )
+
+
+def _largest_visible_fraction(rig: Rig) -> Float[np.ndarray, "states"]:
+    """Return, for each state, the fraction of its target that the camera that sees most sees."""
+    fraction = np.zeros(rig.view_count)
+    for name, data in rig.cameras.items():
+        states = rig.state_index[name]
+        fraction[states] = np.maximum(fraction[states], np.asarray(data.visible).mean(axis=1))
+    return fraction
