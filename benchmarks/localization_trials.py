@@ -237,7 +237,7 @@ def _pnp(
 ) -> dict[str, Any]:
     """Return OpenCV's pose from the corners that match the vertices, in the view with most."""
     best: dict[str, Any] = {"corners": 0}
-    lens = views.camera
+    lens = views.cameras[0]
     matrix = np.array(
         [[lens.alpha_u, 0.0, lens.u0], [0.0, lens.alpha_v, lens.v0], [0.0, 0.0, 1.0]], dtype=float
     )

@@ -69,12 +69,14 @@ from .joint import fit_many as fit_many
 from .joint import fit_poses as fit_poses
 from .joint import fit_rig as fit_rig
 from .joint import load_estimate as load_estimate
+from .joint import load_rig_estimate as load_rig_estimate
 from .joint import precompile as precompile
 from .joint import view_influence as view_influence
 from .localization import Localization as Localization
 from .localization import localize as localize
 from .localization import next_view as next_view
 from .modeling import ObjectModel as ObjectModel
+from .modeling import RigViews as RigViews
 from .ros_bags import BagSources as BagSources
 from .ros_bags import MomentChoice as MomentChoice
 from .ros_bags import import_bag as import_bag

@@ -24,4 +24,13 @@ from .symmetric_lens import MIN_LENS_POINTS as MIN_LENS_POINTS
 from .symmetric_lens import SymmetricLensFit as SymmetricLensFit
 from .symmetric_lens import fit_symmetric_lens as fit_symmetric_lens
 from .symmetric_lens import spanned_coordinates as spanned_coordinates
+from .view_cameras import AnyCamera as AnyCamera
+from .view_cameras import ViewCameras as ViewCameras
+from .view_cameras import camera_axes as camera_axes
+from .view_cameras import cameras_for as cameras_for
+from .view_cameras import cameras_of_views as cameras_of_views
+from .view_cameras import distinct_cameras as distinct_cameras
+from .view_cameras import moved_cameras as moved_cameras
+from .view_cameras import ravelled_cameras as ravelled_cameras
+from .view_cameras import with_cameras as with_cameras
 from .weng import Weng as Weng

@@ -126,9 +126,14 @@ class Camera(eqx.Module):
 
 
 def in_picture(
-    pixels: Float[np.ndarray, "*pixels 2"], image_size: tuple[int, int]
+    pixels: Float[np.ndarray, "*pixels 2"], image_size: tuple[int, int] | np.ndarray
 ) -> Bool[np.ndarray, "*pixels"]:
-    """Return which pixels are within a picture of some width and height; False for NaN."""
+    """Return which pixels are within a picture of some width and height; False for NaN.
+
+    Args:
+        pixels: px.
+        image_size: width and height, px; or an array of them that broadcasts with the pixels.
+    """
     # The centre of the first pixel is (0, 0), so that the picture's border is half a pixel out.
     with np.errstate(invalid="ignore"):
         inside = (pixels >= -0.5) & (pixels <= np.array(image_size) - 0.5)

@@ -70,9 +70,7 @@ def calibrate_rig_folders(
         from typer import echo
 
         for file in files[:-1]:
-            is_camera = file.stem in result.fit.calibrations
-            kept = "the calibration of this camera" if is_camera else "where these arms are"
-            echo(f"{file}: {kept}, with its covariance")
+            echo(f"{file}: {_what_it_holds(file, result.fit)}")
         echo(f"{files[-1]}: the report: results and accuracy")
     return result.fit.result.converged
 
@@ -135,6 +133,17 @@ def _refuse_other_options(settings: CalibrateSettings) -> None:
             f"{given[0]}: not for several cameras together, which take --lens, --bad-views, "
             "--held-out and --out; sv.calibrate(sv.Rig(...)) takes the rest"
         )
+
+
+def _what_it_holds(file: Path, fit: "RigFit") -> str:
+    """Return what a file of the result has, in words."""
+    from ..joint import RIG_FILE
+
+    if file.name == RIG_FILE:
+        return "the covariance of all cameras together"
+    is_camera = file.stem in fit.calibrations
+    kept = "the calibration of this camera" if is_camera else "where these arms are"
+    return f"{kept}, with its covariance"
 
 
 def _print_result(result: RigResult) -> None:

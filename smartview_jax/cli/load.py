@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
@@ -95,19 +95,49 @@ def with_estimated_clock(
     return dataclasses.replace(estimate.data, notes=(*data.notes, note))
 
 
-def load_views(folder: Path) -> "tuple[list[str], list[Path], Command]":
-    """Return names, pictures and reported poses of the views in a folder."""
-    from ..io import OBJECT_VIEWS_FILE, load_object_views, load_view_pictures
+class NamedViews(NamedTuple):
+    """The views of a folder.
+
+    Attributes:
+        names: of the views.
+        pictures: their files.
+        command: reported poses; None without a robot.
+        cameras: name of the camera of each view; empty for a folder of one camera.
+        states: name of the robot's state in each view; empty for a folder of one camera.
+    """
+
+    names: list[str]
+    pictures: list[Path]
+    command: "Command | None"
+    cameras: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
+
+
+def load_views(folder: Path) -> NamedViews:
+    """Return the views in a folder."""
+    from ..io import (
+        OBJECT_VIEWS_FILE,
+        is_rig_object_views,
+        load_object_views,
+        load_rig_object_views,
+        load_view_pictures,
+    )
 
     # A data set of a board may keep the pictures of the object in a separate folder.
     for candidate in (folder, folder / "object"):
+        if is_rig_object_views(candidate):
+            seen = load_rig_object_views(candidate)
+            _print_notes(seen.notes)
+            names, files = list(seen.view_ids), list(seen.paths)
+            return NamedViews(names, files, seen.command, seen.cameras, seen.states)
         if (candidate / OBJECT_VIEWS_FILE).is_file():
             object_views = load_object_views(candidate)
             _print_notes(object_views.notes)
-            return list(object_views.view_ids), list(object_views.paths), object_views.command
+            names, files = list(object_views.view_ids), list(object_views.paths)
+            return NamedViews(names, files, object_views.command)
     views = load_view_pictures(folder)
     _print_notes(views.notes)
-    return views.view_ids, views.pictures, views.command
+    return NamedViews(views.view_ids, views.pictures, views.command)
 
 
 def _print_notes(notes: Sequence[str]) -> None:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .calibrated_views import CameraOption, FrameOption, load_calibrated_views
 from .json_document import print_document, transform_document
 from .load import load_views
 from .number_lists import parse_numbers
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
 
 
 def localize(
-    calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
+    calibration: Annotated[
+        Path,
+        typer.Argument(help="A calibration.yaml, or the folder of a calibrated rig."),
+    ],
     views: Annotated[Path, typer.Argument(help="Folder with pictures and the robot's poses.")],
     models: Annotated[
         list[Path],
@@ -44,6 +48,8 @@ def localize(
             "edges that it occludes do not count as missing. May be repeated."
         ),
     ] = None,
+    camera: CameraOption = None,
+    frame: FrameOption = "world",
     out: Annotated[
         Path | None,
         typer.Option(help="A page with wireframes over the pictures, such as found.html."),
@@ -61,19 +67,23 @@ def localize(
         from ..detection import read_picture
         from ..files import refuse_unwritable
         from ..io import load_object_model
-        from ..joint import load_with_uncertainty
+        from ..modeling import SeenViews
         from ..report import localization_verdict, write_localization_page
 
         # Options are checked before the pictures are searched, which takes long.
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         corners, triangles = _corners(workspace), _triangles(occluder)
-        loaded, estimate = load_with_uncertainty(calibration)
         objects = [load_object_model(path) for path in models]
-        names, paths, command = load_views(views)
+        seen = load_views(views)
+        names, paths, command = seen.names, seen.pictures, seen.command
+        loaded, estimate, is_exact = load_calibrated_views(calibration, seen, camera, frame)
+        cameras = SeenViews.of(loaded, command).cameras
         with progress_line() as progress:
-            pictures = [read_picture(path, loaded.camera.image_size) for path in paths]
-            evidence = _evidence(pictures, paths, loaded.camera, progress)
+            pictures = [
+                read_picture(path, own.image_size) for path, own in zip(paths, cameras, strict=True)
+            ]
+            evidence = _evidence(pictures, paths, cameras, progress)
             progress("searching")
             localizations = localization.localize(
                 evidence,
@@ -88,7 +98,7 @@ def localize(
         if not json:
             _print(localizations)
             typer.echo(localization_verdict(localizations))
-            if estimate is None:
+            if is_exact:
                 typer.echo(f"{calibration} has no covariance: taken as exact")
         if out is not None:
             title = f"{', '.join(path.stem for path in models)} in {views.resolve().name}"
@@ -96,6 +106,7 @@ def localize(
         if json:
             content = {
                 "views": names,
+                "frame": frame,
                 "objects": [_document(localization, models) for localization in localizations],
                 "messages": localizations.messages,
                 "page": out,
@@ -140,14 +151,14 @@ def _triangles(meshes: list[Path] | None) -> "np.ndarray | None":
 def _evidence(
     pictures: "Sequence[np.ndarray]",
     paths: "Sequence[Path]",
-    camera: "Camera",
+    cameras: "Sequence[Camera]",
     progress: "Callable[[str], None]",
 ) -> "list[PictureEvidence]":
     """Return the edges found in each picture; an error begins with the picture's name."""
     from ..features import picture_evidence
 
     evidence = []
-    for k, (picture, path) in enumerate(zip(pictures, paths, strict=True)):
+    for k, (picture, path, camera) in enumerate(zip(pictures, paths, cameras, strict=True)):
         progress(f"edges: picture {k + 1} of {len(paths)}")
         try:
             evidence.append(picture_evidence(picture, camera))

@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .load import load_views
+from .calibrated_views import CameraOption, FrameOption, load_calibrated_views
+from .load import NamedViews, load_views
 from .options import DebugOption
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
     from ..joint import SavedEstimate
+    from ..modeling import AnyCalibration
 
 
 def model(
@@ -25,9 +26,12 @@ def model(
     calibration: Annotated[
         Path | None,
         typer.Option(
-            help="The calibration, such as calibration.yaml; by default the one in the folder."
+            help="The calibration, such as calibration.yaml, or the folder of a calibrated rig; by "
+            "default the one in the folder."
         ),
     ] = None,
+    camera: CameraOption = None,
+    frame: FrameOption = "world",
     port: Annotated[
         int, typer.Option(help="Port of the page, such as 8765; 0 takes a free one.")
     ] = 0,
@@ -44,12 +48,12 @@ def model(
     with errors_reported(debug):
         from ..editor import ModelSession, serve
 
-        names, pictures, command = load_views(dataset)
+        views = load_views(dataset)
         target = out or dataset / "object.json"
         try:
-            estimate, covariance = load_calibration(dataset, calibration)
+            estimate, covariance = load_calibration(dataset, calibration, views, camera, frame)
             with ModelSession(
-                estimate, command, pictures, names, target, covariance=covariance
+                estimate, views.command, views.pictures, views.names, target, covariance=covariance
             ) as session:
                 for note in session.notes:
                     typer.echo(note)
@@ -60,20 +64,28 @@ def model(
 
 
 def load_calibration(
-    dataset: Path, calibration: Path | None
-) -> "tuple[Calibration, SavedEstimate | None]":
+    dataset: Path,
+    calibration: Path | None,
+    views: NamedViews,
+    camera: str | None = None,
+    frame: str = "world",
+) -> "tuple[AnyCalibration, SavedEstimate | None]":
     """Return the calibration of the option or of the folder, with its covariance if it has one."""
-    from ..joint import load_with_uncertainty
+    from ..joint import RIG_FILE
 
-    candidates = [dataset / "calibration.yaml", dataset / "calibration" / "calibration.yaml"]
+    candidates = [
+        place / file
+        for file in ("calibration.yaml", RIG_FILE)
+        for place in (dataset, dataset / "calibration")
+    ]
     path_found = calibration or next((path for path in candidates if path.is_file()), None)
     if path_found is None:
         raise FileNotFoundError(
             f"{candidates[0]}: no such file; give a calibration by --calibration "
             "(smartview calibrate makes one)"
         )
-    loaded, estimate = load_with_uncertainty(path_found)
-    if estimate is None:
+    loaded, estimate, is_exact = load_calibrated_views(path_found, views, camera, frame)
+    if is_exact:
         typer.echo(f"{path_found} has no covariance: taken as exact", err=True)
     return loaded, estimate
 

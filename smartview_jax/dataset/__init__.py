@@ -19,6 +19,7 @@ from .pose_dataset import PoseDataset as PoseDataset
 from .pose_observations import PoseObservations as PoseObservations
 from .rig import ONE_ARM as ONE_ARM
 from .rig import ONE_TARGET as ONE_TARGET
+from .rig import SAME_POSE_TOLERANCE as SAME_POSE_TOLERANCE
 from .rig import Rig as Rig
 from .robot_motion import contradictory_views as contradictory_views
 from .robot_motion import distinct_poses as distinct_poses

@@ -83,23 +83,24 @@ class Conversation:
         session = self._session
         # A reloaded page shows nothing.
         self._shown = {kind: {} for kind in KINDS}
-        width, height = session.calibration.camera.image_size
         poses = np.linalg.inv(session.geometry.camera_from_world)
-        camera = session.calibration.camera
         return {
             **self.update(),
             "type": "greeting",
             "file": None if session.path is None else session.path.name,
             "notes": session.notes,
-            "size": [width, height],
             "facts": [
                 {"kind": name, **kind._asdict(), "build": None} for name, kind in FACT_KINDS.items()
             ],
-            "focal_px": float(camera.alpha_u),
             "click_sigma": session.geometry.click_sigma,
             "views": [
-                {"name": name, "world_from_camera": pose.round(9).tolist()}
-                for name, pose in zip(session.names, poses, strict=True)
+                {
+                    "name": name,
+                    "size": list(camera.image_size),
+                    "focal_px": float(camera.alpha_u),
+                    "world_from_camera": pose.round(9).tolist(),
+                }
+                for (name, camera), pose in zip(session.cameras.items(), poses, strict=True)
             ],
         }
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .click_checks import check_clicks, checked_pixel
+from .click_checks import PictureSizes, check_clicks, checked_pixel
 from .document import Document, apply_change
 from .edit_history import EditHistory
 from .model_building import checked_loop, problems_of
@@ -29,8 +29,8 @@ class AbstractDrawing(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def picture_size(self) -> tuple[int, int]:
-        """Width and height of the pictures, px."""
+    def picture_sizes(self) -> PictureSizes:
+        """Width and height of the pictures, px, by the view's name."""
 
     @abc.abstractmethod
     def estimates(self, document: Document | None = None) -> dict[int, PointEstimate]:
@@ -53,7 +53,7 @@ class AbstractDrawing(abc.ABC):
     def checked(self, change: Mapping[str, Any]) -> Document:
         """Return the document after a change that is not made, or raise as `change` does."""
         # The document itself knows neither the views nor the size of their pictures.
-        check_clicks(change, self.names, self.picture_size)
+        check_clicks(change, self.picture_sizes)
         changed = apply_change(self.document, change)
         check_names(self.document, changed)
         # Everything that a page shows is computed for the new document before the change is
@@ -70,7 +70,7 @@ class AbstractDrawing(abc.ABC):
 
     def checked_pixel(self, view: Any, pixel: Any) -> tuple[float, float]:
         """Return a pixel of a view, or raise an error that names both."""
-        return checked_pixel(view, pixel, self.names, self.picture_size)
+        return checked_pixel(view, pixel, self.picture_sizes)
 
     def click(
         self, view: str, pixel: Sequence[float] | np.ndarray, point: int | None = None

@@ -13,9 +13,9 @@ from ..features import find as find_features
 class PictureFeatures:
     """The features of a session's pictures, found on first use."""
 
-    def __init__(self, camera: Camera, pictures: Mapping[str, np.ndarray]):
-        """Take the pictures by view."""
-        self._camera, self._pictures = camera, pictures
+    def __init__(self, cameras: Mapping[str, Camera], pictures: Mapping[str, np.ndarray]):
+        """Take the cameras and the pictures by view."""
+        self._cameras, self._pictures = cameras, pictures
         self._found: dict[str, Features] = {}
         self._finding = {name: threading.Lock() for name in pictures}
 
@@ -29,7 +29,8 @@ class PictureFeatures:
         with self._finding[view]:
             if view not in self._found:
                 try:
-                    self._found[view] = find_features(self._pictures[view], self._camera)
+                    camera = self._cameras[view]
+                    self._found[view] = find_features(self._pictures[view], camera)
                 except ValueError as error:
                     raise ValueError(f"view {view}: {error}") from None
         return self._found[view]

@@ -18,22 +18,26 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration
+from ..cameras import Camera
 from ..evaluation import CalibrationEstimate
 from ..features import Features
 from ..geometry import host_matrices
 from ..io import save_object_model
 from ..modeling import (
+    AnyCalibration,
     ConstraintVerdict,
     EpipolarCurve,
     ObjectModel,
     Region,
+    RigViews,
+    SeenViews,
     Symmetry,
     as_checked_command,
+    command_at,
     propose_model,
 )
 from ..robots import CommandLike
-from .click_checks import check_view
+from .click_checks import PictureSizes, check_view
 from .disagreements import Disagreement, Findings, disagreements_of
 from .document import KINDS, Document
 from .document_estimates import DocumentEstimates
@@ -57,8 +61,9 @@ class ModelSession(AbstractDrawing):
 
     Attributes:
         names: names of the views, in their order.
+        cameras: the camera of each view, by the view's name.
         pictures: grey pictures by view.
-        calibration: calibration of the camera.
+        calibration: calibration of the camera, or the cameras of the views.
         path: path of the model's file; None for a session in memory only.
         geometry: geometry of points and curves in the views.
         notes: remarks from the opening of the session.
@@ -75,8 +80,8 @@ class ModelSession(AbstractDrawing):
 
     def __init__(
         self,
-        calibration: Calibration,
-        poses: CommandLike,
+        calibration: AnyCalibration,
+        poses: CommandLike | None,
         pictures: Sequence[np.ndarray | str | os.PathLike[str]],
         names: Sequence[str] | None = None,
         path: str | os.PathLike[str] | None = None,
@@ -86,9 +91,11 @@ class ModelSession(AbstractDrawing):
         """Open a session, or resume an earlier one from its journal.
 
         Args:
-            calibration: calibration of the camera; the model is in its world frame.
+            calibration: calibration of the camera; the model is in its world frame. `RigViews` for
+                pictures of several cameras.
             poses: reported pose of each view: `base_from_tool`, or a `Command` with joint readings
-                if the calibration corrects errors of the arm.
+                if the calibration corrects errors of the arm; None where the robot does not matter
+                (`RigViews`).
             pictures: a file, or a picture as grey or BGR uint8, for each view.
             names: names of the views; by default v1, v2, ...
             path: path of the model's file, a .json; None keeps nothing on disk.
@@ -105,26 +112,31 @@ class ModelSession(AbstractDrawing):
         """
         # All arguments are checked before a lock or a file is created.
         self.names: list[str] = checked_names(names, len(pictures))
-        command = as_checked_command(poses, self.names)
-        size = calibration.camera.image_size
+        # An error in a pose names its view here; it would name a number below.
+        given = None if poses is None else as_checked_command(poses, self.names)
+        seen = SeenViews.of(calibration, given)
+        self.cameras: dict[str, Camera] = dict(zip(self.names, seen.cameras, strict=True))
         self.pictures: dict[str, np.ndarray] = {
-            name: checked_picture(picture, name, size)
+            name: checked_picture(picture, name, self.cameras[name].image_size)
             for name, picture in zip(self.names, pictures, strict=True)
         }
         self.calibration = calibration
+        command = command_at(seen.command, range(len(self.names))) if given is None else given
         self.geometry: ViewGeometry = ViewGeometry(
             calibration, command, self.names, covariance, click_sigma
         )
         # These keep their results.
         self._estimates = DocumentEstimates(self.geometry)
         self._symmetry = StatedSymmetry()
-        self._features = PictureFeatures(calibration.camera, self.pictures)
+        self._features = PictureFeatures(self.cameras, self.pictures)
         self._covariance = covariance
         self.path: Path | None = None if path is None else Path(path)
         # Rounded, because the same poses read from two formats differ in the last digit.
         reported = host_matrices(command.base_from_tool).round(9).tolist()
         joints = None if command.joints is None else np.asarray(command.joints).round(9).tolist()
         header = {"views": self.names, "base_from_tool": reported, "joints": joints}
+        if isinstance(calibration, RigViews):
+            header["cameras"] = list(calibration.cameras)
         self._journal = EditHistory(self.path, header)
         self.notes: list[str] = self._journal.notes
         self.proposals: Proposals = Proposals(None, self.names, self.document)
@@ -139,9 +151,9 @@ class ModelSession(AbstractDrawing):
         return "\n".join([*lines, *map(str, found)])
 
     @property
-    def picture_size(self) -> tuple[int, int]:
-        """Width and height of the pictures, px."""
-        return self.calibration.camera.image_size
+    def picture_sizes(self) -> PictureSizes:
+        """Width and height of the pictures, px, by the view's name."""
+        return {name: camera.image_size for name, camera in self.cameras.items()}
 
     def estimates(self, document: Document | None = None) -> dict[int, PointEstimate]:
         """Return the estimates of all points, by id."""
@@ -212,7 +224,7 @@ class ModelSession(AbstractDrawing):
         numbers = {self.names.index(name): corners for name, corners in (rectangles or {}).items()}
         region = Region(box, numbers)
         # Checked here too, because `propose_model` knows only the numbers of the views.
-        region.check(self.names, self.picture_size)
+        region.check(self.names, np.array(list(self.picture_sizes.values())))
         # The features found for snapping are used again.
         proposal = propose_model(
             self.calibration,
@@ -346,11 +358,11 @@ class ModelSession(AbstractDrawing):
         Args:
             stop: set by another thread to skip the remaining pictures.
         """
-        width, height = self.calibration.camera.image_size
         # Any pixel will do: only the first call of each program is slow.
-        middle = (0.5 * width, 0.5 * height)
-        self.geometry.estimates([dict.fromkeys(self.names, middle)])
-        self.geometry.curves(self.names[0], middle)
+        sizes = self.picture_sizes
+        middles = {name: (0.5 * width, 0.5 * height) for name, (width, height) in sizes.items()}
+        self.geometry.estimates([middles])
+        self.geometry.curves(self.names[0], middles[self.names[0]])
         self.geometry.pixels_of(np.zeros((1, 3)))
         for name in self.names:
             if stop is not None and stop.is_set():

@@ -10,16 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..calibration import Calibration
 from ..engine import covariance_factor
 from ..evaluation import CalibrationEstimate
 from ..modeling import (
     AbstractConstraint,
+    AnyCalibration,
     EpipolarCurve,
     ModelObservations,
     RefinedFeatures,
     SeenViews,
     TriangulatedPoints,
+    calibration_of_views,
     command_at,
     epipolar_curves,
     pixel_jacobians,
@@ -115,7 +116,7 @@ class ViewGeometry:
 
     def __init__(
         self,
-        calibration: Calibration,
+        calibration: AnyCalibration,
         command: Command,
         names: Sequence[str],
         covariance: CalibrationEstimate | None = None,
@@ -250,12 +251,12 @@ class ViewGeometry:
         # For C = R R^T the part of the calibration is J C J^T = F F^T with F = J R.
         root = covariance_factor(solution.calibration_covariance)
         total, failures = solution.covariance(), solution.failures
-        size = np.array(self._calibration.camera.image_size)
+        sizes = self._seen.image_sizes
         results = []
         for k, clicks in enumerate(points):
             J, pixels = jacobians.by_point[:, k], jacobians.pixels[:, k]
             # A point outside the picture is predicted, but not drawn.
-            within = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
+            within = ((pixels > -0.5) & (pixels < sizes - 0.5)).all(axis=1)
             residuals = {
                 name: tuple(solution.residuals[self.names.index(name), k].tolist())
                 for name in clicks
@@ -282,7 +283,7 @@ class ViewGeometry:
         if not others:
             return {}
         curves = epipolar_curves(
-            self._calibration,
+            calibration_of_views(self._calibration, [index, *others]),
             command_at(self.command, index),
             np.array(pixel, dtype=float),
             command_at(self.command, others),

@@ -38,6 +38,7 @@ from .parameters import ROBOT_ERROR as ROBOT_ERROR
 from .parameters import TARGET_SCALE as TARGET_SCALE
 from .parameters import Parameters as Parameters
 from .parameters import Step as Step
+from .parameters import correction_names as correction_names
 from .parameters import host_retract as host_retract
 from .parameters import host_retract_transform as host_retract_transform
 from .parameters import parameter_mask as parameter_mask

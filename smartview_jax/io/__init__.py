@@ -60,6 +60,9 @@ from .poses import write_poses as write_poses
 from .rig_folder import is_rig_folder as is_rig_folder
 from .rig_folder import load_rig as load_rig
 from .rig_folder import save_rig as save_rig
+from .rig_object_views import RigObjectViews as RigObjectViews
+from .rig_object_views import is_rig_object_views as is_rig_object_views
+from .rig_object_views import load_rig_object_views as load_rig_object_views
 from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .robot_urdf import robot_urdf as robot_urdf

@@ -30,6 +30,11 @@ from .pose_fit import tracked_pose_errors as tracked_pose_errors
 from .precompile import precompile as precompile
 from .relative_pose import RelativePose as RelativePose
 from .relative_pose import relative_pose as relative_pose
+from .rig_estimate import RIG_FILE as RIG_FILE
+from .rig_estimate import RigEstimate as RigEstimate
+from .rig_estimate import is_rig as is_rig
+from .rig_estimate import load_calibrated_rig as load_calibrated_rig
+from .rig_estimate import load_rig_estimate as load_rig_estimate
 from .rig_fit import RigFit as RigFit
 from .rig_fit import fit_rig as fit_rig
 from .saved_estimate import SavedEstimate as SavedEstimate

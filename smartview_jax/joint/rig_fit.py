@@ -43,6 +43,7 @@ from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .joint_fit import half_width
 from .relative_pose import RelativePose, relative_base, relative_pose
+from .rig_estimate import RIG_FILE, save_rig
 from .rig_warnings import rig_warnings
 from .saved_estimate import SavedEstimate, uncertainty_to_dict
 from .several_arms import JoinedArms, added_by_estimation, join_arms, own_jacobians
@@ -281,11 +282,13 @@ class RigFit(eqx.Module):
         run: str | None = None,
         pictures: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
-        """Write a calibration file for each camera, `left.yaml`, with its covariance: all or none.
+        """Write a calibration file for each camera, `left.yaml`, and their joint covariance.
 
-        Each file is read by `Calibration.load` and `load_estimate`. Of several arms, the pose of
-        every other base in the first one is written too, such as base_left_from_base_right.yaml,
-        which `RelativePose.load` reads.
+        Each camera's file has its own covariance and is read by `Calibration.load` and
+        `load_estimate`; `rig.joint.yaml` has the joint covariance, for `load_rig_estimate`. Of
+        several arms, the pose of every other base in the first one is written in its place, such
+        as base_left_from_base_right.yaml, which `RelativePose.load` reads. All are written, or
+        none.
 
         Args:
             folder: of the files; created if it does not exist.
@@ -305,12 +308,15 @@ class RigFit(eqx.Module):
                 )
             for name, base in self._named_bases():
                 base.save(place / f"{name}.yaml", run)
+            if len(self.noises) == 1:
+                save_rig(self, place, run)
 
     @property
     def file_names(self) -> tuple[str, ...]:
-        """The names of the files that `save` writes: of the cameras, and of the arms' bases."""
+        """The names of the files that `save` writes."""
         stems = (*self.calibrations, *(path for path, _ in self._named_bases()))
-        return tuple(f"{stem}.yaml" for stem in stems)
+        joint = (RIG_FILE,) if len(self.noises) == 1 else ()
+        return (*(f"{stem}.yaml" for stem in stems), *joint)
 
     def _named_bases(self) -> list[tuple[str, RelativePose]]:
         """Return the pose of every other base in the base of the first arm, by its name."""

@@ -53,20 +53,10 @@ def uncertainty_to_dict(fit: "JointFit | SavedEstimate") -> dict[str, Any] | Non
     """Return the uncertainty of a fit as plain numbers; None if a parameter is undetermined."""
     if fit.observability.null_directions or not np.isfinite(fit.covariance).all():
         return None
-    noise = fit.noise
     return {
         "parameters": list(fit.parameter_names),
         "covariance": [[float(x) for x in row] for row in np.asarray(fit.covariance)],
-        "noise": None
-        if noise is None
-        else {
-            "pixel": float(noise.pixel),
-            # YAML and JSON have no common notation for infinity.
-            "translation": _finite(noise.translation),
-            "rotation": _finite(noise.rotation),
-            "field": [float(sigma) for sigma in noise.field],
-            "white_pixel": None if noise.white_pixel is None else float(noise.white_pixel),
-        },
+        "noise": None if fit.noise is None else noise_to_dict(fit.noise),
         "pixel_sigma": float(fit.pixel_sigma),
         "smallest_singular_value": float(fit.observability.smallest_singular_value),
     }
@@ -128,10 +118,22 @@ def _estimate_from_dict(calibration: Calibration, entry: dict[str, Any]) -> Save
         calibration,
         np.array(entry["covariance"], dtype=float),
         names,
-        _noise_from_dict(entry.get("noise")),
+        noise_from_dict(entry.get("noise")),
         float(entry["pixel_sigma"]),
         Observability(len(names), len(names), (), (), float(entry["smallest_singular_value"])),
     )
+
+
+def noise_to_dict(noise: Noise) -> dict[str, Any]:
+    """Return a noise model as plain numbers; None stands for infinity."""
+    return {
+        "pixel": float(noise.pixel),
+        # YAML and JSON have no common notation for infinity.
+        "translation": _finite(noise.translation),
+        "rotation": _finite(noise.rotation),
+        "field": [float(sigma) for sigma in noise.field],
+        "white_pixel": None if noise.white_pixel is None else float(noise.white_pixel),
+    }
 
 
 def _finite(sigma: float) -> float | None:
@@ -139,7 +141,7 @@ def _finite(sigma: float) -> float | None:
     return float(sigma) if np.isfinite(sigma) else None
 
 
-def _noise_from_dict(entry: dict[str, Any] | None) -> Noise | None:
+def noise_from_dict(entry: dict[str, Any] | None) -> Noise | None:
     """Return the noise model of a file."""
     if entry is None:
         return None

@@ -6,14 +6,12 @@ before its edges are judged, the views are corrected by the likeliest error unde
 calibration's covariance.
 """
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..cameras import Camera
+from ..cameras import moved_cameras
 from ..geometry import host_exponentials
 from ..modeling import CalibrationUncertainty, SeenViews
-from ..runtime.array_namespace import to_device
 from ..runtime.padding import repeat_last
 
 
@@ -22,30 +20,18 @@ def corrected_views(
     uncertainty: CalibrationUncertainty,
     error: Float[np.ndarray, "numbers"],
 ) -> SeenViews:
-    """Return views whose camera and poses are corrected by errors of the calibration.
+    """Return views whose cameras and poses are corrected by errors of the calibration.
 
     Args:
-        views: camera and poses as calibrated.
+        views: cameras and poses as calibrated.
         uncertainty: of the calibration in these views.
         error: true minus calibrated parameters, such as the `calibration_error` of a refined pose.
     """
     if not len(error):
         return views
     local = uncertainty.view_jacobian @ error
-    # All views share one camera; its parameters come before the twist of each view.
-    camera = _moved_camera(views.camera, local[0, :-6])
+    # Every view lists the parameters of all cameras, before its own twist.
+    camera = moved_cameras(views.camera, local[0, :-6])
     moved = host_exponentials(local[:, -6:]) @ views.camera_from_world
     padded = repeat_last(moved, len(views.padded))
     return views._replace(camera=camera, camera_from_world=moved, padded=padded)
-
-
-def _moved_camera(camera: Camera, change: Float[np.ndarray, "parameters"]) -> Camera:
-    """Return a camera with changed parameters, in the order of its leaves."""
-    leaves, structure = jax.tree.flatten(camera)
-    sizes = [np.size(leaf) for leaf in leaves]
-    parts = np.split(change, np.cumsum(sizes)[:-1])
-    moved = [
-        to_device(np.asarray(leaf) + part.reshape(np.shape(leaf)))
-        for leaf, part in zip(leaves, parts, strict=True)
-    ]
-    return jax.tree.unflatten(structure, moved)

@@ -9,6 +9,7 @@ import copy
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..cameras import Camera
 from ..features import IdealPlane
 from ..modeling import SeenViews
 from .edge_lookup import DEPTH_CELL_PX
@@ -27,18 +28,17 @@ class DepthBuffers:
 
     def __init__(self, views: SeenViews):
         self._views = views
-        width, height = views.camera.image_size
-        self._columns, self._rows = (-(-size // DEPTH_CELL_PX) for size in (width, height))
+        self._columns, self._rows = (-(-size // DEPTH_CELL_PX) for size in views.largest_picture)
         count = len(views.camera_from_world)
         self.inverse_depth: Float[np.ndarray, "views rows columns"] = np.zeros(
             (count, self._rows, self._columns)
         )
-        self._rays: Float[np.ndarray, "rows columns 2"] | None = None
+        self._rays: list[Float[np.ndarray, "rows columns 2"]] = []
 
     def copy(self) -> "DepthBuffers":
-        """Return a copy to which surfaces can be added; both share the grid of rays."""
-        # Compute the grid before copying: it takes longer than drawing an object.
-        self._ray_grid()
+        """Return a copy to which surfaces can be added; both share the grids of rays."""
+        # Compute the grids before copying: they take longer than drawing an object.
+        self._ray_grids()
         other = copy.copy(self)
         other.inverse_depth = self.inverse_depth.copy()
         return other
@@ -58,11 +58,12 @@ class DepthBuffers:
 
     def _draw(self, triangles: Float[np.ndarray, "T 3 3"]) -> None:
         """Draw a face in the world, given as a triangle fan."""
+        grids = self._ray_grids()
         for view, camera_from_world in enumerate(self._views.camera_from_world):
             in_camera = triangles @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
             if in_camera[..., 2].min() < MIN_DEPTH:
                 continue
-            corners, rays = in_camera[..., :2] / in_camera[..., 2:], self._ray_grid()
+            corners, rays = in_camera[..., :2] / in_camera[..., 2:], grids[view]
             low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
             # Outside the lens's field of view rays are NaN, and comparisons with NaN are false.
             places = np.nonzero(((rays >= low) & (rays <= high)).all(axis=2))
@@ -84,16 +85,23 @@ class DepthBuffers:
             maps = self.inverse_depth[view]
             maps[places] = np.maximum(maps[places], inverse)
 
-    def _ray_grid(self) -> Float[np.ndarray, "rows columns 2"]:
-        """Return `(x / z, y / z)` of the rays through the centres of all cells."""
-        # All views share one camera; the grid is computed when the first object is drawn.
-        if self._rays is None:
-            plane = IdealPlane(self._views.camera)
-            v, u = np.mgrid[: self._rows, : self._columns] * DEPTH_CELL_PX
-            middles = np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5 * (DEPTH_CELL_PX - 1)
-            ideal = plane.from_pixels(middles) / plane.focal_length
-            self._rays = ideal.reshape(self._rows, self._columns, 2)
+    def _ray_grids(self) -> list[Float[np.ndarray, "rows columns 2"]]:
+        """Return `(x / z, y / z)` of the rays through the centres of all cells, for each view."""
+        # Views of one camera share its grid; all are computed when the first object is drawn.
+        if not self._rays:
+            cameras = self._views.cameras
+            distinct = {id(camera): camera for camera in cameras}
+            grid_of = {key: self._ray_grid(camera) for key, camera in distinct.items()}
+            self._rays = [grid_of[id(camera)] for camera in cameras]
         return self._rays
+
+    def _ray_grid(self, camera: Camera) -> Float[np.ndarray, "rows columns 2"]:
+        """Return the grid of one camera."""
+        plane = IdealPlane(camera)
+        v, u = np.mgrid[: self._rows, : self._columns] * DEPTH_CELL_PX
+        middles = np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5 * (DEPTH_CELL_PX - 1)
+        ideal = plane.from_pixels(middles) / plane.focal_length
+        return ideal.reshape(self._rows, self._columns, 2)
 
 
 def checked_triangles(

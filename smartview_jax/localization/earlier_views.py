@@ -5,7 +5,8 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..modeling import SeenViews
+from ..geometry import host_matrices
+from ..modeling import AnyCalibration, RigViews, SeenViews, command_at
 from ..robots import Command
 from .hypotheses import Hypothesis
 from .localization import Localizations
@@ -17,27 +18,71 @@ It is the rounding of a calibration that was saved and loaded again.
 """
 
 
-def check_calibration(previous: Localizations, calibration: Calibration) -> None:
-    """Raise a ValueError unless earlier views were read with the same calibration.
-
-    All views share one camera, so that another camera would read the earlier pictures wrongly.
+def together_with(
+    previous: Localizations, calibration: AnyCalibration, command: Command
+) -> tuple[AnyCalibration, Command]:
+    """Return the calibration and the reported poses of earlier views and later ones together.
 
     Args:
         previous: result for the earlier views.
-        calibration: of all views.
+        calibration: of the later views, or their cameras.
+        command: reported poses of the later views.
+
+    Raises:
+        ValueError: the earlier views were read with another calibration.
     """
-    if previous.calibration is None:
-        return
-    earlier = SeenViews.of(previous.calibration, previous.command).camera_from_world
-    now = SeenViews.of(calibration, previous.command).camera_from_world
-    difference = _camera_difference(previous.calibration.camera, calibration.camera)
-    if not difference and not np.allclose(earlier, now, rtol=0.0, atol=SAME_CALIBRATION):
-        shift = np.linalg.norm(earlier[:, :3, 3] - now[:, :3, 3], axis=1).max()
+    earlier = previous.calibration
+    joined = joined_commands(previous.command, command)
+    if isinstance(calibration, Calibration):
+        if isinstance(earlier, Calibration):
+            _check_same(earlier, calibration, previous.command, "")
+        elif earlier is not None:
+            raise ValueError(
+                "previous: its views are of several cameras; give RigViews of the same rig, which "
+                "name the cameras of the new views"
+            )
+        return calibration, joined
+    if not isinstance(earlier, RigViews):
+        raise ValueError(
+            "previous: it was found with a single calibration; give that one, or localize the "
+            "pictures of all views together with RigViews"
+        )
+    if earlier.frame != calibration.frame:
+        raise ValueError(
+            f"previous: its poses are in the {earlier.frame} frame, the new ones in the "
+            f"{calibration.frame} frame"
+        )
+    poses = [host_matrices(part.base_from_tool) for part in (previous.command, command)]
+    for chain in earlier.chains():
+        now = calibration.calibrations.get(chain.camera)
+        if now is None:
+            raise ValueError(
+                f"previous: its views are of camera {chain.camera!r}, which the rig of the new "
+                f"views does not have: {', '.join(calibration.calibrations)}"
+            )
+        own = command_at(previous.command, chain.views)
+        _check_same(earlier.calibrations[chain.camera], now, own, f" of {chain.camera!r}")
+    return earlier.followed_by(poses[0], calibration, poses[1]), joined
+
+
+def _check_same(earlier: Calibration, now: Calibration, command: Command, whose: str) -> None:
+    """Raise a ValueError unless earlier views were read with the same calibration.
+
+    Args:
+        earlier: calibration with which they were read.
+        now: calibration for the same views.
+        command: reported poses of the earlier views.
+        whose: the camera in words, or empty.
+    """
+    poses = [SeenViews.of(one, command).camera_from_world for one in (earlier, now)]
+    difference = _camera_difference(earlier.camera, now.camera)
+    if not difference and not np.allclose(*poses, rtol=0.0, atol=SAME_CALIBRATION):
+        shift = np.linalg.norm(poses[0][:, :3, 3] - poses[1][:, :3, 3], axis=1).max()
         difference = f"camera poses that differ by up to {1e3 * shift:.3g} mm in translation"
     if difference:
         raise ValueError(
-            f"previous: its views were read with another calibration, {difference}; give the same "
-            "calibration, or localize the pictures of all views together"
+            f"previous: its views were read with another calibration{whose}, {difference}; give "
+            "the same calibration, or localize the pictures of all views together"
         )
 
 

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..cameras import Camera
+from ..cameras import AnyCamera, camera_axes
 from ..features import CLEARANCE
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled_optimised
@@ -118,7 +118,7 @@ class EdgeLines(NamedTuple):
 
 def edge_lines(
     wireframe: Wireframe,
-    camera: Camera,
+    camera: AnyCamera,
     lookup: EdgeLookup,
     camera_from_object: Float[Array, "4 4"],
     radius: Float[Array, ""],
@@ -225,7 +225,7 @@ def _is_behind(
 
 def _across_by_pose(
     wireframe: Wireframe,
-    camera: Camera,
+    camera: AnyCamera,
     camera_from_object: Float[Array, "4 4"],
     normals: Float[Array, "S 2"],
     visible: Bool[Array, "S"],
@@ -329,7 +329,7 @@ def _robust_weights(
 @compiled_optimised
 def lines_in_views(
     wireframe: Wireframe,
-    camera: Camera,
+    camera: AnyCamera,
     lookup: EdgeLookup,
     camera_from_world: Float[Array, "views 4 4"],
     world_from_object: Float[Array, "4 4"],
@@ -337,7 +337,9 @@ def lines_in_views(
 ) -> EdgeLines:
     """Return the lines of `edge_lines` in all views."""
 
-    def in_view(view_lookup: EdgeLookup, matrix: Float[Array, "4 4"]) -> EdgeLines:
-        return edge_lines(wireframe, camera, view_lookup, matrix @ world_from_object, radius)
+    def in_view(
+        view_camera: AnyCamera, view_lookup: EdgeLookup, matrix: Float[Array, "4 4"]
+    ) -> EdgeLines:
+        return edge_lines(wireframe, view_camera, view_lookup, matrix @ world_from_object, radius)
 
-    return jax.vmap(in_view)(lookup, camera_from_world)
+    return jax.vmap(in_view, (camera_axes(camera), 0, 0))(camera, lookup, camera_from_world)

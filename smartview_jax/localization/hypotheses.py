@@ -129,16 +129,19 @@ def _picture_proposals(
     evidence: Sequence[PictureEvidence], views: SeenViews
 ) -> tuple[list[PicturePaths], list[SpaceEdges]]:
     """Return the paths of each picture, and the edges in space of pairs of pictures."""
-    plane, poses = IdealPlane(views.camera), views.camera_from_world
+    planes, poses = [IdealPlane(camera) for camera in views.cameras], views.camera_from_world
     features = [picture.features for picture in evidence]
     # A single picture has only paths; of two pictures they help where edges in space fail. Their
     # number is limited such that all pictures together propose about as many as two do.
     most = MAX_PATHS_ALONE if len(features) == 1 else 2 * MAX_PATHS // len(features)
-    paths = [picture_paths(found, plane, most) for found in features]
+    paths = [picture_paths(*view, most) for view in zip(features, planes, strict=True)]
     pairs = list(combinations(range(len(features)), 2))
     # Of many pictures, pair each with the next: all take part, and the time grows linearly.
     pairs = pairs if len(features) <= 3 else [(k, k + 1) for k in range(len(features) - 1)]
-    edges = [stereo_edges(features[i], features[j], plane, poses[[i, j]]) for i, j in pairs]
+    edges = [
+        stereo_edges(features[i], features[j], (planes[i], planes[j]), poses[[i, j]])
+        for i, j in pairs
+    ]
     return paths, edges
 
 
@@ -146,7 +149,9 @@ def _junctions_alone(evidence: Sequence[PictureEvidence], views: SeenViews) -> J
     """Return the junctions of a single picture; None for several, which propose enough."""
     if len(evidence) > 1:
         return None
-    return Junctions.of(evidence[0].features, IdealPlane(views.camera), views.camera_from_world[0])
+    return Junctions.of(
+        evidence[0].features, IdealPlane(views.cameras[0]), views.camera_from_world[0]
+    )
 
 
 def _best(

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration
 from ..features import PictureEvidence
-from ..modeling import ObjectModel
+from ..modeling import AnyCalibration, ObjectModel
 from ..robots import Command
 from .evidence import log_odds_of
 from .refinement import RefinedPose
@@ -156,13 +155,13 @@ class Localizations(tuple[Localization, ...]):
             before all poses were judged.
         pictures: of all views so far.
         command: what the robot reported in these views.
-        calibration: with which they were read; None if unknown.
+        calibration: with which they were read, or the cameras that took them; None if unknown.
     """
 
     messages: tuple[str, ...]
     pictures: tuple[PictureEvidence, ...]
     command: Command
-    calibration: Calibration | None
+    calibration: AnyCalibration | None
 
     def __new__(
         cls,
@@ -170,7 +169,7 @@ class Localizations(tuple[Localization, ...]):
         messages: tuple[str, ...],
         pictures: tuple[PictureEvidence, ...],
         command: Command,
-        calibration: Calibration | None = None,
+        calibration: AnyCalibration | None = None,
     ) -> "Localizations":
         """Return the localizations with their messages, pictures, command and calibration."""
         self = super().__new__(cls, found)
@@ -185,7 +184,7 @@ class Localizations(tuple[Localization, ...]):
         tuple[str, ...],
         tuple[PictureEvidence, ...],
         Command,
-        Calibration | None,
+        AnyCalibration | None,
     ]:
         """Return the arguments of `__new__`, for copies and pickles."""
         return tuple(self), self.messages, self.pictures, self.command, self.calibration

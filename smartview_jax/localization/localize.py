@@ -12,15 +12,15 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration
+from ..cameras import Camera
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate
-from ..features import PictureEvidence, picture_evidence
-from ..modeling import CalibrationUncertainty, ObjectModel, SeenViews
+from ..features import PictureEvidence, picture_evidence, scaled_camera
+from ..modeling import AnyCalibration, CalibrationUncertainty, ObjectModel, RigViews, SeenViews
 from ..robots import CommandLike
 from .candidates import Prepared
 from .depth_buffers import checked_triangles
-from .earlier_views import check_calibration, hypotheses_of, joined_commands, own_command
+from .earlier_views import hypotheses_of, own_command, together_with
 from .hypotheses import ALL_HYPOTHESES, Hypothesis, checked_box, find_hypotheses
 from .judging import MAX_REJECTED
 from .localization import Localization, Localizations, model_name
@@ -33,8 +33,8 @@ from .search_rounds import Found, judged_in_rounds
 
 def localize(
     pictures_or_features: Sequence[np.ndarray | PictureEvidence],
-    poses: CommandLike,
-    calibration: Calibration,
+    poses: CommandLike | None,
+    calibration: AnyCalibration,
     models: ObjectModel | Sequence[ObjectModel],
     *,
     covariance: CalibrationEstimate | None = None,
@@ -49,16 +49,19 @@ def localize(
     Args:
         pictures_or_features: uint8 pictures, or the result of `picture_evidence` for each; one a
             view.
-        poses: poses that the robot reported in each view, `base_from_tool`.
-        calibration: the calibrated camera; poses of objects are in its world frame.
+        poses: poses that the robot reported in each view, `base_from_tool`; None for cameras next
+            to the arm whose results are in the base frame (`RigViews`).
+        calibration: the calibrated camera; poses of objects are in its world frame. For pictures of
+            several cameras, such as a stereo pair, `RigViews` that name the camera of each.
         models: models of the objects that may be there, any number of each.
         covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
-            calibration as exact.
+            calibration as exact. `RigViews` of a rig's fit have its joint covariance.
         noise: sizes of the robot's noise in these views; by default the noise of the fit.
         previous: result for earlier views of the same scene. Their pictures are used together with
             the new ones, and every pose that is accepted, open or a rival is judged again. Models
             without such a pose are searched again in all pictures. It must have been found with the
-            same calibration, with which the pictures of the earlier views are read again.
+            same calibration, or with cameras of the same rig: each earlier picture is read again
+            with the camera that took it.
         hypotheses: initial poses; by default they are searched in the pictures.
         workspace: two opposite corners of a box in the world, m, that contains the objects, such as
             a bin; nothing outside is found. None for anywhere.
@@ -69,10 +72,11 @@ def localize(
         The objects found, accepted ones first; `messages` says why others were not accepted.
 
     Raises:
-        ValueError: no views, numbers of poses and pictures that differ, a model without edges, a
-            picture without usable edges or given twice, a workspace that is not a box, occluders
-            that are not triangles, a hypothesis of an unknown model, or `previous` found with
-            another calibration; the message names the view, model or argument.
+        ValueError: no views, numbers of poses and pictures that differ, a picture that is not of
+            its camera's size, has no usable edges or is given twice, a model without edges, a
+            workspace that is not a box, occluders that are not triangles, a hypothesis of an
+            unknown model, or `previous` found with another calibration; the message names the view,
+            model or argument.
 
     For example:
 
@@ -93,16 +97,16 @@ def localize(
     # OpenCV and NumPy release the interpreter lock, so that pictures are searched in parallel.
     with ThreadPoolExecutor(THREADS) as pool:
         count = len(pictures_or_features)
-        found_in = pool.map(_evidence, range(count), pictures_or_features, [calibration] * count)
+        found_in = pool.map(_evidence, range(count), pictures_or_features, views.cameras)
         pictures = tuple(found_in)
     if previous is not None:
-        check_calibration(previous, calibration)
-        command = joined_commands(previous.command, own_command(views))
+        calibration, command = together_with(previous, calibration, own_command(views))
         pictures = (*previous.pictures, *pictures)
         views = SeenViews.of(calibration, command)
     uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
-    pictures, views = at_one_scale(pictures, views)
-    uncertainty = uncertainty.resized(calibration.camera, views.camera)
+    given_views = views
+    pictures, views = at_one_scale(pictures, given_views)
+    uncertainty = uncertainty.resized(given_views, views)
     _check_distinct(pictures)
     # With earlier results only their remaining poses are judged in the new views, without a
     # search.
@@ -132,15 +136,23 @@ def _prepared(models: ObjectModel | Sequence[ObjectModel]) -> list[Prepared]:
 
 
 def _checked_views(
-    pictures: Sequence[np.ndarray | PictureEvidence], poses: CommandLike, calibration: Calibration
+    pictures: Sequence[np.ndarray | PictureEvidence],
+    poses: CommandLike | None,
+    calibration: AnyCalibration,
 ) -> SeenViews:
     """Return the views, after checking that each picture has a pose."""
     if isinstance(pictures, np.ndarray | PictureEvidence) or not len(pictures):
         raise ValueError("pictures: expected a list of pictures, one for each view")
-    if not isinstance(calibration, Calibration):
+    if not isinstance(calibration, AnyCalibration):
         kind = type(calibration).__name__
         raise ValueError(
-            f"calibration: expected a Calibration, such as fit.calibration; found {kind}"
+            "calibration: expected a Calibration, such as fit.calibration, or RigViews that name "
+            f"the camera of each picture; found {kind}"
+        )
+    if isinstance(calibration, RigViews) and len(calibration) != len(pictures):
+        raise ValueError(
+            f"calibration: {len(pictures)} pictures, but RigViews name the cameras of "
+            f"{len(calibration)} views"
         )
     views = SeenViews.of(calibration, poses)
     count = len(views.camera_from_world)
@@ -152,11 +164,13 @@ def _checked_views(
     return views
 
 
-def _evidence(
-    view: int, picture: np.ndarray | PictureEvidence, calibration: Calibration
-) -> PictureEvidence:
+def _evidence(view: int, picture: np.ndarray | PictureEvidence, camera: Camera) -> PictureEvidence:
     """Return the edges, corners and segments of a view's picture."""
     if isinstance(picture, PictureEvidence):
+        expected = scaled_camera(camera, picture.scale).image_size
+        if picture.features.image_size != expected:
+            found, wanted = ("x".join(map(str, s)) for s in (picture.features.image_size, expected))
+            raise ValueError(f"view {view}: evidence of a picture of {found} px, expected {wanted}")
         return picture
     if not isinstance(picture, np.ndarray):
         raise ValueError(
@@ -164,7 +178,7 @@ def _evidence(
             f"{type(picture).__name__}"
         )
     try:
-        return picture_evidence(picture, calibration.camera)
+        return picture_evidence(picture, camera)
     except ValueError as error:
         raise ValueError(f"view {view}: {error}") from None
 

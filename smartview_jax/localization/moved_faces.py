@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..cameras import Camera
+from ..cameras import AnyCamera
 from ..modeling import ObjectModel, SeenViews
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
@@ -137,11 +137,12 @@ def _found_lengths(
     lookup: EdgeLookup,
 ) -> Float[np.ndarray, "places"]:
     """Return the edge length that is found with a face at each distance, px."""
-    arrays = to_device(padded_poses(views.camera_from_world)), to_device(pose)
+    poses = padded_poses(views.camera_from_world)
+    camera, arrays = views.camera_for(len(poses)), (to_device(poses), to_device(pose))
 
     def of_batch(batch_distances: Float[np.ndarray, "places"]) -> Float[np.ndarray, "places"]:
         batch = to_device(repeat_last(batch_distances, PLACES_PER_BATCH))
-        lengths = _found_at_places(wireframe, rates, views.camera, lookup, *arrays, batch)
+        lengths = _found_at_places(wireframe, rates, camera, lookup, *arrays, batch)
         return np.asarray(lengths)[: len(batch_distances)]
 
     return np.concatenate(in_batches(of_batch, distances, PLACES_PER_BATCH))
@@ -151,7 +152,7 @@ def _found_lengths(
 def _found_at_places(
     wireframe: Wireframe,
     rates: _Rates,
-    camera: Camera,
+    camera: AnyCamera,
     lookup: EdgeLookup,
     camera_from_world: Float[Array, "views 4 4"],
     pose: Float[Array, "4 4"],

@@ -86,8 +86,9 @@ def next_view(
     """Return the reachable view that best separates rival hypotheses and reduces pose errors.
 
     Args:
-        localizations: results of `localize`; rejected ones are ignored.
-        calibration: as for `localize`.
+        localizations: results of `localize`, in the world frame of the calibration; rejected ones
+            are ignored.
+        calibration: of the camera that takes the next view.
         reachable: the views that the robot may take.
         noise: of the robot, whose error limits the information of the new view; None for an exact
             robot.

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from ..cameras import distinct_cameras, with_cameras
 from ..features import PictureEvidence, scaled_camera
 from ..modeling import SeenViews
 
@@ -11,15 +12,17 @@ def at_one_scale(
 ) -> tuple[tuple[PictureEvidence, ...], SeenViews]:
     """Return the evidence of all pictures at the scale of the sharpest one, and the views.
 
-    The camera of the returned views is the camera of the reduced pictures.
+    The cameras of the returned views are the cameras of the reduced pictures.
 
     Args:
         pictures: of all views.
-        views: with the camera that took them, or already with the camera of the reduced pictures.
+        views: with the cameras that took them, or already with the ones of the reduced pictures.
     """
-    size = views.camera.image_size
-    if not len(pictures) or all(picture.features.image_size == size for picture in pictures):
+    # Numbers that differ are refused by whatever looks into the pictures.
+    both = list(zip(pictures, views.cameras, strict=False))
+    if all(picture.features.image_size == camera.image_size for picture, camera in both):
         return tuple(pictures), views
     scale = max(picture.scale for picture in pictures)
-    alike = tuple(picture.at(scale, views.camera) for picture in pictures)
-    return alike, views._replace(camera=scaled_camera(views.camera, scale))
+    alike = tuple(picture.at(scale, camera) for picture, camera in both)
+    scaled = [scaled_camera(camera, scale) for camera in distinct_cameras(views.camera)]
+    return alike, views._replace(camera=with_cameras(views.camera, scaled))

@@ -122,7 +122,7 @@ def _residuals(
     # p_camera = R (p + v + w x p) + t, and with u = (f x / z, f y / z)
     # n . du = (n_x, n_y, -n . u / f) f / z . dp_camera
     R = (maps.camera_from_world[view] @ pose)[:3, :3]
-    f, z = maps.focal_length, samples.in_camera[:, 2]
+    f, z = maps.focal_length[view], samples.in_camera[:, 2]
     along = -(normal * samples.ideal).sum(axis=1) / f
     covector = jnp.concatenate([normal, along[:, None]], axis=1) * (f / z)[:, None]
     by_shift = covector @ R

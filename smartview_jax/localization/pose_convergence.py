@@ -15,7 +15,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..cameras import Camera
+from ..cameras import AnyCamera
 from ..modeling import SeenViews
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
@@ -46,7 +46,7 @@ DAMPING = 1e-3
 @compiled_optimised
 def converged_poses(
     wireframe: Wireframe,
-    camera: Camera,
+    camera: AnyCamera,
     lookup: EdgeLookup,
     camera_from_world: Float[Array, "views 4 4"],
     world_from_object: Float[Array, "poses 4 4"],
@@ -73,7 +73,7 @@ def converged_poses(
 @compiled_optimised
 def _lengths_at(
     wireframe: Wireframe,
-    camera: Camera,
+    camera: AnyCamera,
     lookup: EdgeLookup,
     camera_from_world: Float[Array, "views 4 4"],
     world_from_object: Float[Array, "poses 4 4"],
@@ -87,7 +87,7 @@ def _lengths_at(
 
 def lengths_at(
     wireframe: Wireframe,
-    camera: Camera,
+    camera: AnyCamera,
     lookup: EdgeLookup,
     camera_from_world: Float[Array, "views 4 4"],
     pose: Float[Array, "4 4"],
@@ -133,10 +133,11 @@ def _in_batches(
 ) -> list[Any]:
     """Return a program's results for batches of poses, the last padded with its last pose."""
     camera_from_world = to_device(padded_poses(views.camera_from_world))
+    camera = views.camera_for(len(camera_from_world))
 
     def of_batch(poses: Float[np.ndarray, "poses 4 4"]) -> Any:
         batch = to_device(repeat_last(poses, POSES_PER_BATCH))
-        result = program(wireframe, views.camera, lookup, camera_from_world, batch)
+        result = program(wireframe, camera, lookup, camera_from_world, batch)
         return jax.block_until_ready(result)
 
     return in_batches(of_batch, world_from_object, POSES_PER_BATCH)

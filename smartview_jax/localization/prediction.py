@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..cameras import Camera
+from ..cameras import AnyCamera
 from .wireframe import Wireframe
 
 
@@ -40,7 +40,7 @@ class PredictedView(NamedTuple):
 
 
 def predict_view(
-    wireframe: Wireframe, camera: Camera, camera_from_object: Float[Array, "4 4"]
+    wireframe: Wireframe, camera: AnyCamera, camera_from_object: Float[Array, "4 4"]
 ) -> PredictedView:
     """Return how a camera sees a wireframe.
 
@@ -189,7 +189,7 @@ def triangle_crossings(
 
 
 def pose_jacobians(
-    points: Float[Array, "n 3"], camera: Camera, camera_from_object: Float[Array, "4 4"]
+    points: Float[Array, "n 3"], camera: AnyCamera, camera_from_object: Float[Array, "4 4"]
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2 6"]]:
     """Return the pixels of an object's points, and their derivatives by the object's pose.
 
@@ -231,7 +231,7 @@ def _norm(vectors: Float[Array, "n k"]) -> Float[Array, "n"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
 
-def within_picture(pixels: Float[Array, "n 2"], camera: Camera) -> Bool[Array, "n"]:
+def within_picture(pixels: Float[Array, "n 2"], camera: AnyCamera) -> Bool[Array, "n"]:
     """Return which pixels are within the picture; False for NaN."""
     size = jnp.asarray(camera.image_size, dtype=pixels.dtype)[None]
     return ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)

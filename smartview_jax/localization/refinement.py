@@ -156,11 +156,12 @@ def measured_lines(
         world_from_object: pose.
         radius: largest distance of an edge point from its predicted edge, px.
     """
+    poses = padded_poses(views.camera_from_world)
     lines = lines_in_views(
         wireframe,
-        views.camera,
+        views.camera_for(len(poses)),
         lookup,
-        to_device(padded_poses(views.camera_from_world)),
+        to_device(poses),
         to_device(world_from_object),
         to_device(float(radius)),
     )

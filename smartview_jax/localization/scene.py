@@ -97,7 +97,7 @@ class Scene:
         depths = [self._surfaces.inverse_depth, *(claim.inverse_depth for claim in claims)]
         return EdgeLookup.of(
             [picture.edge_points for picture in self.pictures],
-            self.views.camera.image_size,
+            self.views.largest_picture,
             free,
             np.maximum.reduce(depths),
             [picture.lone for picture in self.pictures],
@@ -115,8 +115,10 @@ class Scene:
     def free_pictures(self) -> list[PictureEvidence]:
         """Return the pictures without the segments along edge points that are taken."""
         return [
-            evidence_of_points(picture, free, self.views.camera)
-            for picture, free in zip(self.pictures, self._free(self._claims), strict=True)
+            evidence_of_points(picture, free, camera)
+            for picture, free, camera in zip(
+                self.pictures, self._free(self._claims), self.views.cameras, strict=True
+            )
         ]
 
     def lines(

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt8
 
 from ..features import DISTANCE_STEP, FAR, ORIENTATIONS, UNSEEN, PictureEvidence
 from ..modeling import SeenViews
@@ -44,8 +44,8 @@ class SceneMaps(eqx.Module):
         points: in ideal coordinates, px, padded to the same number in all views.
         normals: unit normals of the points.
         camera_from_world: extrinsics of the views.
-        origin: centre of the first cell, px.
-        cell_size, focal_length: px.
+        origin: centre of the first cell of each view, px.
+        cell_size, focal_length: of each view, px.
     """
 
     distances: UInt8[Array, "views orientations rows columns"]
@@ -53,9 +53,9 @@ class SceneMaps(eqx.Module):
     points: Float[Array, "views points 2"]
     normals: Float[Array, "views points 2"]
     camera_from_world: Float[Array, "views 4 4"]
-    origin: Float[Array, "2"]
-    cell_size: Float[Array, ""]
-    focal_length: Float[Array, ""]
+    origin: Float[Array, "views 2"]
+    cell_size: Float[Array, "views"]
+    focal_length: Float[Array, "views"]
 
     @classmethod
     def of(cls, evidence: Sequence[PictureEvidence], views: SeenViews) -> "SceneMaps":
@@ -79,20 +79,31 @@ class SceneMaps(eqx.Module):
             return np.stack([np.pad(part, ((0, size - len(part)), (0, 0))) for part in parts])
 
         return cls(
-            to_device(np.stack([view.distances for view in maps])),
-            to_device(np.stack([view.nearest for view in maps])),
+            to_device(stacked_maps([view.distances for view in maps], UNSEEN)),
+            to_device(stacked_maps([view.nearest for view in maps], 0)),
             *(
                 to_device(np.asarray(array, np.float32))
                 for array in (
                     padded([view.points for view in maps]),
                     padded([view.normals for view in maps]),
                     views.camera_from_world,
-                    maps[0].origin,
-                    maps[0].cell_size,
-                    maps[0].focal_length,
+                    np.stack([view.origin for view in maps]),
+                    np.array([view.cell_size for view in maps]),
+                    np.array([view.focal_length for view in maps]),
                 )
             ),
         )
+
+
+def stacked_maps(
+    maps: Sequence[Shaped[np.ndarray, "orientations _ _"]], value: int
+) -> Shaped[np.ndarray, "views orientations rows columns"]:
+    """Return the maps of pictures of any sizes, with a value where the smaller ones end."""
+    rows, columns = np.max([view.shape[1:] for view in maps], axis=0)
+    stacked = np.full((len(maps), len(maps[0]), rows, columns), value, maps[0].dtype)
+    for view, own in enumerate(maps):
+        stacked[view, :, : own.shape[1], : own.shape[2]] = own
+    return stacked
 
 
 class PoseScores(NamedTuple):
@@ -196,7 +207,7 @@ def _score(
     # One flat index: a lookup with three indices takes 1.5 times as long.
     distance = maps.distances[view].reshape(-1)[samples.cell]
     inside = samples.inside & (distance != UNSEEN)
-    squared = (distance.astype(jnp.float32) * (DISTANCE_STEP * maps.cell_size) / gate) ** 2
+    squared = (distance.astype(jnp.float32) * (DISTANCE_STEP * maps.cell_size[view]) / gate) ** 2
     weight = jnp.where(inside & (distance < FAR), jnp.maximum(1.0 - squared, 0.0), 0.0)
     # A view that shows nothing of the object does not count.
     px = jnp.where(samples.visible & (samples.visible & inside).any(), samples.px, 0.0)
@@ -239,7 +250,7 @@ def seen_samples(
     # Near the camera's plane an edge would be infinitely long in the picture.
     in_front = z > 1e-3 * jnp.abs(t[2])
     z = jnp.where(in_front, z, 1.0)
-    f = maps.focal_length
+    f = maps.focal_length[view]
     ideal = f * jnp.stack([x / z, y / z], axis=1)
     # d(x / z) = (dx - x / z dz) / z
     slope = f * (tangents[:, :2] - ideal / f * tangents[:, 2:]) / z[:, None]
@@ -247,7 +258,7 @@ def seen_samples(
     # Rounded to the nearest map; an edge and its reverse differ by half a turn and share a map.
     turns = jnp.arctan2(slope[:, 1], slope[:, 0]) * (ORIENTATIONS / jnp.pi)
     orientation = jnp.rint(turns).astype(jnp.int32) % ORIENTATIONS
-    cell = jnp.rint((ideal - maps.origin[None]) / maps.cell_size)
+    cell = jnp.rint((ideal - maps.origin[view][None]) / maps.cell_size[view])
     rows, columns = maps.distances.shape[-2:]
     inside = in_front & (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
     # Samples outside have zero weight, so that any cell will do.

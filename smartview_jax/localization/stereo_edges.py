@@ -5,6 +5,7 @@ line. Two lines in space that are not parallel define a frame, by their common p
 their directions. No corners are needed, so that these may be hidden.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -72,14 +73,14 @@ class EdgePairs(NamedTuple):
 def stereo_edges(
     first: Features,
     second: Features,
-    plane: IdealPlane,
+    planes: tuple[IdealPlane, IdealPlane],
     camera_from_world: Float[np.ndarray, "2 4 4"],
 ) -> SpaceEdges:
     """Return an edge in space for every two segments of two pictures that may correspond.
 
     Args:
         first, second: features of the two pictures.
-        plane: of the camera that took them.
+        planes: of the cameras that took them.
         camera_from_world: extrinsics of the two pictures.
     """
     R, t = camera_from_world[:, :3, :3], camera_from_world[:, :3, 3]
@@ -89,8 +90,9 @@ def stereo_edges(
     # Two pictures from the same place do not determine depth.
     if length == 0.0 or not len(first.segments) or not len(second.segments):
         return SpaceEdges(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    rays = [_end_rays(view, plane) @ R[k] for k, view in enumerate((first, second))]
-    angles = _epipolar_angles(rays, baseline / length, MIN_EXTENT / plane.focal_length)
+    rays = [_end_rays(view, planes[k]) @ R[k] for k, view in enumerate((first, second))]
+    least = [MIN_EXTENT / plane.focal_length for plane in planes]
+    angles = _epipolar_angles(rays, baseline / length, least)
     low = np.maximum(angles[0].min(axis=1)[:, None], angles[1].min(axis=1)[None])
     high = np.minimum(angles[0].max(axis=1)[:, None], angles[1].max(axis=1)[None])
     extents = np.ix_(*(np.ptp(angle, axis=1) for angle in angles))
@@ -129,12 +131,12 @@ def _end_rays(features: Features, plane: IdealPlane) -> Float[np.ndarray, "segme
 
 
 def _epipolar_angles(
-    rays: list[Float[np.ndarray, "_ 2 3"]], axis: Float[np.ndarray, "3"], smallest: float
+    rays: list[Float[np.ndarray, "_ 2 3"]], axis: Float[np.ndarray, "3"], least: Sequence[float]
 ) -> list[Float[np.ndarray, "_ 2"]]:
     """Return the angles about the baseline of the planes through the baseline and each ray, rad.
 
     The rays to one point in space have the same angle in both views. NaN for segments whose extent
-    is too small.
+    is below the least of their view.
     """
     # Zero is in the middle of the rays, so that no segment is split by the jump at half a turn.
     mean = np.concatenate([ray.reshape(-1, 3) for ray in rays]).mean(axis=0)
@@ -142,7 +144,10 @@ def _epipolar_angles(
     x = x / np.linalg.norm(x)
     y = np.cross(axis, x)
     angles = [np.arctan2(ray @ y, ray @ x) for ray in rays]
-    return [np.where(np.ptp(x, axis=1, keepdims=True) > smallest, x, np.nan) for x in angles]
+    return [
+        np.where(np.ptp(x, axis=1, keepdims=True) > smallest, x, np.nan)
+        for x, smallest in zip(angles, least, strict=True)
+    ]
 
 
 def model_edges(model: ObjectModel) -> SpaceEdges:

@@ -35,6 +35,9 @@ from .refining import SuspectClick as SuspectClick
 from .refining import Symmetric as Symmetric
 from .refining import refine as refine
 from .refining import suspect_clicks as suspect_clicks
+from .rig_views import AnyCalibration as AnyCalibration
+from .rig_views import RigViews as RigViews
+from .rig_views import calibration_of_views as calibration_of_views
 from .shapes import PLANAR_TOLERANCE as PLANAR_TOLERANCE
 from .shapes import Dimension as Dimension
 from .shapes import Face as Face

@@ -12,15 +12,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.linalg import block_diag
 
 from ..calibration import Calibration
-from ..cameras import Camera
-from ..engine import Noise, Parameters, PreparedPoses, Step, linearise_poses, parameter_names
+from ..cameras import distinct_cameras
+from ..engine import (
+    Noise,
+    Parameters,
+    PreparedPoses,
+    Step,
+    correction_names,
+    linearise_poses,
+    parameter_names,
+)
 from ..evaluation import CalibrationEstimate, covariance_root
+from ..geometry import host_matrices
 from ..joint import JointFit, SavedEstimate
 from ..robots import Command
 from ..runtime.compilation import compiled
-from .view_poses import SeenViews
+from .rig_views import AnyCalibration, RigViews
+from .view_poses import SeenViews, chain_command
 
 
 class CalibrationUncertainty(NamedTuple):
@@ -29,9 +40,11 @@ class CalibrationUncertainty(NamedTuple):
     Attributes:
         names: names of the numbers, as in `JointFit.std`; the views' own noise comes last.
         covariance: covariance of the numbers, in their own units.
-        view_jacobian: derivatives, by the numbers, of the camera's parameters and of the twist of
-            `camera_from_world` in the camera frame (translation, rotation), in each view.
-        shared_count: the first so many numbers are common to all views; six for each view follow.
+        view_jacobian: derivatives, by the numbers, of the parameters of the camera, or of all
+            cameras, and of the twist of `camera_from_world` in the camera frame (translation,
+            rotation), in each view.
+        shared_count: the first so many numbers are common to all views; six for each view follow,
+            or for each state of the robot in which several cameras took views.
     """
 
     names: tuple[str, ...]
@@ -50,7 +63,7 @@ class CalibrationUncertainty(NamedTuple):
     def of(
         cls,
         views: SeenViews,
-        calibration: Calibration,
+        calibration: AnyCalibration,
         estimate: CalibrationEstimate | None,
         noise: Noise | None = None,
     ) -> "CalibrationUncertainty":
@@ -58,15 +71,22 @@ class CalibrationUncertainty(NamedTuple):
 
         Args:
             views: the views.
-            calibration: their calibration.
+            calibration: their calibration, or their cameras.
             estimate: a joint fit or a bound with the calibration's covariance; None for an exact
-                calibration.
+                calibration, and for cameras, which have their own.
             noise: sizes of the robot's noise; by default the noise of a joint fit.
 
         Raises:
             ValueError: the estimate is of other parameters, leaves something undetermined, or its
                 noise leaves the poses free.
         """
+        if isinstance(calibration, RigViews):
+            if estimate is not None:
+                raise ValueError(
+                    "covariance: expected None, since views of a rig have the rig's own; make "
+                    "RigViews from the fit"
+                )
+            return cls._of_rig(views, calibration, noise)
         if estimate is None and noise is None:
             return cls.none(views)
         # A bound has no noise: either it is given, or the poses are exact.
@@ -87,13 +107,7 @@ class CalibrationUncertainty(NamedTuple):
         used = np.flatnonzero(np.any(roots != 0.0, axis=0))
         shared, per_view = map(np.asarray, _view_jacobians(calibration, views.command))
         count = len(views.camera_from_world)
-        sigmas = np.zeros(0)
-        if noise is not None:
-            sigmas = np.repeat([noise.translation, noise.rotation], 3)
-            if not np.isfinite(sigmas).all():
-                raise ValueError(
-                    "covariance: infinite robot noise, so the views' poses are unknown"
-                )
+        sigmas = np.zeros(0) if noise is None else _noise_sigmas(noise)
         # Six numbers for each view, independent of all others.
         size = len(sigmas) * count
         jacobian = np.zeros((count, shared.shape[1], len(used) + size))
@@ -110,19 +124,64 @@ class CalibrationUncertainty(NamedTuple):
         own_names = noise_names[len(names) :]
         return cls((*(names[k] for k in used), *own_names), covariance, jacobian, len(used))
 
-    def resized(self, camera: Camera, target: Camera) -> "CalibrationUncertainty":
-        """Return the uncertainty of the camera of the same pictures brought to another size.
+    @classmethod
+    def _of_rig(
+        cls, views: SeenViews, rig_views: RigViews, noise: Noise | None
+    ) -> "CalibrationUncertainty":
+        """Return the description for views of several cameras."""
+        estimate = rig_views.estimate
+        if estimate is None and noise is None:
+            return cls.none(views)
+        names, known = (), np.zeros((0, 0))
+        if estimate is not None:
+            names, known = estimate.parameter_names, estimate.covariance
+            noise = estimate.noise if noise is None else noise
+        assert noise is not None
+        chains = list(rig_views.chains())
+        needed = {name for chain in chains for name in chain.numbers}
+        used = [k for k, name in enumerate(names) if name in needed and known[k, k] > 0.0]
+        column = {names[k]: n for n, k in enumerate(used)}
+        # Pictures of several cameras in one state share the robot's noise.
+        count = len(views.camera_from_world)
+        poses = host_matrices(views.command.base_from_tool)[:count]
+        states = rig_views.state_indices(poses)
+        size = 6 * (int(states.max()) + 1)
+        jacobian = np.zeros((count, camera_parameter_count(views) + 6, len(used) + size))
+        first = 0
+        for chain in chains:
+            command = chain_command(chain, views.command)
+            shared, per_view = map(np.asarray, _view_jacobians(chain.calibration, command))
+            cameras = shared.shape[1] - 6
+            for k, name in enumerate(chain.numbers):
+                # Every view lists the parameters of all cameras, whichever took it.
+                if name in column and k < cameras:
+                    jacobian[:, first + k, column[name]] = 1.0
+                elif name in column:
+                    jacobian[chain.views, -6:, column[name]] = shared[: len(chain.views), -6:, k]
+            for k, view in enumerate(chain.views if not chain.is_fixed else ()):
+                place = len(used) + 6 * states[view]
+                jacobian[view, -6:, place : place + 6] = per_view[k]
+            first += cameras
+        variances = np.tile(_noise_sigmas(noise) ** 2, size // 6)
+        covariance = np.asarray(block_diag(known[np.ix_(used, used)], np.diag(variances)))
+        own_names = correction_names([str(k) for k in range(size // 6)])
+        return cls((*(names[k] for k in used), *own_names), covariance, jacobian, len(used))
+
+    def resized(self, views: SeenViews, target: SeenViews) -> "CalibrationUncertainty":
+        """Return the uncertainty of the cameras of the same pictures brought to another size.
 
         Args:
-            camera: of the pictures as they are.
-            target: of the resized pictures; see `Camera.resized`.
+            views: with the cameras of the pictures as they are.
+            target: with the cameras of the resized pictures; see `Camera.resized`.
         """
-        by_u, by_v = (
-            new / old for new, old in zip(target.image_size, camera.image_size, strict=True)
-        )
         # Focal lengths and principal point come first, and are in px; a lens has no px.
         factors = np.ones(self.view_jacobian.shape[1])
-        factors[:4] = by_u, by_v, by_u, by_v
+        first = 0
+        cameras = distinct_cameras(views.camera), distinct_cameras(target.camera)
+        for old, new in zip(*cameras, strict=True):
+            by_u, by_v = (b / a for a, b in zip(old.image_size, new.image_size, strict=True))
+            factors[first : first + 4] = by_u, by_v, by_u, by_v
+            first += sum(np.size(leaf) for leaf in jax.tree.leaves(old))
         return self._replace(view_jacobian=factors[:, None] * self.view_jacobian)
 
     def propagate(
@@ -133,8 +192,20 @@ class CalibrationUncertainty(NamedTuple):
 
 
 def camera_parameter_count(views: SeenViews) -> int:
-    """Return the number of intrinsic parameters, lens included."""
-    return sum(np.size(leaf) for leaf in jax.tree.leaves(views.camera))
+    """Return the number of intrinsic parameters of all cameras, lenses included."""
+    return sum(np.size(leaf) for leaf in jax.tree.leaves(distinct_cameras(views.camera)))
+
+
+def _noise_sigmas(noise: Noise) -> Float[np.ndarray, "6"]:
+    """Return the standard deviations of a reported pose's twist.
+
+    Raises:
+        ValueError: they are infinite.
+    """
+    sigmas = np.repeat([noise.translation, noise.rotation], 3)
+    if not np.isfinite(sigmas).all():
+        raise ValueError("covariance: infinite robot noise, so the views' poses are unknown")
+    return sigmas
 
 
 @compiled

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.special import chdtrc
 
-from ..calibration import Calibration
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate
 from ..robots import CommandLike
@@ -22,6 +21,7 @@ from .calibration_uncertainty import CalibrationUncertainty
 from .click_deletion import deletion_of
 from .estimated_features import PointStatus
 from .pixel_jacobians import pixel_jacobians
+from .rig_views import AnyCalibration
 from .triangulation import CLICK_SIGMA, solve_points
 from .view_poses import SeenViews, whitening_of
 
@@ -58,8 +58,8 @@ class WrongCorrespondence(NamedTuple):
 
 
 def wrong_correspondences(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     pixels: np.ndarray | Array,
     visible: np.ndarray | Array | None = None,
     *,

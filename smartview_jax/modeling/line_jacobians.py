@@ -11,10 +11,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from ..cameras import Camera
+from ..cameras import AnyCamera, camera_axes, ravelled_cameras
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from ..runtime.padding import repeat_last
@@ -114,7 +113,7 @@ def line_jacobians(
     # Ends that are not visible may be NaN; the top-left pixel is within every lens.
     safe = np.where(visible[..., None, None], segments, 0.0)
     arrays = _jacobians(
-        views.camera,
+        views.camera_for(len(poses)),
         to_device(poses),
         to_device(np.concatenate([numbers, rows])),
         to_device(padded_to(safe, shape)),
@@ -126,7 +125,7 @@ def line_jacobians(
 
 @compiled
 def _jacobians(
-    camera: Camera,
+    camera: AnyCamera,
     camera_from_world: Float[Array, "views 4 4"],
     lines: Float[Array, "lines 12"],
     segments: Float[Array, "views lines 2 2"],
@@ -139,10 +138,18 @@ def _jacobians(
     Float[Array, "views lines 2 local"],
 ]:
     """Return the arrays of `LineJacobians`."""
-    numbers, rebuild = ravel_pytree(camera)
-    count = numbers.size
+    count = ravelled_cameras(camera)[0].size
 
-    def of_end(pose: Array, line: Array, pixel: Array, covariance: Array, used: Array) -> tuple:
+    def of_end(
+        view_camera: AnyCamera,
+        pose: Array,
+        line: Array,
+        pixel: Array,
+        covariance: Array,
+        used: Array,
+    ) -> tuple:
+        numbers, rebuild = ravelled_cameras(view_camera)
+
         def angle(step: Array, z: Array) -> Array:
             """Return the sine of the angle between a pixel's ray and the line's plane."""
             point, direction = line[:3], line[3:6]
@@ -171,7 +178,7 @@ def _jacobians(
         return value * scale, sigma, by_step[:4] * scale, by_step[4:] * scale
 
     # Both ends of a segment share its line and view; all lines share the view's pose.
-    ends = jax.vmap(of_end, (None, None, 0, 0, None))
-    over_lines = jax.vmap(ends, (None, 0, 0, 0, 0))
-    over_views = jax.vmap(over_lines, (0, None, 0, 0, 0))
-    return over_views(camera_from_world, lines, segments, covariances, visible)
+    ends = jax.vmap(of_end, (None, None, None, 0, 0, None))
+    over_lines = jax.vmap(ends, (None, None, 0, 0, 0, 0))
+    over_views = jax.vmap(over_lines, (camera_axes(camera), 0, None, 0, 0, 0))
+    return over_views(camera, camera_from_world, lines, segments, covariances, visible)

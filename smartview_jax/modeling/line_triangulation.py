@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration
 from ..engine import Noise
 from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
@@ -25,6 +24,7 @@ from .calibration_uncertainty import CalibrationUncertainty
 from .estimated_features import MAX_RELATIVE_STD, EstimatedFeatures, PointStatus
 from .line_jacobians import Lines, line_jacobians
 from .point_estimation import CONVERGED_DECREMENT, MAX_STEPS
+from .rig_views import AnyCalibration
 from .triangulation import CLICK_SIGMA
 from .view_poses import SeenViews, checked_sigma, padded_count, padded_to, unit_rays
 
@@ -56,8 +56,8 @@ class TriangulatedLines(EstimatedFeatures):
 
 
 def triangulate_lines(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     segments: np.ndarray | Array,
     visible: np.ndarray | Array | None = None,
     *,
@@ -71,7 +71,9 @@ def triangulate_lines(
 
     Args:
         calibration: the calibrated camera; results are in its world frame, in true metres.
-        poses: poses that the robot reported in each view, `base_from_tool`.
+            `RigViews` for views of several cameras.
+        poses: poses that the robot reported in each view, `base_from_tool`; None where the robot
+            does not matter (`RigViews`).
         segments: `(views, lines, 2, 2)`, both ends of each line's segment, px. The ends in
             different views need not be the same points of the line.
         visible: `(views, lines)`, where each has a segment; by default where it is finite.
@@ -158,7 +160,7 @@ def world_rays(
     """Return the rays of all ends in the world, and where both ends are within the lens."""
     shape = (len(views.padded), padded_count(seen.shape[1]))
     safe = np.where(seen[..., None, None], segments, 0.0)
-    rays, valid = unit_rays(views.camera, to_device(padded_to(safe, shape)))
+    rays, valid = unit_rays(views.camera_for(shape[0]), to_device(padded_to(safe, shape)))
     # A segment with one end outside the lens is not used at all.
     used = seen & np.asarray(valid)[: len(seen), : seen.shape[1]].all(axis=-1)
     rays = np.asarray(rays)[: len(seen), : seen.shape[1]]

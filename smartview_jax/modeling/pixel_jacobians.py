@@ -5,10 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from ..cameras import Camera
+from ..cameras import AnyCamera, ravelled_cameras
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from ..runtime.padding import repeat_last
@@ -22,8 +21,8 @@ class PixelJacobians(NamedTuple):
         pixels: predicted pixels.
         valid: whether a point can be projected.
         by_point: derivatives by the point in the world, px/m.
-        by_view: derivatives by the camera's parameters, then by the twist of `camera_from_world`
-            in the camera frame (translation, rotation).
+        by_view: derivatives by the parameters of the camera, or of all cameras, then by the twist
+            of `camera_from_world` in the camera frame (translation, rotation).
     """
 
     pixels: Float[np.ndarray, "views points 2"]
@@ -50,13 +49,16 @@ def pixel_jacobians(
         poses = repeat_last(camera_from_world, len(poses))
     # A padded point may lie behind a camera, where it is invalid; padding is cut off below.
     padded = padded_to(points, (padded_count(count),), 0.0)
-    arrays = _jacobians(views.camera, to_device(poses), to_device(padded))
+    camera = views.camera_for(len(poses))
+    arrays = _jacobians(camera, to_device(poses), to_device(padded))
     return PixelJacobians(*(np.asarray(array)[:view_count, :count] for array in arrays))
 
 
 @compiled
 def _jacobians(
-    camera: Camera, camera_from_world: Float[Array, "views 4 4"], points: Float[Array, "points 3"]
+    camera: AnyCamera,
+    camera_from_world: Float[Array, "views 4 4"],
+    points: Float[Array, "points 3"],
 ) -> tuple[
     Float[Array, "views points 2"],
     Bool[Array, "views points"],
@@ -67,7 +69,7 @@ def _jacobians(
     # p = R x + t
     rotation, translation = camera_from_world[:, :3, :3], camera_from_world[:, :3, 3]
     p = jnp.einsum("vij,pj->vpi", rotation, points) + translation[:, None]
-    numbers, rebuild = ravel_pytree(camera)
+    numbers, rebuild = ravelled_cameras(camera)
     pixels, valid = camera.project(p)
 
     def by_camera_frame(tangent: Float[Array, "3"]) -> Float[Array, "views points 2"]:

@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..cameras import Camera
+from ..cameras import AnyCamera
 from ..engine import AbstractLoss
 
 
 class PointProblem(NamedTuple):
     """The arguments of `estimate_points`."""
 
-    camera: Camera
+    camera: AnyCamera
     camera_from_world: Float[Array, "views 4 4"]
     pixels: Float[Array, "views points 2"]
     whitening: Float[Array, "#views #points 2 2"]

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..cameras import Camera
+from ..cameras import AnyCamera
 from ..engine import AbstractLoss
 from ..runtime.compilation import compiled
 from .estimated_features import MAX_RELATIVE_STD, PointStatus
@@ -52,7 +52,7 @@ class PointSolution(NamedTuple):
 
 @compiled
 def estimate_points(
-    camera: Camera,
+    camera: AnyCamera,
     camera_from_world: Float[Array, "views 4 4"],
     pixels: Float[Array, "views points 2"],
     whitening: Float[Array, "#views #points 2 2"],
@@ -64,7 +64,7 @@ def estimate_points(
     It supports `jit`, `vmap` and differentiation by all arrays and the camera's parameters.
 
     Args:
-        camera: intrinsics and lens.
+        camera: intrinsics and lens, of all views or of each.
         camera_from_world: extrinsics.
         pixels: px; any finite number where not visible.
         whitening: matrices that scale pixel errors to unit covariance.
@@ -224,7 +224,7 @@ def nearest_to_rays(
     # An angle of one pixel is about 1 / sqrt(alpha_u alpha_v) rad.
     information = jnp.abs(
         whitening[..., 0, 0] * whitening[..., 1, 1] - whitening[..., 0, 1] * whitening[..., 1, 0]
-    ) * (camera.alpha_u * camera.alpha_v)
+    ) * (camera.alpha_u * camera.alpha_v).reshape(-1, 1)
     # The first pass weights all rays alike; only the second knows the distances.
     weight = jnp.where(used, information, 0.0)
     x = [jnp.zeros(problem.pixels.shape[1])] * 3

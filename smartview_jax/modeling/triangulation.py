@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration
 from ..engine import AbstractLoss, Noise
 from ..evaluation import CalibrationEstimate, root_mean_square
 from ..robots import CommandLike
@@ -22,6 +21,7 @@ from .calibration_uncertainty import CalibrationUncertainty
 from .estimated_features import EstimatedPoints, PointStatus
 from .pixel_jacobians import pixel_jacobians
 from .point_estimation import estimate_points
+from .rig_views import AnyCalibration
 from .view_poses import (
     MAX_PADDED_FEATURES,
     SeenViews,
@@ -55,8 +55,8 @@ class TriangulatedPoints(EstimatedPoints):
 
 
 def triangulate_points(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     pixels: np.ndarray | Array,
     visible: np.ndarray | Array | None = None,
     *,
@@ -72,7 +72,9 @@ def triangulate_points(
 
     Args:
         calibration: the calibrated camera; results are in its world frame, in true metres.
-        poses: poses that the robot reported in each view, `base_from_tool`.
+            `RigViews` for views of several cameras.
+        poses: poses that the robot reported in each view, `base_from_tool`; None where the robot
+            does not matter (`RigViews`).
         pixels: `(views, points, 2)`, px, OpenCV's convention.
         visible: `(views, points)`, where each is visible; by default where its pixel is finite.
         covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
@@ -134,7 +136,7 @@ def solve_points(
         # One program, whether the observations have one sigma or each its own.
         whitening = padded_to(np.broadcast_to(whitening, (*visible.shape, 2, 2)), shape)
     solution = estimate_points(
-        views.camera,
+        views.camera_for(len(poses)),
         to_device(poses),
         to_device(padded_to(safe, shape)),
         to_device(whitening),

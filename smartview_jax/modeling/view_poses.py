@@ -6,15 +6,22 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration
-from ..cameras import Camera, in_picture
+from ..cameras import (
+    AnyCamera,
+    Camera,
+    camera_axes,
+    cameras_for,
+    cameras_of_views,
+    in_picture,
+)
 from ..geometry import check_rigid, host_matrices, host_transforms
 from ..robots import Command, CommandLike
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from ..runtime.padding import in_batches, power_of_two_from, repeat_last
+from .rig_views import AnyCalibration, CameraChain, RigViews
 
 PADDED_VIEWS = 4
 """Views are padded to a multiple of this number, so that one more view needs no compilation."""
@@ -63,10 +70,22 @@ def as_checked_command(poses: CommandLike, names: Sequence[str] | None = None) -
     return Command(host_transforms(matrices), to_device(readings))
 
 
-def command_at(command: Command, views: int | Sequence[int]) -> Command:
+def command_at(command: Command, views: int | Sequence[int] | np.ndarray) -> Command:
     """Return the reported pose of one view, without a batch axis, or of several views."""
     # On the host, since indexing a device array compiles a program.
     return jax.tree.map(lambda array: to_device(np.asarray(array)[views]), command)
+
+
+def chain_command(chain: CameraChain, command: Command) -> Command:
+    """Return the reported poses of a camera's views, padded; the identity if they do not matter.
+
+    Args:
+        chain: of the camera.
+        command: reported poses of all views.
+    """
+    if chain.is_fixed:
+        return padded_views(Command(host_transforms(np.tile(np.eye(4), (len(chain.views), 1, 1)))))
+    return padded_views(command_at(command, chain.views))
 
 
 def single_pose(pose: CommandLike) -> CommandLike:
@@ -100,33 +119,87 @@ def padded_to(array: np.ndarray, shape: tuple[int, ...], value: float | bool = 0
 
 
 class SeenViews(NamedTuple):
-    """The poses of the camera in all views, on the host and padded for the device.
+    """The cameras and their poses in all views, on the host and padded for the device.
 
     Attributes:
-        camera: intrinsics and lens.
+        camera: intrinsics and lens, of all views or of each.
         camera_from_world: extrinsics without padding, on the host.
         padded: extrinsics with the last view repeated, for programs.
         command: the reported poses, padded in the same way.
     """
 
-    camera: Camera
+    camera: AnyCamera
     camera_from_world: Float[np.ndarray, "views 4 4"]
     padded: Float[np.ndarray, "padded_views 4 4"]
     command: Command
 
     @classmethod
-    def of(cls, calibration: Calibration, poses: CommandLike) -> "SeenViews":
-        """Return the views of a calibrated camera at reported poses.
+    def of(cls, calibration: AnyCalibration, poses: CommandLike | None) -> "SeenViews":
+        """Return the views of calibrated cameras at reported poses.
+
+        Args:
+            calibration: of all views, or the cameras of the views.
+            poses: one for each view; None where the robot does not matter, for cameras next to the
+                arm in the base frame.
 
         Raises:
-            ValueError: a pose that is not rigid, with the view.
+            ValueError: a pose that is not rigid, with the view; missing poses, or not one for each
+                of the cameras.
         """
+        if isinstance(calibration, RigViews):
+            return cls._of_rig(calibration, poses)
+        if poses is None:
+            raise ValueError("poses: expected the reported pose of each view, found None")
         checked = as_checked_command(poses)
         # The last view is repeated, because every program can compute with it.
         command = padded_views(checked)
         padded = np.asarray(calibration.camera_from_world_matrices(command))
         views = len(checked.base_from_tool.wxyz_xyz)
         return cls(calibration.camera, padded[:views], padded, command)
+
+    @classmethod
+    def _of_rig(cls, rig_views: RigViews, poses: CommandLike | None) -> "SeenViews":
+        """Return the views of several cameras."""
+        if poses is None:
+            if rig_views.needs_poses:
+                raise ValueError(
+                    "poses: expected the reported pose of each view, found None; only cameras "
+                    'next to the arm, with frame="base", do without'
+                )
+            poses = np.tile(np.eye(4), (len(rig_views), 1, 1))
+        checked = as_checked_command(poses)
+        count = len(checked.base_from_tool.wxyz_xyz)
+        if count != len(rig_views):
+            raise ValueError(
+                f"poses: expected one for each of {len(rig_views)} views, found {count}"
+            )
+        command = padded_views(checked)
+        camera_from_world = np.zeros((count, 4, 4))
+        for chain in rig_views.chains():
+            matrices = chain.calibration.camera_from_world_matrices(chain_command(chain, command))
+            camera_from_world[chain.views] = np.asarray(matrices)[: len(chain.views)]
+        padded = repeat_last(camera_from_world, len(command.base_from_tool.wxyz_xyz))
+        return cls(rig_views.camera, camera_from_world, padded, command)
+
+    def camera_for(self, count: int) -> AnyCamera:
+        """Return the cameras for a program of `count` views, which repeats the last one."""
+        return cameras_for(self.camera, count)
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The camera of each view."""
+        return cameras_of_views(self.camera, len(self.camera_from_world))
+
+    @property
+    def largest_picture(self) -> tuple[int, int]:
+        """The largest width and the largest height of all views' pictures, px."""
+        width, height = self.image_sizes.max(axis=0).tolist()
+        return width, height
+
+    @property
+    def image_sizes(self) -> Int[np.ndarray, "views 2"]:
+        """The width and height of each view's picture, px."""
+        return np.array([camera.image_size for camera in self.cameras]).reshape(-1, 2)
 
     def poses_for(self, count: int) -> Float[np.ndarray, "_ 4 4"]:
         """Return the extrinsics for a program of `count` features, padded unless these are many."""
@@ -166,31 +239,28 @@ class SeenViews(NamedTuple):
         self, pixels: Float[np.ndarray, "views *features 2"], visible: np.ndarray | Array | None
     ) -> Bool[np.ndarray, "views features"]:
         """Return where features of these views are visible."""
-        views = len(self.camera_from_world)
-        return checked_visibility(pixels, visible, self.camera.image_size, views)
+        return checked_visibility(pixels, visible, self.image_sizes)
 
 
 def checked_visibility(
     pixels: Float[np.ndarray, "views *features 2"],
     visible: np.ndarray | Array | None,
-    image_size: tuple[int, int],
-    view_count: int,
+    image_sizes: Int[np.ndarray, "views 2"],
 ) -> Bool[np.ndarray, "views features"]:
     """Return where features are visible, after checking that these are within the picture.
 
     Args:
         pixels: `(views, points, 2)`, or `(views, segments, 2, 2)` for the ends of segments.
         visible: where they are visible; by default wherever the pixels are finite.
-        image_size: width and height, px.
-        view_count: number of poses.
+        image_sizes: width and height of the picture of each pose, px.
 
     Raises:
         ValueError: wrong numbers of views or features, or a visible pixel that is not finite or is
             outside the picture, with the view and the feature.
     """
-    if len(pixels) != view_count:
+    if len(pixels) != len(image_sizes):
         raise ValueError(
-            f"pixels: expected {view_count} views as there are poses, found {len(pixels)}"
+            f"pixels: expected {len(image_sizes)} views as there are poses, found {len(pixels)}"
         )
     last = tuple(range(2, pixels.ndim))
     # Shapes first, so that a wrong shape is not reported as a pixel outside the picture.
@@ -199,13 +269,15 @@ def checked_visibility(
     if is_visible.shape != pixels.shape[:2]:
         raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {is_visible.shape}")
     # NaN and infinity count as outside, too; the message shows which.
-    inside = in_picture(pixels, image_size).all(axis=last[:-1])
+    sizes = image_sizes.reshape(len(pixels), *(1 for _ in last), 2)
+    inside = in_picture(pixels, sizes).all(axis=last[:-1])
     wrong = np.argwhere(is_visible & ~inside)
     if len(wrong):
         view, feature = wrong[0]
+        width, height = image_sizes[view]
         raise ValueError(
             f"pixels: view {view}, feature {feature}: {pixels[view, feature].tolist()} px is not "
-            f"in the picture of {image_size[0]} x {image_size[1]} px ({len(wrong)} such)"
+            f"in the picture of {width} x {height} px ({len(wrong)} such)"
         )
     # A copy, so that the caller's mask never changes.
     return np.array(is_visible)
@@ -266,31 +338,34 @@ def project_points(
 ) -> Float[np.ndarray, "views points 2"]:
     """Return the pixels of points (m, world) in all views; NaN outside picture or lens."""
     count, poses = len(views.camera_from_world), to_device(views.padded)
+    camera = views.camera_for(len(views.padded))
 
     def of_batch(batch: Float[Array, "batch 3"]) -> Float[np.ndarray, "batch views 2"]:
-        return np.asarray(_project(views.camera, poses, batch))[:count].swapaxes(0, 1)
+        return np.asarray(_project(camera, poses, batch))[:count].swapaxes(0, 1)
 
     pixels = in_batches(of_batch, points, POINTS_PER_BATCH).swapaxes(0, 1)
-    return np.where(in_picture(pixels, views.camera.image_size)[..., None], pixels, np.nan)
+    return np.where(in_picture(pixels, views.image_sizes[:, None])[..., None], pixels, np.nan)
 
 
 @compiled
 def _project(
-    camera: Camera,
+    camera: AnyCamera,
     camera_from_world: Float[Array, "views 4 4"],
     points: Float[Array, "points 3"],
 ) -> Float[Array, "views points 2"]:
     """Return the pixels of points in all views."""
 
-    def project_in_view(matrix: Float[Array, "4 4"]) -> Float[Array, "points 2"]:
-        return camera.project(points @ matrix[:3, :3].T + matrix[:3, 3][None])[0]
+    def project_in_view(
+        view_camera: AnyCamera, matrix: Float[Array, "4 4"]
+    ) -> Float[Array, "points 2"]:
+        return view_camera.project(points @ matrix[:3, :3].T + matrix[:3, 3][None])[0]
 
-    return jax.vmap(project_in_view)(camera_from_world)
+    return jax.vmap(project_in_view, (camera_axes(camera), 0))(camera, camera_from_world)
 
 
 @compiled
 def unit_rays(
-    camera: Camera, pixels: Float[Array, "*pixels 2"]
+    camera: AnyCamera, pixels: Float[Array, "*pixels 2"]
 ) -> tuple[Float[Array, "*pixels 3"], Bool[Array, "*pixels"]]:
     """Return the rays of pixels in the camera frame, and whether the lens is valid there."""
     return camera.unproject(pixels)

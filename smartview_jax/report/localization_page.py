@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import UInt8
 
-from ..calibration import Calibration
-from ..geometry import host_matrices, host_transforms, pose_codec
+from ..geometry import host_transforms, pose_codec
+from ..modeling import AnyCalibration, SeenViews
 from ..plots import with_wireframes
 from .story import Section, StoryFigure, write_story
 
@@ -66,7 +66,7 @@ def localization_verdict(found: "Localizations") -> str:
 def write_localization_page(
     path: Path,
     title: str,
-    calibration: Calibration,
+    calibration: AnyCalibration,
     found: "Localizations",
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
     view_ids: Sequence[str],
@@ -76,12 +76,12 @@ def write_localization_page(
     Args:
         path: of the HTML file.
         title: of the page.
-        calibration: of the camera.
+        calibration: of the camera, or the cameras of the views.
         found: the objects.
         pictures: of all views.
         view_ids: their names.
     """
-    camera_from_world = host_matrices(calibration.camera_from_world(found.command))
+    seen = SeenViews.of(calibration, found.command)
     sections = [
         Section(
             "What was found",
@@ -98,8 +98,10 @@ def write_localization_page(
         objects = [(result.model, np.asarray(result.world_from_object)) for result in results]
         if objects:
             figures = [
-                StoryFigure(name, "", with_wireframes(picture, calibration.camera, pose, objects))
-                for name, picture, pose in zip(view_ids, pictures, camera_from_world, strict=True)
+                StoryFigure(name, "", with_wireframes(picture, camera, pose, objects))
+                for name, picture, camera, pose in zip(
+                    view_ids, pictures, seen.cameras, seen.camera_from_world, strict=True
+                )
             ]
             sections.append(Section(f"In the pictures: {decision}", figures=figures))
     write_story(path, title, localization_verdict(found), sections)

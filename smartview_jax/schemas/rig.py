@@ -19,7 +19,7 @@ from .entry import Entry, Expected, PrintableText
 from .target import TargetEntry
 
 _Mount = Literal["eye_in_hand", "eye_to_hand"]
-_Name = Annotated[
+CameraName = Annotated[
     str,
     Field(pattern=r"^[A-Za-z0-9_-]{1,100}$"),
     Expected("a name of letters, digits, '_' and '-'"),
@@ -83,10 +83,10 @@ class RigFile(RobotEntries):
 
     smartview_dataset: Literal[1]
     end_mark: Literal[True] | None = None
-    cameras: Annotated[dict[_Name, RigCameraEntry], Field(min_length=1)]
+    cameras: Annotated[dict[CameraName, RigCameraEntry], Field(min_length=1)]
     target: TargetEntry | None = None
-    targets: Annotated[dict[_Name, TargetEntry], Field(min_length=1)] | None = None
-    arms: Annotated[dict[_Name, RobotEntries], Field(min_length=1)] | None = None
+    targets: Annotated[dict[CameraName, TargetEntry], Field(min_length=1)] | None = None
+    arms: Annotated[dict[CameraName, RobotEntries], Field(min_length=1)] | None = None
     mount: _Mount = "eye_in_hand"
     pictures: RigPicturesEntry | None = None
     end: Literal["smartview_dataset"] | None = None

@@ -17,6 +17,7 @@ from smartview_jax import (
     calibration_pipeline,
     compare,
     load_estimate,
+    load_rig_estimate,
     save_dataset,
     save_rig,
 )
@@ -26,6 +27,7 @@ from smartview_jax.cli.calibrate_rig import RigResult, _document, _loaded_rig
 from smartview_jax.cli.check import _lonely_cameras
 from smartview_jax.cli.fit_options import FitKnowledge
 from smartview_jax.evaluation import RigMethod
+from smartview_jax.joint import RIG_FILE
 from smartview_jax.report import base_rows, relative_pose_rows, rig_summary
 from smartview_jax.targets import Chessboard
 
@@ -95,6 +97,8 @@ def test_a_calibration_for_each_camera_and_one_report(
     assert len(fitted) == 6
     for name, data in rig.cameras.items():
         np.testing.assert_allclose(fitted[0].cameras[name].pixels, data.pixels, atol=1e-9)
+    assert load_rig_estimate(out).parameter_names == fit.parameter_names
+    assert str(out / RIG_FILE) in document["files"]
     told = CliRunner().invoke(app, ["evaluate", str(out), folder, "--json"])
     assert told.exit_code == 0, told.output
     for entry, (name, data) in zip(

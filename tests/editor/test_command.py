@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from board_scene import calibrated_board, run
 
+from smartview_jax.cli.load import load_views
 from smartview_jax.cli.model import load_calibration
 from smartview_jax.editor.owner_lock import OwnerLock
 from smartview_jax.io import object_sample_folder
@@ -83,12 +84,13 @@ def test_a_calibration_comes_with_its_covariance_where_the_file_has_one(
 ):
     fitted = calibrated_board(tmp_path_factory).calibration
     shutil.copy(fitted, folder / "calibration.yaml")
-    calibration, estimate = load_calibration(folder, None)
+    views = load_views(folder)
+    calibration, estimate = load_calibration(folder, None, views)
     assert estimate is not None
     known = load_estimate(fitted)
     assert estimate.parameter_names == known.parameter_names
     np.testing.assert_array_equal(estimate.covariance, known.covariance)
     assert float(calibration.camera.alpha_u) == float(known.calibration.camera.alpha_u)
     calibration.save(folder / "calibration.yaml")
-    assert load_calibration(folder, None)[1] is None
+    assert load_calibration(folder, None, views)[1] is None
     assert "taken as exact" in capsys.readouterr().err

@@ -35,7 +35,7 @@ def test_what_was_recognised_in_the_table_is_said(folder, capsys):
     path.write_text(path.read_text().replace(",", ";"))
     seen = ("poses.csv was read separated by semicolons",)
     assert load_object_views(folder).notes == seen
-    names, _, _ = load_views(folder)
+    names = load_views(folder).names
     assert names == NAMES
     assert capsys.readouterr().err.splitlines() == list(seen)
 

@@ -5,6 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import yaml
 from calibrated_rig import calibrated_rig, rig_scene
 from fit_scenes import scene_of
 from jaxlie import SE3
@@ -20,9 +21,11 @@ from smartview_jax import (
     fit_rig,
     fit_staged,
     load_estimate,
+    load_rig_estimate,
     look_at,
 )
 from smartview_jax.cameras import Radial
+from smartview_jax.joint import RIG_FILE, RigEstimate, is_rig
 from smartview_jax.joint.rig_warnings import rig_warnings
 from smartview_jax.robot_errors import RobotPrior
 from smartview_jax.simulation import paper_calibration, simulate
@@ -131,6 +134,28 @@ def test_each_camera_is_saved_with_its_covariance(fit, tmp_path):
         np.testing.assert_allclose(
             read.calibration.camera_from_tool.wxyz_xyz, calibration.camera_from_tool.wxyz_xyz
         )
+
+
+def test_the_joint_covariance_is_saved_next_to_the_cameras(fit, tmp_path):
+    fit.save(tmp_path)
+    read, kept = load_rig_estimate(tmp_path), RigEstimate.of(fit)
+    assert read.parameter_names == kept.parameter_names
+    assert read.camera_names == kept.camera_names
+    assert read.noise == kept.noise
+    np.testing.assert_allclose(read.covariance, kept.covariance, rtol=1e-12)
+    assert is_rig(tmp_path)
+    assert is_rig(tmp_path / RIG_FILE)
+    assert not is_rig(tmp_path / "camera1.yaml")
+    content = yaml.safe_load((tmp_path / RIG_FILE).read_text())
+    last = content["parameters_of"]["camera1"].pop()
+    (tmp_path / RIG_FILE).write_text(yaml.safe_dump(content))
+    with pytest.raises(ValueError, match=r"parameters_of.camera1: expected names of the \d+ param"):
+        load_rig_estimate(tmp_path)
+    content["uncertainty"] = None
+    content["parameters_of"]["camera1"].append(last)
+    (tmp_path / RIG_FILE).write_text(yaml.safe_dump(content))
+    with pytest.raises(ValueError, match="uncertainty: missing, since the data did not determine"):
+        load_rig_estimate(tmp_path)
 
 
 def test_the_text_names_cameras_and_robot(fit):

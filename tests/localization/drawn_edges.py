@@ -67,10 +67,8 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
     rng = np.random.default_rng(0) if rng is None else rng
     wireframe = Wireframe.of(model, 1024)
     pictures = []
-    for camera_from_world in views.camera_from_world:
-        view = predicted(
-            wireframe, views.camera, jnp.asarray(camera_from_world @ world_from_object)
-        )
+    for camera, camera_from_world in zip(views.cameras, views.camera_from_world, strict=True):
+        view = predicted(wireframe, camera, jnp.asarray(camera_from_world @ world_from_object))
         seen, edges = np.asarray(view.sample_visible), np.asarray(wireframe.sample_edges)
         pixels, normals = [np.zeros((0, 2))], [np.zeros((0, 2))]
         for edge in set(np.unique(edges[seen]).tolist()) - set(hidden):
@@ -90,7 +88,7 @@ def drawn(model, views, world_from_object, sigma=0.1, rng=None, shift=None, hidd
             normals.append(n * rng.choice([-1.0, 1.0]))
         pixels, normals = np.concatenate(pixels), np.concatenate(normals)
         cells = np.round(pixels).astype(int)
-        width, rows = views.camera.image_size
+        width, rows = camera.image_size
         inside = (cells >= 0).all(axis=1) & (cells < [width, rows]).all(axis=1)
         strengths = np.full(int(inside.sum()), 20.0)
         pictures.append(EdgePoints(pixels[inside], normals[inside], strengths, cells[inside]))
@@ -116,20 +114,23 @@ def seen_views(model_middle, directions=TWO_DIRECTIONS, distance=0.4):
 
 
 @functools.cache
-def nothing_found():
+def nothing_found(image_size=IMAGE_SIZE):
     """No features, and the maps of their edges."""
     empty = np.zeros((0, 2))
     features = Features(
         empty, np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2, 2)),
-        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), IMAGE_SIZE,
+        np.zeros((0, 2, 2, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), image_size,
     )  # fmt: skip
     return features, edge_maps(features, camera())
 
 
-def evidence(pictures):
+def evidence(pictures, sizes=None):
     """Edge points as evidence; the hypotheses are given, so that nothing else is asked for."""
-    features, maps = nothing_found()
-    return [PictureEvidence(features, points, lone_points(points), maps) for points in pictures]
+    sizes = [IMAGE_SIZE] * len(pictures) if sizes is None else sizes
+    return [
+        PictureEvidence(features, points, lone_points(points), maps)
+        for points, (features, maps) in zip(pictures, map(nothing_found, sizes), strict=True)
+    ]
 
 
 def together(*pictures):

@@ -126,7 +126,7 @@ def test_edges_in_two_pictures_propose_the_true_pose(scene):
     edges = stereo_edges(
         scene.evidence[0].features,
         scene.evidence[1].features,
-        IdealPlane(CAMERA),
+        (IdealPlane(CAMERA),) * 2,
         scene.views.camera_from_world,
     )
     # Some of the edges in space are the object's.
@@ -152,7 +152,7 @@ def test_exact_edges_give_exact_poses(scene):
 def test_two_pictures_from_one_place_have_no_edges_in_space(scene):
     twice = scene.views.camera_from_world[[0, 0]]
     features = scene.evidence[0].features
-    assert not len(stereo_edges(features, features, IdealPlane(CAMERA), twice).points)
+    assert not len(stereo_edges(features, features, (IdealPlane(CAMERA),) * 2, twice).points)
 
 
 def test_pose_distances_are_those_of_the_vertices(scene):

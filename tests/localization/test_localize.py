@@ -374,7 +374,7 @@ def test_other_kinds_of_input_are_named(monkeypatch):
     said = "view 0: expected a picture, or what picture_evidence found in it; found str"
     with pytest.raises(ValueError, match=f"^{said}$"):
         unchecked(["a.png"], pose, CALIBRATION, MODEL)
-    said = "calibration: expected a Calibration, such as fit.calibration; found NoneType"
+    said = "calibration: expected a Calibration, .*, or RigViews that name .*; found NoneType"
     with pytest.raises(ValueError, match=f"^{said}$"):
         unchecked([np.zeros(IMAGE_SIZE[::-1], np.uint8)], pose, None, MODEL)
 

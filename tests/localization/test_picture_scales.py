@@ -79,6 +79,6 @@ def test_an_uncertain_camera_moves_reduced_pictures_in_proportion():
     full = CalibrationUncertainty(("a", "b", "c"), np.eye(3), numbers, 3)
     moved, halved = (
         np.einsum("vpil,vln->vpin", pixel_jacobians(seen, points).by_view, own.view_jacobian)
-        for seen, own in ((views, full), (small, full.resized(views.camera, small.camera)))
+        for seen, own in ((views, full), (small, full.resized(views, small)))
     )
     assert halved == pytest.approx(0.5 * moved, rel=1e-9)

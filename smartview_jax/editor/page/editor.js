@@ -139,9 +139,9 @@ class Editor {
   }
 
   layOut() {
-    const box = this.find(".sv-views"), [width, height] = this.model.size;
+    const box = this.find(".sv-views"), aspects = this.views.map(({ size: [width, height] }) => Math.log(width / height));
     if (!box.clientWidth || !box.clientHeight) return;
-    const { pictures, space } = layOut(this.views.length, width / height, box.clientWidth, box.clientHeight);
+    const { pictures, space } = layOut(this.views.length, Math.exp(aspects.reduce((sum, one) => sum + one, 0) / aspects.length), box.clientWidth, box.clientHeight);
     [...pictures, space].forEach((rectangle, k) => {
       const style = (this.views[k] ?? this.space3d).element.style;
       ["left", "top", "width", "height"].forEach((side, n) => { style[side] = `${rectangle[n]}px`; });
@@ -485,7 +485,7 @@ class Editor {
   }
 
   async dragged(view, pixel, drag) {
-    if (drag.corner) this.rectangles.set(view.name, this.rectangle(drag.corner, pixel));
+    if (drag.corner) this.rectangles.set(view.name, this.rectangle(view, drag.corner, pixel));
     if (drag.grasp && !drag.asking) {
       drag.asking = true;
       const grasp = await drag.grasp;
@@ -505,8 +505,8 @@ class Editor {
   }
 
   // Smallest u and v, then largest: within the picture, whichever way it was drawn.
-  rectangle([a, b], [c, d]) {
-    const [width, height] = this.model.size, within = (x, most) => Math.min(Math.max(x, -0.5), most - 0.5);
+  rectangle(view, [a, b], [c, d]) {
+    const [width, height] = view.size, within = (x, most) => Math.min(Math.max(x, -0.5), most - 0.5);
     return [within(Math.min(a, c), width), within(Math.min(b, d), height), within(Math.max(a, c), width), within(Math.max(b, d), height)];
   }
 
@@ -579,7 +579,7 @@ class Editor {
 
   hovered(view, target) {
     if (this.tool !== "point" || this.active !== null || this.hovering || !this.model.views.length) return;
-    const [width, height] = this.model.size, [u, v] = target.pixel;
+    const [width, height] = view.size, [u, v] = target.pixel;
     if (!(u >= -0.5 && v >= -0.5 && u <= width - 0.5 && v <= height - 0.5)) return;
     // Not at once: the mouse of somebody who clicks moves until it is pressed.
     this.hovering = true;

@@ -7,12 +7,12 @@ export class Model {
   constructor() {
     this.points = new Map(); this.edges = new Map(); this.faces = new Map();
     this.grasps = new Map(); this.constraints = new Map();
-    this.views = []; this.size = [1, 1]; this.status = {};
+    this.views = []; this.status = {};
     this.corners = new Map();
   }
   greet(message) {
     for (const kind of KINDS) this[kind].clear();
-    Object.assign(this, { views: message.views, size: message.size, focal: message.focal_px, facts: message.facts, file: message.file, clickSigma: message.click_sigma });
+    Object.assign(this, { views: message.views, facts: message.facts, file: message.file, clickSigma: message.click_sigma });
     this.update(message);
   }
   update(message) {

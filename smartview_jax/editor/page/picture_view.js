@@ -37,6 +37,9 @@ export class PictureView {
     new ResizeObserver(() => this.frame()).observe(this.element);
   }
 
+  // Width and height of the picture, px; the pictures of several cameras differ.
+  get size() { return this.owner.model.views[this.index]?.size ?? [1, 1]; }
+
   async load(blob) {
     // Half-sized copies, so that a picture of 12 megapixels is drawn from one of the screen's size.
     let level = await createImageBitmap(blob);
@@ -52,7 +55,7 @@ export class PictureView {
   // region that was drawn.
   frame(framing = this.framing) {
     this.framing = framing;
-    const [width, height] = this.owner.model.size;
+    const [width, height] = this.size;
     const box = this.element.getBoundingClientRect();
     if (!box.width || !box.height) return;
     this.ratio = window.devicePixelRatio || 1;
@@ -76,7 +79,7 @@ export class PictureView {
     if (!pixels.length) return rectangles.get(this.name) ?? null;
     const [low, high] = [Math.min, Math.max].map((most) => [0, 1].map((k) => most(...pixels.map((pixel) => pixel[k]))));
     // A single point has no size: a sixteenth of the picture on each side.
-    const margin = [0, 1].map((k) => Math.max(MARGIN * (high[k] - low[k]), model.size[0] / 16));
+    const margin = [0, 1].map((k) => Math.max(MARGIN * (high[k] - low[k]), this.size[0] / 16));
     return [low[0] - margin[0], low[1] - margin[1], high[0] + margin[0], high[1] + margin[1]];
   }
 
@@ -106,7 +109,7 @@ export class PictureView {
 
   drawPicture() {
     const context = this.context(0);
-    const [width, height] = this.owner.model.size;
+    const [width, height] = this.size;
     const level = [...this.levels].reverse().find((one) => one.width >= width * this.scale * this.ratio) ?? this.levels[0];
     if (!level) return;
     context.imageSmoothingEnabled = this.scale < 4;

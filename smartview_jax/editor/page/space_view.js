@@ -132,9 +132,9 @@ export class SpaceView {
 
   drawCameras() {
     if (this.cameras.children.length || !this.owner.model.views.length) return;
-    const { views, size, focal } = this.owner.model, lines = [];
-    const depth = 0.12 * this.radius, half = [(depth * size[0]) / focal / 2, (depth * size[1]) / focal / 2];
-    for (const { world_from_camera: rows } of views) {
+    const { views } = this.owner.model, lines = [], depth = 0.12 * this.radius;
+    for (const { world_from_camera: rows, size, focal_px: focal } of views) {
+      const half = [(depth * size[0]) / focal / 2, (depth * size[1]) / focal / 2];
       const pose = new THREE.Matrix4().set(...rows.flat());
       const centre = new THREE.Vector3().applyMatrix4(pose).toArray();
       const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([i, j]) => new THREE.Vector3(i * half[0], j * half[1], depth).applyMatrix4(pose).toArray());

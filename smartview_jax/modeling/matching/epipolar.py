@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...calibration import Calibration
-from ...cameras import Camera
+from ...cameras import AnyCamera
 from ...robots import CommandLike
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import compiled
 from ...runtime.padding import repeat_last
+from ..rig_views import AnyCalibration, calibration_of_views
 from ..view_poses import SeenViews, single_pose, unit_rays
 
 SAMPLES = 128
@@ -118,7 +119,7 @@ class EpipolarCurve(NamedTuple):
 
 
 def epipolar_curve(
-    calibration: Calibration,
+    calibration: AnyCalibration,
     pose_a: CommandLike,
     pixel: Float[np.ndarray, "2"] | Sequence[float],
     pose_b: CommandLike,
@@ -129,7 +130,7 @@ def epipolar_curve(
     """Return the curve in view b of a pixel of view a.
 
     Args:
-        calibration: the calibrated camera.
+        calibration: the calibrated camera; or `RigViews` that name the cameras of a, then of b.
         pose_a, pose_b: poses that the robot reported, one `base_from_tool` or `Command` each.
         pixel: in view a, px.
         depths: smallest and largest distance from the camera along the ray, m; the largest may be
@@ -145,7 +146,7 @@ def epipolar_curve(
 
 
 def epipolar_curves(
-    calibration: Calibration,
+    calibration: AnyCalibration,
     pose_a: CommandLike,
     pixel: Float[np.ndarray, "2"] | Sequence[float],
     poses_b: CommandLike,
@@ -153,9 +154,12 @@ def epipolar_curves(
     *,
     box: Float[np.ndarray, "2 3"] | None = None,
 ) -> list[EpipolarCurve]:
-    """Return the curves of a pixel of view a in several views `poses_b`, as `epipolar_curve`."""
-    first = SeenViews.of(calibration, single_pose(pose_a))
-    others = SeenViews.of(calibration, poses_b)
+    """Return the curves of a pixel of view a in several views `poses_b`, as `epipolar_curve`.
+
+    `RigViews` name the camera of view a first, then of each other view.
+    """
+    first = SeenViews.of(calibration_of_views(calibration, [0]), single_pose(pose_a))
+    others = SeenViews.of(_of_later_views(calibration), poses_b)
     given = np.asarray(pixel, dtype=float)
     first.checked_points(given[None, None], None)
     origin, direction = _ray(first, given)
@@ -165,19 +169,26 @@ def epipolar_curves(
         # A ray that misses the workspace is no error: its curve is empty.
         empty = np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int)
         return [EpipolarCurve(*empty, origin, direction)] * views
-    size = calibration.camera.image_size
+    sizes = [camera.image_size for camera in others.cameras]
     # Pictures change about evenly with inverse depth, and infinity is zero.
     inverse = np.tile(np.linspace(*limits, SAMPLES), (views, 1))
     for _ in range(REFINEMENTS):
         pixels, valid = _project(others, origin, direction, inverse)
         inverse = np.stack(
-            [_evenly_within(*view, size) for view in zip(inverse, pixels, valid, strict=True)]
+            [_evenly_within(*view) for view in zip(inverse, pixels, valid, sizes, strict=True)]
         )
     pixels, valid = _project(others, origin, direction, inverse)
     return [
-        EpipolarCurve(*_cut(inverse[k], pixels[k], valid[k], size), origin, direction)
+        EpipolarCurve(*_cut(inverse[k], pixels[k], valid[k], sizes[k]), origin, direction)
         for k in range(views)
     ]
+
+
+def _of_later_views(calibration: AnyCalibration) -> AnyCalibration:
+    """Return the calibration of all views but the first."""
+    if isinstance(calibration, Calibration):
+        return calibration
+    return calibration.of_views(range(1, len(calibration)))
 
 
 def _ray(
@@ -185,7 +196,7 @@ def _ray(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the camera's centre and the unit ray of a pixel in the world."""
     # The ray in the world is R^T times the ray in the camera.
-    ray, valid = map(np.asarray, unit_rays(view.camera, to_device(pixel)))
+    ray, valid = map(np.asarray, unit_rays(view.cameras[0], to_device(pixel)))
     if not valid:
         raise ValueError(f"pixel: {pixel.tolist()} px is outside the range of the lens model")
     return view.centres[0], view.camera_from_world[0, :3, :3].T @ ray
@@ -232,14 +243,14 @@ def _project(
     padded = repeat_last(inverse, len(views.padded))
     ray = np.stack([origin, direction])
     pixels, valid = _project_ray(
-        views.camera, to_device(views.padded), to_device(ray), to_device(padded)
+        views.camera_for(len(padded)), to_device(views.padded), to_device(ray), to_device(padded)
     )
     return np.asarray(pixels)[: len(inverse)], np.asarray(valid)[: len(inverse)]
 
 
 @compiled
 def _project_ray(
-    camera: Camera,
+    camera: AnyCamera,
     camera_from_world: Float[Array, "views 4 4"],
     ray: Float[Array, "2 3"],
     inverse: Float[Array, "views samples"],

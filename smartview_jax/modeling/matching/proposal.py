@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...calibration import Calibration
 from ...evaluation import CalibrationEstimate
 from ...features import Features, IdealPlane, describe, find
 from ...robots import CommandLike
+from ..rig_views import AnyCalibration
 from ..view_poses import SeenViews, project_points
 from .region import Region
 from .segment_support import joined_edges, junction_counts
@@ -70,8 +70,8 @@ class ModelProposal(NamedTuple):
 
 
 def propose_model(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     pictures: Sequence[np.ndarray],
     depths: tuple[float, float] = (0.0, np.inf),
     *,
@@ -83,8 +83,10 @@ def propose_model(
     """Match the corners of all views automatically, and propose points and edges.
 
     Args:
-        calibration: the calibrated camera; results are in its world frame, m.
-        poses: poses that the robot reported in each view, `base_from_tool`.
+        calibration: the calibrated camera; results are in its world frame, m. `RigViews` for views
+            of several cameras.
+        poses: poses that the robot reported in each view, `base_from_tool`; None where the robot
+            does not matter (`RigViews`).
         pictures: of the object, one for each view.
         depths: smallest and largest distance of the object's points from the cameras, m.
         features: of each picture, if `features.find` was called already.
@@ -102,10 +104,11 @@ def propose_model(
     # Poses are checked before pictures, which take longer.
     camera_views = SeenViews.of(calibration, poses)
     count = len(camera_views.camera_from_world)
-    needed = _checked(count, pictures, features, depths, min_views, camera_views.camera.image_size)
+    sizes = camera_views.image_sizes
+    needed = _checked(pictures, features, depths, min_views, sizes)
     region = region or Region()
-    region.check([str(k) for k in range(count)], camera_views.camera.image_size)
-    picture_features = tuple(features or _found(pictures, calibration))
+    region.check([str(k) for k in range(count)], sizes)
+    picture_features = tuple(features or _found(pictures, camera_views))
     views = _corner_views(camera_views, pictures, picture_features)
     # Every two views, since a point may be hidden or missed in any of them.
     all_pairs = [
@@ -127,14 +130,14 @@ def propose_model(
 
 
 def _checked(
-    count: int,
     pictures: Sequence[np.ndarray],
     features: Sequence[Features] | None,
     depths: tuple[float, float],
     min_views: int | None,
-    image_size: tuple[int, int],
+    image_sizes: Int[np.ndarray, "views 2"],
 ) -> int:
     """Return the smallest number of views of a point; raise a ValueError for wrong arguments."""
+    count = len(image_sizes)
     if count < 2:
         raise ValueError(f"poses: expected at least two views, found {count}")
     if len(pictures) != count:
@@ -143,10 +146,10 @@ def _checked(
         raise ValueError(f"features: expected one for each of {count} views, found {len(features)}")
     for k, view_features in enumerate(features or ()):
         width, height = view_features.image_size
-        if (width, height) != tuple(image_size):
+        if (width, height) != tuple(image_sizes[k]):
             raise ValueError(
                 f"view {k}: features of a picture of {width} x {height} px; "
-                f"the camera's have {image_size[0]} x {image_size[1]} px"
+                f"the camera's have {image_sizes[k][0]} x {image_sizes[k][1]} px"
             )
     if not 0.0 <= depths[0] < depths[1]:
         raise ValueError(f"depths: expected 0 <= near < far, found {depths[0]} and {depths[1]}")
@@ -156,12 +159,12 @@ def _checked(
     return needed
 
 
-def _found(pictures: Sequence[np.ndarray], calibration: Calibration) -> list[Features]:
+def _found(pictures: Sequence[np.ndarray], views: SeenViews) -> list[Features]:
     """Return the features of every picture; an error names the view."""
     features = []
     for k, picture in enumerate(pictures):
         try:
-            features.append(find(picture, calibration.camera))
+            features.append(find(picture, views.cameras[k]))
         except ValueError as error:
             raise ValueError(f"view {k}: {error}") from error
     return features
@@ -171,14 +174,14 @@ def _corner_views(
     views: SeenViews, pictures: Sequence[np.ndarray], found: tuple[Features, ...]
 ) -> list[CornerView]:
     """Return the corners of all views with their rays and their appearance."""
-    plane = IdealPlane(views.camera)
     rotations = views.camera_from_world[:, :3, :3]
     # The mean of the cameras' x axes is perpendicular to the line of sight in all of them.
     reference = rotations[:, 0].mean(axis=0)
     corner_views = []
     for k, (picture, features) in enumerate(zip(pictures, found, strict=True)):
+        plane = IdealPlane(views.cameras[k])
         try:
-            look = describe(picture, views.camera, features, rotations[k] @ reference)
+            look = describe(picture, views.cameras[k], features, rotations[k] @ reference)
         # If the features were given, the picture has not been checked yet.
         except ValueError as error:
             raise ValueError(f"view {k}: {error}") from error
@@ -198,8 +201,8 @@ def _corner_views(
 
 
 def _proposal(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     seen: SeenViews,
     found: tuple[Features, ...],
     tracks: Tracks,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -26,12 +26,12 @@ class Region:
     box: Float[np.ndarray, "2 3"] | Sequence[Sequence[float | int]] | None = None
     rectangles: Mapping[int, Any] = dataclasses.field(default_factory=dict)
 
-    def check(self, names: Sequence[str], image_size: tuple[int, int]) -> None:
+    def check(self, names: Sequence[str], image_sizes: Int[np.ndarray, "views 2"]) -> None:
         """Raise an error for a box or a rectangle that has nothing inside.
 
         Args:
             names: of the views, for the message.
-            image_size: width and height of the pictures, px.
+            image_sizes: width and height of each picture, px.
 
         Raises:
             ValueError: the message names the view and what was found.
@@ -50,7 +50,7 @@ class Region:
                 raise ValueError(
                     f"region: there is no view number {view}, only 0 to {len(names) - 1}"
                 )
-            _check_rectangle(rectangle, names[view], image_size)
+            _check_rectangle(rectangle, names[view], image_sizes[view])
 
     def contains(
         self,
@@ -76,7 +76,7 @@ class Region:
         return inside
 
 
-def _check_rectangle(rectangle: Any, view: str, image_size: tuple[int, int]) -> None:
+def _check_rectangle(rectangle: Any, view: str, image_size: Int[np.ndarray, "2"]) -> None:
     """Raise an error for a rectangle without a pixel of its picture."""
     try:
         left, top, right, bottom = (float(number) for number in rectangle)

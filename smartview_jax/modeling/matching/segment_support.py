@@ -76,9 +76,10 @@ def joined_edges(
 ) -> tuple[Int[np.ndarray, "edges 2"], Int[np.ndarray, "views edges"]]:
     """Return pairs of points that segments of two or more views join, and these segments."""
     # Segments count wherever both points project, even where no corner was found.
-    projected, plane = project_points(views, points), IdealPlane(views.camera)
+    projected = project_points(views, points)
     segment_of: dict[tuple[int, int], Int[np.ndarray, "views"]] = {}
     for k, features in enumerate(views_features):
+        plane = IdealPlane(views.cameras[k])
         rays = host_transformed(views.camera_from_world[k], points)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         pairs, segments = joined_points(features, projected[k], rays, plane.focal_length)

@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...calibration import Calibration
 from ...evaluation import CalibrationEstimate
 from ...features import Features
 from ...robots import CommandLike
+from ..rig_views import AnyCalibration
 from ..triangulation import TriangulatedPoints, triangulate_points
 
 MATCH_SIGMA = 0.3
@@ -28,8 +28,8 @@ def corner_pixels(
 
 
 def triangulated_tracks(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     features_of_views: tuple[Features, ...],
     corners: Int[np.ndarray, "views points"],
     covariance: CalibrationEstimate | None = None,
@@ -61,8 +61,8 @@ def track_rms(points: TriangulatedPoints) -> Float[np.ndarray, "points"]:
 
 
 def without_misfits(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     features_of_views: tuple[Features, ...],
     corners: Int[np.ndarray, "views points"],
     needed: int,

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...calibration import Calibration
-from ...cameras import Camera
+from ...cameras import moved_cameras
 from ...engine import AbstractLoss
 from ...geometry import host_exponentials
 from ...robots import CommandLike
@@ -18,6 +17,7 @@ from ..calibration_uncertainty import CalibrationUncertainty, camera_parameter_c
 from ..line_jacobians import line_jacobians
 from ..line_triangulation import end_covariances
 from ..pixel_jacobians import pixel_jacobians
+from ..rig_views import AnyCalibration
 from ..triangulation import CLICK_SIGMA
 from ..view_poses import SeenViews, whitening_of
 from .constrained_system import FeatureBlocks
@@ -38,8 +38,8 @@ class ModelObservations(NamedTuple):
         segment_sigma: as in `triangulate_lines`.
     """
 
-    calibration: Calibration
-    poses: CommandLike
+    calibration: AnyCalibration
+    poses: CommandLike | None
     pixels: np.ndarray
     visible: np.ndarray | None = None
     pixel_sigma: float | np.ndarray = CLICK_SIGMA
@@ -270,18 +270,6 @@ def _displaced(
     change = uncertainty.view_jacobian @ offsets
     twists, camera_step = change[:, -6:], change[0, : camera_parameter_count(views)]
     return (
-        views._replace(camera=_displaced_camera(views.camera, camera_step)),
+        views._replace(camera=moved_cameras(views.camera, camera_step)),
         host_exponentials(twists) @ views.camera_from_world,
     )
-
-
-def _displaced_camera(camera: Camera, step: Float[np.ndarray, "parameters"]) -> Camera:
-    """Return the camera with a step added to its parameters, in their flat order."""
-    # By leaves and on the host, since `ravel_pytree` would compile a program for it.
-    leaves, structure = jax.tree.flatten(camera)
-    ends = np.cumsum([np.size(leaf) for leaf in leaves])[:-1]
-    moved = [
-        to_device(np.asarray(leaf) + part.reshape(np.shape(leaf)))
-        for leaf, part in zip(leaves, np.split(step, ends), strict=True)
-    ]
-    return jax.tree.unflatten(structure, moved)

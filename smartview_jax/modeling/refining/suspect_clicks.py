@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from scipy.linalg import null_space
 from scipy.special import chdtrc
 
-from ...calibration import Calibration
 from ...engine import Noise
 from ...evaluation import CalibrationEstimate
 from ...robots import CommandLike
@@ -20,6 +19,7 @@ from ..calibration_uncertainty import CalibrationUncertainty
 from ..click_deletion import deletion_of
 from ..line_jacobians import Lines
 from ..pixel_jacobians import pixel_jacobians
+from ..rig_views import AnyCalibration
 from ..triangulation import CLICK_SIGMA
 from ..view_poses import SeenViews, whitening_of
 from .constraint_geometry import VARIABLE_SIZES, Shape
@@ -46,8 +46,8 @@ class SuspectClick(NamedTuple):
 
 
 def suspect_clicks(
-    calibration: Calibration,
-    poses: CommandLike,
+    calibration: AnyCalibration,
+    poses: CommandLike | None,
     pixels: Float[np.ndarray, "views points 2"] | Float[Array, "views points 2"],
     points: Float[np.ndarray, "points 3"],
     constraints: Sequence[AbstractConstraint],

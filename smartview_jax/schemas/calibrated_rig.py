@@ -1,0 +1,49 @@
+"""Define the schema of the file that `RigFit.save` writes next to its cameras' calibrations."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter, model_validator
+
+from .calibration import UncertaintyEntry
+from .entry import Entry, Expected, PrintableText
+
+_Name = Annotated[
+    str, Field(pattern=r"^[\w-]{1,200}$"), Expected("a name of letters, digits, '_' and '-'")
+]
+_Names = Annotated[list[PrintableText], Field(max_length=1000), Expected("names of parameters")]
+
+END_MARK = "smartview_rig"
+"""Value of the last entry, `end`, by which a truncated file is recognised."""
+
+
+class CalibratedRigFile(Entry):
+    """The cameras of a rig, and the joint covariance of their parameters.
+
+    `parameters_of` has, for each camera, the rig's name of each of its parameters in their order;
+    names that several cameras have in common are parameters that they share.
+    """
+
+    smartview_rig: Literal[1]
+    run: PrintableText | None = None
+    cameras: Annotated[dict[_Name, PrintableText], Field(min_length=1)]
+    parameters_of: dict[_Name, _Names]
+    uncertainty: UncertaintyEntry | None = None
+    end: Literal["smartview_rig"]
+
+    @model_validator(mode="after")
+    def _check_consistency(self) -> "CalibratedRigFile":
+        if set(self.parameters_of) != set(self.cameras):
+            raise ValueError(
+                f"parameters_of: expected the cameras {', '.join(self.cameras)}, found "
+                f"{', '.join(self.parameters_of)}"
+            )
+        known = {name for own in self.parameters_of.values() for name in own}
+        for name in () if self.uncertainty is None else self.uncertainty.parameters:
+            if name not in known:
+                raise ValueError(f"uncertainty: no camera has a parameter {name!r}")
+        if self.uncertainty is not None and self.uncertainty.noise is None:
+            raise ValueError("uncertainty: the entry 'noise' is missing")
+        return self
+
+
+CALIBRATED_RIG_SCHEMA = TypeAdapter(CalibratedRigFile)
