@@ -9,6 +9,7 @@
   vision-calibration's rig, and the error of its relative pose over the stated one.
 - metric_workcell, four cameras beside an arm: distance from the true places of two of them, with
   all states and with eight random states for each camera.
+- Two arms that see one board, with and without errors of the arms: the base of one in the other's.
 - Four cameras of 500 views and 1000 points against one: seconds of a solve.
 
     python -m benchmarks rigs
@@ -61,6 +62,7 @@ def run(smoke: bool = False) -> bool:
     if smoke:
         return same
     _all_links(2 * SEEDS)
+    _two_arms(2 * SEEDS)
     workcell = _workcell(DRAWS)
     return all((same, gains, stereo, workcell, _growth()))
 
@@ -229,6 +231,35 @@ def _head_errors(
     (first, second), (true_first, true_second) = found.values(), truths.values()
     between = first @ np.linalg.inv(second) - true_first @ np.linalg.inv(true_second)
     return float(np.linalg.norm(between[:3, 3])), float(np.linalg.norm((first - true_first)[:3, 3]))
+
+
+def _two_arms(seeds: int) -> None:
+    """Print the error of one arm's base in the other's, with and without errors of the arms."""
+    print(f"\n{seeds} pairs of arms that see one board, 16 states each, lenses known")
+    for error_scale, words in ((0.0, "noise only"), (1.0, "arms with errors")):
+        errors, nees, held = [], [], []
+        for seed in range(seeds):
+            scenes = {
+                arm: six_axis_rig_scene(2 * seed + k, 1, 16, error_scale=error_scale)
+                for k, arm in enumerate(("left", "right"))
+            }
+            data = {arm: scene.rig.cameras["camera1"] for arm, scene in scenes.items()}
+            truths = {arm: scene.calibrations["camera1"] for arm, scene in scenes.items()}
+            # Both see the board at one place in their own base: the bases are one.
+            rig = sv.Rig(data, arms={arm: arm for arm in data})
+            fit = sv.calibrate(rig, camera={arm: truth.camera for arm, truth in truths.items()})
+            base = fit.base("left", "right")
+            error = np.asarray(base.transform.log())
+            names = [f"base_left_from_base_right.translation.{axis}" for axis in "xyz"]
+            widths = [fit.confidence_half_width(name) for name in names]
+            errors.append(float(np.linalg.norm(error[:3])))
+            nees.append(float(error @ np.linalg.solve(base.covariance, error)))
+            held += (np.abs(error[:3]) < widths).tolist()
+        rms = 1e3 * np.sqrt(np.mean(np.square(errors)))
+        print(
+            f"  {words:16} RMS {rms:6.3f} mm, median {1e3 * np.median(errors):6.3f} mm, NEES "
+            f"{np.mean(nees):5.1f}, 95 % intervals hold {np.mean(held):.1%}"
+        )
 
 
 def _workcell(draws: int) -> bool:

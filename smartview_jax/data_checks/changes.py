@@ -92,13 +92,13 @@ class ChangeReport(NamedTuple):
             view_ids: names of the views.
         """
         best = self.changes[0]
-        causes = [_causes(change, mount) for change in self.changes]
+        size = f"{1e3 * best.translation:.3g} mm and {np.rad2deg(best.rotation):.2g} degrees"
+        causes = ", or as if ".join(_causes(change, mount) for change in self.changes)
         return (
-            f"from view {view_ids[best.first_view]} on {', or '.join(causes)}, by "
-            f"{1e3 * best.translation:.3g} mm and {np.rad2deg(best.rotation):.2g} degrees: with "
-            f"such a change robot and camera agree to {_misfit_text(best.misfit)}, without it to "
-            f"{_misfit_text(self.misfit)} (means over the views). Calibrate the views before it by "
-            "themselves, and the views from it on"
+            f"from view {view_ids[best.first_view]} on, the views contradict the earlier ones, as "
+            f"if {causes}, by {size}: with such a change robot and camera agree to "
+            f"{_misfit_text(best.misfit)} instead of {_misfit_text(self.misfit)} (means over the "
+            "views). Calibrate the two parts separately"
         )
 
 
@@ -106,13 +106,13 @@ def _causes(change: Change, mount: str) -> str:
     """Return what may have been changed, as a clause."""
     in_hand = mount_frames(mount)[0] == "tool"
     if change.kind == "target":
-        held = "the target was moved" + ("" if in_hand else " in the hand")
+        held = "the target had been moved" + ("" if in_hand else " in the hand")
         frame = "base" if in_hand else "tool"
-        return f"{held} (or the controller's {frame} frame was changed)"
-    held = "the camera was moved" + (" on the tool" if in_hand else "")
-    zoomed = ", or the lens was zoomed" if change.axial_part > MIN_AXIAL_PART else ""
+        return f"{held} (or the controller's {frame} frame changed)"
+    held = "the camera had been moved" + (" on the tool" if in_hand else "")
+    zoomed = ", or the lens zoomed" if change.axial_part > MIN_AXIAL_PART else ""
     frame = "tool" if in_hand else "base"
-    return f"{held} (or the controller's {frame} frame was changed{zoomed})"
+    return f"{held} (or the controller's {frame} frame changed{zoomed})"
 
 
 def _misfit_text(misfit: tuple[float, float]) -> str:
