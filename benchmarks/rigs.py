@@ -243,11 +243,13 @@ def _two_arms(seeds: int) -> None:
                 arm: six_axis_rig_scene(2 * seed + k, 1, 16, error_scale=error_scale)
                 for k, arm in enumerate(("left", "right"))
             }
-            data = {arm: scene.rig.cameras["camera1"] for arm, scene in scenes.items()}
-            truths = {arm: scene.calibrations["camera1"] for arm, scene in scenes.items()}
+            data = {f"{arm}_eye": scene.rig.cameras["camera1"] for arm, scene in scenes.items()}
+            lenses = {
+                f"{arm}_eye": scene.calibrations["camera1"].camera for arm, scene in scenes.items()
+            }
             # Both see the board at one place in their own base: the bases are one.
-            rig = sv.Rig(data, arms={arm: arm for arm in data})
-            fit = sv.calibrate(rig, camera={arm: truth.camera for arm, truth in truths.items()})
+            rig = sv.Rig(data, arms={f"{arm}_eye": arm for arm in scenes})
+            fit = sv.calibrate(rig, camera=lenses)
             base = fit.base("left", "right")
             error = np.asarray(base.transform.log())
             names = [f"base_left_from_base_right.translation.{axis}" for axis in "xyz"]

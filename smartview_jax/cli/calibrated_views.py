@@ -15,7 +15,7 @@ CameraOption = Annotated[
     str | None,
     typer.Option(
         "--camera",
-        help="With a rig's calibration and pictures of one camera: the name of this camera.",
+        help="With a rig's calibration and pictures of one camera: its name, such as left.",
     ),
 ]
 
@@ -23,8 +23,8 @@ FrameOption = Annotated[
     str,
     typer.Option(
         "--frame",
-        help="With a rig's calibration: frame of the results, world (of the target that all "
-        "cameras saw) or base (of the robot, for cameras on the hand and next to the arm).",
+        help="With a rig's calibration: frame of the results, such as base (of the robot, for "
+        "cameras on the hand and next to the arm) or world (of the target that all cameras saw).",
     ),
 ]
 

@@ -55,19 +55,17 @@ class RigViews:
         frame: frame of all results, `"world"` or `"base"`.
         estimate: joint covariance of the rig; None if the calibrations are taken as exact.
 
-    For example, with a pair of cameras on the hand, and two pictures taken at one pose:
+    With a pair of cameras on the hand, two pictures that they took at one pose, and a model,
+    `sv.localize([left, right], [pose, pose], views, model)` finds the object with:
 
         >>> pair = {"left": truth, "right": truth}
         >>> views = sv.RigViews(pair, ["left", "right"])
         >>> views
         <RigViews: left, right; world frame, taken as exact>
-        >>> found = sv.localize([left, right], [pose, pose], views, block)  # doctest: +SKIP
 
-    With the fit of a rig instead, `sv.RigViews(fit, ["left", "right"])`, its joint covariance is
-    part of every result. A pair next to the arm needs no robot:
-
-        >>> views = sv.RigViews(fit, ["left", "right"], frame="base")  # doctest: +SKIP
-        >>> found = sv.localize([left, right], None, views, block)  # doctest: +SKIP
+    With the fit of a rig in the place of `pair`, its joint covariance is part of every result. A
+    pair next to the arm needs no robot: `sv.localize([left, right], None, views, model)` with
+    `frame="base"`.
     """
 
     def __init__(

@@ -272,6 +272,8 @@ WRITERS = {
     "io/meshes.py write_mesh": "(triangles only)",
     "io/new_dataset.py write_new_dataset": "(a table without rows)",
     "io/object_models.py save_object_model": "object",
+    "joint/relative_pose.py save": "(a pose only)",
+    "joint/rig_estimate.py save_rig": "(names of cameras, which Rig limits)",
     "io/object_views.py write_object_views": "object views",
     "io/pose_log.py write_pose_log": "times of pictures",
     "io/poses.py write_poses": "data set",
