@@ -59,10 +59,15 @@ def checked_object(
     """Return pose and covariance of an object.
 
     Raises:
-        ValueError: the pose is not rigid, or the covariance is not finite, symmetric and positive
-            semidefinite; the message names the object.
+        ValueError: the pose is in the base frame or not rigid, or the covariance is not finite,
+            symmetric and positive semidefinite; the message names the object.
     """
     name = found.model.name or "without a name"
+    if getattr(found, "frame", "world") != "world":
+        raise ValueError(
+            f"object {name}: expected its pose in the world frame of the calibration, found it in "
+            'the base frame: localise with RigViews(..., frame="world")'
+        )
     pose = np.asarray(found.world_from_object, dtype=float)
     if pose.shape != (4, 4):
         raise ValueError(f"object {name}: world_from_object has shape {pose.shape}, not (4, 4)")

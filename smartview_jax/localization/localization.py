@@ -71,6 +71,7 @@ class Localization(NamedTuple):
         rivals: other explanations of the same edges, the best first.
         scale: size of the searched pictures over the given ones (`PictureEvidence.scale`); all
             lengths in px are of the searched pictures.
+        frame: frame of the pose and its covariance: `"world"`, or `"base"` (see `RigViews`).
 
     For example, with `search` as for `localize`:
 
@@ -84,10 +85,11 @@ class Localization(NamedTuple):
     verdict: Verdict
     rivals: tuple[Rival, ...]
     scale: float = 1.0
+    frame: str = "world"
 
     @property
     def world_from_object(self) -> Float[np.ndarray, "4 4"]:
-        """The pose of the object; `equivalent_poses` lists the poses that symmetry makes equal."""
+        """The pose of the object in `frame`; `equivalent_poses` lists those equal by symmetry."""
         return self.refined.world_from_object
 
     @property

@@ -119,8 +119,13 @@ def localize(
     scene = Scene(views, pictures, triangles)
     found = judged_in_rounds(scene, prepared, given, missing, search, uncertainty, box)
     results = refined_together(found.results, scene, prepared, uncertainty)
+    frame = calibration.frame if isinstance(calibration, RigViews) else "world"
     return Localizations(
-        _reported(results), _messages(prepared, found), pictures, own_command(views), calibration
+        [result._replace(frame=frame) for result in _reported(results)],
+        _messages(prepared, found),
+        pictures,
+        own_command(views),
+        calibration,
     )
 
 

@@ -100,9 +100,9 @@ def next_view(
             for `localize`.
 
     Raises:
-        ValueError: no object is left to look at, neither candidates nor a distance are given,
-            candidates are empty or not 4x4, or no candidate is reachable or shows an object; the
-            message says why.
+        ValueError: no object is left to look at, poses are in the base frame, neither candidates
+            nor a distance are given, candidates are empty or not 4x4, or no candidate is reachable
+            or shows an object; the message says why.
 
     For example, after `found = sv.localize(...).accepted`, the position error in m that is left:
 
@@ -113,6 +113,11 @@ def next_view(
     objects = [obj for obj in localizations if obj.verdict.decision != "rejected"]
     if not objects:
         raise ValueError("localizations: nothing was found that a further view could verify")
+    if any(obj.frame != "world" for obj in (*objects, *neighbours)):
+        raise ValueError(
+            "localizations: expected poses in the world frame of the calibration, found poses in "
+            'the base frame: localise with RigViews(..., frame="world")'
+        )
     vertices = np.concatenate([_in_world(obj.model, obj.world_from_object) for obj in objects])
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     given = _checked_candidates(reachable)

@@ -20,8 +20,16 @@ from smartview_jax.engine import Observability
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.features import UNSEEN
 from smartview_jax.geometry import host_matrices, look_at
+from smartview_jax.grasping.localized import checked_object
 from smartview_jax.joint import SavedEstimate
-from smartview_jax.localization import Hypothesis, Localizations, Wireframe, localize
+from smartview_jax.localization import (
+    Hypothesis,
+    Localizations,
+    Reachable,
+    Wireframe,
+    localize,
+    next_view,
+)
 from smartview_jax.localization.depth_buffers import DepthBuffers
 from smartview_jax.localization.earlier_views import together_with
 from smartview_jax.localization.edge_lookup import DEPTH_CELL_PX, EdgeLookup
@@ -97,12 +105,27 @@ def test_an_object_is_found_in_a_stereo_pair(rig, pictures, monkeypatch):
         "smartview_jax.localization.candidates.poses_on_edges",
         lambda wireframe, views, lookup, poses: (poses, np.array([[900.0, 800.0]])),
     )
-    start = Hypothesis(0, POSE, 0.0, 0.0)
-    results = localize(pictures, POSES, RigViews(rig, PAIR), MODEL, hypotheses=[start])
-    (found,) = results
+    results, in_base = (
+        localize(
+            pictures,
+            POSES,
+            RigViews(rig, PAIR, frame=frame),
+            MODEL,
+            hypotheses=[Hypothesis(0, pose, 0.0, 0.0)],
+        )
+        for frame, pose in (("world", POSE), ("base", BASE_FROM_WORLD @ POSE))
+    )
+    (found,), (in_base,) = results, in_base
     assert found.verdict.decision == "accepted"
     assert np.linalg.norm(error_of(found.world_from_object)[:3]) < 1e-4
     assert results.calibration.cameras == ("left", "right")
+    expected = BASE_FROM_WORLD @ found.world_from_object
+    np.testing.assert_allclose(in_base.world_from_object, expected, atol=1e-6)
+    # What is in the base frame is not taken for what is in the world frame.
+    with pytest.raises(ValueError, match="found poses in the base frame"):
+        next_view([in_base], rig.calibrations["left"], Reachable(distance=0.4))
+    with pytest.raises(ValueError, match="found it in the base frame"):
+        checked_object(in_base)
 
 
 def test_earlier_pictures_are_read_with_the_cameras_that_took_them(rig):
