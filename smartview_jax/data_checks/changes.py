@@ -18,7 +18,7 @@ from ..calibration import mount_frames
 from ..geometry import host_logarithms, host_matrices, mean_matrix
 from .closure import Poses
 from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
-from .transform_fit import fit_transforms
+from .transform_fit import fit_transforms, misfit_text, misfits
 
 MIN_VIEWS_ON_A_SIDE = 4
 """Fewest views before and after a change. Of six good views of a real arm, three may agree with a
@@ -26,7 +26,7 @@ moved camera by chance."""
 
 MAX_REMAINING_RATIO = 0.5
 """Ratio of the misfit with a change to the misfit without, up to which it is named: it explains
-more than all else. Views of real sets in any order do not reach it (`benchmarks mistakes`)."""
+more than all else together."""
 
 MAX_RIVAL_RATIO = 2.0
 """Ratio to the smallest misfit up to which another kind of change explains the views as well."""
@@ -92,12 +92,12 @@ class ChangeReport(NamedTuple):
             view_ids: names of the views.
         """
         best = self.changes[0]
-        size = f"{1e3 * best.translation:.3g} mm and {np.rad2deg(best.rotation):.2g} degrees"
+        size = misfit_text((best.translation, best.rotation))
         causes = ", or as if ".join(_causes(change, mount) for change in self.changes)
         return (
             f"from view {view_ids[best.first_view]} on, the views contradict the earlier ones, as "
             f"if {causes}, by {size}: with such a change robot and camera agree to "
-            f"{_misfit_text(best.misfit)} instead of {_misfit_text(self.misfit)} (means over the "
+            f"{misfit_text(best.misfit)} instead of {misfit_text(self.misfit)} (means over the "
             "views). Calibrate the two parts separately"
         )
 
@@ -113,11 +113,6 @@ def _causes(change: Change, mount: str) -> str:
     zoomed = ", or the lens zoomed" if change.axial_part > MIN_AXIAL_PART else ""
     frame = "tool" if in_hand else "base"
     return f"{held} (or the controller's {frame} frame changed{zoomed})"
-
-
-def _misfit_text(misfit: tuple[float, float]) -> str:
-    """Return a misfit in words, in millimetres and degrees."""
-    return f"{1e3 * misfit[0]:.3g} mm and {np.rad2deg(misfit[1]):.2g} degrees"
 
 
 def find_change(
@@ -154,7 +149,7 @@ def find_change(
     step = int(np.ceil(len(places) / MAX_TRIED_CHANGES))
     if step > 1:
         best = min(tried, key=lambda change: change.score).first_view
-        near = places[np.abs(places - best) < step]
+        near = np.setdiff1d(places[np.abs(places - best) < step], coarse)
         tried += [change for place in near for change in _changes(robot, camera, place, distance)]
     limit = MAX_REMAINING_RATIO * score
     best_of_kind: dict[str, Change] = {}
@@ -185,15 +180,14 @@ def _changes(robot: Poses, camera: Poses, place: int, distance: float) -> Iterat
         corrected = closure.copy()
         corrected[~reference] = np.linalg.inv(change) @ closure[~reference]
         misfit, score = _score(corrected, distance)
-        twist = host_logarithms(change[None])[0]
-        translation, rotation = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
+        twist = host_logarithms(change)
+        translation, rotation = misfits(change)[0].tolist()
         along = fit.camera_from_mount[2, :3] @ twist[:3] / max(translation, 1e-12)
         axial_part = abs(float(along)) if kind == "camera" else 0.0
-        yield Change(kind, place, float(translation), float(rotation), axial_part, misfit, score)
+        yield Change(kind, place, translation, rotation, axial_part, misfit, score)
 
 
 def _score(closure: Poses, distance: float) -> tuple[tuple[float, float], float]:
     """Return the mean misfit, m and rad, and rotation plus translation over the distance."""
-    twists = host_logarithms(closure)
-    translation, rotation = np.linalg.norm(twists.reshape(-1, 2, 3), axis=2).mean(axis=0).tolist()
+    translation, rotation = misfits(closure).mean(axis=0).tolist()
     return (translation, rotation), rotation + translation / distance

@@ -88,7 +88,7 @@ class ConventionReport(NamedTuple):
 
     @property
     def is_close(self) -> bool:
-        """Whether robot and camera move alike as nearly as those of good arms."""
+        """Whether the closure error is small enough for a good arm."""
         return self.closure_score < MAX_CLOSURE_SCORE
 
 

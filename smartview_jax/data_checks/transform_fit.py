@@ -29,8 +29,18 @@ class TransformFit(NamedTuple):
 
     @property
     def misfit(self) -> Float[np.ndarray, "views 2"]:
-        """Length of the twist of each view's closure: translation (m), rotation (rad)."""
-        return np.linalg.norm(host_logarithms(self.closure).reshape(-1, 2, 3), axis=2)
+        """The misfit of each view: translation (m), rotation (rad)."""
+        return misfits(self.closure)
+
+
+def misfits(closure: Poses) -> Float[np.ndarray, "views 2"]:
+    """Return the length of the twist of each closure: translation (m), rotation (rad)."""
+    return np.linalg.norm(host_logarithms(closure).reshape(-1, 2, 3), axis=2)
+
+
+def misfit_text(misfit: Float[np.ndarray, "2"] | tuple[float, float]) -> str:
+    """Return a misfit in words, in degrees and millimetres."""
+    return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"
 
 
 def fit_transforms(

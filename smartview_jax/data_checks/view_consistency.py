@@ -28,7 +28,7 @@ from ..geometry import (
     host_rotation_angles,
     host_transforms,
 )
-from .transform_fit import fit_transforms
+from .transform_fit import fit_transforms, misfit_text
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.
@@ -138,7 +138,7 @@ def find_consistent_views(
     reasons = {}
     for view in rejected:
         text = (
-            f"robot and camera disagree by {_misfit_text(fit.misfit[view])} there, "
+            f"robot and camera disagree by {misfit_text(fit.misfit[view])} there, "
             f"{fit.misfit_ratio[view]:.0f} times as much as in the median view"
         )
         if errors is not None:
@@ -215,11 +215,6 @@ class _TransformFit(NamedTuple):
     misfit_scale: Float[np.ndarray, "views 2"]
 
 
-def _misfit_text(misfit: Float[np.ndarray, "2"]) -> str:
-    """Return a misfit in words, in degrees and millimetres."""
-    return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"
-
-
 def _matching_pose_text(
     view: int,
     fit: _TransformFit,
@@ -243,5 +238,5 @@ def _matching_pose_text(
     )
     other = int(np.argmin(misfit_ratio))
     if misfit_ratio[other] < MAX_MISFIT_RATIO:
-        return f"it fits the pose of view {ids[other]} ({_misfit_text(misfit[other])}): mispaired"
+        return f"it fits the pose of view {ids[other]} ({misfit_text(misfit[other])}): mispaired"
     return "it fits the pose of no other view either: moved, or a wrong pose?"

@@ -279,6 +279,31 @@ class AbstractProblem(eqx.Module):
         return offset.shared * weight.shared, offset.per_view * weight.per_view
 
 
+class AbstractRigProblem(AbstractProblem):
+    """A least-squares problem of several cameras, whose observations are points in pictures.
+
+    Attributes:
+        camera_mask: mask of the parameters of cameras (focal lengths, lens) among the shared ones.
+    """
+
+    camera_mask: eqx.AbstractVar[Bool[Array, "shared"]]
+
+    @property
+    def parameter_count(self) -> int:
+        """The number of shared parameters, free or not."""
+        return len(self.camera_mask)
+
+    @property
+    def is_camera(self) -> Bool[Array, "shared"]:
+        """Mask of the parameters of cameras (focal lengths, lens) among the shared ones."""
+        return self.camera_mask
+
+    @property
+    def has_pixels(self) -> bool:
+        """Whether the observations are points in pictures."""
+        return True
+
+
 class AbstractBuiltProblem(eqx.Module):
     """A least-squares problem together with the names of its parameters.
 

@@ -132,7 +132,7 @@ def build_arms(
     Args:
         rig: data sets of all arms.
         arms: problem of each arm, with its noise as priors, and its solution.
-        priors: priors by path; only those of bases matter, since the arms' problems have the
+        priors: priors by path; only priors on bases are used, since the arms' problems have the
             others.
 
     Returns:
@@ -235,7 +235,7 @@ def _with_priors_of_bases(
     first: str,
     priors: Mapping[str, Prior],
 ) -> tuple[Float[np.ndarray, "shared"], Float[np.ndarray, "shared"]]:
-    """Return the means and weights of all priors, with those of bases among the given ones.
+    """Return the means and weights of all priors, including the given priors on bases.
 
     Args:
         names: names of the parameters.

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry import host_adjoints, host_logarithms, host_matrices
 from ..robot_errors import RobotError
-from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
+from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
 from .parameters import (
     Step,
     host_retract_transform,
@@ -108,15 +108,15 @@ class ArmInRig(eqx.Module):
         return jacobian
 
 
-class ArmsProblem(AbstractProblem):
+class ArmsProblem(AbstractRigProblem):
     """A least-squares problem: all arms' observations, and priors.
 
     The views' own parameters are the corrections of all arms' states, one arm after the other.
 
     Attributes:
         arms: the arms; the first one's base is the reference.
-        camera_mask: mask of the parameters of cameras (focal lengths, lens) among the shared ones.
         pixel_sigma: one; every arm's problem has its own.
+        camera_mask: as in `AbstractRigProblem`.
         free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
     """
 
@@ -129,16 +129,6 @@ class ArmsProblem(AbstractProblem):
     prior_weight: Step
     scale: Step
     mesh: Mesh | None = eqx.field(static=True, default=None)
-
-    @property
-    def parameter_count(self) -> int:
-        """The number of shared parameters, free or not."""
-        return len(self.camera_mask)
-
-    @property
-    def is_camera(self) -> Bool[Array, "shared"]:
-        """Mask of the parameters of cameras (focal lengths, lens) among the shared ones."""
-        return self.camera_mask
 
     @property
     def robot_error(self) -> RobotError | None:
@@ -154,11 +144,6 @@ class ArmsProblem(AbstractProblem):
     def observation_count(self) -> int:
         """The number of points in all pictures, visible or not."""
         return sum(arm.problem.observation_count for arm in self.arms)
-
-    @property
-    def has_pixels(self) -> bool:
-        """Whether the observations are points in pictures."""
-        return True
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""

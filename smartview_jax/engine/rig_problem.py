@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
 from ..robots import Command
-from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
+from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
 from .parameters import Step, host_values
 from .prepared_poses import PreparedPoses, prepare_poses
 from .problem import FittedChain, JointProblem
@@ -40,7 +40,7 @@ class CameraGroup(eqx.Module):
     state_index: Int[Array, "*cameras views"]
 
 
-class RigProblem(AbstractProblem):
+class RigProblem(AbstractRigProblem):
     """A least-squares problem: all cameras' observations, one robot, and priors.
 
     The views' own parameters are here the corrections of the robot's states.
@@ -50,7 +50,7 @@ class RigProblem(AbstractProblem):
         command: what the robot reported in each state.
         start_error: the robot's error at the start; None without a field.
         pixel_sigma: factor of all cameras' pixel sigmas.
-        camera_mask: mask of the parameters of cameras (focal lengths, lens) among the shared ones.
+        camera_mask: as in `AbstractRigProblem`.
         free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
     """
 
@@ -67,16 +67,6 @@ class RigProblem(AbstractProblem):
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     @property
-    def parameter_count(self) -> int:
-        """The number of shared parameters, free or not."""
-        return len(self.camera_mask)
-
-    @property
-    def is_camera(self) -> Bool[Array, "shared"]:
-        """Mask of the parameters of cameras (focal lengths, lens) among the shared ones."""
-        return self.camera_mask
-
-    @property
     def robot_error(self) -> RobotError | None:
         """The robot's error at the start; None without a field."""
         return self.start_error
@@ -91,11 +81,6 @@ class RigProblem(AbstractProblem):
     def observation_count(self) -> int:
         """The number of points in all pictures, visible or not."""
         return sum(group.problems.observations.visible.size for group in self.groups)
-
-    @property
-    def has_pixels(self) -> bool:
-        """Whether the observations are points in pictures."""
-        return True
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""

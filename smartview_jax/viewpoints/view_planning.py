@@ -100,7 +100,7 @@ def choose_views(
 ) -> ChosenViews | ChosenStates:
     """Return the next views that make an optimality criterion as small as possible.
 
-    Of a rig, the views are states of the robot, in each of which all cameras count together.
+    Of a rig, states of its robot are chosen, each with the pictures of all cameras.
 
     Args:
         information_model: prior information, and the model of the information of views.

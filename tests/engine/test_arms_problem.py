@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from arms_scene import FOUR_CAMERAS, NOISE, arms_scene
-from jax.flatten_util import ravel_pytree
-from scipy.optimize import least_squares
+from scipy_optimum import scipy_optimum
 
 from smartview_jax.engine import build_arms, build_rig, reduced_equations, solve
 
@@ -24,19 +23,7 @@ def test_scipy_finds_the_same_optimum_and_derivatives():
     built, start = build_arms(rig, solved)
     problem = built.problem
     solution, equations = solve(problem, start=start)
-    flat, unravel = ravel_pytree(start)
-    residuals = jax.jit(lambda x: ravel_pytree(problem.residuals(unravel(x)))[0])
-    jacobian = jax.jit(jax.jacfwd(residuals))
-    found = least_squares(
-        residuals,
-        np.asarray(flat),
-        lambda x: np.asarray(jacobian(x)),  # pyright: ignore[reportArgumentType]
-        method="lm",
-        x_scale="jac",
-        ftol=1e-15,
-        xtol=1e-15,
-        gtol=1e-15,
-    )
+    found, unravel = scipy_optimum(problem, start, method="lm")
     assert found.cost == pytest.approx(solution.costs[-1], rel=1e-9)
     by_scipy = unravel(jnp.asarray(found.x))
     np.testing.assert_allclose(by_scipy.per_view, solution.z.per_view, atol=1e-8)

@@ -3,8 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fit_scenes import scene_of
-from jax.flatten_util import ravel_pytree
-from scipy.optimize import least_squares
+from scipy_optimum import scipy_optimum
 from starts import nudged
 
 from smartview_jax import Noise, Rig
@@ -28,22 +27,7 @@ def test_scipy_finds_the_same_optimum(pair):
     """Two cameras share the corrections of the robot's states, and the pose of the target."""
     problem = pair
     solution, _ = solve(problem)
-    flat, unravel = ravel_pytree(problem.zero_step())
-
-    @jax.jit
-    def residuals(x):
-        return ravel_pytree(problem.residuals(unravel(x)))[0]
-
-    jacobian = jax.jit(jax.jacfwd(residuals))
-    found = least_squares(
-        residuals,
-        np.asarray(flat),
-        lambda x: np.asarray(jacobian(x)),  # pyright: ignore[reportArgumentType]
-        x_scale="jac",
-        ftol=1e-15,
-        xtol=1e-15,
-        gtol=1e-15,
-    )
+    found, unravel = scipy_optimum(problem, problem.zero_step())
     assert found.cost == pytest.approx(solution.costs[-1], rel=1e-9)
     by_scipy = unravel(jnp.asarray(found.x))
     np.testing.assert_allclose(by_scipy.per_view, solution.z.per_view, atol=1e-8)
