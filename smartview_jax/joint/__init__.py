@@ -36,7 +36,7 @@ from .rig_estimate import is_rig as is_rig
 from .rig_estimate import load_calibrated_rig as load_calibrated_rig
 from .rig_estimate import load_rig_estimate as load_rig_estimate
 from .rig_fit import RigFit as RigFit
-from .rig_fit import fit_rig as fit_rig
+from .rig_fitting import fit_rig as fit_rig
 from .saved_estimate import SavedEstimate as SavedEstimate
 from .saved_estimate import load_estimate as load_estimate
 from .saved_estimate import load_with_uncertainty as load_with_uncertainty

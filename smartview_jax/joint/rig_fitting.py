@@ -1,0 +1,227 @@
+"""Fit the cameras of a rig together, arm by arm and then all arms."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from ..argument_checks import require_instance, require_names
+from ..calibration import Calibration
+from ..dataset import Dataset, Rig, chain_residuals, view_residuals
+from ..engine import (
+    BuiltRig,
+    FittedChain,
+    Noise,
+    Prior,
+    ScaledJacobian,
+    covariance,
+    paths_of_arms,
+    per_view_std,
+    reduced_equations,
+)
+from ..fit_result import Rejection
+from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
+from ..runtime.array_namespace import to_device
+from ..staged import with_region
+from .arm_fit import ArmOptions, SolvedArm, fit_arm
+from .fit import MAX_INLIER_CHI_SQUARE, solver_result
+from .rig_fit import RigFit
+from .rig_warnings import rig_warnings
+from .several_arms import JoinedArms, added_by_estimation, join_arms
+
+_Option = TypeVar("_Option")
+
+
+def fit_rig(
+    rig: Rig,
+    starts: Mapping[str, Calibration],
+    *,
+    noise: str | Noise | Mapping[str, Noise] = "estimated",
+    field: FieldChoice | Mapping[str, FieldChoice] = "auto",
+    fixed: Sequence[str] = (),
+    free: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    progress: Callable[[str], None] | None = None,
+    robot_prior: RobotPrior | None = None,
+    rejected: Sequence[tuple[str, Rejection]] = (),
+) -> RigFit:
+    """Fit all cameras of a rig, their targets and the robots' errors to all pixels at once.
+
+    The noise and the errors of several arms are estimated one arm after the other, each from its
+    own states; then all are fitted together.
+
+    Args:
+        rig: data sets of the cameras.
+        starts: calibration of each camera near the solution, with the lens to fit. Cameras on one
+            arm that see the same target must agree on its pose (`calibrate` takes care of it).
+        noise: `"estimated"`, or a `Noise` that states the standard deviations; of several arms, one
+            for all or one for each by its name.
+        field: robot error field, as in `fit_joint`; of several arms, one for all or one for each.
+        fixed: paths of parameters that keep the start's value: `left.camera`, `base_from_world`.
+            See `build_rig`, and `build_arms` for several arms.
+        free: paths to free that are held by default: `target_scale`.
+        priors: a `Prior` by path.
+        progress: called with a line of text for each stage.
+        robot_prior: prior on the sizes of the robot's errors.
+        rejected: what was left out before, for the result.
+
+    Raises:
+        TypeError: an argument of a wrong type.
+        ValueError: an unknown path, or a start at which no point of a view can be projected.
+
+    For example, with one camera in the place of two:
+
+        >>> rig = sv.Rig({"left": data, "right": data.select(range(4))})
+        >>> both = sv.fit_rig(rig, {"left": truth, "right": truth}, noise=noise)
+        >>> std = both.relative("left", "right").std
+        >>> print(f"{1e3 * std[2]:.1f} mm along the optical axis")
+        0.9 mm along the optical axis
+    """
+    require_instance("rig", rig, Rig)
+    require_names("fixed", fixed)
+    require_names("free", free)
+    known, prior = dict(priors or {}), robot_prior or RobotPrior()
+    several, arms = len(rig.arm_names) > 1, {}
+    paths = paths_of_arms(rig, starts, fixed, free, known)
+    for arm in rig.arm_names:
+        own_noise = _option_of(arm, "noise", noise)
+        if own_noise != "estimated" and not isinstance(own_noise, Noise):
+            raise ValueError(f'noise is "estimated" or a Noise for a rig; found {own_noise!r}')
+        own_field = checked_field_choice(_option_of(arm, "field", field))
+        arms[arm] = fit_arm(
+            rig.of_arm(arm),
+            {name: start for name, start in starts.items() if rig.arms.get(name, arm) == arm},
+            ArmOptions(own_noise, own_field, paths[arm], prior),
+            _named(progress, arm) if several else progress,
+        )
+    joined = join_arms(rig, arms, known) if several else None
+    fit = _assembled(rig, arms, joined, tuple(rejected))
+    disagreement = () if joined is None else joined.disagreement
+    return dataclasses.replace(fit, warnings=(*rig_warnings(fit, prior), *disagreement))
+
+
+def _named(progress: Callable[[str], None] | None, arm: str) -> Callable[[str], None] | None:
+    """Return a function that reports progress with the arm's name."""
+    return None if progress is None else lambda text: progress(f"{arm}: {text}")
+
+
+def _option_of(arm: str, name: str, option: _Option | Mapping[str, _Option]) -> _Option:
+    """Return an option for one arm, of a value for all arms or of one for each.
+
+    Raises:
+        ValueError: the arm has no value.
+    """
+    if not isinstance(option, Mapping):
+        return option
+    if arm not in option:
+        raise ValueError(f"{name}: expected a value for arm {arm!r}, found {', '.join(option)}")
+    return option[arm]
+
+
+def _assembled(
+    rig: Rig,
+    arms: Mapping[str, SolvedArm],
+    joined: JoinedArms | None,
+    rejected: tuple[tuple[str, Rejection], ...],
+) -> RigFit:
+    """Build the result: calibrations, covariance and inliers at the solution.
+
+    Args:
+        rig: data sets of all arms.
+        arms: the fit of each arm alone.
+        joined: the fit of all arms; None if there is one.
+        rejected: what was left out before.
+    """
+    first = next(iter(arms.values()))
+    together = joined or first
+    built, solution, equations = together.built, together.solution, together.equations
+    reduced = reduced_equations(equations.matrix)
+    norms = np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
+    jacobian = ScaledJacobian(reduced.schur_complement, norms)
+    # The noise is stated or estimated: the variance factor is one.
+    common, std = covariance(jacobian, 1.0)
+    freedom = np.full(len(std), np.inf)
+    estimated = (
+        _added_by_estimation(first) if joined is None else added_by_estimation(joined, arms, common)
+    )
+    if estimated is not None:
+        added, freedom = estimated
+        common = common + added
+        std = np.sqrt(std**2 + np.diagonal(added))
+    of_states = per_view_std(reduced, common, 1.0)[np.asarray(built.problem.per_view_free)]
+    calibrations, residuals, inliers, pixel_sigmas = {}, {}, {}, {}
+    chains = (solution.chain,) if joined is None else solution.chain
+    for arm, of_cameras in zip(arms.values(), chains, strict=True):
+        sigma = float(arm.built.problem.pixel_sigma)
+        estimate = arm.estimate
+        relative = {} if estimate is None else estimate.relative_sigmas
+        for name, chain in _chains(arm.built, of_cameras).items():
+            data, calibration = arm.rig.cameras[name], chain.calibration
+            if estimate is not None and (error := calibration.robot_error) is not None:
+                fitted = None if estimate.field is None else error.converted_to(estimate.field)
+                calibration = dataclasses.replace(calibration, robot_error=fitted)
+            own = _residuals_at(chain, data)
+            pixel_sigmas[name] = sigma * relative.get(name, 1.0)
+            gate = MAX_INLIER_CHI_SQUARE * pixel_sigmas[name] ** 2
+            inliers[name] = np.asarray(data.visible) & (np.sum(own**2, axis=-1) <= gate)
+            residuals[name] = chain_residuals(calibration, data.observations)
+            calibrations[name] = with_region(calibration, data)
+    left_out = [entry for arm in arms.values() for entry in arm.rejected]
+    return RigFit(
+        calibrations=calibrations,
+        covariance=common,
+        parameter_names=built.shared_names,
+        std=dict(
+            zip((*built.shared_names, *built.per_view_names), (*std, *of_states), strict=True)
+        ),
+        degrees_of_freedom=dict(zip(built.shared_names, map(float, freedom), strict=True)),
+        noises={
+            name: arm.built.noise if arm.estimate is None else arm.estimate.noise
+            for name, arm in arms.items()
+        },
+        pixel_sigmas=pixel_sigmas,
+        noise_estimates={
+            name: arm.estimate for name, arm in arms.items() if arm.estimate is not None
+        },
+        residuals=residuals,
+        inliers=inliers,
+        pose_corrections=np.asarray(solution.z.per_view),
+        view_ids=rig.view_ids,
+        rejected=(*rejected, *left_out),
+        built=built,
+        solution=solution,
+        smallest_singular_value=float(jacobian.singular_values[-1]),
+        result=solver_result(solution),
+        bases={} if joined is None else joined.bases,
+        arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
+    )
+
+
+def _added_by_estimation(
+    arm: SolvedArm,
+) -> tuple[Float[np.ndarray, "free free"], Float[np.ndarray, "free"]] | None:
+    """Return what estimated noise adds to one arm's covariance, and the degrees of freedom."""
+    if arm.estimate is None:
+        return None
+    correction = arm.estimate.small_sample_correction
+    added = correction.added_covariance + arm.estimate.between_models_covariance
+    return added, correction.degrees_of_freedom
+
+
+def _residuals_at(chain: FittedChain, data: Dataset) -> Float[np.ndarray, "views points 2"]:
+    """Return measured minus predicted pixels at a fit, with all corrections."""
+    camera, size = chain.calibration.camera, chain.calibration.target_scale
+    poses = np.asarray(chain.camera_from_world)[: data.view_count]
+    return np.asarray(view_residuals(camera, size, poses, data.observations))
+
+
+def _chains(built: BuiltRig, of_groups: tuple[FittedChain, ...]) -> dict[str, FittedChain]:
+    """Return the chain of each camera, by its name."""
+    return {
+        name: jax.tree.map(lambda x, row=row: to_device(np.asarray(x)[row]), chains)
+        for cameras, chains in zip(built.cameras, of_groups, strict=True)
+        for row, name in enumerate(cameras)
+    }
