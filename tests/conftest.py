@@ -13,6 +13,8 @@ os.environ["XLA_FLAGS"] = " ".join(
         # JAX 0.11 ends the process for a flag that it lacks.
         "--xla_cpu_use_fusion_emitters=false" * (version("jax") < "0.11"),
         "--xla_cpu_parallel_codegen_split_count=1",
+        "--xla_disable_hlo_passes=while-loop-invariant-code-motion,while-loop-constant-sinking,"
+        "simplify-while-loops",
     )
 ).strip()
 # Programs that take long to compile are kept for the other worker, other files and the next run:

@@ -62,8 +62,18 @@ def test_what_is_given_decides(monkeypatch):
 def test_options_that_the_compiler_lacks_are_left_out(monkeypatch):
     """XLA would refuse to compile anything with them."""
     monkeypatch.setattr(compilation, "FIRST_VERSION_TO_ASK", (0,))
-    monkeypatch.setattr(compilation, "CPU_OPTIONS", {"no_such_option": 1, **OPTIONS_OF_ALL})
-    assert compilation._known_cpu_options.__wrapped__() == OPTIONS_OF_ALL
+    assert compilation._known({"no_such_option": 1, **OPTIONS_OF_ALL}) == OPTIONS_OF_ALL
+
+
+def test_small_programs_are_compiled_without_passes_over_loops():
+    """They are as right without: XLA only moves and removes what does not matter."""
+
+    def powers(x):
+        return jax.lax.fori_loop(0, 5, lambda i, y: y * jnp.cos(x) + i, x)
+
+    x = jnp.linspace(0.0, 1.0, 7)
+    np.testing.assert_allclose(compiled(powers)(x), jax.jit(powers)(x), rtol=1e-14)
+    assert compilation._is_option(*next(iter(compilation.FAST_COMPILING_OPTIONS.items())))
 
 
 def test_no_program_is_compiled_otherwise():
