@@ -79,6 +79,7 @@ def object_model_to_dict(model: ObjectModel) -> dict[str, Any]:
         "name": model.name,
         "provenance": list(model.provenance),
         "planar_tolerance": model.planar_tolerance,
+        "tolerance": model.tolerance,
         "vertices": model.vertices.tolist(),
         "edges": model.edges.tolist(),
         "faces": [_face_to_dict(face) for face in model.faces],
@@ -137,6 +138,7 @@ def object_model_from_dict(content: Any) -> ObjectModel:
         file.name,
         tuple(file.provenance),
         file.planar_tolerance,
+        scale * file.tolerance,
     )
 
 

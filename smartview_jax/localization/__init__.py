@@ -30,6 +30,7 @@ from .scoring import PoseScores as PoseScores
 from .scoring import SceneMaps as SceneMaps
 from .scoring import score_poses as score_poses
 from .verdict import Verdict as Verdict
+from .verdict import VerdictOptions as VerdictOptions
 from .verdict import judge as judge
 from .wireframe import EDGE_SAMPLES as EDGE_SAMPLES
 from .wireframe import Wireframe as Wireframe

@@ -6,13 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..modeling import ObjectModel
+from ..modeling import CalibrationUncertainty, ObjectModel
 from .distinct_poses import pose_distances
 from .evidence import log_likelihood_of
 from .hypotheses import Hypothesis
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES
 from .scene import Scene
+from .verdict import VerdictOptions
 from .wireframe import EDGE_SAMPLES, Wireframe
 
 SAME_POSE = 0.04
@@ -39,6 +40,23 @@ class Prepared(NamedTuple):
     def middle_at(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
         """Return the middle of the vertices in the world, m."""
         return pose[:3, :3] @ self.model.vertices.mean(axis=0) + pose[:3, 3]
+
+
+class Query(NamedTuple):
+    """The models that are looked for, the place, and the limits of the verdict.
+
+    Attributes:
+        models: models of the objects that may be there.
+        uncertainty: of the calibration in the views.
+        options: limits of the verdict.
+        workspace: two corners of a box in the world that contains the objects, m; None for
+            anywhere.
+    """
+
+    models: Sequence[Prepared]
+    uncertainty: CalibrationUncertainty
+    options: VerdictOptions
+    workspace: Float[np.ndarray, "2 3"] | None = None
 
 
 class Candidate(NamedTuple):

@@ -49,7 +49,8 @@ MIN_POINT_SIGMA = 0.03
 """Smallest standard deviation of an edge point, px; a smaller estimate is not believed."""
 
 MODEL_SIGMA = 0.003
-"""Standard deviation of a whole line's position, px, no matter how many points it has."""
+"""Standard deviation of a whole line's position, px, no matter how many points it has, where the
+object is exactly as its model."""
 
 MIN_EDGE_PX = 8.0
 """Visible length, px, below which an edge is not measured."""
@@ -85,6 +86,7 @@ class EdgeLines(NamedTuple):
         found_px: visible length where the line has points, px.
         strength: mean gradient of the line's points, grey levels per px.
         scatter: standard deviation of the points about their line, px.
+        tolerance_px: standard deviation of the two numbers together by the model's tolerance, px.
         samples: predicted pixels; zero where not visible.
         sample_px: visible length that each sample stands for, px.
         normals: unit normals of the predicted edges at the samples; zero where not visible.
@@ -106,6 +108,7 @@ class EdgeLines(NamedTuple):
     found_px: Float[AnyArray, "*views E"]
     strength: Float[AnyArray, "*views E"]
     scatter: Float[AnyArray, "*views E"]
+    tolerance_px: Float[AnyArray, "*views E"]
     samples: Float[AnyArray, "*views S 2"]
     sample_px: Float[AnyArray, "*views S"]
     normals: Float[AnyArray, "*views S 2"]
@@ -174,10 +177,14 @@ def edge_lines(
     variance = over_edges(weights * rest**2) / W
     variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)
     variance = jnp.maximum(variance, MIN_POINT_SIGMA**2)
-    # The line as a whole may be off by MODEL_SIGMA at either end, independently.
-    tilt = MODEL_SIGMA * jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
+    # The line as a whole may be off by so much at either end, independently. The derivative of the
+    # distance by a shift of the object is the number of pixels to a metre.
+    px_per_metre = over_edges(combination[0] * jnp.linalg.norm(J[:, :3], axis=1))
+    tolerance = wireframe.tolerance * px_per_metre
+    tilted = jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
+    whole = MODEL_SIGMA**2 + tolerance**2
     variances = jnp.stack(
-        [variance / independent + MODEL_SIGMA**2, variance / independent + tilt**2], axis=1
+        [variance / independent + whole, variance / independent + whole * tilted**2], axis=1
     )
     visible_px = over_edges(px)
     measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
@@ -195,6 +202,7 @@ def edge_lines(
         jnp.where(measured, found_px, 0.0),
         jnp.where(measured, over_edges(weights * strengths) / W, 0.0),
         jnp.sqrt(variance),
+        jnp.where(measured, tolerance * jnp.sqrt(1.0 + tilted**2), 0.0),
         p,
         px,
         n,

@@ -54,6 +54,7 @@ class Evidence(NamedTuple):
         log_exactness: see `log_chance_of_exact_edges`.
         moved: see `likeliest_moved_face`; None where it was not computed.
         disagreement: see `least_agreeing_view`; None where it was not computed, or is unknown.
+        tolerance_px: part of `edge_rms` that the model's tolerance explains, px.
     """
 
     explained: float
@@ -69,6 +70,7 @@ class Evidence(NamedTuple):
     log_exactness: float
     moved: MovedFace | None = None
     disagreement: ViewDisagreement | None = None
+    tolerance_px: float = 0.0
 
     @property
     def log_odds(self) -> float:
@@ -95,6 +97,7 @@ def evidence_of(
     in_view = np.where(visible >= MIN_VIEW_PX, explained / np.maximum(visible, 1.0), np.nan)
     # The two numbers are distances at the mean and at one spread from it: their squares add up.
     distances = np.linalg.norm(lines.offsets[lines.measured], axis=1)
+    tolerances = lines.tolerance_px[lines.measured]
     total, share = float(visible.sum()), float(explained.sum() / max(visible.sum(), 1.0))
     return Evidence(
         share,
@@ -108,6 +111,7 @@ def evidence_of(
         total / max(total + float(lines.behind_px.sum()), 1.0),
         log_likelihood_of(share, total),
         log_chance_of_exact_edges(distances, absorbed),
+        tolerance_px=float(np.sqrt((tolerances**2).mean())) if len(tolerances) else 0.0,
     )
 
 

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..modeling import CalibrationUncertainty
-from .candidates import Candidate, Prepared, measured_candidates
+from .candidates import Candidate, Prepared, Query, measured_candidates
 from .corrected_views import corrected_views
 from .distinct_poses import (
+    TOLERATED_SIGMAS,
     in_one_place,
     middles_are_near,
     overlap_tolerance,
@@ -26,7 +26,7 @@ from .moved_faces import likeliest_moved_face
 from .pose_equations import UndeterminedPoseError
 from .refinement import RefinedPose, refine_pose
 from .scene import Scene, explained_among
-from .verdict import MIN_MARGIN, REJECTED_SHARE, Verdict, judge, may_be_another_size, relative_std
+from .verdict import Verdict, judge, may_be_another_size, relative_std
 from .view_agreement import least_agreeing_view
 
 MAX_REJECTED = 12
@@ -51,9 +51,8 @@ class Judgement(NamedTuple):
 
 def judged(
     scene: Scene,
-    prepared: Sequence[Prepared],
+    query: Query,
     candidates: Sequence[Candidate],
-    uncertainty: CalibrationUncertainty,
     tested: int,
     known: Sequence[Localization] = (),
 ) -> Judgement:
@@ -65,22 +64,21 @@ def judged(
     Args:
         scene: edge points of the pictures that the known objects leave, from which found objects
             take theirs.
-        prepared: the models.
+        query: what is looked for.
         candidates: the likeliest first.
-        uncertainty: of the calibration in these views.
         tested: number of poses that were examined.
         known: objects that were accepted before.
     """
-    judging = _Judging(scene, prepared, uncertainty, tested)
+    judging = _Judging(scene, query, tested)
     judgement = judging.in_order(candidates, known)
     accepted = [obj for obj in judgement.results if obj.accepted]
     # Poses judged before their neighbours were known are judged again, with the neighbours as
     # occluders.
     if not accepted or all(obj.accepted for obj in judgement.results[: len(accepted)]):
         return judgement
-    free = scene_without(scene, prepared, accepted)
-    judging = _Judging(free, prepared, uncertainty, tested)
-    return judging.in_order(measured_candidates(free, prepared, candidates), accepted)
+    free = scene_without(scene, query.models, accepted)
+    judging = _Judging(free, query, tested)
+    return judging.in_order(measured_candidates(free, query.models, candidates), accepted)
 
 
 def scene_without(
@@ -102,15 +100,10 @@ def _take(scene: Scene, prepared: Sequence[Prepared], obj: Localization) -> None
 class _Judging:
     """The verdicts on poses in a scene."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        prepared: Sequence[Prepared],
-        uncertainty: CalibrationUncertainty,
-        tested: int,
-    ):
-        self.scene, self._prepared = scene, prepared
-        self._uncertainty, self._tested = uncertainty, tested
+    def __init__(self, scene: Scene, query: Query, tested: int):
+        self.scene, self._tested = scene, tested
+        self._prepared, self._uncertainty = query.models, query.uncertainty
+        self._options = query.options
 
     def in_order(self, candidates: Sequence[Candidate], known: Sequence[Localization]) -> Judgement:
         """Return the known objects and the verdicts on candidates at other places, in order."""
@@ -122,7 +115,7 @@ class _Judging:
             best, waiting = waiting[0], waiting[1:]
             # The order is by likelihood, which grows with length: a later candidate may explain a
             # larger share.
-            if results and best.explained < REJECTED_SHARE:
+            if results and best.explained < self._options.rejected_share:
                 continue
             count += 1
             is_known = any(obj.model_index == best.model for obj in results)
@@ -139,7 +132,7 @@ class _Judging:
                 # them.
                 self.take(obj)
                 waiting = measured_candidates(self.scene, self._prepared, waiting)
-        left = [c for c in waiting if c.explained >= REJECTED_SHARE]
+        left = [c for c in waiting if c.explained >= self._options.rejected_share]
         return Judgement(results, left)
 
     def _elsewhere(self, obj: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -164,7 +157,8 @@ class _Judging:
         entry, pose = self._prepared[candidate.model], candidate.pose
         lines = self.scene.lines(pose, entry.coarse)
         evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose))
-        return judge(evidence, self._tested, np.inf).decision == "rejected"
+        verdict = judge(evidence, self._tested, np.inf, options=self._options)
+        return verdict.decision == "rejected"
 
     def best_explanation(
         self, first: Candidate, others: Sequence[Candidate]
@@ -176,7 +170,7 @@ class _Judging:
         None if too few edges determine the candidate's pose.
         """
         result = self.localization(first, others)
-        if result is None or result.verdict.margin > -MIN_MARGIN:
+        if result is None or result.verdict.margin > -self._options.min_margin:
             return result
         rival = result.rivals[0]
         pose = Candidate(rival.model, rival.world_from_object, 0.0, 0.0)
@@ -215,7 +209,7 @@ class _Judging:
         uncertain = relative_std(entry.model, refined.covariance)
 
         def verdict_on(evidence: Evidence) -> Verdict:
-            return judge(evidence, self._tested, margin, name, uncertain)
+            return judge(evidence, self._tested, margin, name, uncertain, self._options)
 
         verdict = verdict_on(evidence)
         if verdict.decision != "rejected":
@@ -225,9 +219,11 @@ class _Judging:
             evidence = evidence._replace(disagreement=disagreement)
             verdict = verdict_on(evidence)
         # Moving faces takes time: only poses that would be accepted are tested.
-        if verdict.decision == "accepted" and may_be_another_size(evidence):
+        if verdict.decision == "accepted" and may_be_another_size(evidence, self._options):
             moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
-            verdict = verdict_on(evidence._replace(moved=moved))
+            # Within its tolerance the object has the model's dimensions.
+            if moved is None or abs(moved.distance) >= TOLERATED_SIGMAS * entry.model.tolerance:
+                verdict = verdict_on(evidence._replace(moved=moved))
         scale = scene.pictures[0].scale
         return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)
 
@@ -284,7 +280,8 @@ class _Judging:
         if not middles_are_near(model, pose, other.model, candidate.pose):
             return False
         lines = self.scene.lines(candidate.pose, other.coarse)
-        return explained_among(lines, left) < REJECTED_SHARE * candidate.visible_px
+        smallest = self._options.rejected_share * candidate.visible_px
+        return explained_among(lines, left) < smallest
 
     def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"]) -> Rival:
         """Return a pose as a rival, measured with all samples."""
@@ -313,8 +310,8 @@ class _Judging:
         entry, kept = self._prepared[best.model], list[Rival]()
         for rival in sorted(rivals, key=lambda rival: -rival.log_odds):
             # Before its refinement a rival fits less exactly than it could.
-            is_close = evidence.log_likelihood - rival.log_likelihood < MIN_MARGIN
-            is_close |= evidence.log_odds - rival.log_odds < MIN_MARGIN
+            is_close = evidence.log_likelihood - rival.log_likelihood < self._options.min_margin
+            is_close |= evidence.log_odds - rival.log_odds < self._options.min_margin
             if not is_close:
                 kept.append(rival)
                 continue

@@ -18,7 +18,7 @@ from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence, scaled_camera
 from ..modeling import AnyCalibration, CalibrationUncertainty, ObjectModel, RigViews, SeenViews
 from ..robots import CommandLike
-from .candidates import Prepared
+from .candidates import Prepared, Query
 from .depth_buffers import checked_triangles
 from .earlier_views import hypotheses_of, own_command, together_with
 from .hypotheses import ALL_HYPOTHESES, Hypothesis, checked_box, find_hypotheses
@@ -29,6 +29,7 @@ from .pose_convergence import THREADS
 from .refining_together import refined_together
 from .scene import Scene
 from .search_rounds import Found, judged_in_rounds
+from .verdict import DEFAULT_OPTIONS, VerdictOptions
 
 
 def localize(
@@ -43,6 +44,7 @@ def localize(
     hypotheses: Sequence[Hypothesis] | None = None,
     workspace: Float[np.ndarray, "2 3"] | None = None,
     occluders: Float[np.ndarray, "triangles 3 3"] | None = None,
+    options: VerdictOptions = DEFAULT_OPTIONS,
 ) -> Localizations:
     """Find objects of known models in one, two or more calibrated pictures.
 
@@ -67,6 +69,7 @@ def localize(
             a bin; nothing outside is found. None for anywhere.
         occluders: triangles in the world, m, of known obstacles such as the walls of a bin; edges
             that they occlude do not count as missing.
+        options: limits by which a pose is accepted, rejected or left open.
 
     Returns:
         The objects found, accepted ones first; `messages` says why others were not accepted.
@@ -117,7 +120,8 @@ def localize(
         missing = [k for k in range(len(prepared)) if k not in known]
     search = partial(_searched, views, prepared, box)
     scene = Scene(views, pictures, triangles)
-    found = judged_in_rounds(scene, prepared, given, missing, search, uncertainty, box)
+    query = Query(prepared, uncertainty, options, box)
+    found = judged_in_rounds(scene, query, given, missing, search)
     results = refined_together(found.results, scene, prepared, uncertainty)
     frame = calibration.frame if isinstance(calibration, RigViews) else "world"
     return Localizations(

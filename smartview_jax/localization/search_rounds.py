@@ -10,17 +10,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from ..features import PictureEvidence
-from ..modeling import CalibrationUncertainty
-from .candidates import Candidate, Prepared, converged_candidates, measured_candidates
+from .candidates import Candidate, Query, converged_candidates, measured_candidates
 from .hypotheses import MAX_HYPOTHESES, Hypothesis
 from .judging import judged, scene_without
 from .localization import Localization
 from .pose_convergence import lengths_of_poses
 from .scene import Scene
-from .verdict import HIDDEN_SHARE
 
 SEARCHED_AGAIN = 8
 """Number of objects of a model that one search finds, from which on it is searched for again.
@@ -48,24 +45,21 @@ class Found(NamedTuple):
 
 def judged_in_rounds(
     scene: Scene,
-    prepared: Sequence[Prepared],
+    query: Query,
     given: Sequence[Hypothesis],
     searched: Sequence[int],
     search: Search,
-    uncertainty: CalibrationUncertainty,
-    box: Float[np.ndarray, "2 3"] | None,
 ) -> Found:
     """Return the verdicts on hypotheses, round after round until one brings no further object.
 
     Args:
         scene: edge points of the pictures, from which found objects take theirs.
-        prepared: the models.
+        query: what is looked for.
         given: hypotheses that are all tried in the first round.
         searched: indices of the models that are searched for.
         search: how they are.
-        uncertainty: of the calibration in these views.
-        box: two corners of the workspace; None for anywhere.
     """
+    prepared = query.models
     tried, left = [0] * len(prepared), [0] * len(prepared)
     results: list[Localization] = []
     accepted: list[Localization] = []
@@ -76,17 +70,17 @@ def judged_in_rounds(
     while True:
         free = scene_without(scene, prepared, accepted)
         # There may be more objects only of models that the last round found.
-        waiting = _worth_trying(free, prepared, [h for h in waiting if by_round[h.model]])
+        waiting = _worth_trying(free, query, [h for h in waiting if by_round[h.model]])
         many = [model for model in searched if by_search[model] >= SEARCHED_AGAIN]
         if many and not waiting:
-            waiting = _worth_trying(free, prepared, search(free.free_pictures(), many))
+            waiting = _worth_trying(free, query, search(free.free_pictures(), many))
             by_search.clear()
         batch, waiting = _first_of_each_model(waiting)
         batch, given = [*given, *batch], ()
         if not batch:
             return Found(results, tried, left)
         tried = _added(tried, batch)
-        candidates = _within(converged_candidates(free, prepared, batch), prepared, box)
+        candidates = _within(converged_candidates(free, prepared, batch), query)
         # Poses left open are judged again, with the objects found since as neighbours.
         undecided = [obj for obj in results if obj.verdict.decision == "open"]
         if undecided:
@@ -95,7 +89,7 @@ def judged_in_rounds(
             ]
             candidates = measured_candidates(free, prepared, [*candidates, *poses])
         rejected = [obj for obj in results if obj.verdict.decision == "rejected"]
-        judgement = judged(free, prepared, candidates, uncertainty, sum(tried), accepted)
+        judgement = judged(free, query, candidates, sum(tried), accepted)
         left = _added(left, judgement.left)
         results = [*judgement.results, *rejected]
         now = [obj for obj in results if obj.accepted]
@@ -119,37 +113,32 @@ def _first_of_each_model(
     return batch, others
 
 
-def _worth_trying(
-    scene: Scene, prepared: Sequence[Prepared], hypotheses: Sequence[Hypothesis]
-) -> list[Hypothesis]:
+def _worth_trying(scene: Scene, query: Query, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return the hypotheses that might be accepted by the edge points that are still free."""
     if not scene.has_claims:
         return list(hypotheses)
     kept = []
-    for index, entry in enumerate(prepared):
+    for index, entry in enumerate(query.models):
         waiting = [h for h in hypotheses if h.model == index]
         if not waiting:
             continue
         poses = np.stack([h.world_from_object for h in waiting])
         visible, explained = lengths_of_poses(entry.coarse, scene.views, scene.lookup, poses).T
-        is_kept = explained >= HIDDEN_SHARE * np.maximum(visible, 1.0)
+        is_kept = explained >= query.options.hidden_share * np.maximum(visible, 1.0)
         kept += [h for h, keep in zip(waiting, is_kept, strict=True) if keep]
     return kept
 
 
-def _within(
-    candidates: Sequence[Candidate],
-    prepared: Sequence[Prepared],
-    box: Float[np.ndarray, "2 3"] | None,
-) -> list[Candidate]:
+def _within(candidates: Sequence[Candidate], query: Query) -> list[Candidate]:
     """Return the candidates whose middle is in the workspace.
 
     Checked again after the fit, which may have moved a pose out of the box. Only the middle is
     checked: the vertices were when the pose was proposed, and the walls are not exact.
     """
+    box = query.workspace
     if box is None:
         return list(candidates)
-    middles = [prepared[c.model].middle_at(c.pose) for c in candidates]
+    middles = [query.models[c.model].middle_at(c.pose) for c in candidates]
     inside = [bool(((box[0] <= m) & (m <= box[1])).all()) for m in middles]
     return [c for c, is_in in zip(candidates, inside, strict=True) if is_in]
 

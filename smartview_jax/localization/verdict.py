@@ -12,13 +12,10 @@ A pose has to be likelier than what else may explain the edges:
   log-likelihood ratio including the exactness of the fit.
 
 Its views have to agree (`view_agreement`), and it has to be precise.
-
-The thresholds were chosen between values measured on rendered scenes of five solids and on real
-pictures. On 520 other poses (of a second renderer, of drawn solids among clutter, and of real
-pictures, with boxes of other proportions) most were left out in turn, and those that improved no
-verdict were removed.
+`VerdictOptions` has the limits.
 """
 
+import dataclasses
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -28,88 +25,97 @@ from ..modeling import ObjectModel
 from .distinct_poses import surface_sigma
 from .evidence import Evidence, log_likelihood_of_found
 from .moved_faces import MovedFace
-from .view_agreement import EXACT_RIG_ERROR, MIN_AGREEMENT, ViewDisagreement
+from .view_agreement import ViewDisagreement
 
-REJECTED_SHARE = 0.4
-"""Explained share below which a pose is rejected."""
 
-ACCEPTED_SHARE = 0.88
-"""Explained share above which a pose may be accepted that does not fit so exactly that clutter can
-be excluded.
+@dataclasses.dataclass(frozen=True)
+class VerdictOptions:
+    """The limits by which a pose is accepted, rejected or left open.
 
-The outline of another object and the print on it matched 82 % of a model's edges. One picture
-leaves the scale free, too: of 84 searches for boxes in pictures of a textured cube, and of others,
-11 ended in a pose with 82 to 91 %, on edges of the cube and of its print.
-"""
+    The default values lie between what right and wrong poses had on the package's rendered scenes
+    and on real pictures of boxes and cubes. On pictures of another kind, print the `evidence` of
+    poses that you know to be right or wrong, and set the limits between them.
 
-HIDDEN_SHARE = 0.5
-"""Explained share above which a pose may be accepted if its other edges are occluded.
+    Attributes:
+        rejected_share: explained share below which a pose is rejected.
+        accepted_share: explained share above which a pose may be accepted that does not fit so
+            exactly that clutter can be excluded. The outline of another object and the print on it
+            matched 82 % of a model's edges, and up to 91 % in one picture, which leaves the scale
+            free.
+        hidden_share: explained share above which a pose may be accepted if its other edges are
+            occluded. Clutter must then be excluded, and the model needs faces, so that other
+            dimensions can be tested.
+        certain_edge_rms: largest RMS distance of the measured edges from the model, px, for which
+            clutter can be excluded.
+        certain_log_exactness: largest decimal logarithm of the chance of so exact a fit for which
+            clutter can be excluded. Right poses of partly occluded objects in single pictures had
+            -9.7 or less; poses on other solids and on print -5.1 to -5.6, and once -10.1.
+        complete_share: explained share above which nothing needs to be occluded, and moved faces
+            are not tested.
+        max_log_moved: largest log-likelihood ratio of the solid with a moved face to the model.
+            About 6 of it are for the hundreds of distances that are tried. Solids with other
+            dimensions that fit exactly had 14.8 or more, occluded right ones 10.5 or less.
+        accepted_view_share: smallest explained share in each counted view.
+        min_good_views: number of views that must show the object with at least that share; all, if
+            there are fewer. In a further view the object may be occluded.
+        min_edges: smallest number of measured edges, all views together, of a pose that is not
+            rejected. Five edges have ten numbers, four more than a pose.
+        min_in_picture: smallest share of the vertices within the picture, in at least one view.
+        min_in_front: smallest share of the edges that no other object occludes.
+        max_log_false_alarms: largest decimal logarithm of the expected number of false alarms.
+        max_edge_rms: largest RMS distance of the measured edges from the model, px, beyond the
+            tolerance of the model.
+        alone_edge_rms: the same for an object shown from one direction only, where scale and tilt
+            are free: boxes of other sizes were fitted to 0.55 px or more, right ones to 0.50 or
+            less.
+        max_relative_std: largest standard deviation of a vertex, over the object's extent.
+        min_margin: smallest log-likelihood ratio to the best rival, including exactness: ln(100)
+            for each of some thirty poses that are examined.
+        min_agreement: smallest probability of so large a difference between the views.
+        exact_rig_error: largest difference between the views, over the object's extent, of a
+            calibration and a robot that are taken as exact. They err by some tenths of a millimetre
+            where nobody says so.
 
-Clutter must then be excluded, and the model needs faces, so that other dimensions can be tested.
-"""
+    Raises:
+        ValueError: a limit that is not a finite number, named.
 
-CERTAIN_EDGE_RMS, CERTAIN_LOG_EXACTNESS = 0.5, -9.0
-"""Largest RMS distance of the measured edges from the model, px, and largest decimal logarithm of
-the chance of so exact a fit, for which clutter can be excluded.
+    For example:
 
-One picture leaves the scale free. In 180 single pictures of other seeds 28 of 29 right poses of
-partly occluded objects had -9.7 or less; at other solids, and at print, -5.1 to -5.6 and once
--10.1.
-"""
+        >>> strict = sv.localization.VerdictOptions(accepted_share=0.95, max_relative_std=0.01)
+        >>> strict.min_margin
+        8.0
+    """
 
-COMPLETE_SHARE = 0.9
-"""Explained share above which nothing needs to be occluded, and moved faces are not tested."""
+    rejected_share: float = 0.4
+    accepted_share: float = 0.88
+    hidden_share: float = 0.5
+    certain_edge_rms: float = 0.5
+    certain_log_exactness: float = -9.0
+    complete_share: float = 0.9
+    max_log_moved: float = 12.0
+    accepted_view_share: float = 0.45
+    min_good_views: int = 2
+    min_edges: int = 5
+    min_in_picture: float = 0.7
+    min_in_front: float = 0.3
+    max_log_false_alarms: float = -2.0
+    max_edge_rms: float = 1.2
+    alone_edge_rms: float = 0.53
+    max_relative_std: float = 0.04
+    min_margin: float = 8.0
+    min_agreement: float = 1e-3
+    exact_rig_error: float = 0.02
 
-MAX_LOG_MOVED = 12.0
-"""Largest log-likelihood ratio of the solid with a moved face to the model, in an accepted pose.
+    def __post_init__(self) -> None:
+        """Refuse limits that are not numbers: a comparison with NaN would accept any pose."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not np.isfinite(value):
+                raise ValueError(f"{field.name}: expected a finite number, found {value}")
 
-About 6 of it are for the hundreds of distances that are tried. In 120 scenes of six
-solids each that differ from the model in some dimensions, 160 of 164 wrong poses that fit exactly
-had 14.8 or more; of 59 right poses of objects occluded by some 30 % none had more than 10.5.
-"""
 
-ACCEPTED_VIEW_SHARE = 0.45
-"""Smallest explained share in each counted view of an accepted pose."""
-
-MIN_GOOD_VIEWS = 2
-"""Number of views that must show the object with at least that share; all, if there are fewer.
-
-In a further view the object may be occluded: of six objects in bins that two views had shown, a
-third view showed 23 to 44 % of the edges.
-"""
-
-MIN_EDGES = 5
-"""Smallest number of measured edges, all views together, of a pose that is not rejected.
-
-Five edges have ten numbers, four more than a pose.
-"""
-
-MIN_IN_PICTURE = 0.7
-"""Smallest share of the vertices within the picture, in at least one view of an accepted pose."""
-
-MIN_IN_FRONT = 0.3
-"""Smallest share of the edges of an accepted pose that no other object occludes."""
-
-MAX_LOG_FALSE_ALARMS = -2.0
-"""Largest decimal logarithm of the expected number of false alarms of an accepted pose."""
-
-MAX_EDGE_RMS, ALONE_EDGE_RMS = 1.2, 0.53
-"""Largest RMS distance of the measured edges from the model, px, in an accepted pose; the second
-value is for an object shown from one direction only.
-
-With scale and tilt free, boxes of other sizes were fitted to 91 to 98 % of the edges of a castle's
-cube and of rendered solids in single pictures, to 0.55 px or more; right poses fit to 0.50 or less.
-"""
-
-MAX_RELATIVE_STD = 0.04
-"""Largest standard deviation of a vertex in an accepted pose, over the object's extent."""
-
-MIN_MARGIN = 8.0
-"""Smallest log-likelihood ratio to the best rival of an accepted pose, including exactness.
-
-It is ln(100) for each of some thirty poses that are examined. Right poses had 8.5 or more, wrong
-ones 6.2 and 6.7 where nothing else spoke against them.
-"""
+DEFAULT_OPTIONS = VerdictOptions()
+"""The limits that are used where none are given."""
 
 
 class Verdict(NamedTuple):
@@ -142,6 +148,7 @@ def judge(
     margin: float,
     rival: str = "another pose",
     uncertainty: float = 0.0,
+    options: VerdictOptions = DEFAULT_OPTIONS,
 ) -> Verdict:
     """Return the verdict on a pose.
 
@@ -151,46 +158,48 @@ def judge(
         margin: log-likelihood ratio to the best rival; infinite without one.
         rival: name of the best rival, in messages.
         uncertainty: `relative_std` of the pose.
+        options: the limits.
     """
     log_false_alarms = float(np.log10(max(tested, 1)) - evidence.log_odds / np.log(10.0))
     share, rms = evidence.explained, evidence.edge_rms
     against = []
-    if share < REJECTED_SHARE:
+    if share < options.rejected_share:
         against.append(f"only {share:.0%} of its visible edges match the pictures")
     is_clutter = evidence.log_likelihood < 0.0 or log_false_alarms > 0.0
-    if is_clutter or evidence.edges < MIN_EDGES:
+    if is_clutter or evidence.edges < options.min_edges:
         against.append(f"background clutter matches as well: {_amount(evidence)}")
     if against:
         return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
     doubts = []
-    if share < _accepted_share(evidence):
-        more = f", and these fit to {rms:.2f} px" if share >= HIDDEN_SHARE else ""
+    if share < _accepted_share(evidence, options):
+        more = f", and these fit to {rms:.2f} px" if share >= options.hidden_share else ""
         doubts.append(f"only {share:.0%} of its visible edges match the pictures{more}")
     in_view = evidence.explained_in_view
-    showing, needed = sum(np.isfinite(in_view)), min(MIN_GOOD_VIEWS, len(in_view))
+    showing, needed = sum(np.isfinite(in_view)), min(options.min_good_views, len(in_view))
     if showing < needed:
         doubts.append(f"only {showing} of {len(in_view)} views show enough of it")
-    if evidence.in_picture < MIN_IN_PICTURE:
+    if evidence.in_picture < options.min_in_picture:
         doubts.append(f"only {evidence.in_picture:.0%} of its vertices are within a picture")
-    if evidence.in_front < MIN_IN_FRONT:
+    if evidence.in_front < options.min_in_front:
         doubts.append(f"{1.0 - evidence.in_front:.0%} of its edges are occluded by other objects")
-    if sum(matched >= ACCEPTED_VIEW_SHARE for matched in in_view) < needed:
+    if sum(matched >= options.accepted_view_share for matched in in_view) < needed:
         doubts += [
             f"view {k}: {matched:.0%} of its visible edges match the picture"
             for k, matched in enumerate(in_view)
-            if matched < ACCEPTED_VIEW_SHARE
+            if matched < options.accepted_view_share
         ]
-    if log_false_alarms > MAX_LOG_FALSE_ALARMS:
+    if log_false_alarms > options.max_log_false_alarms:
         doubts.append(
             f"little evidence: {_amount(evidence)}; {10.0**log_false_alarms:.2g} poses as good as "
             "this are expected by chance"
         )
-    if rms > (ALONE_EDGE_RMS if evidence.is_alone else MAX_EDGE_RMS):
+    largest_rms = options.alone_edge_rms if evidence.is_alone else options.max_edge_rms
+    if rms > np.hypot(largest_rms, evidence.tolerance_px):
         more = ", too far for pictures from one direction" if evidence.is_alone else ""
         doubts.append(f"its edges are {rms:.2f} px (RMS) from the picture edges{more}")
-    if uncertainty > MAX_RELATIVE_STD:
+    if uncertainty > options.max_relative_std:
         doubts.append(f"its pose is uncertain by {uncertainty:.0%} of its size")
-    if evidence.moved is not None and _log_moved(evidence.moved) > MAX_LOG_MOVED:
+    if evidence.moved is not None and _log_moved(evidence.moved) > options.max_log_moved:
         face, distance = evidence.moved.face, 1e3 * evidence.moved.distance
         # The distance is known to one step only.
         length = f"{abs(distance):.{0 if abs(distance) >= 1.0 else 1}f} mm"
@@ -199,22 +208,23 @@ def judge(
             f"the object seems {size} than the model: moving face {face} {way} by {length} matches "
             "more edges"
         )
-    if evidence.disagreement is not None and _is_rig_wrong(evidence.disagreement):
+    if evidence.disagreement is not None and _is_rig_wrong(evidence.disagreement, options):
         doubts.append(evidence.disagreement.message)
-    if margin < MIN_MARGIN:
+    if margin < options.min_margin:
         doubts.append(f"ambiguous: {rival} matches the pictures almost as well")
     return Verdict(
         "open" if doubts else "accepted", tuple(doubts), evidence, log_false_alarms, margin
     )
 
 
-def _is_rig_wrong(disagreement: ViewDisagreement) -> bool:
+def _is_rig_wrong(disagreement: ViewDisagreement, options: VerdictOptions) -> bool:
     """Return whether views disagree by more than the errors of the rig explain.
 
     A rig that is taken as exact errs too, by an amount that nobody stated.
     """
-    is_tolerated = not disagreement.is_rig_uncertain and disagreement.relative <= EXACT_RIG_ERROR
-    return disagreement.probability < MIN_AGREEMENT and not is_tolerated
+    is_small = disagreement.relative <= options.exact_rig_error
+    is_tolerated = is_small and not disagreement.is_rig_uncertain
+    return disagreement.probability < options.min_agreement and not is_tolerated
 
 
 def _amount(evidence: Evidence) -> str:
@@ -225,16 +235,16 @@ def _amount(evidence: Evidence) -> str:
     )
 
 
-def _accepted_share(evidence: Evidence) -> float:
+def _accepted_share(evidence: Evidence, options: VerdictOptions) -> float:
     """Return the explained share above which a pose may be accepted, given how well it fits."""
-    is_certain = evidence.edge_rms <= CERTAIN_EDGE_RMS
-    is_certain &= evidence.log_exactness <= CERTAIN_LOG_EXACTNESS
-    return HIDDEN_SHARE if is_certain and evidence.has_faces else ACCEPTED_SHARE
+    is_certain = evidence.edge_rms <= np.hypot(options.certain_edge_rms, evidence.tolerance_px)
+    is_certain &= evidence.log_exactness <= options.certain_log_exactness
+    return options.hidden_share if is_certain and evidence.has_faces else options.accepted_share
 
 
-def may_be_another_size(evidence: Evidence) -> bool:
+def may_be_another_size(evidence: Evidence, options: VerdictOptions) -> bool:
     """Return whether so many edges are missing that other dimensions must be tested."""
-    return evidence.explained < COMPLETE_SHARE and evidence.has_faces
+    return evidence.explained < options.complete_share and evidence.has_faces
 
 
 def _log_moved(moved: MovedFace) -> float:

@@ -18,16 +18,6 @@ from .pose_equations import CommonErrors, PoseEquations, UndeterminedPoseError
 from .refinement import RefinedPose, line_equations
 from .wireframe import Wireframe
 
-MIN_AGREEMENT = 1e-3
-"""Smallest probability of so large a difference between views of an accepted pose."""
-
-EXACT_RIG_ERROR = 0.02
-"""Largest difference between views, over the object's extent, of a rig that is taken as exact.
-
-Robots and calibrations err by some tenths of a millimetre where nobody says so: objects of some
-centimetres are then still to be picked.
-"""
-
 
 class ViewDisagreement(NamedTuple):
     """The difference between the poses in one view alone and in the other views.

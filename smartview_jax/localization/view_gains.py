@@ -28,13 +28,13 @@ from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization
 from .occluders import Occluder, hidden_in_views, leading, occluders_around
 from .prediction import pose_jacobians, predict_view
-from .verdict import MIN_MARGIN
+from .verdict import DEFAULT_OPTIONS
 from .wireframe import Wireframe
 
 SAME_EDGE_DISTANCE, SAME_EDGE_COSINE = 4.0, 0.9
 """Distance, px, and cosine of directions within which edges of two hypotheses coincide."""
 
-ENOUGH_MARGIN = 3.0 * MIN_MARGIN
+ENOUGH_MARGIN = 3.0 * DEFAULT_OPTIONS.min_margin
 """Log-likelihood ratio above which a rival counts as ruled out."""
 
 MAX_RIVALS = 6

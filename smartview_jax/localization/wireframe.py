@@ -60,6 +60,7 @@ class Wireframe(eqx.Module):
         face_points: a point of each face, m.
         face_normals: outward unit normals; 0 for padded faces.
         margin: distance in front of a point within which no face hides it, m.
+        tolerance: standard deviation of the object's edges from the model, m.
     """
 
     vertices: Float[Array, "V 3"]
@@ -77,6 +78,7 @@ class Wireframe(eqx.Module):
     face_points: Float[Array, "F 3"]
     face_normals: Float[Array, "F 3"]
     margin: Float[Array, ""]
+    tolerance: Float[Array, ""]
 
     @classmethod
     def of(
@@ -125,6 +127,7 @@ class Wireframe(eqx.Module):
             _padded(np.array([plane.origin for plane in planes]).reshape(-1, 3), F, 3),
             _padded(np.array([plane.normal for plane in planes]).reshape(-1, 3), F, 3),
             np.array(HIDING_MARGIN * model.extent),
+            np.array(model.tolerance),
         )
         return cls(*map(to_device, arrays))
 

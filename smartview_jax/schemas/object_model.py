@@ -115,6 +115,7 @@ class ObjectModelFile(Entry):
     planar_tolerance: Annotated[
         float, Field(gt=0.0, le=1.0), Expected("a fraction of a face's extent, above 0 up to 1")
     ] = 0.01
+    tolerance: _Size = 0.0
     vertices: Annotated[
         list[_Point], Field(max_length=MAX_VERTICES), Expected(f"up to {MAX_VERTICES} points")
     ]

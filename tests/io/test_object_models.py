@@ -37,6 +37,7 @@ def full_model(seed=0):
         symmetry=dataclasses.replace(find_symmetry(model), confirmed=True),
         name='a "box" [40 mm]',
         provenance=("drawn by hand",),
+        tolerance=4e-4,
     )
 
 
@@ -45,6 +46,7 @@ def assert_same(one, other):
     np.testing.assert_array_equal(one.edges, other.edges)
     assert one.faces == other.faces
     assert (one.name, one.provenance) == (other.name, other.provenance)
+    assert one.tolerance == pytest.approx(other.tolerance, rel=1e-12)
     np.testing.assert_allclose(one.vertex_covariances, other.vertex_covariances, rtol=1e-12)
     assert len(one.grasps) == len(other.grasps)
     for a, b in zip(one.grasps, other.grasps, strict=True):
@@ -104,6 +106,7 @@ def test_millimetres_are_converted_at_the_edge(tmp_path):
     model = full_model()
     content = object_model_to_dict(model)
     content["unit"] = "mm"
+    content["tolerance"] *= 1e3
     content["vertices"] = (1e3 * model.vertices).tolist()
     content["covariance"] = {
         "per_vertex": (1e6 * np.array(content["covariance"]["per_vertex"])).tolist()
@@ -117,6 +120,7 @@ def test_millimetres_are_converted_at_the_edge(tmp_path):
         grasp[key] *= 1e3
     (tmp_path / "mm.json").write_text(json.dumps(content))
     found = load_object_model(tmp_path / "mm.json")
+    assert found.tolerance == pytest.approx(model.tolerance, rel=1e-12)
     np.testing.assert_allclose(found.vertices, model.vertices, rtol=1e-12)
     np.testing.assert_allclose(found.vertex_covariances, model.vertex_covariances, rtol=1e-9)
     np.testing.assert_allclose(

@@ -5,14 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 
 from smartview_jax.localization import Localization, judging
-from smartview_jax.localization.candidates import Candidate
+from smartview_jax.localization.candidates import Candidate, Query
+from smartview_jax.localization.verdict import DEFAULT_OPTIONS
 
 
 class Recorded(judging._Judging):
     """Verdicts that reject everything, and a list of the poses that were judged."""
 
     def __init__(self):
-        super().__init__(None, [], None, 0)
+        super().__init__(None, Query([], None, DEFAULT_OPTIONS), 0)
         self.asked = []
 
     def is_rejected_unrefined(self, candidate):

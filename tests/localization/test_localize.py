@@ -28,7 +28,7 @@ import smartview_jax as sv
 from smartview_jax.engine import Noise
 from smartview_jax.features import EdgePoints
 from smartview_jax.geometry import host_exponentials, host_logarithms, host_transforms
-from smartview_jax.localization import Hypothesis, Reachable, localize, next_view
+from smartview_jax.localization import Hypothesis, Reachable, VerdictOptions, localize, next_view
 from smartview_jax.localization.pose_convergence import lengths_of_poses
 from smartview_jax.modeling import ObjectModel, find_symmetry
 from smartview_jax.robots import Command
@@ -141,11 +141,12 @@ def test_a_pose_that_is_drawn_to_the_found_one_is_no_rival(pictures, monkeypatch
 
     monkeypatch.setattr("smartview_jax.localization.candidates.poses_on_edges", left_as_they_are)
     # All rivals decide, and 1 mm is another pose: what differs is 4 px.
-    monkeypatch.setattr("smartview_jax.localization.judging.MIN_MARGIN", 1e3)
+    lenient = VerdictOptions(min_margin=1e3)
     monkeypatch.setattr("smartview_jax.localization.candidates.SAME_POSE", 0.01)
     near = POSE @ host_exponentials(np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     turned = POSE @ MODEL.symmetry.object_from_object[1]
-    found = find(pictures, PLAIN, [Hypothesis(0, p, 0.0, 0.0) for p in (POSE, near, turned)])
+    given = [Hypothesis(0, p, 0.0, 0.0) for p in (POSE, near, turned)]
+    found = find(pictures, PLAIN, given, options=lenient)
     (rival,) = found[0].rivals
     # Either may be the likelier by a hair.
     both = np.stack([found[0].world_from_object, rival.world_from_object])

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from smartview_jax.localization import Evidence, judge
+from smartview_jax.localization import Evidence, VerdictOptions, judge
 from smartview_jax.localization.evidence import log_chance_of_exact_edges
 from smartview_jax.localization.moved_faces import MovedFace
-from smartview_jax.localization.verdict import may_be_another_size
+from smartview_jax.localization.verdict import DEFAULT_OPTIONS, may_be_another_size
 
 CLEAR = Evidence(
     explained=0.95,
@@ -57,6 +57,21 @@ def test_each_weakness_is_named(changes, decision, words):
     assert any(words in reason for reason in found.reasons)
 
 
+def test_limits_are_those_that_are_given():
+    strict = VerdictOptions(accepted_share=0.97, certain_edge_rms=0.05)
+    found = judge(CLEAR, 24, np.inf, options=strict)
+    assert found.reasons[0].startswith("only 95% of its visible edges match")
+    with pytest.raises(ValueError, match="min_margin: expected a finite number, found nan"):
+        VerdictOptions(min_margin=np.nan)
+
+
+def test_edges_may_be_off_by_the_tolerance_of_the_model():
+    off = {"edge_rms": 1.25, "edges": 60}
+    assert verdict(**off).decision == "open"
+    assert verdict(**off, tolerance_px=0.5).decision == "accepted"
+    assert verdict(**off | {"edge_rms": 1.5}, tolerance_px=0.5).decision == "open"
+
+
 def test_in_a_third_view_something_may_be_before_the_object():
     good = {"explained": 0.75, "explained_in_view": (0.9, 0.9, 0.3)}
     assert verdict(**good).decision == "accepted"
@@ -102,9 +117,9 @@ def test_a_solid_of_another_size_that_explains_more_is_named(face, distance, wor
 
 
 def test_only_what_lacks_edges_may_be_of_another_size():
-    assert may_be_another_size(CLEAR._replace(explained=0.85))
-    assert not may_be_another_size(CLEAR)
-    assert not may_be_another_size(CLEAR._replace(explained=0.85, has_faces=False))
+    assert may_be_another_size(CLEAR._replace(explained=0.85), DEFAULT_OPTIONS)
+    assert not may_be_another_size(CLEAR, DEFAULT_OPTIONS)
+    assert not may_be_another_size(CLEAR._replace(explained=0.85, has_faces=False), DEFAULT_OPTIONS)
 
 
 def test_loosely_fitting_pose_needs_more_of_its_edges():

@@ -27,6 +27,9 @@ from .symmetry import Symmetry
 MAX_EXTENT = 100.0
 """Largest extent of an object, m; a larger one was probably given in another unit."""
 
+MAX_RELATIVE_TOLERANCE = 0.1
+"""Largest tolerance of a model over its extent."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ObjectModel:
@@ -53,6 +56,8 @@ class ObjectModel:
         provenance: sentences on the origin of the model, the oldest first.
         planar_tolerance: largest distance of a vertex from the plane of its face, over the extent
             of the face.
+        tolerance: standard deviation of the object's edges from the model, m: how exactly such
+            objects are made, and how much they bend. Zero for objects exactly like the model.
 
     For example:
 
@@ -73,6 +78,7 @@ class ObjectModel:
     name: str = ""
     provenance: tuple[str, ...] = ()
     planar_tolerance: float = PLANAR_TOLERANCE
+    tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         """Check all parts.
@@ -80,10 +86,17 @@ class ObjectModel:
         Raises:
             ValueError: a coordinate that is not finite, an edge to a vertex that does not exist, a
                 face that is not planar or crosses itself, a grasp on no face, a covariance that
-                does not fit, a name that no file could hold; the message names the part.
+                does not fit, a tolerance that is negative or as large as the object, a name that no
+                file could hold; the message names the part.
         """
         require_readable_or_empty("object", self.name)
         self._check_vertices()
+        # Millimetres given as metres.
+        if not 0.0 <= self.tolerance <= MAX_RELATIVE_TOLERANCE * self.extent:
+            raise ValueError(
+                f"tolerance: expected metres, from 0 to {MAX_RELATIVE_TOLERANCE:.0%} of the "
+                f"object's {self.extent:.4g} m; found {self.tolerance:.4g}"
+            )
         self._check_edges()
         self._check_covariances()
         faces = []

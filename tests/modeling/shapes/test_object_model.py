@@ -45,6 +45,12 @@ def test_a_box_is_closed_and_its_normals_point_outward():
     )
 
 
+@pytest.mark.parametrize("tolerance", [-1e-4, 0.5, np.nan])
+def test_a_tolerance_is_small_and_in_metres(tolerance):
+    with pytest.raises(ValueError, match="tolerance: expected metres, from 0 to 10%"):
+        dataclasses.replace(box(), tolerance=tolerance)
+
+
 def test_faces_turned_over_are_put_right():
     rng = np.random.default_rng(0)
     model = prism(7)
