@@ -67,28 +67,31 @@ def refined_poses(
     poses: Float[np.ndarray, "views 4 4"], sight: Sight, maximum_steps: int = MAX_STEPS
 ) -> tuple[Float[np.ndarray, "views 4 4"], Float[np.ndarray, "views"]]:
     """Return the poses at the nearest minimum of the sum of squares, and that sum for each view."""
+    poses = poses.copy()
     residual, jacobian, cost = _linearised(poses, sight)
     damping = np.full(len(poses), 1e-3)
+    active = np.arange(len(poses))
     for _ in range(maximum_steps):
-        matrix = jacobian.swapaxes(1, 2) @ jacobian
-        gradient = np.einsum("vri,vr->vi", jacobian, residual)
+        matrix = jacobian[active].swapaxes(1, 2) @ jacobian[active]
+        gradient = np.einsum("vri,vr->vi", jacobian[active], residual[active])
         diagonal = np.einsum("vii->vi", matrix)
         floor = 1e-12 * np.maximum(diagonal.max(axis=1, keepdims=True), 1e-300)
-        damped = (
-            matrix + np.eye(6) * (damping[:, None] * np.maximum(diagonal, floor) + floor)[:, None]
-        )
-        step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
-        trial = host_exponentials(step) @ poses
-        trial_residual, trial_jacobian, trial_cost = _linearised(trial, sight)
-        better = trial_cost < cost
-        gained = np.where(better, cost - trial_cost, 0.0)
-        poses = np.where(better[:, None, None], trial, poses)
-        residual = np.where(better[:, None], trial_residual, residual)
-        jacobian = np.where(better[:, None, None], trial_jacobian, jacobian)
-        damping = np.where(better, 0.1 * damping, 10.0 * damping)
-        done = (better & (gained <= 1e-9 * cost)) | (damping > MAX_DAMPING)
-        cost = np.where(better, trial_cost, cost)
-        if done.all():
+        added = damping[active, None] * np.maximum(diagonal, floor) + floor
+        step = -np.linalg.solve(matrix + np.eye(6) * added[:, None], gradient[..., None])[..., 0]
+        trial = host_exponentials(step) @ poses[active]
+        values = _linearised(trial, Sight(*(part[active] for part in sight)))
+        is_better = values[2] < cost[active]
+        better, gained = active[is_better], (cost[active] - values[2])[is_better]
+        # Most views need few steps; the others go on alone.
+        is_done = np.zeros(len(poses), dtype=bool)
+        is_done[better] = gained <= 1e-9 * cost[better]
+        poses[better] = trial[is_better]
+        for kept, tried in zip((residual, jacobian, cost), values, strict=True):
+            kept[better] = tried[is_better]
+        damping[active] *= np.where(is_better, 0.1, 10.0)
+        is_done |= damping > MAX_DAMPING
+        active = active[~is_done[active]]
+        if not len(active):
             break
     return poses, cost
 
