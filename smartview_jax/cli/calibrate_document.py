@@ -39,7 +39,7 @@ def calibrate_document(
         "left_out_views": views_left_out(data.masked_views),
         "undetermined": [direction.description for direction in fit.observability.null_directions],
         "halves": _halves(result.split_half),
-        "budget": _budget(result.budget),
+        "budget": None if result.budget is None else budget_document(result.budget),
         "notes": list(result.notes),
         "warnings": list(result.warnings),
         "files": files,
@@ -124,10 +124,8 @@ def _halves(split_half: "SplitHalfDifference | None") -> dict[str, Any] | None:
     }
 
 
-def _budget(budget: "ErrorBudget | None") -> dict[str, Any] | None:
-    """Return the causes of the error, largest first; None if not computed."""
-    if budget is None:
-        return None
+def budget_document(budget: "ErrorBudget") -> dict[str, Any]:
+    """Return the causes of the error, largest first."""
     return {
         "total_rms_px": budget.total_rms,
         "causes": [

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..files import file_transaction, refuse_unwritable
+from .calibrate_document import budget_document
 from .calibrate_folder import CalibrateSettings, command_line, loaded_folder, run_name
 from .json_document import print_document, transform_document
 from .terminal import progress_line
 
 if TYPE_CHECKING:
     from ..dataset import Rig
-    from ..evaluation import HeldOutErrors
+    from ..evaluation import HeldOutErrors, RigErrorBudget
     from ..joint import RigFit
 
 
@@ -25,6 +26,7 @@ class RigResult(NamedTuple):
         fit: the joint fit.
         held_out: errors of held-out states by camera; None where they were not computed.
         notes: remarks on the data, and on what could not be computed.
+        budget: causes of the errors; None where they were not computed.
     """
 
     rig: "Rig"
@@ -32,6 +34,7 @@ class RigResult(NamedTuple):
     fit: "RigFit"
     held_out: "dict[str, HeldOutErrors] | None"
     notes: tuple[str, ...]
+    budget: "RigErrorBudget | None" = None
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -101,37 +104,53 @@ def _loaded_rig(
 def _calibrated_rig(
     rig: "Rig", name: str, settings: CalibrateSettings, progress: Callable[[str], None]
 ) -> RigResult:
-    """Fit a rig, and compute its held-out errors if requested."""
+    """Fit a rig, and compute its held-out errors and the causes of its errors if requested."""
     from ..calibration_pipeline import calibrate
-    from ..evaluation import MIN_HELD_OUT_VIEWS, held_out, without_rejected_rig_views
+    from ..cameras import Camera
+    from ..evaluation import (
+        MIN_HELD_OUT_VIEWS,
+        error_budget,
+        held_out,
+        without_rejected_rig_views,
+    )
+    from ..io import read_cameras
 
-    fit = calibrate(rig, settings.lens, progress=progress)
     notes = [f"{camera}: {note}" for camera, data in rig.cameras.items() for note in data.notes]
+    known: dict[str, Camera] = {}
+    if settings.known.camera is not None:
+        known = read_cameras(settings.known.camera, tuple(rig.cameras))
+        notes.append(f"known cameras, held: {', '.join(known)}, from {settings.known.camera}")
+    fit = calibrate(rig, settings.lens, camera=known or None, progress=progress)
     scores, used = None, without_rejected_rig_views(rig, fit)
     if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_VIEWS:
         notes.append(f"held-out error needs at least {MIN_HELD_OUT_VIEWS} usable states: left out")
     elif settings.held_out:
         scores = held_out(
             used,
-            lambda part: calibrate(part, settings.lens),
+            lambda part: calibrate(part, settings.lens, camera=known or None),
             progress=lambda text: progress(f"held-out: {text}"),
         )
         failures = next(iter(scores.values())).failures
         notes += [f"held-out: fold {k + 1}: {reason}" for k, reason in failures]
-    return RigResult(rig, name, fit, scores, tuple(notes))
+    budget = None
+    if settings.diagnose:
+        try:
+            budget = error_budget(rig, fit, progress)
+        except ValueError as error:
+            notes.append(f"no error budget: {error}")
+    return RigResult(rig, name, fit, scores, tuple(notes), budget)
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:
     """Raise a ValueError for an option that a rig does not have."""
-    known = settings.known
-    given = [f"--{name}" for name, value in dataclasses.asdict(known).items() if value is not None]
-    given += ["--diagnose"] * settings.diagnose
+    known = dataclasses.asdict(settings.known)
+    given = [f"--{name}" for name, value in known.items() if value is not None and name != "camera"]
     given += ["--noise"] * (settings.noise != "estimated")
     given += ["--mount"] * (settings.mount is not None)
     if given:
         raise ValueError(
             f"{given[0]}: not for several cameras together, which take --lens, --bad-views, "
-            "--held-out and --out; sv.calibrate(sv.Rig(...)) takes the rest"
+            "--held-out, --diagnose, --camera and --out; sv.calibrate(sv.Rig(...)) takes the rest"
         )
 
 
@@ -153,9 +172,12 @@ def _print_result(result: RigResult) -> None:
 
     from ..report import (
         CAMERA_HEADINGS,
+        POSE_CAUSE_HEADINGS,
         RELATIVE_HEADINGS,
         base_rows,
+        pose_cause_rows,
         relative_pose_rows,
+        rig_budget_rows,
         rig_camera_rows,
         rig_summary,
     )
@@ -163,11 +185,15 @@ def _print_result(result: RigResult) -> None:
     console = Console()
     for note in result.remarks:
         console.print(note, highlight=False, markup=False)
-    tables = (
+    tables = [
         (CAMERA_HEADINGS, rig_camera_rows(result.fit, result.rig, result.held_out)),
         (RELATIVE_HEADINGS, relative_pose_rows(result.fit)),
         (RELATIVE_HEADINGS, base_rows(result.fit)),
-    )
+    ]
+    if result.budget is not None:
+        headings = ("error by cause (px)", *result.budget.cameras)
+        tables.append((headings, rig_budget_rows(result.budget)))
+        tables.append((POSE_CAUSE_HEADINGS, pose_cause_rows(result.budget)))
     for headings, rows in tables:
         if rows:
             table = Table(*headings)
@@ -175,6 +201,9 @@ def _print_result(result: RigResult) -> None:
                 table.add_row(*row)
             console.print(table)
     console.print(rig_summary(result.fit, result.held_out), highlight=False)
+    if result.budget is not None:
+        for name, budget in result.budget.cameras.items():
+            console.print(f"{name}: {budget.summary}", highlight=False, markup=False)
     for name, entry in result.fit.rejected:
         place = "" if entry.point is None else f", point {entry.point}"
         console.print(
@@ -197,7 +226,9 @@ def _write_files(result: RigResult, out: Path, run: str) -> list[Path]:
         result.fit.save(folder, run, pictures)
         origin = Origin(result.name, command_line(), run)
         page = folder / "report.html"
-        write_rig_page(page, result.fit, result.rig, result.held_out, origin, result.remarks)
+        write_rig_page(
+            page, result.fit, result.rig, result.held_out, origin, result.remarks, result.budget
+        )
     return [out / name for name in names]
 
 
@@ -224,12 +255,27 @@ def _document(result: RigResult) -> dict[str, Any]:
         **({"arms": arms} if arms else {"robot": next(iter(robots.values()))}),
         "states": len(fit.view_ids),
         "converged": fit.result.converged,
+        "budget": None if result.budget is None else _budget_document(result.budget),
         "notes": list(result.notes),
         "warnings": list(fit.warnings),
         "left_out": [
             {"camera": name, "view": e.view, "point": e.point, "reason": e.reason}
             for name, e in fit.rejected
         ],
+    }
+
+
+def _budget_document(budget: "RigErrorBudget") -> dict[str, Any]:
+    """Return the causes of the errors of a rig as plain numbers."""
+    return {
+        "cameras": {name: budget_document(own) for name, own in budget.cameras.items()},
+        "poses": {
+            pose.name: {
+                "std": {"translation": pose.translation, "rotation": pose.rotation},
+                "causes": [cause._asdict() for cause in pose.causes],
+            }
+            for pose in budget.poses
+        },
     }
 
 

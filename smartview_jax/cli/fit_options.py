@@ -20,7 +20,8 @@ CameraOption = Annotated[
     Path | None,
     typer.Option(
         help="File of a known camera, which is held, such as calibration.yaml, or of OpenCV, ROS "
-        "(camera_info), Kalibr, mrcal or ViSP. A single tag (four corners) then suffices."
+        "(camera_info), Kalibr, mrcal or ViSP. A single tag (four corners) then suffices. Of "
+        "several cameras: a folder with left.yaml and so on, or Kalibr's camchain.yaml."
     ),
 ]
 FixedOption = Annotated[

@@ -24,6 +24,7 @@ from .joints import joints_entry as joints_entry
 from .joints import write_joints as write_joints
 from .kalibr_camera import read_kalibr_cameras as read_kalibr_cameras
 from .known_camera import read_camera as read_camera
+from .known_camera import read_cameras as read_cameras
 from .load import load_dataset as load_dataset
 from .load import load_pose_log as load_pose_log
 from .matrix_rows import import_matrix_rows as import_matrix_rows

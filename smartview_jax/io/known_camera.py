@@ -1,6 +1,7 @@
 """Read a known camera from a file in any format that is supported."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..calibration import Calibration
@@ -37,3 +38,48 @@ def read_camera(path: str | Path) -> Camera:
             raise ValueError(f"{path}: expected one camera, found {', '.join(cameras)}")
         return next(iter(cameras.values()))
     return read_opencv_camera(path)
+
+
+def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
+    """Read known cameras of a rig, by name.
+
+    Args:
+        path: folder with one file for each known camera, called as the camera is, such as
+            `left.yaml`, in any format of `read_camera`; or Kalibr's camchain of all cameras. The
+            entries of a camchain that are not called as the cameras are, such as cam0 and cam1, are
+            the cameras in their order.
+        names: of the rig's cameras, in their order.
+
+    Raises:
+        FileNotFoundError: the path is missing.
+        ValueError: no file for any camera, two for one, a camchain of another number of cameras, or
+            a file that cannot be read; the message names it.
+    """
+    path = Path(path)
+    if path.is_dir():
+        present = sorted(path.iterdir())
+        files = {name: [file for file in present if file.stem == name] for name in names}
+        for name, own in files.items():
+            if len(own) > 1:
+                found = ", ".join(file.name for file in own)
+                raise ValueError(f"{path}: expected one file for camera {name!r}, found {found}")
+        if not any(files.values()):
+            found = ", ".join(file.name for file in present) or "nothing"
+            raise ValueError(
+                f"{path}: expected a file for a camera, such as {names[0]}.yaml; found {found}"
+            )
+        return {name: read_camera(own[0]) for name, own in files.items() if own}
+    if not re.search(r"^cam\d+:", read_text(path), re.MULTILINE):
+        raise ValueError(
+            f"{path}: expected a folder with a file for each camera, such as {names[0]}.yaml, or "
+            "Kalibr's camchain.yaml"
+        )
+    cameras = read_kalibr_cameras(path)
+    if set(cameras) <= set(names):
+        return cameras
+    if len(cameras) != len(names):
+        raise ValueError(
+            f"{path}: expected {len(names)} cameras, for {', '.join(names)}; found "
+            f"{', '.join(cameras)}"
+        )
+    return dict(zip(names, cameras.values(), strict=True))

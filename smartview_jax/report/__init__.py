@@ -11,9 +11,12 @@ from .pose_page import pose_error_rows as pose_error_rows
 from .pose_page import pose_fit_summary as pose_fit_summary
 from .pose_page import write_pose_page as write_pose_page
 from .rig_page import CAMERA_HEADINGS as CAMERA_HEADINGS
+from .rig_page import POSE_CAUSE_HEADINGS as POSE_CAUSE_HEADINGS
 from .rig_page import RELATIVE_HEADINGS as RELATIVE_HEADINGS
 from .rig_page import base_rows as base_rows
+from .rig_page import pose_cause_rows as pose_cause_rows
 from .rig_page import relative_pose_rows as relative_pose_rows
+from .rig_page import rig_budget_rows as rig_budget_rows
 from .rig_page import rig_camera_rows as rig_camera_rows
 from .rig_page import rig_summary as rig_summary
 from .rig_page import write_rig_page as write_rig_page

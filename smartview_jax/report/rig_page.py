@@ -10,6 +10,7 @@ from .. import plots
 from ..dataset import Rig
 from ..evaluation import (
     HeldOutErrors,
+    RigErrorBudget,
     pose_uncertainties,
     reprojection_errors,
     without_rejected_rig_views,
@@ -33,6 +34,12 @@ CAMERA_HEADINGS = (
 
 RELATIVE_HEADINGS = ("second in first", "x, y, z (mm)", "std (mm)", "std (deg)")
 """Headings of `relative_pose_rows` and `base_rows`."""
+
+POSE_CAUSE_HEADINGS = ("pose", "std (mm)", "std (deg)", "causes of the translation's variance")
+"""Headings of `pose_cause_rows`; the standard deviations are of all axes together."""
+
+MIN_SHOWN_SHARE = 0.01
+"""Smallest share of a variance for which its cause is named."""
 
 
 def rig_camera_rows(
@@ -111,6 +118,41 @@ def _relative_row(first: str, second: str, relative: RelativePose) -> tuple[str,
     )
 
 
+def rig_budget_rows(budget: RigErrorBudget) -> list[tuple[str, ...]]:
+    """Return a row for each cause of error: its RMS in every camera's uncorrected chain, px.
+
+    Causes are in the order of their largest error; a camera without a cause has an empty entry.
+    """
+    of_cameras = [{c.name: c.rms for c in own.causes} for own in budget.cameras.values()]
+    names = dict.fromkeys(name for causes in of_cameras for name in causes)
+    largest = {name: max(causes.get(name, 0.0) for causes in of_cameras) for name in names}
+    return [
+        (name, *(f"{causes[name]:.3g}" if name in causes else "" for causes in of_cameras))
+        for name in sorted(names, key=lambda name: -largest[name])
+    ]
+
+
+def pose_cause_rows(budget: RigErrorBudget) -> list[tuple[str, ...]]:
+    """Return a row for each pose: its standard deviations, and the share of each cause."""
+    rows = []
+    for pose in budget.poses:
+        variance = pose.translation**2
+        shares = [
+            f"{cause.name} {cause.translation**2 / variance:.0%}"
+            for cause in pose.causes
+            if cause.translation**2 >= MIN_SHOWN_SHARE * variance > 0.0
+        ]
+        rows.append(
+            (
+                pose.name,
+                f"{1e3 * pose.translation:.2g}",
+                f"{np.rad2deg(pose.rotation):.2g}",
+                ", ".join(shares),
+            )
+        )
+    return rows
+
+
 def rig_summary(fit: RigFit, held_out: Mapping[str, HeldOutErrors] | None = None) -> str:
     """Return the result in a few sentences."""
     if not fit.result.converged:
@@ -149,6 +191,7 @@ def write_rig_page(
     held_out: Mapping[str, HeldOutErrors] | None = None,
     origin: Origin | None = None,
     notes: Sequence[str] = (),
+    budget: RigErrorBudget | None = None,
 ) -> None:
     """Write the report of a rig's fit as an HTML page.
 
@@ -159,6 +202,7 @@ def write_rig_page(
         held_out: result of `held_out` for the rig; None if not computed.
         origin: data set and command of the page; None for a script's own data.
         notes: notes and warnings to print.
+        budget: result of `error_budget` for the rig; None if not computed.
     """
     sections = []
     if notes:
@@ -184,6 +228,8 @@ def write_rig_page(
     used = without_rejected_rig_views(rig, fit)
     sections.append(_joint_section(fit, used))
     sections += [_camera_section(fit, used, name, held_out) for name in fit.calibrations]
+    if budget is not None:
+        sections += _budget_sections(budget)
     left_out = [
         (camera, entry.view, "all" if entry.point is None else str(entry.point), entry.reason)
         for camera, entry in fit.rejected
@@ -234,6 +280,25 @@ def _joint_section(fit: RigFit, used: Rig) -> Section:
             ),
         )
     return Section("All cameras", figures=figures)
+
+
+def _budget_sections(budget: RigErrorBudget) -> list[Section]:
+    """Return the sections of the causes: of each camera's error, and of each pose's uncertainty."""
+    advice = " ".join(f"{name}: {own.summary}" for name, own in budget.cameras.items())
+    return [
+        Section(
+            "Where the error comes from",
+            f"RMS errors in px of each camera's chain without correction, by cause. {advice}",
+            header=("cause", *budget.cameras),
+            rows=rig_budget_rows(budget),
+        ),
+        Section(
+            "What limits each pose",
+            "Standard deviations of all axes together.",
+            header=POSE_CAUSE_HEADINGS,
+            rows=pose_cause_rows(budget),
+        ),
+    ]
 
 
 def _camera_section(

@@ -5,6 +5,7 @@ import json
 import sys
 from pathlib import Path
 
+import equinox as eqx
 import numpy as np
 import pytest
 from arms_scene import FOUR_CAMERAS, arms_fit, arms_scene
@@ -23,10 +24,16 @@ from smartview_jax import (
 )
 from smartview_jax.cli import app
 from smartview_jax.cli.calibrate_folder import CalibrateSettings
-from smartview_jax.cli.calibrate_rig import RigResult, _document, _loaded_rig
+from smartview_jax.cli.calibrate_rig import (
+    RigResult,
+    _calibrated_rig,
+    _document,
+    _loaded_rig,
+    _print_result,
+)
 from smartview_jax.cli.check import _lonely_cameras
 from smartview_jax.cli.fit_options import FitKnowledge
-from smartview_jax.evaluation import RigMethod
+from smartview_jax.evaluation import RigMethod, error_budget
 from smartview_jax.joint import RIG_FILE
 from smartview_jax.report import base_rows, relative_pose_rows, rig_summary
 from smartview_jax.targets import Chessboard
@@ -36,6 +43,10 @@ from smartview_jax.targets import Chessboard
 def scene():
     return rig_scene()
 
+
+SETTINGS = CalibrateSettings(
+    "opencv4", "estimated", True, False, FitKnowledge(), "raise", None, False, None
+)
 
 TARGET = Chessboard(rows=9, columns=12, square=0.03)
 
@@ -73,14 +84,15 @@ def test_a_calibration_for_each_camera_and_one_report(
 ):
     out, fitted = tmp_path / "out", []
 
-    def known_fit(part, lens, progress=None):
+    def known_fit(part, lens, camera, progress=None):
         """The fit of these data; fits of the folds take as long, and are not tested here."""
         fitted.append(part)
         assert lens == "opencv4"
+        assert camera is None
         return fit
 
     monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
-    told = CliRunner().invoke(app, ["calibrate", folder, "--json", "--out", str(out)])
+    told = CliRunner().invoke(app, ["calibrate", folder, "--diagnose", "--json", "--out", str(out)])
     assert told.exit_code == 0, told.output
     document = json.loads(told.stdout)
     assert document["converged"]
@@ -95,6 +107,12 @@ def test_a_calibration_for_each_camera_and_one_report(
         assert 0.05 < entry["rms_px"] < 0.5
         assert entry["held_out_rms_px"] == pytest.approx(entry["rms_px"], rel=0.5)
     assert len(fitted) == 6
+    budget = document["budget"]
+    assert set(budget["cameras"]) == set(rig.cameras)
+    assert budget["cameras"]["camera1"]["causes"][0]["advice"]
+    for pose in budget["poses"].values():
+        variance = sum(cause["translation"] ** 2 for cause in pose["causes"])
+        assert variance == pytest.approx(pose["std"]["translation"] ** 2, rel=1e-6)
     for name, data in rig.cameras.items():
         np.testing.assert_allclose(fitted[0].cameras[name].pixels, data.pixels, atol=1e-9)
     assert load_rig_estimate(out).parameter_names == fit.parameter_names
@@ -112,6 +130,7 @@ def test_a_calibration_for_each_camera_and_one_report(
     for text in (
         "camera2 in camera1",
         "What limits each pose.",
+        "Where the error comes from",
         "Camera camera1",
         "camera2: camera_from_tool",
         "Left out",
@@ -121,12 +140,30 @@ def test_a_calibration_for_each_camera_and_one_report(
 
 
 def test_folders_of_the_cameras_are_one_rig(rig, folders):
-    settings = CalibrateSettings(
-        "opencv4", "estimated", True, False, FitKnowledge(), "raise", None, False, None
-    )
-    loaded, name = _loaded_rig(list(map(Path, folders)), settings, lambda _: None)
+    loaded, name = _loaded_rig(list(map(Path, folders)), SETTINGS, lambda _: None)
     assert name == "camera1, camera2"
     assert loaded.view_ids == rig.view_ids
+
+
+def test_cameras_may_be_known(rig, fit, tmp_path, monkeypatch):
+    """The fit and those of the folds hold them."""
+    fit.calibrations["camera2"].save(tmp_path / "camera2.yaml")
+    held = []
+
+    def known_fit(part, lens, camera, progress=None):
+        held.append(camera)
+        return fit
+
+    monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
+    settings = SETTINGS._replace(known=FitKnowledge(camera=tmp_path))
+    result = _calibrated_rig(rig, "cell", settings, lambda _: None)
+    assert len(held) == 6
+    (name,) = held[0]
+    assert name == "camera2"
+    assert all(eqx.tree_equal(known, held[0]) for known in held)
+    expected = float(fit.calibrations[name].camera.alpha_u)
+    assert float(held[0][name].alpha_u) == pytest.approx(expected, rel=1e-9)
+    assert f"known cameras, held: camera2, from {tmp_path}" in result.notes
 
 
 @pytest.mark.parametrize(
@@ -135,7 +172,7 @@ def test_folders_of_the_cameras_are_one_rig(rig, folders):
         (["--together"], "expected folders of different names"),
         (["{0}", "{0}", "--together"], "expected folders of different names"),
         (["{0}", "{1}", "--together", "--free", "target_scale"], "--free: not for several cameras"),
-        (["{0}", "{1}", "--together", "--diagnose"], "--diagnose: not for several cameras"),
+        (["{0}", "{1}", "--together", "--noise", "trusted"], "--noise: not for several cameras"),
     ],
 )
 def test_what_a_rig_cannot_have_is_refused(folders, tmp_path, arguments, message):
@@ -202,6 +239,16 @@ def test_the_document_has_the_arms():
     base = right["base_left_from_base"]
     assert base["translation"] == fit.base("left", "right").transform.translation().tolist()
     assert right["std"]["translation"] == fit.base("left", "right").std[:3].tolist()
+
+
+def test_the_causes_of_the_errors_are_printed(rig, fit, capsys):
+    _print_result(RigResult(rig, "cell", fit, None, (), error_budget(rig, fit)))
+    lines = capsys.readouterr().out.splitlines()
+    (header,) = [line for line in lines if "error by cause (px)" in line]
+    assert header.index("camera1") < header.index("camera2")
+    assert any("pixel noise" in line and "0." in line for line in lines)
+    assert any(line.startswith("camera2: ") for line in lines)
+    assert any("camera2 in camera1" in line and "pixel noise" in line for line in lines)
 
 
 def test_methods_of_several_cameras_stand_side_by_side(rig, fit, folder, monkeypatch):

@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from smartview_jax.cameras import Camera, Fisheye, OpenCV4, Radial
 from smartview_jax.geometry import host_matrices
-from smartview_jax.io import kalibr_camchain, mrcal_cameramodel, read_camera, read_kalibr_cameras
+from smartview_jax.io import (
+    kalibr_camchain,
+    mrcal_cameramodel,
+    read_camera,
+    read_cameras,
+    read_kalibr_cameras,
+)
 from smartview_jax.simulation import paper_calibration
 
 CAMCHAIN = """cam0:
@@ -67,6 +73,27 @@ def test_kalibrs_equidistant_is_opencvs_fisheye(tmp_path):
     assert isinstance(cameras["cam1"].lens, Fisheye)
     with pytest.raises(ValueError, match=r"camchain\.yaml: expected one camera, found cam0, cam1"):
         read_camera(tmp_path / "camchain.yaml")
+
+
+def test_cameras_of_a_rig_are_read_by_name_or_in_the_order_of_a_camchain(tmp_path):
+    chain = tmp_path / "camchain.yaml"
+    chain.write_text(CAMCHAIN + CAMCHAIN.replace("cam0:", "cam1:").replace("458.94", "500.94"))
+    in_order = read_cameras(chain, ("left", "right"))
+    assert [int(camera.alpha_u) for camera in in_order.values()] == [458, 500]
+    assert list(read_cameras(chain, ("cam1", "cam0", "cam2"))) == ["cam0", "cam1"]
+    with pytest.raises(ValueError, match=r"expected 3 cameras, for a, b, c; found cam0, cam1"):
+        read_cameras(chain, ("a", "b", "c"))
+    (tmp_path / "right.cameramodel").write_text(CAMERAMODEL)
+    (right,) = read_cameras(tmp_path, ("left", "right")).items()
+    assert right[0] == "right"
+    assert right[1].image_size == (4000, 2200)
+    with pytest.raises(ValueError, match=r"expected a folder with a file for each camera"):
+        read_cameras(tmp_path / "right.cameramodel", ("left", "right"))
+    with pytest.raises(ValueError, match=r"a file for a camera, such as up\.yaml; found camchain"):
+        read_cameras(tmp_path, ("up", "down"))
+    (tmp_path / "right.yaml").write_text(CAMCHAIN)
+    with pytest.raises(ValueError, match=r"camera 'right', found right\.cameramodel, right\.yaml"):
+        read_cameras(tmp_path, ("left", "right"))
 
 
 def test_mrcals_opencv8_is_opencvs(tmp_path):
