@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..files import file_transaction, refuse_unwritable
-from .calibrate_document import budget_document
 from .calibrate_folder import CalibrateSettings, command_line, loaded_folder, run_name
 from .json_document import print_document, transform_document
 from .terminal import progress_line
@@ -267,6 +266,8 @@ def _document(result: RigResult) -> dict[str, Any]:
 
 def _budget_document(budget: "RigErrorBudget") -> dict[str, Any]:
     """Return the causes of the errors of a rig as plain numbers."""
+    from .calibrate_document import budget_document
+
     return {
         "cameras": {name: budget_document(own) for name, own in budget.cameras.items()},
         "poses": {
