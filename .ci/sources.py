@@ -28,7 +28,7 @@ ALWAYS = [PACKAGE / "__init__.py", PACKAGE / "__init__.pyi", PACKAGE / "samples"
 
 VERSIONS = [ROOT / "pyproject.toml", ROOT / ".ci" / "constraints.txt"]
 
-OPENCV_ROOMS = ("detection", "io", "simulation", "cameras", "features", "ros_bags")
+OPENCV_ROOMS = ("detection", "io", "simulation", "cameras", "features", "recordings")
 """Rooms whose tests run under the oldest and the newest version of OpenCV."""
 
 

@@ -20,10 +20,10 @@ from . import localization as localization
 from . import modeling as modeling
 from . import picking as picking
 from . import plots as plots
+from . import recordings as recordings
 from . import report as report
 from . import robot_errors as robot_errors
 from . import robots as robots
-from . import ros_bags as ros_bags
 from . import simulation as simulation
 from . import staged as staged
 from . import targets as targets
@@ -77,9 +77,9 @@ from .localization import localize as localize
 from .localization import next_view as next_view
 from .modeling import ObjectModel as ObjectModel
 from .modeling import RigViews as RigViews
-from .ros_bags import BagSources as BagSources
-from .ros_bags import MomentChoice as MomentChoice
-from .ros_bags import import_bag as import_bag
+from .recordings import BagSources as BagSources
+from .recordings import MomentChoice as MomentChoice
+from .recordings import import_bag as import_bag
 from .runtime import compilation as compilation
 from .runtime import compilation_cache as compilation_cache
 from .staged import StagedFit as StagedFit

@@ -27,7 +27,7 @@ FLOORS = """
     schemas export_text geometry cameras targets robots robot_errors calibration dataset detection
     hand_eye data_checks staged engine variance joint arm_identification
     rig_pipeline calibration_pipeline time_offset evaluation viewpoints features modeling io
-    ros_bags simulation fleet localization grasping plots report editor capture picking cli
+    recordings simulation fleet localization grasping plots report editor capture picking cli
     __main__
 """.split()
 

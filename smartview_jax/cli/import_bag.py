@@ -13,8 +13,8 @@ from .options import DebugOption
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
+    from ..recordings import BagSources, ImportedFolder, MomentChoice
     from ..robots import SerialArm
-    from ..ros_bags import BagImport, BagSources, MomentChoice
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +96,7 @@ class SourceOptions:
 
     def sources(self) -> "BagSources":
         """Return the topics and frames, with the arm read from its file."""
-        from ..ros_bags import BagSources
+        from ..recordings import BagSources
 
         arm, names = self._arm_and_names()
         return BagSources(
@@ -159,7 +159,7 @@ class MomentOptions:
 
     def choice(self) -> "MomentChoice":
         """Return the rules, in the library's units."""
-        from ..ros_bags import MomentChoice
+        from ..recordings import MomentChoice
 
         millimetres, degrees = parse_numbers(
             "--still-within", self.still_within, 2, "mm and degrees"
@@ -198,7 +198,7 @@ def import_(
     do not matter. Needs pip install 'smartview-jax[ros]', but no installation of ROS.
     """
     with errors_reported(debug):
-        from ..ros_bags import import_bag
+        from ..recordings import import_bag
 
         if target is None and source.tag is None:
             raise ValueError(
@@ -212,7 +212,7 @@ def import_(
         _print_summary(written)
 
 
-def _print_summary(written: "BagImport") -> None:
+def _print_summary(written: "ImportedFolder") -> None:
     """Print what was used, what was left out and why, and the next steps."""
     for note in written.notes:
         typer.echo(note)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from smartview_jax.ros_bags import picture_file
+from smartview_jax.recordings import picture_file
 
 GREY = np.arange(6 * 8, dtype=np.uint8).reshape(6, 8)
 COLOUR = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)

@@ -12,20 +12,17 @@ The folder is written whole or not at all.
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 
-from ..files import dump_yaml, folder_transaction, parse_yaml, write_atomically
+from ..files import folder_transaction, write_atomically
 from ..geometry import as_se3
 from ..io import (
-    DESCRIPTION_FILE,
     TRACKED_POSES_FILE,
     joints_entry,
-    marked_entries,
     poses_entry,
     write_joints,
     write_pose_log,
@@ -35,38 +32,17 @@ from ..targets import AbstractTarget
 from .bag import Bag, open_bag
 from .bag_content import BagSources, read_content
 from .camera_message import CAMERA_FILE, camera_text
+from .imported_folder import (
+    POSE_FORMAT,
+    ImportedFolder,
+    ImportRecord,
+    view_names,
+    write_description,
+)
 from .moments import NANOSECONDS, MomentChoice, choose_moments, log_step, thinned
 from .picture_messages import PictureFile, picture_file
 from .target_text import TargetText, target_text
 from .transform_tree import stamp_of
-
-RECORD_FILE = "import.yaml"
-"""The name of the file that says what was taken from where."""
-
-_FORMAT = "quaternion_xyzw"
-"""Pose format of the tables, as in ROS."""
-
-
-class BagImport(NamedTuple):
-    """The result of an import.
-
-    Attributes:
-        folder: the data-set folder.
-        view_ids: names of the views.
-        left_out: number of pictures that are no views, by reason.
-        notes: sentences on what was used and found.
-        camera_file: the file of the known camera; None if the bag has none.
-        in_motion: whether the robot's poses are a log, from which each view's is interpolated.
-        target_is_template: whether the target's lengths are examples, still to be measured.
-    """
-
-    folder: Path
-    view_ids: tuple[str, ...]
-    left_out: dict[str, int]
-    notes: tuple[str, ...]
-    camera_file: Path | None
-    in_motion: bool
-    target_is_template: bool
 
 
 def import_bag(
@@ -77,7 +53,7 @@ def import_bag(
     mount: str = "eye_in_hand",
     choice: MomentChoice | None = None,
     progress: Callable[[str], None] | None = None,
-) -> BagImport:
+) -> ImportedFolder:
     """Write a data-set folder from a recording of ROS.
 
     Args:
@@ -131,7 +107,7 @@ class _Import:
         self._bag, self._sources, self._mount = bag, sources, mount
         self._choice, self._target, self._progress = choice, target, progress
 
-    def write(self, folder: Path) -> BagImport:
+    def write(self, folder: Path) -> ImportedFolder:
         """Write everything to a folder."""
         content = read_content(self._bag, self._sources, self._progress)
         robot, notes = content.robot, list(content.notes)
@@ -143,8 +119,7 @@ class _Import:
         except ValueError as error:
             raise ValueError(f"{self._bag.path}: {error}") from error
         notes += chosen.notes
-        digits = max(4, len(str(len(chosen.indices))))
-        view_ids = tuple(f"{1 + k:0{digits}d}" for k in range(len(chosen.indices)))
+        view_ids = view_names(len(chosen.indices))
         moments = content.moments[chosen.indices]
         entries: dict[str, Any] = {"mount": self._mount}
         camera = None
@@ -163,9 +138,9 @@ class _Import:
             write_atomically(folder / CAMERA_FILE, camera)
         if content.tracked is not None:
             tracked = as_se3(content.tracked[chosen.indices])
-            write_poses(folder, view_ids, tracked, _FORMAT, TRACKED_POSES_FILE)
+            write_poses(folder, view_ids, tracked, POSE_FORMAT, TRACKED_POSES_FILE)
             entries["tracked_poses"] = {
-                **poses_entry(len(view_ids), _FORMAT),
+                **poses_entry(len(view_ids), POSE_FORMAT),
                 "file": TRACKED_POSES_FILE,
                 "direction": "camera_from_world",
             }
@@ -173,20 +148,21 @@ class _Import:
             write_joints(folder, view_ids, robot.joints.at(moments), robot.joints.arm)
             entries["joints"] = joints_entry(len(view_ids), robot.joints.arm)
         if robot.chain is not None and self._choice.every is None:
-            write_poses(folder, view_ids, as_se3(at_moments[chosen.indices]), _FORMAT)
-            entries["poses"] = poses_entry(len(view_ids), _FORMAT)
+            write_poses(folder, view_ids, as_se3(at_moments[chosen.indices]), POSE_FORMAT)
+            entries["poses"] = poses_entry(len(view_ids), POSE_FORMAT)
         elif robot.chain is not None:
             # From the beginning of the log: since 1970 it is too many digits for a float.
             logged, wanted = ((times - stamps[0]) / NANOSECONDS for times in (stamps, moments))
             entries["poses"] = write_pose_log(
-                folder, logged, as_se3(poses), view_ids, wanted, _FORMAT
+                folder, logged, as_se3(poses), view_ids, wanted, POSE_FORMAT
             )
-        self._write_record(folder, notes, chosen.left_out, view_ids, moments)
-        self._write_description(folder, entries)
+        record = ImportRecord(self._bag.path.name, tuple(notes), chosen.left_out)
+        record.write(folder, view_ids, moments)
+        write_description(folder, entries, self._target)
         is_template = self._target is not None and self._target.is_template
         camera_file = None if camera is None else folder / CAMERA_FILE
         in_motion = robot.chain is not None and self._choice.every is not None
-        return BagImport(
+        return ImportedFolder(
             folder, view_ids, chosen.left_out, tuple(notes), camera_file, in_motion, is_template
         )
 
@@ -225,35 +201,6 @@ class _Import:
             raise ValueError(f"{self._bag.path}: topic {topic}: {len(missing)} pictures were lost")
         # Only what describes it is needed.
         return first._replace(content=b"")
-
-    def _write_record(
-        self,
-        folder: Path,
-        notes: Sequence[str],
-        left_out: Mapping[str, int],
-        view_ids: Sequence[str],
-        moments: Int[np.ndarray, "views"],
-    ) -> None:
-        """Write what was taken from where, what was left out, and the stamp of every view."""
-        record = {
-            "bag": self._bag.path.name,
-            "notes": list(notes),
-            "left_out": dict(left_out),
-            "stamps_ns": dict(zip(view_ids, moments.tolist(), strict=True)),
-        }
-        write_atomically(folder / RECORD_FILE, dump_yaml(record))
-
-    def _write_description(self, folder: Path, entries: Mapping[str, Any]) -> None:
-        """Write the description, with comments in the target's entry if it is to be filled in."""
-        from ..schemas.dataset import DATASET_SCHEMA
-        from ..schemas.validation import refuse_unreadable
-
-        path = folder / DESCRIPTION_FILE
-        *lines, end_mark = dump_yaml(marked_entries(entries)).splitlines(keepends=True)
-        target = "" if self._target is None else self._target.text
-        text = "".join([*lines, target, end_mark])
-        refuse_unreadable(parse_yaml(text, path), DATASET_SCHEMA, path)
-        write_atomically(path, text)
 
 
 def _is_rectified(topic: str) -> bool:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smartview_jax import MomentChoice
-from smartview_jax.ros_bags.moments import choose_moments, stops, thinned
+from smartview_jax.recordings.moments import choose_moments, stops, thinned
 
 SECOND = 1_000_000_000
 

@@ -1,10 +1,10 @@
-"""Turn a recording of ROS (a bag) into a data-set folder: pictures, robot poses, tracked poses."""
+"""Turn a recording (a bag of ROS, a data set of LeRobot) into a data-set folder."""
 
 from .bag import Bag as Bag
 from .bag import open_bag as open_bag
 from .bag_content import BagSources as BagSources
-from .import_bag import BagImport as BagImport
 from .import_bag import import_bag as import_bag
+from .imported_folder import ImportedFolder as ImportedFolder
 from .moments import MomentChoice as MomentChoice
 from .picture_messages import PictureFile as PictureFile
 from .picture_messages import picture_file as picture_file

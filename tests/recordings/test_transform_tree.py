@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from smartview_jax.geometry import host_exponentials
-from smartview_jax.ros_bags import TransformTree
-from smartview_jax.ros_bags.tag_messages import tag_poses
+from smartview_jax.recordings import TransformTree
+from smartview_jax.recordings.tag_messages import tag_poses
 
 IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 SECOND = 1_000_000_000

@@ -1,0 +1,84 @@
+"""Write what all imported data-set folders have: the description, and the record of the import."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from ..files import dump_yaml, parse_yaml, write_atomically
+from ..io import DESCRIPTION_FILE, marked_entries
+from .target_text import TargetText
+
+RECORD_FILE = "import.yaml"
+"""The name of the file that says what was taken from where."""
+
+POSE_FORMAT = "quaternion_xyzw"
+"""Pose format of the tables, as in ROS."""
+
+
+class ImportedFolder(NamedTuple):
+    """The result of an import.
+
+    Attributes:
+        folder: the data-set folder.
+        view_ids: names of the views.
+        left_out: number of pictures that are no views, by reason.
+        notes: sentences on what was used and found.
+        camera_file: the file of the known camera; None if the bag has none.
+        in_motion: whether the robot's poses are a log, from which each view's is interpolated.
+        target_is_template: whether the target's lengths are examples, still to be measured.
+    """
+
+    folder: Path
+    view_ids: tuple[str, ...]
+    left_out: dict[str, int]
+    notes: tuple[str, ...]
+    camera_file: Path | None
+    in_motion: bool
+    target_is_template: bool
+
+
+class ImportRecord(NamedTuple):
+    """What was taken from a recording, and what was left out.
+
+    Attributes:
+        recording: name of the bag or of the data set.
+        notes: sentences on what was used and found.
+        left_out: number of pictures that are no views, by reason.
+    """
+
+    recording: str
+    notes: tuple[str, ...]
+    left_out: Mapping[str, int]
+
+    def write(
+        self, folder: Path, view_ids: Sequence[str], moments: Int[np.ndarray, "views"]
+    ) -> None:
+        """Write the record to a folder, with the stamp of every view, ns."""
+        content = {
+            "recording": self.recording,
+            "notes": list(self.notes),
+            "left_out": dict(self.left_out),
+            "stamps_ns": dict(zip(view_ids, moments.tolist(), strict=True)),
+        }
+        write_atomically(folder / RECORD_FILE, dump_yaml(content))
+
+
+def view_names(count: int) -> tuple[str, ...]:
+    """Return the names of so many views: 0001, 0002, ..."""
+    digits = max(4, len(str(count)))
+    return tuple(f"{1 + k:0{digits}d}" for k in range(count))
+
+
+def write_description(folder: Path, entries: Mapping[str, Any], target: TargetText | None) -> None:
+    """Write the description, with comments in the target's entry if it is to be filled in."""
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import refuse_unreadable
+
+    path = folder / DESCRIPTION_FILE
+    *lines, end_mark = dump_yaml(marked_entries(entries)).splitlines(keepends=True)
+    text = "".join([*lines, "" if target is None else target.text, end_mark])
+    refuse_unreadable(parse_yaml(text, path), DATASET_SCHEMA, path)
+    write_atomically(path, text)
