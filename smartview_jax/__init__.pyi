@@ -78,8 +78,10 @@ from .localization import next_view as next_view
 from .modeling import ObjectModel as ObjectModel
 from .modeling import RigViews as RigViews
 from .recordings import BagSources as BagSources
+from .recordings import LeRobotSources as LeRobotSources
 from .recordings import MomentChoice as MomentChoice
 from .recordings import import_bag as import_bag
+from .recordings import import_lerobot as import_lerobot
 from .runtime import compilation as compilation
 from .runtime import compilation_cache as compilation_cache
 from .staged import StagedFit as StagedFit

@@ -1,4 +1,4 @@
-"""Define `smartview import`, which turns a recording of ROS into a data-set folder."""
+"""Define `smartview import`, which turns a recording into a data-set folder."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ from .options import DebugOption
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
-    from ..recordings import BagSources, ImportedFolder, MomentChoice
+    from ..recordings import BagSources, ImportedFolder, LeRobotSources, MomentChoice
     from ..robots import SerialArm
 
 
@@ -98,7 +98,7 @@ class SourceOptions:
         """Return the topics and frames, with the arm read from its file."""
         from ..recordings import BagSources
 
-        arm, names = self._arm_and_names()
+        arm, names = self.arm_and_names()
         return BagSources(
             image=self.image,
             camera_info=self.camera_info,
@@ -114,7 +114,7 @@ class SourceOptions:
             received=self.received,
         )
 
-    def _arm_and_names(self) -> "tuple[SerialArm | None, tuple[str, ...]]":
+    def arm_and_names(self) -> "tuple[SerialArm | None, tuple[str, ...]]":
         """Return the arm of the joint readings and the names of its joints."""
         from ..io import load_urdf, urdf_joint_names
         from ..robots import arm_by_name
@@ -127,6 +127,62 @@ class SourceOptions:
         # The links of a robot's file have the names of its frames in tf.
         links = {"base": self.base, "tip": self.tool}
         return load_urdf(self.arm, **links), names or urdf_joint_names(self.arm, **links)
+
+
+@dataclasses.dataclass(frozen=True)
+class LeRobotOptions:
+    """The options that a data set of LeRobot needs, as it states neither units nor poses."""
+
+    angle_unit: Annotated[
+        str | None,
+        typer.Option(
+            help="LeRobot: unit of the joint readings, such as deg, or rad. Percent of a joint's "
+            "range, which some arms record, are no angles."
+        ),
+    ] = None
+    pose_format: Annotated[
+        str | None,
+        typer.Option(
+            help="LeRobot: the state has poses of the tool in this format, such as quaternion_xyzw "
+            "or ur, instead of joint readings (--arm)."
+        ),
+    ] = None
+    state_names: Annotated[
+        str | None,
+        typer.Option(
+            help="LeRobot: names of the numbers of the state that are used, in the order of the "
+            "arm's joints or of the pose format, such as x,y,z,qx,qy,qz,qw; by default all."
+        ),
+    ] = None
+    episodes: Annotated[
+        str | None,
+        typer.Option(help="LeRobot: numbers of the episodes used, such as 0,3; by default all."),
+    ] = None
+
+    def sources(self, source: SourceOptions) -> "LeRobotSources":
+        """Return the features and the robot's state."""
+        from ..recordings import LeRobotSources
+
+        given = {f"--{name.replace('_', '-')}": getattr(source, name) for name in _OF_BAGS}
+        if wrong := [name for name, value in given.items() if value]:
+            raise ValueError(f"{wrong[0]}: not for a data set of LeRobot")
+        arm, _ = source.arm_and_names()
+        numbers = self.episodes.split(",") if self.episodes is not None else []
+        if not all(number.strip().isdigit() for number in numbers):
+            raise ValueError(f"--episodes: expected numbers such as 0,3; found {self.episodes}")
+        return LeRobotSources(
+            image=source.image,
+            state=source.joints or source.robot or "observation.state",
+            names=tuple(self.state_names.split(",")) if self.state_names is not None else (),
+            arm=arm,
+            angle_unit=self.angle_unit,
+            pose_format=self.pose_format,
+            episodes=tuple(map(int, numbers)),
+        )
+
+
+_OF_BAGS = ("camera_info", "joint_names", "tag", "tag_id", "camera_frame", "received")
+"""Options of `SourceOptions` that a data set of LeRobot does not have."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,7 +227,10 @@ class MomentOptions:
 def import_(
     bag: Annotated[
         Path,
-        typer.Argument(help="A .bag file of ROS 1, a folder or .db3 file of ROS 2, or .mcap."),
+        typer.Argument(
+            help="A .bag file of ROS 1, a folder or .db3 file of ROS 2, or .mcap; or a folder of "
+            "LeRobot."
+        ),
     ],
     folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
     target: Annotated[
@@ -187,18 +246,22 @@ def import_(
     ] = False,
     *,
     source: SourceOptions,
+    lerobot: LeRobotOptions,
     moments: MomentOptions,
     debug: DebugOption = False,
 ) -> None:
-    """Turn a recording of ROS (a bag) into a data set: pictures, robot poses, known camera.
+    """Turn a recording of ROS (a bag) or of LeRobot into a data set: pictures, robot poses.
 
     smartview import run.mcap my_folder --base base_link --tool tool0 --target charuco
 
+    smartview import so101_data my_folder --arm so101.urdf --angle-unit deg --target charuco
+
     One picture of every stop of the robot is taken, because there the clocks of camera and robot
-    do not matter. Needs pip install 'smartview-jax[ros]', but no installation of ROS.
+    do not matter. Needs pip install 'smartview-jax[ros]', but no installation of ROS; or
+    'smartview-jax[lerobot]'.
     """
     with errors_reported(debug):
-        from ..recordings import import_bag
+        from ..recordings import INFO_FILE, import_bag, import_lerobot
 
         if target is None and source.tag is None:
             raise ValueError(
@@ -208,7 +271,13 @@ def import_(
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
         choice = moments.choice()
         with progress_line() as progress:
-            written = import_bag(bag, folder, source.sources(), target, mount, choice, progress)
+            if (bag / INFO_FILE).is_file():
+                if target is None:
+                    raise ValueError("--tag: not for a data set of LeRobot; it needs --target")
+                sources = lerobot.sources(source)
+                written = import_lerobot(bag, folder, sources, target, mount, choice, progress)
+            else:
+                written = import_bag(bag, folder, source.sources(), target, mount, choice, progress)
         _print_summary(written)
 
 

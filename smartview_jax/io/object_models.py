@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..argument_checks import require_readable_or_empty
-from ..files import read_text, write_atomically
+from ..files import parse_json, read_text, write_atomically
 from ..geometry import LENGTH_UNITS
 from ..modeling import Face, Grasp, ObjectModel, Symmetry
 
@@ -140,37 +140,6 @@ def object_model_from_dict(content: Any) -> ObjectModel:
         file.planar_tolerance,
         scale * file.tolerance,
     )
-
-
-def parse_json(text: str, path: str | os.PathLike[str]) -> Any:
-    """Parse strict JSON: unique keys, finite numbers; errors name the file and the line.
-
-    Raises:
-        ValueError: the text is not strict JSON.
-    """
-
-    def refuse(name: str) -> float:
-        raise ValueError(f"{name} is not a number in JSON")
-
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        # Python's parser would silently keep the last of two equal keys.
-        content = dict(pairs)
-        if len(content) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for key in keys if keys.count(key) > 1)
-            raise ValueError(f"key {twice!r} comes twice in one mapping")
-        return content
-
-    try:
-        return json.loads(text, parse_constant=refuse, object_pairs_hook=unique)
-    except json.JSONDecodeError as error:
-        raise ValueError(
-            f"{path}: not readable as JSON: line {error.lineno}, column {error.colno}: {error.msg}"
-        ) from None
-    except RecursionError:
-        raise ValueError(f"{path}: not readable as JSON: nested too deeply") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: not readable as JSON: {error}") from None
 
 
 def _readable_json(content: dict[str, Any]) -> str:

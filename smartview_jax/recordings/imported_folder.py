@@ -41,7 +41,7 @@ class ImportedFolder(NamedTuple):
 
 
 class ImportRecord(NamedTuple):
-    """What was taken from a recording, and what was left out.
+    """A record of the import: the sources that were used, and the pictures that were left out.
 
     Attributes:
         recording: name of the bag or of the data set.

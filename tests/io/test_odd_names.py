@@ -281,6 +281,7 @@ WRITERS = {
     "io/visp.py write_visp_pose": "(one pose)",
     "recordings/import_bag.py _write_pictures": "(views are numbered)",
     "recordings/import_bag.py write": "(views are numbered)",
+    "recordings/import_lerobot.py _write_pictures": "(views are numbered)",
     "recordings/imported_folder.py write": "(views are numbered)",
     "recordings/imported_folder.py write_description": "(views are numbered)",
     "picking/demo.py run_demo": "(the package's own)",

@@ -1,0 +1,274 @@
+"""Turn a data set of LeRobot into a data-set folder that every other function and command reads.
+
+The folder has the files of an imported bag (`import_bag`), with pictures in PNG or as they are.
+"""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..files import folder_transaction, write_atomically
+from ..geometry import ANGLE_UNITS, as_se3, host_matrices, pose_codec
+from ..io import joints_entry, poses_entry, write_joints, write_poses
+from ..robots import SerialArm
+from ..targets import AbstractTarget
+from .imported_folder import (
+    POSE_FORMAT,
+    ImportedFolder,
+    ImportRecord,
+    view_names,
+    write_description,
+)
+from .lerobot_dataset import Frames, LeRobotDataset
+from .moments import MomentChoice, choose_moments
+from .target_text import TargetText, target_text
+
+STATE = "observation.state"
+"""The feature that usually has the robot's state."""
+
+MAX_RADIANS = 4.0 * np.pi
+"""Largest joint reading that is believed in radians: no joint turns twice."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LeRobotSources:
+    """Features of a data set of LeRobot, by their meaning.
+
+    The description of a data set does not tell units. Joint readings that were recorded in percent
+    of each joint's range (-100 to 100, the default of some arms) are no angles, and useless here.
+
+    Attributes:
+        image: feature of the pictures; None for the only one.
+        state: feature of the robot's state.
+        names: names of the numbers used, in the order of the arm's joints or of the pose format;
+            by default all numbers of the state.
+        arm: arm whose joint readings the state has; None if it has poses.
+        angle_unit: of joint readings, `"deg"` or `"rad"`; of poses, None for the format's own.
+        pose_format: format of the poses `base_from_tool`, such as `"quaternion_xyzw"`; None for
+            joint readings.
+        episodes: numbers of the episodes used; all of them if empty.
+
+    Raises:
+        ValueError: both an arm and a pose format, or neither; joint readings without a unit.
+
+    For example:
+
+        >>> sources = sv.LeRobotSources(pose_format="quaternion_xyzw", episodes=(0,))
+        >>> print(sources.state, sources.image)
+        observation.state None
+    """
+
+    image: str | None = None
+    state: str = STATE
+    names: tuple[str, ...] = ()
+    arm: SerialArm | None = None
+    angle_unit: str | None = None
+    pose_format: str | None = None
+    episodes: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse contradictions, and units that nobody stated."""
+        if (self.arm is None) == (self.pose_format is None):
+            raise ValueError(
+                "the robot's state: expected an arm, for joint readings, or the format of its poses"
+            )
+        if self.arm is not None and self.angle_unit is None:
+            raise ValueError(
+                "angle_unit: expected deg or rad; the data set does not tell in which its joint "
+                "readings are"
+            )
+        if self.angle_unit is not None and self.angle_unit not in ANGLE_UNITS:
+            units = " or ".join(ANGLE_UNITS)
+            raise ValueError(f"angle_unit: expected {units}, found {self.angle_unit!r}")
+        if self.pose_format is not None:
+            pose_codec(self.pose_format)
+
+
+def import_lerobot(
+    dataset: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    sources: LeRobotSources,
+    target: AbstractTarget | str | Path,
+    mount: str = "eye_in_hand",
+    choice: MomentChoice | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ImportedFolder:
+    """Write a data-set folder from a data set of LeRobot.
+
+    Args:
+        dataset: folder with `meta/info.json`, of version 2.0, 2.1 or 3.0.
+        folder: the new folder, which must not exist yet or be empty.
+        sources: features, and the robot's state.
+        target: the target in the pictures, or its kind, or a file, as for `import_bag`.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        choice: which pictures become views; by default `MomentChoice()`, one of every stop.
+        progress: called with a line of text for each step of the work.
+
+    Raises:
+        FileNotFoundError: there is no such data set, or a file of it is missing.
+        FileExistsError: the folder has files already.
+        ValueError: something is missing or wrong in the data set; the message names the file, what
+            was expected, and what there is. Nothing is written.
+        ImportError: `pyarrow`, or `av` for videos, is not installed.
+
+    For example:
+
+        >>> sources = sv.LeRobotSources(pose_format="quaternion_xyzw")
+        >>> sv.import_lerobot("my_recordings", "my_folder", sources, "charuco")
+        Traceback (most recent call last):
+            ...
+        FileNotFoundError: my_recordings: no data set of LeRobot: meta/info.json is missing
+    """
+    choice = choice or MomentChoice()
+    recording, text = LeRobotDataset(Path(dataset)), target_text(target)
+    with folder_transaction(folder) as temporary:
+        written = _write(temporary, recording, sources, mount, choice, text, progress)
+    return written._replace(folder=Path(folder))
+
+
+def _write(
+    folder: Path,
+    recording: LeRobotDataset,
+    sources: LeRobotSources,
+    mount: str,
+    choice: MomentChoice,
+    target: TargetText,
+    progress: Callable[[str], None] | None,
+) -> ImportedFolder:
+    """Write everything to a folder."""
+    report = progress or (lambda _: None)
+    image = recording.image_feature(sources.image)
+    numbers = _columns_of_state(recording, sources)
+    report("reading the robot's states")
+    frames = recording.frames(sources.state, sources.episodes)
+    if frames.states.ndim != 2 or frames.states.shape[1] <= max(numbers):
+        raise ValueError(
+            f"{recording.path}: {sources.state}: expected rows of {len(numbers)} numbers or more, "
+            f"found shape {frames.states.shape}"
+        )
+    readings, poses = _poses(recording, sources, frames.states[:, numbers])
+    known = np.isfinite(poses[:, 0, 3])
+    try:
+        chosen = choose_moments(frames.stamps, known, frames.stamps, poses, choice)
+    except ValueError as error:
+        raise ValueError(f"{recording.path}: {error}") from error
+    view_ids = view_names(len(chosen.indices))
+    notes = [f"pictures: {image}; states: {sources.state}", *chosen.notes]
+    if choice.every is not None:
+        notes.append("pictures in motion have wrong poses where the camera is late")
+    width, height, suffix = _write_pictures(
+        folder, recording, image, frames, chosen.indices, report
+    )
+    entries: dict[str, Any] = {
+        "mount": mount,
+        "camera": {"image_size": [width, height]},
+        "pictures": {"pattern": f"images/{{view}}{suffix}"},
+        "poses": poses_entry(len(view_ids), POSE_FORMAT),
+    }
+    write_poses(folder, view_ids, as_se3(poses[chosen.indices]), POSE_FORMAT)
+    if sources.arm is not None:
+        write_joints(folder, view_ids, readings[chosen.indices], sources.arm)
+        entries["joints"] = joints_entry(len(view_ids), sources.arm)
+    record = ImportRecord(recording.path.resolve().name, tuple(notes), chosen.left_out)
+    record.write(folder, view_ids, frames.stamps[chosen.indices])
+    write_description(folder, entries, target)
+    return ImportedFolder(
+        folder, view_ids, chosen.left_out, tuple(notes), None, False, target.is_template
+    )
+
+
+def _columns_of_state(recording: LeRobotDataset, sources: LeRobotSources) -> list[int]:
+    """Return which numbers of the state are used, in the order of the joints or of the pose."""
+    present = recording.names(sources.state)
+    arm, expected = sources.arm, ()
+    if sources.pose_format is not None:
+        expected = pose_codec(sources.pose_format).columns
+    count = len(expected) if arm is None else len(arm.prismatic)
+    meaning = f"numbers of a pose ({', '.join(expected)})" if arm is None else "joints"
+    if sources.names:
+        if unknown := [name for name in sources.names if name not in present]:
+            raise ValueError(
+                f"{recording.path}: {sources.state}: no number is called {unknown[0]!r}; there are "
+                f"{', '.join(present) or 'no names'}"
+            )
+        numbers = [present.index(name) for name in sources.names]
+    else:
+        shape = recording.features[sources.state].get("shape") or [0]
+        numbers = list(range(int(shape[0])))
+    if len(numbers) != count:
+        listed = ", ".join(sources.names or present) or f"{len(numbers)} without names"
+        raise ValueError(
+            f"{recording.path}: {sources.state}: expected {count} {meaning}, found {listed}; name "
+            "those to use"
+        )
+    return numbers
+
+
+def _poses(
+    recording: LeRobotDataset, sources: LeRobotSources, rows: Float[np.ndarray, "frames numbers"]
+) -> tuple[Float[np.ndarray, "frames numbers"], Float[np.ndarray, "frames 4 4"]]:
+    """Return joint readings (rad, m) and poses `base_from_tool`, NaN where they are not known."""
+    known = np.isfinite(rows).all(axis=1)
+    if not known.any():
+        raise ValueError(f"{recording.path}: {sources.state}: expected numbers, found NaN alone")
+    poses = np.full((len(rows), 4, 4), np.nan)
+    where = f"{recording.path}: {sources.state}"
+    if sources.arm is None:
+        codec = pose_codec(str(sources.pose_format))
+        try:
+            decoded = codec.decode(rows[known], "m", sources.angle_unit or codec.units[1])
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from error
+        poses[known] = host_matrices(decoded)
+        return rows, poses
+    turning = ~np.asarray(sources.arm.prismatic)
+    largest = float(np.abs(rows[known][:, turning]).max(initial=0.0))
+    if sources.angle_unit == "rad" and largest > MAX_RADIANS:
+        raise ValueError(f"{where}: joint readings up to {largest:.4g} are too large for radians")
+    scale = ANGLE_UNITS[str(sources.angle_unit)]
+    readings = np.where(turning, scale * rows, rows)
+    poses[known] = host_matrices(sources.arm.base_from_tool(readings[known]))
+    return readings, poses
+
+
+def _write_pictures(
+    folder: Path,
+    recording: LeRobotDataset,
+    feature: str,
+    frames: Frames,
+    chosen: Int[np.ndarray, "views"],
+    report: Callable[[str], None],
+) -> tuple[int, int, str]:
+    """Write the chosen pictures, and return width, height (px) and suffix of their files."""
+    missing = dict(zip(chosen.tolist(), view_names(len(chosen)), strict=True))
+    kinds: set[tuple[int, int, str]] = set()
+    for place, picture in recording.pictures(feature, frames, list(missing), report):
+        view = missing.pop(place)
+        content, width, height, suffix = _picture_file(picture)
+        if not width:
+            raise ValueError(f"{recording.path}: {feature}: view {view}: no readable picture")
+        write_atomically(folder / "images" / f"{view}{suffix}", content)
+        kinds.add((width, height, suffix))
+        if len(kinds) > 1:
+            found = ", ".join(f"{w} x {h} px ({ending})" for w, h, ending in sorted(kinds))
+            raise ValueError(f"{recording.path}: {feature}: expected one size, found {found}")
+    if missing:
+        raise ValueError(f"{recording.path}: {feature}: {len(missing)} pictures are missing")
+    return kinds.pop()
+
+
+def _picture_file(picture: np.ndarray | bytes) -> tuple[bytes, int, int, str]:
+    """Return content, width, height (px; 0 if it is not readable) and suffix of a picture file."""
+    if isinstance(picture, np.ndarray):
+        height, width = picture.shape[:2]
+        return cv2.imencode(".png", picture)[1].tobytes(), width, height, ".png"
+    suffix = ".png" if picture.startswith(b"\x89PNG") else ".jpg"
+    decoded = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_UNCHANGED)
+    height, width = (0, 0) if decoded is None else decoded.shape[:2]
+    return picture, width, height, suffix

@@ -1,0 +1,262 @@
+"""Data sets of LeRobot, written here by pyarrow and PyAV, become data-set folders."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from bag_recordings import duration, moving_pose, stop_poses
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+import smartview_jax as sv
+from smartview_jax.cli import app
+from smartview_jax.geometry import host_matrices
+from smartview_jax.io.poses import read_poses
+from smartview_jax.robots import kuka_lwr4
+
+pa = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
+av = pytest.importorskip("av")
+
+FPS = 20
+EPISODES = (stop_poses(2, seed=1), stop_poses(3, seed=2))
+CAMERA = "observation.images.wrist"
+NAMES = ["x", "y", "z", "qx", "qy", "qz", "qw", "gripper"]
+POSES = sv.LeRobotSources(pose_format="quaternion_xyzw", names=tuple(NAMES[:7]))
+WIDTH, HEIGHT = 64, 48
+
+
+def times_of(poses):
+    return np.arange(round(duration(poses) * FPS)) / FPS
+
+
+def state_of(pose):
+    turn = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    return [*pose[:3, 3].tolist(), *turn.tolist(), 0.5]
+
+
+def picture_of(episode, number):
+    """A bar whose place tells the number, in the upper half for the first episode."""
+    picture = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    half = slice(24 * episode, 24 * episode + 24)
+    picture[half, 2 * (number % 32) : 2 * (number % 32) + 2] = 255
+    return picture
+
+
+def told_by(picture):
+    """The episode and the number, up to a multiple of 32, of a picture."""
+    row, column = np.unravel_index(np.argmax(picture[..., 1]), picture.shape[:2])
+    return int(row // 24), int(column // 2)
+
+
+def write_video(path, pictures):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=FPS, options={"crf": "5"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="bgr24")))
+        container.mux(stream.encode())
+
+
+def write_table(path, columns):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    parquet.write_table(pa.table(columns), path)
+
+
+def rows_of(episode, state=state_of, names=NAMES):
+    times = times_of(EPISODES[episode])
+    states = [state(moving_pose(EPISODES[episode], time)) for time in times.tolist()]
+    assert len(states[0]) == len(names)
+    return {
+        "episode_index": np.full(len(times), episode),
+        "frame_index": np.arange(len(times)),
+        "timestamp": times.astype(np.float32),
+        "observation.state": states,
+    }
+
+
+def joined(tables):
+    return {key: [value for table in tables for value in table[key]] for key in tables[0]}
+
+
+def write_dataset(folder, version, dtype="video", state=state_of, names=NAMES):
+    """A data set as LeRobot lays it out: a file for each episode, or one for all."""
+    shared = version == "v3.0"
+    tables = [rows_of(episode, state, names) for episode in range(len(EPISODES))]
+    pictures = [
+        [picture_of(episode, k) for k in range(len(times_of(poses)))]
+        for episode, poses in enumerate(EPISODES)
+    ]
+    if dtype == "image":
+        for table, shown in zip(tables, pictures, strict=True):
+            files = [cv2.imencode(".png", picture)[1].tobytes() for picture in shown]
+            table[CAMERA] = [{"bytes": file, "path": None} for file in files]
+    if shared:
+        write_table(folder / "data/chunk-000/file-000.parquet", joined(tables))
+        begins = np.cumsum([0, *(len(shown) / FPS for shown in pictures)])[:-1]
+        places = {
+            "episode_index": np.arange(len(EPISODES)),
+            f"videos/{CAMERA}/chunk_index": np.zeros(len(EPISODES), int),
+            f"videos/{CAMERA}/file_index": np.zeros(len(EPISODES), int),
+            f"videos/{CAMERA}/from_timestamp": begins,
+        }
+        write_table(folder / "meta/episodes/chunk-000/file-000.parquet", places)
+        template = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+        if dtype == "video":
+            path = template.format(video_key=CAMERA, chunk_index=0, file_index=0)
+            write_video(folder / path, [picture for shown in pictures for picture in shown])
+    else:
+        template = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
+        for k, (table, shown) in enumerate(zip(tables, pictures, strict=True)):
+            write_table(folder / f"data/chunk-000/episode_{k:06d}.parquet", table)
+            path = template.format(episode_chunk=0, video_key=CAMERA, episode_index=k)
+            if dtype == "video":
+                write_video(folder / path, shown)
+    features = {
+        CAMERA: {"dtype": dtype, "shape": [HEIGHT, WIDTH, 3], "names": ["height", "width", "c"]},
+        "observation.state": {"dtype": "float32", "shape": [len(names)], "names": names},
+        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+    }
+    info = {
+        "codebase_version": version,
+        "fps": FPS,
+        "chunks_size": 1000,
+        "video_path": template if dtype == "video" else None,
+        "features": features,
+    }
+    (folder / "meta").mkdir(exist_ok=True)
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    return folder
+
+
+@pytest.fixture(scope="module", params=[("v2.1", "video"), ("v3.0", "video"), ("v3.0", "image")])
+def dataset(request, tmp_path_factory):
+    return write_dataset(tmp_path_factory.mktemp("lerobot"), *request.param)
+
+
+def views_of(folder, first_episode=0):
+    """The pose, the picture, and the episode and time of each view."""
+    content = yaml.safe_load((folder / "dataset.yaml").read_text())
+    poses = read_poses(folder, content["poses"], "raise")
+    stamps = yaml.safe_load((folder / "import.yaml").read_text())["stamps_ns"]
+    found = []
+    for view, pose in zip(poses.view_ids, host_matrices(poses.poses), strict=True):
+        # Another episode begins a minute after the end of the one before it.
+        later, time = divmod(1e-9 * stamps[view], 50.0)
+        end = times_of(EPISODES[first_episode])[-1]
+        episode, time = (
+            (first_episode + 1, 1e-9 * stamps[view] - 60.0 - end)
+            if later
+            else (
+                first_episode,
+                time,
+            )
+        )
+        shown = cv2.imread(str(folder / "images" / f"{view}.png"))
+        found.append((pose, shown, episode, time))
+    return found
+
+
+def test_one_picture_of_every_stop_of_every_episode(dataset, tmp_path):
+    written = sv.import_lerobot(dataset, tmp_path / "data", POSES, "charuco")
+    views = views_of(tmp_path / "data")
+    assert written.view_ids == ("0001", "0002", "0003", "0004", "0005")
+    for pose, shown, episode, time in views:
+        np.testing.assert_allclose(pose, moving_pose(EPISODES[episode], time), atol=1e-6)
+        assert told_by(shown) == (episode, round(time * FPS) % 32)
+        assert 0.25 <= time % 1.5 <= 0.75
+    assert written.target_is_template
+    assert sum(written.left_out.values()) == sum(len(times_of(p)) for p in EPISODES) - 5
+
+
+def test_episodes_may_be_chosen_and_all_pictures_taken(dataset, tmp_path):
+    sources = sv.LeRobotSources(
+        pose_format="quaternion_xyzw", names=tuple(NAMES[:7]), episodes=(1,)
+    )
+    choice = sv.MomentChoice(every=10)
+    written = sv.import_lerobot(dataset, tmp_path / "data", sources, "charuco", choice=choice)
+    assert len(written.view_ids) == 9
+    for k, (pose, shown, episode, _) in enumerate(views_of(tmp_path / "data", 1)):
+        assert episode == 1
+        np.testing.assert_allclose(pose, moving_pose(EPISODES[1], k * 10 / FPS), atol=1e-6)
+        assert told_by(shown) == (1, 10 * k % 32)
+    assert "in motion" in written.notes[-1]
+
+
+def joints_of(pose):
+    """Some joint readings that stand when the robot does, degrees, with a gripper."""
+    return [*np.round(100.0 * pose[0, :3], 9), *np.round(100.0 * pose[1, :3], 9), 12.0, 50.0]
+
+
+def test_joint_readings_have_the_stated_unit(tmp_path):
+    names = [f"joint{k}.pos" for k in range(7)] + ["gripper.pos"]
+    folder = write_dataset(tmp_path / "set", "v2.1", "image", joints_of, names)
+    arm = kuka_lwr4()
+    asked = ["--arm", "kuka_lwr4", "--angle-unit", "deg", "--target", "charuco"]
+    asked += ["--state-names", ",".join(names[:7])]
+    told = CliRunner().invoke(app, ["import", str(folder), str(tmp_path / "data"), *asked])
+    assert told.exit_code == 0, told.output
+    assert "5 views" in told.output
+    pose, _, episode, time = views_of(tmp_path / "data")[0]
+    readings = np.deg2rad(joints_of(moving_pose(EPISODES[episode], time))[:7])
+    np.testing.assert_allclose(pose, host_matrices(arm.base_from_tool(readings)), atol=1e-6)
+    sources = sv.LeRobotSources(arm=arm, angle_unit="rad", names=tuple(names[:7]))
+    with pytest.raises(ValueError, match="too large for radians"):
+        sv.import_lerobot(folder, tmp_path / "rad", sources, "charuco")
+    assert not (tmp_path / "rad").exists()
+
+
+@pytest.mark.parametrize(
+    ("sources", "message"),
+    [
+        ({"names": ("x", "y", "height")}, "no number is called 'height'; there are x, y, z"),
+        ({}, r"expected 7 numbers of a pose \(x, y, z, .*\), found x, y, z, qx"),
+        ({"image": "observation.images.top"}, "expected pictures 'observation.images.top', found"),
+        ({"state": "action"}, "a feature of numbers called 'action', found observation.state"),
+        ({"names": tuple(NAMES[:7]), "episodes": (5,)}, "no episode 5; there are 2"),
+        ({"names": ("y", "x", "z", "gripper", "qx", "qy", "qz")}, "quaternion"),
+    ],
+)
+def test_what_is_missing_is_named(dataset, tmp_path, sources, message):
+    told = sv.LeRobotSources(pose_format="quaternion_xyzw", **sources)
+    with pytest.raises(ValueError, match=message):
+        sv.import_lerobot(dataset, tmp_path / "data", told, "charuco")
+    assert not (tmp_path / "data").exists()
+
+
+def test_contradictions_are_refused():
+    with pytest.raises(ValueError, match="expected an arm, for joint readings, or the format"):
+        sv.LeRobotSources()
+    with pytest.raises(ValueError, match="angle_unit: expected deg or rad"):
+        sv.LeRobotSources(arm=kuka_lwr4())
+    with pytest.raises(ValueError, match=r"angle_unit: expected .*, found 'percent'"):
+        sv.LeRobotSources(arm=kuka_lwr4(), angle_unit="percent")
+
+
+def test_broken_data_sets_are_named(tmp_path):
+    folder = write_dataset(tmp_path / "set", "v2.1")
+    first = folder / "videos/chunk-000" / CAMERA / "episode_000000.mp4"
+    whole = first.read_bytes()
+
+    def refused(error, message):
+        with pytest.raises(error, match=message):
+            sv.import_lerobot(folder, tmp_path / "data", POSES, "charuco")
+        assert not (tmp_path / "data").exists()
+
+    first.write_bytes(b"no video")
+    refused(ValueError, r"episode_000000\.mp4: no readable video")
+    first.unlink()
+    refused(FileNotFoundError, r"episode_000000\.mp4: no such video")
+    write_video(first, [picture_of(0, k) for k in range(20)])
+    refused(ValueError, r"episode_000000\.mp4: the video ends before")
+    first.write_bytes(whole)
+    (folder / "data/chunk-000/episode_000001.parquet").write_bytes(b"no table")
+    refused(ValueError, r"episode_000001\.parquet: no readable table")
+    info = folder / "meta/info.json"
+    info.write_text(info.read_text().replace("v2.1", "v1.6"))
+    refused(ValueError, r"codebase_version: expected v2\.0, v2\.1, v3\.0, found 'v1\.6'")
+    info.write_text("{")
+    refused(ValueError, "not readable as JSON")
