@@ -12,10 +12,11 @@ class SchemaName(StrEnum):
     DATASET = "dataset"
     CALIBRATION = "calibration"
     OBJECT = "object"
+    RIG = "rig"
 
 
 def schema(of: Annotated[SchemaName, typer.Argument(help="Kind of file.")]) -> None:
-    """Print the JSON schema of dataset.yaml, calibration.yaml or an object model, for editors.
+    """Print the JSON schema of dataset.yaml, calibration.yaml, an object or a rig, for editors.
 
     Editors with a YAML language server check a file that begins with the line
     `# yaml-language-server: $schema=dataset.schema.json`, where the schema was saved next to it.

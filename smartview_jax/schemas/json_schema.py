@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from ..files import write_atomically
+from .calibrated_rig import CALIBRATED_RIG_SCHEMA
 from .calibration import CALIBRATION_SCHEMA
 from .dataset import DatasetFile
 from .object_model import OBJECT_MODEL_SCHEMA
@@ -19,16 +20,20 @@ SCHEMAS = {
     "dataset": TypeAdapter(DatasetFile | RigFile),
     "calibration": CALIBRATION_SCHEMA,
     "object": OBJECT_MODEL_SCHEMA,
+    "rig": CALIBRATED_RIG_SCHEMA,
 }
-"""Schemas by the name of the file without its ending."""
+"""Schemas by the name of the file without its ending; `rig` is a calibrated rig's."""
+
+_FILES = {"object": "object.json", "rig": "rig.joint.yaml"}
+"""Names of the files that are not called as their schema, with the ending .yaml."""
 
 
 def json_schema(name: str) -> str:
     """Return the JSON schema of a file, as text, by its name in `SCHEMAS`."""
     content = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": f"{name}.{'json' if name == 'object' else 'yaml'} of smartview_jax",
         **SCHEMAS[name].json_schema(),
+        "title": f"{_FILES.get(name, f'{name}.yaml')} of smartview_jax",
     }
     return json.dumps(content, indent=1) + "\n"
 
