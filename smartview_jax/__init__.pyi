@@ -4,6 +4,7 @@ from . import calibration_pipeline as calibration_pipeline
 from . import cameras as cameras
 from . import data_checks as data_checks
 from . import dataset as dataset
+from . import depth as depth
 from . import detection as detection
 from . import editor as editor
 from . import engine as engine

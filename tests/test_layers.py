@@ -25,7 +25,7 @@ PACKAGE = Path(smartview_jax.__file__).parent
 FLOORS = """
     argument_checks version files runtime extras fit_result
     schemas export_text geometry cameras targets robots robot_errors calibration dataset detection
-    hand_eye data_checks staged engine variance joint arm_identification
+    depth hand_eye data_checks staged engine variance joint arm_identification
     rig_pipeline calibration_pipeline time_offset evaluation viewpoints features modeling io
     recordings simulation fleet localization grasping plots report editor capture picking cli
     __main__

@@ -1,0 +1,341 @@
+"""Estimate a target's poses from points that a depth sensor measured, and the sensor's bias.
+
+A depth sensor, or a camera with structured light, measures points of a target in its own frame:
+exactly across the line of sight, less exactly along it, and often too near or too far by a few
+per cent. The target's known size tells this bias without any robot. All poses, scale and offset of
+the depth are fitted together, each coordinate weighted by its estimated noise; points that
+contradict the others have no weight.
+
+    corrected point = measured point (scale z + offset) / z
+
+The poses are what `fit_poses` needs. NumPy code: a few steps for all views at once.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..geometry import host_cross_matrices, host_exponentials, host_nearest_rotation
+
+MIN_POINTS = 4
+"""Smallest number of points of a view whose pose is fitted."""
+
+MIN_SPREAD = 0.05
+"""Smallest extent of a view's points in their second direction, over their extent in the first."""
+
+MAX_STEPS = 50
+"""Largest number of steps of the fit."""
+
+CONVERGED = 1e-8
+"""Relative change of the noise at which the fit has converged."""
+
+REJECTED_SIGMAS = 4.0
+"""Distance from its fitted place, in standard deviations, from which a point is left out."""
+
+TYPICAL_SCALE_STD, TYPICAL_OFFSET_STD = 0.05, 0.02
+"""Standard deviations of the priors: depth sensors err by some per cent, and some millimetres."""
+
+
+class MeasuredPoses(NamedTuple):
+    """Poses of a target from measured points, and the bias and the noise of the sensor.
+
+    Attributes:
+        camera_from_world: pose of the target in each view `(views, 4, 4)`, m; NaN where too few
+            points were measured.
+        covariance: of each pose `(views, 6, 6)`, as a twist in the camera's axes, translation (m)
+            first; with the uncertainty of scale and offset.
+        scale: true depth over measured depth, beside the offset.
+        offset: true depth minus scaled depth, m.
+        scale_std, offset_std: their standard deviations; close to their priors where a flat target
+            is seen from one distance and without tilt.
+        across_std, along_std: standard deviation of a coordinate across the line of sight, and
+            along it, m.
+        residuals: corrected minus fitted points `(views, points, 3)`, m; NaN where not measured.
+        used: points that were measured and not left out.
+        converged: whether the noise, and the choice of points, settled.
+    """
+
+    camera_from_world: Float[np.ndarray, "views 4 4"]
+    covariance: Float[np.ndarray, "views 6 6"]
+    scale: float
+    offset: float
+    scale_std: float
+    offset_std: float
+    across_std: float
+    along_std: float
+    residuals: Float[np.ndarray, "views points 3"]
+    used: Bool[np.ndarray, "views points"]
+    converged: bool
+
+    def corrected(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Return measured points with the bias of the sensor removed."""
+        return points * (self.scale + self.offset / points[..., 2:])
+
+
+def poses_from_points(
+    points_in_camera: Float[np.ndarray, "views _ 3"], target_points: Float[np.ndarray, "_ 3"]
+) -> MeasuredPoses:
+    """Return the poses of a target whose points a depth sensor measured.
+
+    A target that is larger than stated by 1 % looks as a sensor whose depths are 1 % too small.
+
+    Args:
+        points_in_camera: measured points in the sensor's frame `(views, points, 3)`, z along its
+            optical axis, m; NaN where a point was not measured.
+        target_points: the same points in the target's frame `(points, 3)`, m.
+
+    Raises:
+        ValueError: arrays that do not fit, points behind the sensor, points in another unit, or no
+            view with enough points; the message says what was found.
+
+    For example:
+
+        >>> seen = truth.camera_from_world(scene.base_from_tool)
+        >>> target = np.asarray(data.points)[0]
+        >>> points = np.stack([(pose @ np.c_[target, np.ones(len(target))].T).T[:, :3]
+        ...                    for pose in sv.geometry.host_matrices(seen)])
+        >>> measured = sv.depth.poses_from_points(points / 1.02, target)
+        >>> print(f"{measured.scale:.3f}")
+        1.020
+    """
+    points, target = _checked(points_in_camera, target_points)
+    seen = np.asarray(np.isfinite(points).all(axis=2))
+    whole = _has_enough(target, seen)
+    if not whole.any():
+        raise ValueError(
+            f"points_in_camera: expected a view with {MIN_POINTS} points or more that are not in "
+            f"one line; the most in a view are {int(seen.sum(axis=1).max(initial=0))}"
+        )
+    _refuse_other_unit(points[whole], target, seen[whole])
+    fit = _fitted(points[whole], target, seen[whole])
+    count = len(points)
+    poses, covariance = np.full((count, 4, 4), np.nan), np.full((count, 6, 6), np.nan)
+    residuals, used = np.full(points.shape, np.nan), np.zeros(seen.shape, dtype=bool)
+    poses[whole], covariance[whole] = fit.camera_from_world, fit.covariance
+    residuals[whole], used[whole] = fit.residuals, fit.used
+    return fit._replace(
+        camera_from_world=poses, covariance=covariance, residuals=residuals, used=used
+    )
+
+
+def _checked(
+    points_in_camera: Float[np.ndarray, "views _ 3"], target_points: Float[np.ndarray, "_ 3"]
+) -> tuple[Float[np.ndarray, "views points 3"], Float[np.ndarray, "points 3"]]:
+    """Return the arrays, or raise a ValueError for wrong shapes and impossible points."""
+    points, target = np.array(points_in_camera, float), np.array(target_points, float)
+    if points.shape[1:] != target.shape:
+        raise ValueError(
+            f"points_in_camera: expected shape (views, {len(target)}, 3) for {len(target)} target "
+            f"points, found {points.shape}"
+        )
+    if not np.isfinite(target).all():
+        raise ValueError("target_points: expected finite numbers, found NaN or infinity")
+    behind = np.argwhere(points[..., 2] <= 0.0)
+    if len(behind):
+        view, point = behind[0]
+        raise ValueError(
+            f"points_in_camera: view {view}, point {point}: expected a depth above 0, found "
+            f"{points[view, point, 2]:.4g} m; z is along the optical axis, and NaN says that a "
+            "point was not measured"
+        )
+    return points, target
+
+
+def _has_enough(
+    target: Float[np.ndarray, "points 3"], seen: Bool[np.ndarray, "views points"]
+) -> Bool[np.ndarray, "views"]:
+    """Return which views show enough points, in two directions at least."""
+    weight = seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)
+    middle = weight @ target
+    centred = np.where(seen[..., None], target - middle[:, None], 0.0)
+    extents = np.linalg.svd(centred, compute_uv=False) if target.size else np.zeros((len(seen), 2))
+    spread = extents[:, 1] > MIN_SPREAD * np.maximum(extents[:, 0], 1e-300)
+    return (seen.sum(axis=1) >= MIN_POINTS) & spread
+
+
+def _refuse_other_unit(
+    points: Float[np.ndarray, "views points 3"],
+    target: Float[np.ndarray, "points 3"],
+    seen: Bool[np.ndarray, "views points"],
+) -> None:
+    """Raise a ValueError where the target's size in the measured points is another by far."""
+    ratios = []
+    for own, is_seen in zip(points, seen, strict=True):
+        measured, true = own[is_seen], target[is_seen]
+        ratios.append(
+            np.linalg.norm(measured - np.median(measured, axis=0), axis=1).sum()
+            / np.linalg.norm(true - np.median(true, axis=0), axis=1).sum()
+        )
+    ratio = float(np.median(ratios))
+    if not 0.5 < ratio < 2.0:
+        raise ValueError(
+            f"points_in_camera: the target seems {ratio:.3g} times its size: are both in metres, "
+            "and are the points in the target's order?"
+        )
+
+
+def _fitted(
+    points: Float[np.ndarray, "views points 3"],
+    target: Float[np.ndarray, "points 3"],
+    seen: Bool[np.ndarray, "views points"],
+) -> MeasuredPoses:
+    """Return the fit of views that all have enough points."""
+    measured = np.where(seen[..., None], points, [0.0, 0.0, 1.0])
+    poses = _aligned(measured, target, seen)
+    rays = measured / np.linalg.norm(measured, axis=2, keepdims=True)
+    frames = _frames_of(rays)
+    # Derivatives of the corrected points by scale and offset.
+    by_sensor = np.stack([measured, measured / measured[..., 2:]], axis=-1)
+    sensor, used = np.array([1.0, 0.0]), seen
+    covariance, sensor_covariance = np.zeros((len(points), 6, 6)), np.zeros((2, 2))
+    prior = np.array([TYPICAL_SCALE_STD, TYPICAL_OFFSET_STD]) ** -2
+    sigma, has_converged = np.full(2, np.inf), False
+    for _ in range(MAX_STEPS):
+        residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
+        if np.isinf(sigma).any():
+            # Robust: half of the points may be wrong before any noise is known.
+            size = np.median(np.linalg.norm(residuals[used], axis=1)) / np.sqrt(2.366)
+            sigma = np.full(2, max(float(size), 1e-12))
+        used = seen & (_distances(in_ray, sigma) < REJECTED_SIGMAS)
+        # Too few points are left in a view where most are wrong: all of them count.
+        used = np.where(used.sum(axis=1, keepdims=True) >= MIN_POINTS, used, seen)
+        step, sensor_step, covariance, sensor_covariance, freedom = _solved(
+            in_ray, jacobian, used, sigma, prior, sensor - [1.0, 0.0]
+        )
+        poses = host_exponentials(step) @ poses
+        sensor = sensor + sensor_step
+        _, in_ray, _ = _linearised(poses, target, by_sensor, sensor, frames)
+        squares = (np.where(used[..., None], in_ray, 0.0) ** 2).sum(axis=(0, 1))
+        new = np.sqrt([squares[:2].sum() / freedom[0], squares[2] / freedom[1]])
+        new = np.maximum(new, 1e-12)
+        has_converged = bool(np.abs(new / sigma - 1.0).max() < CONVERGED)
+        sigma = new
+        if has_converged:
+            break
+    residuals, _, _ = _linearised(poses, target, by_sensor, sensor, frames)
+    scale_std, offset_std = np.sqrt(np.diag(sensor_covariance))
+    return MeasuredPoses(
+        poses,
+        covariance,
+        float(sensor[0]),
+        float(sensor[1]),
+        float(scale_std),
+        float(offset_std),
+        float(sigma[0]),
+        float(sigma[1]),
+        np.where(seen[..., None], residuals, np.nan),
+        used,
+        has_converged,
+    )
+
+
+def _aligned(
+    measured: Float[np.ndarray, "views points 3"],
+    target: Float[np.ndarray, "points 3"],
+    seen: Bool[np.ndarray, "views points"],
+) -> Float[np.ndarray, "views 4 4"]:
+    """Return the rotations and shifts that bring the target next to the points (Kabsch).
+
+    Points far from the others are left out in three rounds.
+    """
+    poses = np.tile(np.eye(4), (len(measured), 1, 1))
+    for k, (own, is_seen) in enumerate(zip(measured, seen, strict=True)):
+        kept, R, t = is_seen, np.eye(3), np.zeros(3)
+        for _ in range(3):
+            a, b = target[kept], own[kept]
+            R = host_nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+            t = b.mean(axis=0) - R @ a.mean(axis=0)
+            distance = np.linalg.norm(own - target @ R.T - t, axis=1)
+            limit = 3.0 * np.median(distance[is_seen])
+            fewer = is_seen & (distance <= limit)
+            kept = fewer if fewer.sum() >= MIN_POINTS else kept
+        poses[k, :3, :3], poses[k, :3, 3] = R, t
+    return poses
+
+
+def _frames_of(rays: Float[np.ndarray, "views points 3"]) -> Float[np.ndarray, "views points 3 3"]:
+    """Return orthonormal axes for each ray as rows: two across it, then the ray."""
+    # Rays are next to z, so that they are never along x.
+    x = np.array([1.0, 0.0, 0.0]) - rays[..., :1] * rays
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, np.cross(rays, x), rays], axis=-2)
+
+
+def _linearised(
+    poses: Float[np.ndarray, "views 4 4"],
+    target: Float[np.ndarray, "points 3"],
+    by_sensor: Float[np.ndarray, "views points 3 2"],
+    sensor: Float[np.ndarray, "2"],
+    frames: Float[np.ndarray, "views points 3 3"],
+) -> tuple[
+    Float[np.ndarray, "views points 3"],
+    Float[np.ndarray, "views points 3"],
+    Float[np.ndarray, "views points 3 8"],
+]:
+    """Return residuals, also along the rays' axes, and derivatives by a twist and the sensor."""
+    placed = target @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    residuals = by_sensor @ sensor - placed
+    # d(placed) = v + w x p for the twist (v, w) of the pose, from the left.
+    eye = np.broadcast_to(-np.eye(3), (*placed.shape, 3))
+    jacobian = np.concatenate([eye, host_cross_matrices(placed), by_sensor], axis=-1)
+    return residuals, (frames @ residuals[..., None])[..., 0], frames @ jacobian
+
+
+def _distances(
+    in_ray: Float[np.ndarray, "views points 3"], sigma: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "views points"]:
+    """Return the distance of each point from its fitted place, in standard deviations."""
+    return np.linalg.norm(in_ray / [sigma[0], sigma[0], sigma[1]], axis=-1)
+
+
+def _solved(
+    in_ray: Float[np.ndarray, "views points 3"],
+    jacobian: Float[np.ndarray, "views points 3 8"],
+    used: Bool[np.ndarray, "views points"],
+    sigma: Float[np.ndarray, "2"],
+    prior: Float[np.ndarray, "2"],
+    off: Float[np.ndarray, "2"],
+) -> tuple[
+    Float[np.ndarray, "views 6"],
+    Float[np.ndarray, "2"],
+    Float[np.ndarray, "views 6 6"],
+    Float[np.ndarray, "2 2"],
+    Float[np.ndarray, "2"],
+]:
+    """Return the Gauss-Newton step of poses and sensor, their covariances, degrees of freedom.
+
+    Args:
+        in_ray: residuals along the rays' axes.
+        jacobian: their derivatives.
+        used: points that count.
+        sigma: standard deviations across and along the rays.
+        prior: inverse variances of scale and offset.
+        off: their distance from the priors' means.
+
+    Returns:
+        Steps and covariances, and the degrees of freedom across and along the rays.
+    """
+    weight = np.array([sigma[0], sigma[0], sigma[1]]) ** -2 * used[..., None]
+    gram = np.einsum("vpci,vpc,vpcj->vij", jacobian, weight, jacobian)
+    gradient = np.einsum("vpci,vpc,vpc->vi", jacobian, weight, in_ray)
+    # The poses are eliminated: A - B^T D^-1 B, each view's D of its own pose.
+    D, B, A = gram[:, :6, :6], gram[:, :6, 6:], gram[:, 6:, 6:]
+    inverse = np.linalg.inv(D)
+    gain = inverse @ B
+    reduced = A.sum(axis=0) + np.diag(prior) - (B.swapaxes(1, 2) @ gain).sum(axis=0)
+    right = gradient[:, 6:].sum(axis=0) + prior * off
+    right = right - (gain.swapaxes(1, 2) @ gradient[:, :6, None]).sum(axis=0)[:, 0]
+    sensor_covariance = np.linalg.inv(reduced)
+    sensor_step = -sensor_covariance @ right
+    step = -(inverse @ gradient[:, :6, None])[..., 0] - gain @ sensor_step
+    covariance = inverse + gain @ sensor_covariance @ gain.swapaxes(1, 2)
+    # Of each residual the fit takes its leverage; what remains is left to estimate the noise.
+    whole = np.zeros((len(gram), 8, 8))
+    whole[:, :6, :6], whole[:, :6, 6:] = covariance, -gain @ sensor_covariance
+    whole[:, 6:, :6] = whole[:, :6, 6:].swapaxes(1, 2)
+    whole[:, 6:, 6:] = sensor_covariance
+    leverage = np.einsum("vpci,vij,vpcj->vpc", jacobian, whole, jacobian) * weight
+    taken, count = leverage.sum(axis=(0, 1)), int(used.sum())
+    freedom = np.array([2 * count - taken[:2].sum(), count - taken[2]])
+    return step, sensor_step, covariance, sensor_covariance, np.maximum(freedom, 1.0)
