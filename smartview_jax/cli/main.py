@@ -15,7 +15,7 @@ from .evaluate import evaluate
 from .export import export
 from .garbage import rare_collections
 from .grasp import grasp
-from .import_bag import import_
+from .import_recording import import_
 from .localize import localize
 from .logs import configure_logs
 from .model import model

@@ -19,12 +19,13 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class SourceOptions:
-    """The options that name topics and frames of a bag."""
+    """The options that name topics and frames of a bag, or features of LeRobot."""
 
     image: Annotated[
         str | None,
         typer.Option(
-            help="Topic of the pictures, such as /camera/color/image_raw; by default the only one."
+            help="Topic of the pictures, such as /camera/color/image_raw (LeRobot: their feature, "
+            "such as observation.images.wrist); by default the only one."
         ),
     ] = None
     camera_info: Annotated[
@@ -225,7 +226,7 @@ class MomentOptions:
 
 @with_option_groups
 def import_(
-    bag: Annotated[
+    recording: Annotated[
         Path,
         typer.Argument(
             help="A .bag file of ROS 1, a folder or .db3 file of ROS 2, or .mcap; or a folder of "
@@ -271,13 +272,17 @@ def import_(
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
         choice = moments.choice()
         with progress_line() as progress:
-            if (bag / INFO_FILE).is_file():
+            if (recording / INFO_FILE).is_file():
                 if target is None:
                     raise ValueError("--tag: not for a data set of LeRobot; it needs --target")
                 sources = lerobot.sources(source)
-                written = import_lerobot(bag, folder, sources, target, mount, choice, progress)
+                written = import_lerobot(
+                    recording, folder, sources, target, mount, choice, progress
+                )
             else:
-                written = import_bag(bag, folder, source.sources(), target, mount, choice, progress)
+                written = import_bag(
+                    recording, folder, source.sources(), target, mount, choice, progress
+                )
         _print_summary(written)
 
 
