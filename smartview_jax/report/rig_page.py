@@ -35,8 +35,8 @@ CAMERA_HEADINGS = (
 RELATIVE_HEADINGS = ("second in first", "x, y, z (mm)", "std (mm)", "std (deg)")
 """Headings of `relative_pose_rows` and `base_rows`."""
 
-POSE_CAUSE_HEADINGS = ("pose", "std (mm)", "std (deg)", "causes of the translation's variance")
-"""Headings of `pose_cause_rows`; the standard deviations are of all axes together."""
+POSE_CAUSE_HEADINGS = ("pose", "mm", "deg", "causes of the variance of the translation")
+"""Headings of `pose_cause_rows`; the numbers are standard deviations of all axes together."""
 
 MIN_SHOWN_SHARE = 0.01
 """Smallest share of a variance for which its cause is named."""
@@ -144,7 +144,7 @@ def pose_cause_rows(budget: RigErrorBudget) -> list[tuple[str, ...]]:
         ]
         rows.append(
             (
-                pose.name,
+                pose.name.replace(".", ": "),
                 f"{1e3 * pose.translation:.2g}",
                 f"{np.rad2deg(pose.rotation):.2g}",
                 ", ".join(shares),
@@ -284,14 +284,14 @@ def _joint_section(fit: RigFit, used: Rig) -> Section:
 
 def _budget_sections(budget: RigErrorBudget) -> list[Section]:
     """Return the sections of the causes: of each camera's error, and of each pose's uncertainty."""
-    advice = " ".join(f"{name}: {own.summary}" for name, own in budget.cameras.items())
     return [
         Section(
             "Where the error comes from",
-            f"RMS errors in px of each camera's chain without correction, by cause. {advice}",
+            "RMS errors of each camera's chain without correction, px, by cause.",
             header=("cause", *budget.cameras),
             rows=rig_budget_rows(budget),
         ),
+        Section("What to do", rows=[(name, own.summary) for name, own in budget.cameras.items()]),
         Section(
             "What limits each pose",
             "Standard deviations of all axes together.",
