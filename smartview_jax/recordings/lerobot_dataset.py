@@ -74,13 +74,15 @@ class LeRobotDataset:
             raise ValueError(
                 f"{file}: codebase_version: expected {', '.join(VERSIONS)}, found {version!r}"
             )
-        for key, kind in (("features", dict), ("video_path", str), ("chunks_size", int)):
-            # Data sets without videos have no path of them.
-            if not isinstance(info.get(key, kind()), kind) and info.get(key) is not None:
-                raise ValueError(f"{file}: {key}: expected a {kind.__name__}, found {info[key]!r}")
-        self._info = info
+        self.features: dict[str, Mapping[str, Any]] = info.get("features") or {}
+        if not all(isinstance(feature, dict) for feature in self.features.values()):
+            raise ValueError(f"{file}: features: expected a mapping for each")
+        # Data sets without videos have no path of them.
+        self._video_template = str(info.get("video_path") or "")
+        self._chunk_size = info.get("chunks_size") or 1000
+        if not isinstance(self._chunk_size, int):
+            raise ValueError(f"{file}: chunks_size: expected a number, found {self._chunk_size!r}")
         self._in_shared_files = version == "v3.0"
-        self.features: dict[str, Mapping[str, Any]] = info.get("features", {})
 
     def image_feature(self, name: str | None) -> str:
         """Return the feature of the pictures: the named one, or the only one.
@@ -183,25 +185,32 @@ class LeRobotDataset:
 
     def _video_of(self, feature: str, episode: int) -> Path:
         """Return the video of an episode, of version 2."""
-        chunk = episode // int(self._info.get("chunks_size") or 1000)
-        template = str(self._info.get("video_path") or "")
-        return self.path / template.format(
-            episode_chunk=chunk, video_key=feature, episode_index=episode
-        )
+        chunk = episode // self._chunk_size
+        return self._video_file(episode_chunk=chunk, video_key=feature, episode_index=episode)
 
     def _video_places(self, feature: str) -> dict[int, tuple[Path, float]]:
         """Return the video of each episode and where in it the episode begins, s; of version 3."""
         prefix = f"videos/{feature}"
         keys = [f"{prefix}/{part}" for part in ("chunk_index", "file_index", "from_timestamp")]
-        template, found = str(self._info.get("video_path") or ""), {}
+        found = {}
         for file in self._files("meta/episodes", "episodes"):
             table = self._columns(file, ["episode_index", *keys])
             for episode, chunk, number, begin in zip(*table.values(), strict=True):
-                path = template.format(
+                path = self._video_file(
                     video_key=feature, chunk_index=int(chunk), file_index=int(number)
                 )
-                found[int(episode)] = (self.path / path, float(begin))
+                found[int(episode)] = (path, float(begin))
         return found
+
+    def _video_file(self, **parts: str | int) -> Path:
+        """Return the file of a video by the description's pattern."""
+        try:
+            return self.path / self._video_template.format(**parts)
+        except (KeyError, IndexError, ValueError, AttributeError):
+            raise ValueError(
+                f"{self.path / INFO_FILE}: video_path: expected a pattern of {', '.join(parts)}, "
+                f"found {self._video_template!r}"
+            ) from None
 
     def _pictures_in_rows(
         self, feature: str, frames: Frames, chosen: Sequence[int]
