@@ -278,7 +278,11 @@ def _linearised(
     residuals = by_sensor @ sensor - placed
     # d(placed) = v + w x p for the twist (v, w) of the pose, from the left.
     eye = np.broadcast_to(-np.eye(3), (*placed.shape, 3))
-    jacobian = np.concatenate([eye, host_cross_matrices(placed), by_sensor], axis=-1)
+    # At the fitted points: derivatives at measured ones share their noise, which pulls the scale
+    # towards smaller values.
+    ray = placed / placed[..., 2:]
+    by_fitted = np.stack([(placed - sensor[1] * ray) / sensor[0], ray], axis=-1)
+    jacobian = np.concatenate([eye, host_cross_matrices(placed), by_fitted], axis=-1)
     return residuals, (frames @ residuals[..., None])[..., 0], frames @ jacobian
 
 

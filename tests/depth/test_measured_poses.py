@@ -16,13 +16,13 @@ TARGET = np.stack([SQUARE * x, SQUARE * y, 0.0 * x], axis=-1).reshape(-1, 3)
 TARGET -= TARGET.mean(axis=0)
 
 
-def poses_of(rng, views=12):
+def poses_of(rng, views=12, tilt=0.35, distances=(0.4, 0.8)):
     """The target before the sensor, tilted, at different distances."""
-    turns = rng.normal(size=(views, 3)) * [0.35, 0.35, 1.0]
+    turns = rng.normal(size=(views, 3)) * [tilt, tilt, 1.0]
     poses = np.tile(np.eye(4), (views, 1, 1))
     poses[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
     poses[:, :2, 3] = rng.uniform(-0.05, 0.05, (views, 2))
-    poses[:, 2, 3] = rng.uniform(0.4, 0.8, views)
+    poses[:, 2, 3] = rng.uniform(*distances, views)
     return poses
 
 
@@ -61,6 +61,18 @@ def test_bias_and_noise_are_found(trials):
     assert max(abs(t[2].scale - 1.02) for t in trials) < 0.002
     assert np.mean([t[2].across_std for t in trials]) == pytest.approx(ACROSS, rel=0.06)
     assert np.mean([t[2].along_std for t in trials]) == pytest.approx(ALONG, rel=0.08)
+
+
+def test_noise_does_not_pull_the_scale_where_views_tell_little():
+    """Nearly square on, from one distance: derivatives must not share the points' noise."""
+    scores = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        poses = poses_of(rng, 15, tilt=0.1, distances=(0.59, 0.61))
+        found = sv.depth.poses_from_points(measured(rng, poses, 1.02), TARGET)
+        scores.append((found.scale - 1.02) / found.scale_std)
+    assert abs(np.mean(scores)) < 0.5
+    assert np.mean(np.square(scores)) < 1.7
 
 
 def test_poses_err_as_stated_and_less_than_by_closed_form(trials):
