@@ -77,7 +77,8 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
     cameras = read_kalibr_cameras(path)
     if set(cameras) <= set(names):
         return cameras
-    if len(cameras) != len(names):
+    # In their order only if no name is shared: cam1 of the file would become another camera.
+    if len(cameras) != len(names) or set(cameras) & set(names):
         raise ValueError(
             f"{path}: expected {len(names)} cameras, for {', '.join(names)}; found "
             f"{', '.join(cameras)}"

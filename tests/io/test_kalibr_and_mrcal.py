@@ -83,6 +83,8 @@ def test_cameras_of_a_rig_are_read_by_name_or_in_the_order_of_a_camchain(tmp_pat
     assert list(read_cameras(chain, ("cam1", "cam0", "cam2"))) == ["cam0", "cam1"]
     with pytest.raises(ValueError, match=r"expected 3 cameras, for a, b, c; found cam0, cam1"):
         read_cameras(chain, ("a", "b", "c"))
+    with pytest.raises(ValueError, match=r"expected 2 cameras, for cam1, cam2; found cam0, cam1"):
+        read_cameras(chain, ("cam1", "cam2"))
     (tmp_path / "right.cameramodel").write_text(CAMERAMODEL)
     (right,) = read_cameras(tmp_path, ("left", "right")).items()
     assert right[0] == "right"
