@@ -105,7 +105,6 @@ def _calibrated_rig(
 ) -> RigResult:
     """Fit a rig, and compute its held-out errors and the causes of its errors if requested."""
     from ..calibration_pipeline import calibrate
-    from ..cameras import Camera
     from ..evaluation import (
         MIN_HELD_OUT_VIEWS,
         error_budget,
@@ -115,18 +114,18 @@ def _calibrated_rig(
     from ..io import read_cameras
 
     notes = [f"{camera}: {note}" for camera, data in rig.cameras.items() for note in data.notes]
-    known: dict[str, Camera] = {}
+    known = None
     if settings.known.camera is not None:
         known = read_cameras(settings.known.camera, tuple(rig.cameras))
         notes.append(f"known cameras, held: {', '.join(known)}, from {settings.known.camera}")
-    fit = calibrate(rig, settings.lens, camera=known or None, progress=progress)
+    fit = calibrate(rig, settings.lens, camera=known, progress=progress)
     scores, used = None, without_rejected_rig_views(rig, fit)
     if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_VIEWS:
         notes.append(f"held-out error needs at least {MIN_HELD_OUT_VIEWS} usable states: left out")
     elif settings.held_out:
         scores = held_out(
             used,
-            lambda part: calibrate(part, settings.lens, camera=known or None),
+            lambda part: calibrate(part, settings.lens, camera=known),
             progress=lambda text: progress(f"held-out: {text}"),
         )
         failures = next(iter(scores.values())).failures

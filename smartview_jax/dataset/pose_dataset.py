@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
-from ..geometry import PoseLike, as_se3, check_rigid, host_matrices, host_nearest_rotation
+from ..geometry import PoseLike, as_se3, check_rigid, host_matrices, host_nearest_pose
 from ..robots import SerialArm
 from ..runtime.array_namespace import to_device
 from .dataset import Dataset, of_views
@@ -47,15 +47,12 @@ def _nearest_pose(
     """
     if len(points) < 3:
         return None
-    middle, target = points.mean(axis=0), measured.mean(axis=0)
-    a, b = points - middle, measured - target
+    a, b = points - points.mean(axis=0), measured - measured.mean(axis=0)
     spreads = np.linalg.svd(a, compute_uv=False)
     if spreads[1] < MIN_RELATIVE_WIDTH * spreads[0]:
         return None
-    matrix = np.eye(4)
-    matrix[:3, :3] = host_nearest_rotation(b.T @ a)
-    matrix[:3, 3] = target - matrix[:3, :3] @ middle
-    return _NearestPose(matrix, float(np.sqrt(np.sum(b**2) / np.sum(a**2))))
+    size = float(np.sqrt(np.sum(b**2) / np.sum(a**2)))
+    return _NearestPose(host_nearest_pose(points, measured), size)
 
 
 class PoseDataset(Dataset):

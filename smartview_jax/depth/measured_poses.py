@@ -16,7 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..geometry import host_cross_matrices, host_exponentials, host_nearest_rotation
+from ..geometry import (
+    host_cross_matrices,
+    host_exponentials,
+    host_nearest_pose,
+    host_transformed,
+)
 
 MIN_POINTS = 4
 """Smallest number of points of a view whose pose is fitted."""
@@ -45,7 +50,7 @@ class MeasuredPoses(NamedTuple):
             points were measured.
         covariance: of each pose `(views, 6, 6)`, as a twist in the camera's axes, translation (m)
             first; with the uncertainty of scale and offset.
-        scale: true depth over measured depth, beside the offset.
+        scale: true depth over measured depth, but for the offset.
         offset: true depth minus scaled depth, m.
         scale_std, offset_std: their standard deviations; close to their priors where a flat target
             is seen from one distance and without tilt.
@@ -190,13 +195,11 @@ def _fitted(
     sensor, used = np.array([1.0, 0.0]), seen
     covariance, sensor_covariance = np.zeros((len(points), 6, 6)), np.zeros((2, 2))
     prior = np.array([TYPICAL_SCALE_STD, TYPICAL_OFFSET_STD]) ** -2
-    sigma, has_converged = np.full(2, np.inf), False
+    residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
+    # Robust: half of the points may be wrong before any noise is known.
+    size = np.median(np.linalg.norm(residuals[used], axis=1)) / np.sqrt(2.366)
+    sigma, has_converged = np.full(2, max(float(size), 1e-12)), False
     for _ in range(MAX_STEPS):
-        residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
-        if np.isinf(sigma).any():
-            # Robust: half of the points may be wrong before any noise is known.
-            size = np.median(np.linalg.norm(residuals[used], axis=1)) / np.sqrt(2.366)
-            sigma = np.full(2, max(float(size), 1e-12))
         used = seen & (_distances(in_ray, sigma) < REJECTED_SIGMAS)
         # Too few points are left in a view where most are wrong: all of them count.
         used = np.where(used.sum(axis=1, keepdims=True) >= MIN_POINTS, used, seen)
@@ -205,7 +208,7 @@ def _fitted(
         )
         poses = host_exponentials(step) @ poses
         sensor = sensor + sensor_step
-        _, in_ray, _ = _linearised(poses, target, by_sensor, sensor, frames)
+        residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
         squares = (np.where(used[..., None], in_ray, 0.0) ** 2).sum(axis=(0, 1))
         new = np.sqrt([squares[:2].sum() / freedom[0], squares[2] / freedom[1]])
         new = np.maximum(new, 1e-12)
@@ -213,7 +216,6 @@ def _fitted(
         sigma = new
         if has_converged:
             break
-    residuals, _, _ = _linearised(poses, target, by_sensor, sensor, frames)
     scale_std, offset_std = np.sqrt(np.diag(sensor_covariance))
     return MeasuredPoses(
         poses,
@@ -241,16 +243,13 @@ def _aligned(
     """
     poses = np.tile(np.eye(4), (len(measured), 1, 1))
     for k, (own, is_seen) in enumerate(zip(measured, seen, strict=True)):
-        kept, R, t = is_seen, np.eye(3), np.zeros(3)
+        kept = is_seen
         for _ in range(3):
-            a, b = target[kept], own[kept]
-            R = host_nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
-            t = b.mean(axis=0) - R @ a.mean(axis=0)
-            distance = np.linalg.norm(own - target @ R.T - t, axis=1)
+            poses[k] = host_nearest_pose(target[kept], own[kept])
+            distance = np.linalg.norm(own - host_transformed(poses[k], target), axis=1)
             limit = 3.0 * np.median(distance[is_seen])
             fewer = is_seen & (distance <= limit)
             kept = fewer if fewer.sum() >= MIN_POINTS else kept
-        poses[k, :3, :3], poses[k, :3, 3] = R, t
     return poses
 
 
@@ -274,7 +273,7 @@ def _linearised(
     Float[np.ndarray, "views points 3 8"],
 ]:
     """Return residuals, also along the rays' axes, and derivatives by a twist and the sensor."""
-    placed = target @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    placed = host_transformed(poses, target)
     residuals = by_sensor @ sensor - placed
     # d(placed) = v + w x p for the twist (v, w) of the pose, from the left.
     eye = np.broadcast_to(-np.eye(3), (*placed.shape, 3))

@@ -33,6 +33,7 @@ from .pose_codecs import pose_codec as pose_codec
 from .rigid_transforms import PoseLike as PoseLike
 from .rigid_transforms import as_se3 as as_se3
 from .rigid_transforms import check_rigid as check_rigid
+from .rigid_transforms import host_nearest_pose as host_nearest_pose
 from .rigid_transforms import host_nearest_rotation as host_nearest_rotation
 from .rigid_transforms import mean_matrix as mean_matrix
 from .rigid_transforms import mean_pose as mean_pose

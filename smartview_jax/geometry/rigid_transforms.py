@@ -160,6 +160,17 @@ def host_nearest_rotation(
     return np.where(finite, _orthogonal_factor(np.where(finite, matrix, np.eye(3)), np), np.nan)
 
 
+def host_nearest_pose(
+    points: Float[np.ndarray, "points 3"], measured: Float[np.ndarray, "points 3"]
+) -> Float[np.ndarray, "4 4"]:
+    """Return the pose that brings points nearest to measured ones, by least squares (Kabsch)."""
+    middle, target = points.mean(axis=0), measured.mean(axis=0)
+    pose = np.eye(4)
+    pose[:3, :3] = host_nearest_rotation((measured - target).T @ (points - middle))
+    pose[:3, 3] = target - pose[:3, :3] @ middle
+    return pose
+
+
 def _orthogonal_factor(matrix: Any, array_module: ModuleType) -> Any:
     """Return the nearest rotation by the singular value decomposition of NumPy or of JAX."""
     # M = U S V^T   gives   R = U diag(1, 1, det(U V^T)) V^T.

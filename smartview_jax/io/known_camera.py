@@ -32,7 +32,7 @@ def read_camera(path: str | Path) -> Camera:
         return Calibration.load(path).camera
     if "LENSMODEL_" in text:
         return read_mrcal_camera(path)
-    if re.search(r"^cam\d+:", text, re.MULTILINE):
+    if _is_camchain(text):
         cameras = read_kalibr_cameras(path)
         if len(cameras) != 1:
             raise ValueError(f"{path}: expected one camera, found {', '.join(cameras)}")
@@ -69,7 +69,7 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
                 f"{path}: expected a file for a camera, such as {names[0]}.yaml; found {found}"
             )
         return {name: read_camera(own[0]) for name, own in files.items() if own}
-    if not re.search(r"^cam\d+:", read_text(path), re.MULTILINE):
+    if not _is_camchain(read_text(path)):
         raise ValueError(
             f"{path}: expected a folder with a file for each camera, such as {names[0]}.yaml, or "
             "Kalibr's camchain.yaml"
@@ -84,3 +84,8 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
             f"{', '.join(cameras)}"
         )
     return dict(zip(names, cameras.values(), strict=True))
+
+
+def _is_camchain(text: str) -> bool:
+    """Return whether a text is a camchain of Kalibr, by its entries cam0, cam1, ..."""
+    return re.search(r"^cam\d+:", text, re.MULTILINE) is not None

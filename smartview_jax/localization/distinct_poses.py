@@ -21,7 +21,8 @@ MAX_TOLERANCE = 0.5
 overlap whatever their uncertainty."""
 
 TOLERATED_SIGMAS = 3.0
-"""Overlap of two solids in standard deviations of their poses that is tolerated."""
+"""Number of standard deviations that are tolerated: of the poses, where two solids overlap, and of
+a model's tolerance, where its faces seem moved."""
 
 
 def in_one_place(

@@ -188,27 +188,16 @@ class _Import:
             view = missing.pop(stamp, None)
             if view is None:
                 continue
-            where = f"{self._bag.path}: topic {topic}: picture at {stamp / NANOSECONDS:.3f} s"
             try:
-                picture = picture_file(message.content)
+                first = picture_file(message.content).write(folder, view, first)
             except ValueError as error:
-                raise ValueError(f"{where}: {error}") from error
-            first = first or picture
-            if picture[1:] != first[1:]:
-                raise ValueError(f"{where}: {_kind(picture)}, but the first is {_kind(first)}")
-            write_atomically(folder / "images" / f"{view}{picture.suffix}", picture.content)
+                where = f"topic {topic}: picture at {stamp / NANOSECONDS:.3f} s"
+                raise ValueError(f"{self._bag.path}: {where}: {error}") from error
         if first is None or missing:
             raise ValueError(f"{self._bag.path}: topic {topic}: {len(missing)} pictures were lost")
-        # Only what describes it is needed.
-        return first._replace(content=b"")
+        return first
 
 
 def _is_rectified(topic: str) -> bool:
     """Return whether the pictures of a topic are rectified, by ROS's names of such topics."""
     return "rect" in topic.removesuffix("/compressed").rpartition("/")[2]
-
-
-def _kind(picture: PictureFile) -> str:
-    """Return size and kind of a picture as text."""
-    width, height = picture.size
-    return f"a {picture.suffix} of {width} x {height} px and {picture.bits} bits"

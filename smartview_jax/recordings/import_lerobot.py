@@ -9,11 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..files import folder_transaction, write_atomically
+from ..files import folder_transaction
 from ..geometry import ANGLE_UNITS, as_se3, host_matrices, pose_codec
 from ..io import joints_entry, poses_entry, write_joints, write_poses
 from ..robots import SerialArm
@@ -27,6 +26,7 @@ from .imported_folder import (
 )
 from .lerobot_dataset import Frames, LeRobotDataset
 from .moments import MomentChoice, choose_moments
+from .picture_messages import PictureFile, checked_file, png_of
 from .target_text import TargetText, target_text
 
 STATE = "observation.state"
@@ -162,13 +162,11 @@ def _write(
     notes = [f"pictures: {image}; states: {sources.state}", *chosen.notes]
     if choice.every is not None:
         notes.append("pictures in motion have wrong poses where the camera is late")
-    width, height, suffix = _write_pictures(
-        folder, recording, image, frames, chosen.indices, report
-    )
+    first = _write_pictures(folder, recording, image, frames, chosen.indices, report)
     entries: dict[str, Any] = {
         "mount": mount,
-        "camera": {"image_size": [width, height]},
-        "pictures": {"pattern": f"images/{{view}}{suffix}"},
+        "camera": {"image_size": list(first.size)},
+        "pictures": {"pattern": f"images/{{view}}{first.suffix}"},
         "poses": poses_entry(len(view_ids), POSE_FORMAT),
     }
     write_poses(folder, view_ids, as_se3(poses[chosen.indices]), POSE_FORMAT)
@@ -244,31 +242,17 @@ def _write_pictures(
     frames: Frames,
     chosen: Int[np.ndarray, "views"],
     report: Callable[[str], None],
-) -> tuple[int, int, str]:
-    """Write the chosen pictures, and return width, height (px) and suffix of their files."""
+) -> PictureFile:
+    """Write the chosen pictures, and return the first."""
+    first: PictureFile | None = None
     missing = dict(zip(chosen.tolist(), view_names(len(chosen)), strict=True))
-    kinds: set[tuple[int, int, str]] = set()
     for place, picture in recording.pictures(feature, frames, list(missing), report):
         view = missing.pop(place)
-        content, width, height, suffix = _picture_file(picture)
-        if not width:
-            raise ValueError(f"{recording.path}: {feature}: view {view}: no readable picture")
-        write_atomically(folder / "images" / f"{view}{suffix}", content)
-        kinds.add((width, height, suffix))
-        if len(kinds) > 1:
-            found = ", ".join(f"{w} x {h} px ({ending})" for w, h, ending in sorted(kinds))
-            raise ValueError(f"{recording.path}: {feature}: expected one size, found {found}")
-    if missing:
+        try:
+            file = checked_file(picture) if isinstance(picture, bytes) else png_of(picture)
+            first = file.write(folder, view, first)
+        except ValueError as error:
+            raise ValueError(f"{recording.path}: {feature}: view {view}: {error}") from error
+    if first is None or missing:
         raise ValueError(f"{recording.path}: {feature}: {len(missing)} pictures are missing")
-    return kinds.pop()
-
-
-def _picture_file(picture: np.ndarray | bytes) -> tuple[bytes, int, int, str]:
-    """Return content, width, height (px; 0 if it is not readable) and suffix of a picture file."""
-    if isinstance(picture, np.ndarray):
-        height, width = picture.shape[:2]
-        return cv2.imencode(".png", picture)[1].tobytes(), width, height, ".png"
-    suffix = ".png" if picture.startswith(b"\x89PNG") else ".jpg"
-    decoded = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_UNCHANGED)
-    height, width = (0, 0) if decoded is None else decoded.shape[:2]
-    return picture, width, height, suffix
+    return first

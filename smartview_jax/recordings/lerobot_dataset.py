@@ -28,6 +28,10 @@ VERSIONS = ("v2.0", "v2.1", "v3.0")
 EPISODE_GAP = 60.0
 """Time that is put between two episodes, s: each has a clock of its own, which begins at zero."""
 
+LAST_FRAME_EARLY = 0.05
+"""Largest time by which the last frame of a video may be before its stamp, s: less than two frames
+at usual rates."""
+
 _EXTRA = "lerobot"
 
 
@@ -217,20 +221,21 @@ class LeRobotDataset:
     ) -> Iterator[tuple[int, bytes]]:
         """Yield the pictures that are in the tables of the frames."""
         places = {(int(frames.episodes[k]), int(frames.numbers[k])): k for k in chosen}
-        keys = ["episode_index", "frame_index", feature]
         for file in self._files("data", "frames"):
-            rows = zip(*self._columns(file, keys).values(), strict=True)
-            for episode, number, picture in rows:
-                place = places.get((int(episode), int(number)))
-                if place is None:
-                    continue
+            numbers = self._columns(file, ["episode_index", "frame_index"])
+            frames_here = list(zip(*(column.tolist() for column in numbers.values()), strict=True))
+            rows = [row for row, frame in enumerate(frames_here) if frame in places]
+            # Pictures are large: only the wanted ones are unpacked.
+            pictures = self._columns(file, [feature], rows)[feature] if rows else []
+            for row, picture in zip(rows, pictures, strict=True):
+                episode, number = frames_here[row]
                 content = picture.get("bytes") if isinstance(picture, dict) else None
                 if not content:
                     raise ValueError(
                         f"{file}: {feature}: expected a picture, found none in frame {number} of "
                         f"episode {episode}"
                     )
-                yield place, content
+                yield places[episode, number], content
 
     def _files(self, folder: str, meaning: str) -> list[Path]:
         """Return the tables in a folder, in order."""
@@ -239,8 +244,10 @@ class LeRobotDataset:
             raise FileNotFoundError(f"{self.path / folder}: no tables (.parquet) of the {meaning}")
         return found
 
-    def _columns(self, file: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Return columns of a table; lists of numbers as rows of a matrix."""
+    def _columns(
+        self, file: Path, names: Sequence[str], rows: Sequence[int] | None = None
+    ) -> dict[str, np.ndarray]:
+        """Return columns of a table, or some rows of them; lists of numbers as rows of a matrix."""
         parquet = import_extra("pyarrow.parquet", _EXTRA, "a data set of LeRobot")
         arrow = import_extra("pyarrow", _EXTRA, "a data set of LeRobot")
         try:
@@ -250,6 +257,7 @@ class LeRobotDataset:
                     f"{file}: expected a column {absent[0]}, found {', '.join(present)}"
                 )
             table = parquet.read_table(file, columns=list(names))
+            table = table if rows is None else table.take(rows)
         except arrow.ArrowException as error:
             raise ValueError(f"{file}: no readable table: {error}") from error
         found = {}
@@ -287,7 +295,11 @@ def _frames_of_video(
                     return
                 before = (now, frame)
             # Stamps are rounded: the last frame may be a little before its time.
-            if before is not None and len(waiting) == 1 and waiting[0][0] - before[0] < 0.05:
+            if (
+                before is not None
+                and len(waiting) == 1
+                and waiting[0][0] - before[0] < LAST_FRAME_EARLY
+            ):
                 yield waiting.pop()[1], before[1].to_ndarray(format="bgr24")
     except av.FFmpegError as error:
         raise ValueError(f"{path}: no readable video: {error}") from error

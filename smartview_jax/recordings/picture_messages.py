@@ -1,14 +1,17 @@
-"""Turn the pictures of a bag into picture files without loss.
+"""Turn the pictures of a recording into picture files without loss.
 
 A `sensor_msgs/Image` becomes a PNG with the same numbers: grey or in colour, of 8 or 16 bits; the
 raw pattern of a Bayer sensor is converted to colour first. The file in a
 `sensor_msgs/CompressedImage` is kept as it is, so that a JPEG is not compressed twice.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+
+from ..files import write_atomically
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 """Types of the messages that have a picture."""
@@ -58,6 +61,54 @@ class PictureFile(NamedTuple):
     size: tuple[int, int]
     bits: int
 
+    @property
+    def kind(self) -> str:
+        """Size and kind as text."""
+        width, height = self.size
+        return f"a {self.suffix} of {width} x {height} px and {self.bits} bits"
+
+    def write(self, folder: Path, view: str, first: "PictureFile | None") -> "PictureFile":
+        """Write the file of a view to a data-set folder, and return the first one, which may be it.
+
+        Args:
+            folder: of the data set.
+            view: name of the view.
+            first: the first picture of the data set; None for the first itself.
+
+        Raises:
+            ValueError: the picture differs in size or kind from the first.
+        """
+        first = first or self
+        if self[1:] != first[1:]:
+            raise ValueError(f"{self.kind}, but the first is {first.kind}")
+        write_atomically(folder / "images" / f"{view}{self.suffix}", self.content)
+        # Only the description of the first is needed.
+        return first._replace(content=b"")
+
+
+def png_of(pixels: np.ndarray) -> PictureFile:
+    """Return the file of a picture, grey or BGR, without loss."""
+    content = cv2.imencode(".png", pixels)[1].tobytes()
+    return PictureFile(content, ".png", pixels.shape[1::-1], 8 * pixels.itemsize)
+
+
+def checked_file(content: bytes) -> PictureFile:
+    """Return the content of a picture file as it is.
+
+    Raises:
+        ValueError: it is neither PNG nor JPEG, or damaged.
+    """
+    suffix = next((s for begin, s in _SIGNATURES.items() if content.startswith(begin)), None)
+    if suffix is None:
+        raise ValueError(
+            "expected a picture as PNG or JPEG; for depth pictures and video streams record the "
+            "raw pictures"
+        )
+    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise ValueError("a damaged picture")
+    return PictureFile(content, suffix, pixels.shape[1::-1], 8 * pixels.itemsize)
+
 
 def picture_file(message: Any) -> PictureFile:
     """Return the picture of a message as a file.
@@ -69,20 +120,11 @@ def picture_file(message: Any) -> PictureFile:
         ValueError: an encoding that no camera picture has, or data that do not fit the size.
     """
     if hasattr(message, "encoding"):
-        pixels = _pixels(message)
-        content = cv2.imencode(".png", pixels)[1].tobytes()
-        return PictureFile(content, ".png", pixels.shape[1::-1], 8 * pixels.itemsize)
-    content = bytes(message.data)
-    suffix = next((s for begin, s in _SIGNATURES.items() if content.startswith(begin)), None)
-    if suffix is None:
-        raise ValueError(
-            f"format {message.format!r}: expected a picture as PNG or JPEG; for depth pictures and "
-            "video streams record the raw pictures"
-        )
-    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise ValueError(f"format {message.format!r}: a damaged picture")
-    return PictureFile(content, suffix, pixels.shape[1::-1], 8 * pixels.itemsize)
+        return png_of(_pixels(message))
+    try:
+        return checked_file(bytes(message.data))
+    except ValueError as error:
+        raise ValueError(f"format {message.format!r}: {error}") from None
 
 
 def _pixels(message: Any) -> np.ndarray:

@@ -10,6 +10,7 @@ from .. import plots
 from ..dataset import Rig
 from ..evaluation import (
     HeldOutErrors,
+    PoseUncertainty,
     RigErrorBudget,
     pose_uncertainties,
     reprojection_errors,
@@ -226,7 +227,8 @@ def write_rig_page(
         text = "Bases of the arms in the base of another, by the targets that several arms see."
         sections.append(Section("Between the arms", text, header=RELATIVE_HEADINGS, rows=arms))
     used = without_rejected_rig_views(rig, fit)
-    sections.append(_joint_section(fit, used))
+    poses = pose_uncertainties(fit) if budget is None else budget.poses
+    sections.append(_joint_section(fit, used, poses))
     sections += [_camera_section(fit, used, name, held_out) for name in fit.calibrations]
     if budget is not None:
         sections += _budget_sections(budget)
@@ -248,7 +250,7 @@ def write_rig_page(
     write_story(path, title, rig_summary(fit, held_out), sections, forms)
 
 
-def _joint_section(fit: RigFit, used: Rig) -> Section:
+def _joint_section(fit: RigFit, used: Rig, poses: Sequence[PoseUncertainty]) -> Section:
     """Return the section of all cameras: their frames, their uncertainty by cause, their errors."""
     errors = {
         name: reprojection_errors(calibration, used.cameras[name])
@@ -266,7 +268,6 @@ def _joint_section(fit: RigFit, used: Rig) -> Section:
             plots.view_errors(used, errors),
         ),
     ]
-    poses = pose_uncertainties(fit)
     if any(pose.translation > 0.0 for pose in poses) and np.isfinite(fit.covariance).all():
         figures.insert(
             1,

@@ -72,8 +72,8 @@ def refined_poses(
     damping = np.full(len(poses), 1e-3)
     active = np.arange(len(poses))
     for _ in range(maximum_steps):
-        matrix = jacobian[active].swapaxes(1, 2) @ jacobian[active]
-        gradient = np.einsum("vri,vr->vi", jacobian[active], residual[active])
+        J = jacobian[active]
+        matrix, gradient = J.swapaxes(1, 2) @ J, np.einsum("vri,vr->vi", J, residual[active])
         diagonal = np.einsum("vii->vi", matrix)
         floor = 1e-12 * np.maximum(diagonal.max(axis=1, keepdims=True), 1e-300)
         added = damping[active, None] * np.maximum(diagonal, floor) + floor

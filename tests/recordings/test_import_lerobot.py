@@ -236,6 +236,16 @@ def test_contradictions_are_refused():
         sv.LeRobotSources(arm=kuka_lwr4(), angle_unit="percent")
 
 
+def test_a_picture_that_is_none_is_named(tmp_path):
+    folder = write_dataset(tmp_path / "set", "v2.1", "image")
+    table = rows_of(1)
+    table[CAMERA] = [{"bytes": b"no picture", "path": None}] * len(table["timestamp"])
+    write_table(folder / "data/chunk-000/episode_000001.parquet", table)
+    with pytest.raises(ValueError, match="wrist: view 0003: expected a picture as PNG or JPEG"):
+        sv.import_lerobot(folder, tmp_path / "data", POSES, "charuco")
+    assert not (tmp_path / "data").exists()
+
+
 def test_broken_data_sets_are_named(tmp_path):
     folder = write_dataset(tmp_path / "set", "v2.1")
     first = folder / "videos/chunk-000" / CAMERA / "episode_000000.mp4"
