@@ -17,18 +17,31 @@ from ..simulation import Cell
 from ..staged import fit_staged
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
 
-VIEWS = 20
-"""Number of views of the board by default."""
-
 MIN_VIEWS = 6
 """Smallest number of views in which the board has to be found."""
 
-DISTANCES = (0.36, 0.6)
-"""Smallest and largest distance of the camera from the board by default, m."""
+AIM_SPREAD = 0.25
+"""Largest distance of the camera's aim from the board's middle, over the board's size."""
 
-MAX_TILT, AIM_SPREAD = float(np.deg2rad(35.0)), 0.25
-"""Largest tilt of the camera by default, rad, and the largest distance of its aim from the board's
-middle, over the board's size."""
+
+class BoardViews(NamedTuple):
+    """The views of a board from which a cell is calibrated, tilted and rolled at random.
+
+    Attributes:
+        number: of views.
+        seed: of the views.
+        distances: smallest and largest distance of the camera from the board, m; at the smallest,
+            most of the board should be in the picture and sharp.
+        max_tilt: largest angle of the camera's axis from the board's normal, rad.
+    """
+
+    number: int = 20
+    seed: int = 0
+    distances: tuple[float, float] = (0.36, 0.6)
+    max_tilt: float = float(np.deg2rad(35.0))
+
+
+DEFAULT_VIEWS = BoardViews()
 
 
 class CellCalibration(NamedTuple):
@@ -50,12 +63,8 @@ def calibrate_cell(
     board: AbstractTarget,
     drawing: Calibration,
     arm: SerialArm | None = None,
-    views: int = VIEWS,
-    seed: int = 0,
+    views: BoardViews = DEFAULT_VIEWS,
     progress: Callable[[str], None] | None = None,
-    *,
-    distances: tuple[float, float] = DISTANCES,
-    max_tilt: float = MAX_TILT,
 ) -> CellCalibration:
     """Take pictures of a board that lies in a cell, and fit the calibration to them.
 
@@ -67,29 +76,26 @@ def calibrate_cell(
         board: the board in the cell; its frame becomes the world.
         drawing: approximate poses of camera and board, used to plan the views.
         arm: the nominal arm, whose errors are estimated too; None if its joints are unknown.
-        views: number of views.
-        seed: of the views, which are tilted and rolled at random.
+        views: number of views, their distances and tilts.
         progress: called with a line of text for each step.
-        distances: smallest and largest distance of the camera from the board, m; at the smallest,
-            most of the board should be in the picture and sharp.
-        max_tilt: largest angle of the camera's axis from the board's normal, rad.
 
     Raises:
         ValueError: the distances are not positive or out of order, the tilt is not below a right
             angle, or the board was found in fewer than `MIN_VIEWS` views.
         CellError: the robot does not reach a view.
     """
-    if not 0.0 < distances[0] <= distances[1]:
-        raise ValueError(f"distances: expected 0 < smallest <= largest, found {distances} m")
-    if not 0.0 <= max_tilt < 0.5 * np.pi:
-        raise ValueError(f"max_tilt: expected 0 to below {0.5 * np.pi:.3f} rad, found {max_tilt}")
+    if not 0.0 < views.distances[0] <= views.distances[1]:
+        raise ValueError(f"distances: expected 0 < smallest <= largest, found {views.distances} m")
+    if not 0.0 <= views.max_tilt < 0.5 * np.pi:
+        raise ValueError(
+            f"max_tilt: expected 0 to below {0.5 * np.pi:.3f} rad, found {views.max_tilt}"
+        )
     say = progress or (lambda _: None)
     flat = board.board if isinstance(board, StackedTarget) else board
     pictures, detections, commands = [], [], []
-    planned = _planned_views(board, views, seed, distances, max_tilt)
-    for k, pose in enumerate(planned):
+    for k, pose in enumerate(_planned_views(board, views)):
         # Counted as planned, whether or not the board is found in it.
-        say(f"calibrating: view {k + 1} of {views}")
+        say(f"calibrating: view {k + 1} of {views.number}")
         command = _command(cell, drawing, pose, arm)
         if command is None:
             continue
@@ -102,7 +108,7 @@ def calibrate_cell(
             commands.append(reported)
     if len(detections) < MIN_VIEWS:
         raise ValueError(
-            f"the board was found in {len(detections)} of {views} views; expected at least "
+            f"the board was found in {len(detections)} of {views.number} views; expected at least "
             f"{MIN_VIEWS}: is it where the drawing says?"
         )
     stacked = stacked_commands(commands)
@@ -126,29 +132,23 @@ def calibrate_cell(
     return CellCalibration(calibrate(corrected, progress=progress), data, tuple(pictures))
 
 
-def _planned_views(
-    board: AbstractTarget,
-    count: int,
-    seed: int,
-    distances: tuple[float, float],
-    max_tilt: float,
-) -> Float[np.ndarray, "views 4 4"]:
+def _planned_views(board: AbstractTarget, views: BoardViews) -> Float[np.ndarray, "views 4 4"]:
     """Return `camera_from_world` of views of the board, tilted and rolled at random."""
-    rng = np.random.default_rng((seed, 21))
+    count, rng = views.number, np.random.default_rng((views.seed, 21))
     points = board.points
     size, middle = np.ptp(points, axis=0), points.mean(axis=0)
     # Off the middle, so that the corners of the picture contain points too.
     aims = middle + AIM_SPREAD * size * rng.uniform(-1.0, 1.0, (count, 3))
     azimuth, roll = rng.uniform(0.0, 2.0 * np.pi, (2, count))
     # The tilts alternate, so that even few views contain steep ones.
-    tilt = max_tilt * (0.35 + 0.65 * (np.arange(count) % 2)) * rng.uniform(0.7, 1.0, count)
+    tilt = views.max_tilt * (0.35 + 0.65 * (np.arange(count) % 2)) * rng.uniform(0.7, 1.0, count)
     above = board.y_up
     directions = np.asarray(viewing_direction(tilt, azimuth, above))
     # Half turns keep the picture's longer side along the board's; two and three of them equal none
     # and one.
     half_turns = np.floor(4.0 * roll / (2.0 * np.pi))
     rolls = np.pi * half_turns + rng.uniform(-0.4, 0.4, count)
-    return host_matrices(look_at(aims, directions, rng.uniform(*distances, count), rolls))
+    return host_matrices(look_at(aims, directions, rng.uniform(*views.distances, count), rolls))
 
 
 def _command(

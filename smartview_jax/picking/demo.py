@@ -27,7 +27,7 @@ from ..simulation import (
     stepped_block,
 )
 from ..viewpoints import viewpoint_commands
-from .calibrating import CellCalibration, calibrate_cell, stacked_commands
+from .calibrating import BoardViews, CellCalibration, calibrate_cell, stacked_commands
 from .clicking import model_by_clicks
 from .looking import Region
 from .pick import Pick, pick
@@ -96,7 +96,7 @@ def run_demo(
     # Apart from the judge, everything below uses only the methods of any cell.
     cell = SimulatedCell(seed)
     calibrated = calibrate_cell(
-        cell, cell.board, drawn_calibration(), cell.arm, views, seed, progress
+        cell, cell.board, drawn_calibration(), cell.arm, BoardViews(views, seed), progress
     )
     done(f"calibration from {len(calibrated.pictures)} pictures")
     say("modelling: pictures all around the object")

@@ -1,18 +1,18 @@
 """Look for objects: two views, then further chosen ones until the verdict is clear."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float, UInt8
 
-from ..calibration import Calibration
 from ..cameras import Camera
 from ..engine import Noise
-from ..evaluation import CalibrationEstimate
 from ..features import PictureEvidence, picture_evidence
 from ..geometry import host_transforms, look_at, viewing_direction
+from ..grasping import GraspScene
 from ..joint import JointFit, SavedEstimate
 from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
@@ -50,8 +50,24 @@ class FirstViews(NamedTuple):
     azimuths: tuple[float, ...] = (0.6, 2.3, 4.0, 5.7)
 
 
-STANDARD_VIEWS = FirstViews()
-"""The first views by default, for a camera of 1280 x 800 px with a lens of 50 degrees."""
+class LookOptions(NamedTuple):
+    """How many views are taken of a region, and from where.
+
+    Attributes:
+        first: distance and directions of the first views; by default for a camera of 1280 x 800 px
+            with a lens of 50 degrees.
+        max_views: largest number of views; two are always taken.
+        verify: whether objects accepted from two views are verified from a third.
+        view_cost: expected gain of a view (`NextView.gain`), nats, below which it is not taken.
+    """
+
+    first: FirstViews = FirstViews()
+    max_views: int = 4
+    verify: bool = True
+    view_cost: float = VIEW_COST
+
+
+DEFAULT_OPTIONS = LookOptions()
 
 
 class Region(NamedTuple):
@@ -96,18 +112,12 @@ class Look(NamedTuple):
 
 def look_for(
     cell: Cell,
-    calibration: Calibration,
+    scene: GraspScene,
     models: Sequence[ObjectModel],
     region: Region,
     *,
-    arm: SerialArm | None = None,
-    estimate: CalibrationEstimate | None = None,
+    options: LookOptions = DEFAULT_OPTIONS,
     noise: Noise | None = None,
-    occluders: Float[np.ndarray, "triangles 3 3"] | None = None,
-    first: FirstViews = STANDARD_VIEWS,
-    max_views: int = 4,
-    verify: bool = True,
-    view_cost: float = VIEW_COST,
     progress: Callable[[str], None] | None = None,
 ) -> Look:
     """Look for objects in a region, from two views and then from chosen ones.
@@ -118,17 +128,11 @@ def look_for(
 
     Args:
         cell: the cell.
-        calibration: of its camera and arm.
+        scene: the calibrated robot, and the obstacles that may hide objects.
         models: of the objects that may be there.
         region: where they may be.
-        arm: the nominal arm.
-        estimate: fit with the calibration's covariance.
-        noise: of the robot in these views; by default the estimate's.
-        occluders: triangles of known obstacles, as for `localize`.
-        first: distance and directions of the first views.
-        max_views: largest number of views; two are always taken.
-        verify: whether objects accepted from two views are verified.
-        view_cost: expected gain of a view (`NextView.gain`), nats, below which it is not taken.
+        options: how many views are taken, and from where.
+        noise: of the robot in these views; by default the noise of the scene's estimate.
         progress: called with a line of text for each step.
 
     Returns:
@@ -139,40 +143,47 @@ def look_for(
         CellError: the robot reaches fewer than two of the first views; the message says why.
         BadPictureError: one of the first two pictures is not taken or is unusable, such as a blank
             one; the message names the view, from 1.
-        ValueError: as in `localize`, for invalid models, estimate, noise or occluders.
+        ValueError: as in `localize`, for invalid models, estimate or noise.
     """
+    calibration, estimate, arm = scene.calibration, scene.estimate, scene.arm
     say = progress or (lambda _: None)
     workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
     # As in `localize`: these views are taken by the calibrated robot.
     if noise is None and isinstance(estimate, JointFit | SavedEstimate):
         noise = estimate.noise
-    options = {
-        "covariance": estimate,
-        "noise": noise,
-        "workspace": workspace,
-        "occluders": occluders,
-    }
-    views = _first_views(cell, calibration, region, first, arm, say)
+    occluders = scene.triangles
+    search = partial(
+        localize,
+        calibration=calibration,
+        models=models,
+        covariance=estimate,
+        noise=noise,
+        workspace=workspace,
+        occluders=occluders,
+    )
+    views = _first_views(cell, scene, region, options.first, say)
     say("localising")
     taken = stacked_commands([view.command for view in views])
-    results = localize([view.evidence for view in views], taken, calibration, models, **options)
+    results = search([view.evidence for view in views], taken)
     verification, notes = None, []
-    while len(views) < max_views:
-        looked_at = _undecided(results, verify and len(views) == FIRST_VIEWS)
+    while len(views) < options.max_views:
+        looked_at = _undecided(results, options.verify and len(views) == FIRST_VIEWS)
         if not looked_at:
             break
         number = len(views) + 1
         # Near the current joints, so that the arm stays on its branch.
-        reachable = Reachable(distance=first.distance, arm=arm, near=_start_joints(cell, arm))
+        reachable = Reachable(
+            distance=options.first.distance, arm=arm, near=_start_joints(cell, arm)
+        )
         try:
             chosen = next_view(
                 looked_at, calibration, reachable,
                 noise=noise, models=models, neighbours=results, occluders=occluders,
             )  # fmt: skip
-            if chosen.gain < view_cost:
+            if chosen.gain < options.view_cost:
                 notes.append(
                     f"no further view: view {number} would gain {chosen.gain:.2g} nats and costs "
-                    f"{view_cost:.2g}: {chosen.reason}"
+                    f"{options.view_cost:.2g}: {chosen.reason}"
                 )
                 break
             say(
@@ -182,9 +193,7 @@ def look_for(
             view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
             # Judged again, from all views together.
             latest = stacked_commands([view.command])
-            results = localize(
-                [view.evidence], latest, calibration, models, previous=results, **options
-            )
+            results = search([view.evidence], latest, previous=results)
         except (CellError, ValueError) as error:
             # A failed later view does not discard the results of the earlier ones.
             notes.append(f"no further view: view {number}: {error}")
@@ -213,10 +222,9 @@ class _View(NamedTuple):
 
 def _first_views(
     cell: Cell,
-    calibration: Calibration,
+    scene: GraspScene,
     region: Region,
     first: FirstViews,
-    arm: SerialArm | None,
     say: Callable[[str], None],
 ) -> list[_View]:
     """Return the initial views."""
@@ -232,13 +240,13 @@ def _first_views(
         direction = np.asarray(viewing_direction(first.tilt, azimuth))
         view = look_at(middle, direction[None], first.distance)
         try:
-            command = cell.move(_command(cell, calibration, view, arm))
+            command = cell.move(_command(cell, scene, view))
         except CellError as error:
             # If a bin's wall or a joint's limit blocks one side, the other sides remain.
             reasons.append(f"azimuth {azimuth:.2g} rad: {error}")
             continue
         try:
-            views.append(_seen(cell, command, calibration.camera))
+            views.append(_seen(cell, command, scene.calibration.camera))
         except (CellError, ValueError) as error:
             # With fewer views the scale would be unknown, so nothing could be found.
             raise BadPictureError(f"view {number}: {error}") from error
@@ -280,14 +288,15 @@ def _view_command(view: NextView) -> Command:
     return Command(host_transforms(np.asarray(view.base_from_tool)), joints)
 
 
-def _command(cell: Cell, calibration: Calibration, view: SE3, arm: SerialArm | None) -> Command:
+def _command(cell: Cell, scene: GraspScene, view: SE3) -> Command:
     """Return the command for one view, given as a batch of one.
 
     Raises:
         CellError: the arm does not reach it.
     """
-    near = _start_joints(cell, arm)
-    commands = viewpoint_commands(calibration, view, arm=None if near is None else arm, near=near)
+    near = _start_joints(cell, scene.arm)
+    arm = None if near is None else scene.arm
+    commands = viewpoint_commands(scene.calibration, view, arm=arm, near=near)
     problem = commands.checks.reasons(("reach", "tool_distance"))[0]
     if problem:
         raise CellError(problem)

@@ -10,7 +10,7 @@ from ..modeling import ObjectModel
 from ..robots import Command, Gripper
 from ..runtime.array_namespace import to_device
 from ..simulation import Cell, CellError
-from .looking import STANDARD_VIEWS, BadPictureError, FirstViews, Look, Region, look_for
+from .looking import DEFAULT_OPTIONS, BadPictureError, Look, LookOptions, Region, look_for
 
 EMPTY_FRACTION = 0.5
 """Distance of the closed fingers, over the object's width, below which they hold nothing."""
@@ -47,8 +47,7 @@ def pick(
     scene: GraspScene,
     *,
     motion: Motion | None = None,
-    first: FirstViews = STANDARD_VIEWS,
-    verify: bool = True,
+    options: LookOptions = DEFAULT_OPTIONS,
     progress: Callable[[str], None] | None = None,
     after: Callable[[str], None] | None = None,
 ) -> Pick:
@@ -65,7 +64,7 @@ def pick(
         region: where objects are searched.
         scene: the calibrated robot, which also takes the views, and the obstacles.
         motion: as for `grasps_for`.
-        first, verify, progress: as for `look_for`.
+        options, progress: as for `look_for`.
         after: as for `execute`.
 
     Raises:
@@ -74,10 +73,7 @@ def pick(
     """
     say, nothing = progress or (lambda _: None), float("nan")
     try:
-        look = look_for(
-            cell, scene.calibration, models, region, arm=scene.arm, estimate=scene.estimate,
-            occluders=scene.triangles, first=first, verify=verify, progress=progress,
-        )  # fmt: skip
+        look = look_for(cell, scene, models, region, options=options, progress=progress)
     except BadPictureError as error:
         # No program fault, but for example a lamp that is off or a cover on the lens.
         return Pick(None, None, None, None, nothing, f"not found: {error}")

@@ -7,8 +7,8 @@ import pytest
 
 from smartview_jax.detection import circle_radii
 from smartview_jax.geometry import host_matrices
-from smartview_jax.picking import calibrate_cell
-from smartview_jax.picking.calibrating import DISTANCES, MAX_TILT, _planned_views, stacked_commands
+from smartview_jax.picking import BoardViews, calibrate_cell
+from smartview_jax.picking.calibrating import _planned_views, stacked_commands
 from smartview_jax.robots import Command, six_axes
 from smartview_jax.simulation.arm_scenes import HOME_JOINTS
 from smartview_jax.simulation.cell import BOARD, drawn_calibration
@@ -70,11 +70,11 @@ def camera_from_world(base_from_tool):
 
 def test_a_board_that_is_not_found_is_said_with_the_number_of_views():
     with pytest.raises(ValueError, match="found in 0 of 7 views; expected at least 6"):
-        calibrate_cell(Blank(), BOARD, drawn_calibration(), views=7)
+        calibrate_cell(Blank(), BOARD, drawn_calibration(), views=BoardViews(7))
 
 
 def test_planned_views_show_most_of_the_board_from_many_sides():
-    views = _planned_views(BOARD, 24, 0, DISTANCES, MAX_TILT)
+    views = _planned_views(BOARD, BoardViews(24))
     pixels = np.stack([projected(BOARD.points, one) for one in views])
     inside = (pixels > 0.0).all(axis=-1) & (pixels < np.array(IMAGE_SIZE) - 1.0).all(axis=-1)
     # Some views are near and cut the board; the detector needs all of it in enough of them.
@@ -85,7 +85,7 @@ def test_planned_views_show_most_of_the_board_from_many_sides():
 
 
 def test_planned_views_keep_to_their_limits():
-    views = _planned_views(BOARD, 24, 0, (1.0, 1.2), 0.1)
+    views = _planned_views(BOARD, BoardViews(24, 0, (1.0, 1.2), 0.1))
     centres = np.linalg.inv(views)[:, :3, 3]
     # Aimed beside the board's middle by a quarter of its size, along the axis of the camera.
     heights = np.abs(centres[:, 2])
@@ -104,7 +104,7 @@ def test_planned_views_keep_to_their_limits():
 )
 def test_views_that_cannot_be_are_refused(given, said):
     with pytest.raises(ValueError, match=said):
-        calibrate_cell(Blank(), BOARD, drawn_calibration(), **given)
+        calibrate_cell(Blank(), BOARD, drawn_calibration(), views=BoardViews(**given))
 
 
 def test_commands_are_stacked_with_joints_only_if_all_have_them():
@@ -120,7 +120,7 @@ def test_what_perspective_makes_of_the_circles_is_corrected(monkeypatch):
     monkeypatch.setattr(
         "smartview_jax.picking.calibrating.calibrate", lambda data, progress: fitted.append(data)
     )
-    calibrated = calibrate_cell(Drawn(), BOARD, drawn_calibration(), six_axes(), 8)
+    calibrated = calibrate_cell(Drawn(), BOARD, drawn_calibration(), six_axes(), BoardViews(8))
     found = calibrated.data
     assert found.joints is not None
     assert len(calibrated.pictures) == len(found.pixels) >= 6

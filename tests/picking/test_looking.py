@@ -7,8 +7,9 @@ from solids import box
 
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_matrices, viewing_direction
+from smartview_jax.grasping import GraspScene, Obstacle
 from smartview_jax.joint import SavedEstimate
-from smartview_jax.picking import BadPictureError, FirstViews, Region, look_for
+from smartview_jax.picking import BadPictureError, FirstViews, LookOptions, Region, look_for
 from smartview_jax.simulation import CellError
 
 MODEL = box(name="box")
@@ -19,11 +20,12 @@ ACCEPTED, OPEN = seen(MODEL), seen(MODEL, "open", "ambiguous")
 def look(monkeypatch):
     """Look by a cell whose pictures show, one call after the other, what is given."""
 
-    def run(cell, *found, **options):
+    def run(cell, *found, estimate=None, noise=None, **options):
         answers = list(found)
-        run.looked_at, run.noises = [], []
+        run.looked_at, run.noises, run.searches = [], [], []
 
-        def localize(evidence, command, *_, previous=None, **__):
+        def localize(evidence, command, *, previous=None, **given):
+            run.searches.append(given)
             assert len(evidence) == (1 if previous else 2)
             return localizations(*answers.pop(0))
 
@@ -34,7 +36,9 @@ def look(monkeypatch):
 
         monkeypatch.setattr("smartview_jax.picking.looking.localize", localize)
         monkeypatch.setattr("smartview_jax.picking.looking.next_view", next_view)
-        return look_for(cell, CALIBRATION, [MODEL], REGION, **options)
+        scene = GraspScene(CALIBRATION, (Obstacle.table(),), estimate=estimate)
+        given = LookOptions(**options)
+        return look_for(cell, scene, [MODEL], REGION, options=given, noise=noise)
 
     return run
 
@@ -124,6 +128,17 @@ def test_the_noise_is_given_or_that_of_the_estimate(look):
         assert look.noises == [noise or own]
     look(FakeCell(), [ACCEPTED], [ACCEPTED])
     assert look.noises == [None]
+
+
+def test_every_search_knows_the_scene(look):
+    estimate = SavedEstimate(CALIBRATION, np.eye(2), ("a", "b"), None, 0.1, None)
+    look(FakeCell(), [ACCEPTED], [ACCEPTED], estimate=estimate)
+    assert len(look.searches) == 2
+    for search in look.searches:
+        assert search["calibration"] is CALIBRATION
+        assert search["covariance"] is estimate
+        assert search["occluders"].shape == (12, 3, 3)
+        assert np.array_equal(search["workspace"], REGION.corners[[0, -1]])
 
 
 def directions(moves):

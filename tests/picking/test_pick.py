@@ -13,15 +13,12 @@ from solids import box
 
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.grasping import PHASES, GraspPlan, GraspScene, Obstacle, PlannedGrasp
-from smartview_jax.joint import SavedEstimate
 from smartview_jax.modeling import ObjectModel, grasp_on_face
 from smartview_jax.picking import Look, execute, pick
 from smartview_jax.robots import Command, Gripper, puma_560
 from smartview_jax.simulation.cell import Cell
 
 BOX = box(name="box")
-ARM = puma_560()
-ESTIMATE = SavedEstimate(CALIBRATION, np.eye(2), ("a", "b"), None, 0.1, None)
 WIRE = ObjectModel(BOX.vertices, BOX.edges, name="wire")
 GRASP = PlannedGrasp(
     grasp_on_face(BOX, 1), *[np.tile(np.eye(4), (4, 1, 1))] * 2, None, 0.06, 0.04, 0.9, {}, 0.01
@@ -42,20 +39,15 @@ def attempt(monkeypatch):
             own = [GRASP] if safe is None else safe.get(one.model.name, [])
             return GraspPlan(tuple(own), (), one.model.name)
 
-        def look_for(cell, calibration, models, region, **given):
-            assert calibration is scene.calibration
-            assert given["arm"] is scene.arm is ARM
-            assert given["estimate"] is scene.estimate is ESTIMATE
-            assert given["occluders"].shape == (12, 3, 3)
+        def look_for(cell, given, models, region, **_):
+            assert given is scene
             return Look(localizations(*found), (), None, None, ())
 
         # The function hides its module of the same name.
         module = sys.modules[pick.__module__]
         monkeypatch.setattr(module, "grasps_for", grasps_for)
         monkeypatch.setattr(module, "look_for", look_for)
-        scene = GraspScene(
-            CALIBRATION, (Obstacle.table(),), arm=ARM, near=np.zeros(6), estimate=ESTIMATE
-        )
+        scene = GraspScene(CALIBRATION, (Obstacle.table(),), arm=puma_560(), near=np.zeros(6))
         return pick(cell or FakeCell(), [BOX], Gripper(), REGION, scene)
 
     return run
