@@ -71,7 +71,7 @@ def main() -> int:
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="with --smoke: in processes, N at a time"
     )
-    parser.add_argument("--beside", metavar="REV", help="startup: another revision in turn")
+    parser.add_argument("--against", metavar="REV", help="startup: another revision in turn")
     parser.add_argument(
         "--results",
         type=Path,
@@ -100,7 +100,7 @@ def _holds(name: str, arguments: argparse.Namespace) -> bool:
     """Run a benchmark, and return whether its claims hold."""
     print(f"\n== {name}: {BENCHMARKS[name]}")
     options = {
-        "startup": {"beside": arguments.beside},
+        "startup": {"against": arguments.against},
         "localization": {"results": arguments.results},
         "mutations": {"results": arguments.results},
         "weak_robots": {"results": arguments.results},

@@ -109,13 +109,15 @@ def _row(name: str, views: int, found: list[Search], goal: float | None) -> bool
 
 def _scenes(smoke: bool) -> bool:
     """Print the table of rendered scenes; return whether the goals are met."""
-    names, seeds = (["stepped"], range(1)) if smoke else (list(solids()), range(8))
+    names, seeds, kinds = list(solids()), range(8), KINDS
+    if smoke:
+        names, seeds, kinds = ["stepped"], range(1), ("single", "occluded")
     print(
         f"{'scenes':16}{'views':>6}{'number':>8}{'first':>8}{f'in {LISTED}':>9}"
         f"{'find, s':>10}{'search':>9}"
     )
     good = True
-    for kind in KINDS:
+    for kind in kinds:
         found = [
             search_scene(localization_scene(name, kind, seed), (2, 1))
             for seed in seeds

@@ -332,7 +332,7 @@ def _real_set(folder: str, prefix: str, target: sv.targets.AbstractTarget) -> Da
 
 
 def _workcell() -> Dataset:
-    """Return what a camera beside the arm saw of a board on the hand."""
+    """Return what a camera next to the arm saw of a board on the hand."""
     folder = SHARED / "metric_workcell"
     data = sv.io.import_correspondences(
         folder / "poses.csv", folder / "camera1_corners.csv", (1920, 1080), mount="eye_to_hand"

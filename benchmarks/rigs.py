@@ -1,13 +1,13 @@
-"""Several cameras on or beside one arm: what does one fit of all gain over a fit for each?
+"""Several cameras on or next to one arm: what does one fit of all gain over a fit for each?
 
 - One camera as a rig against `fit_joint`: the same digits, and the time.
 - Four cameras on a simulated six-axis arm with errors, eight states of the robot for each: RMS
   error of the hand-eye translation against single fits, NEES of all cameras and of their relative
   poses (6 is ideal), and how many 95 % intervals hold the truth.
 - The same with errors in the first and last link too: NEES and intervals.
-- A stereo head in twenty common states: its errors beside OpenCV's stereoCalibrate and
+- A stereo head in twenty common states: its errors compared with OpenCV's stereoCalibrate and
   vision-calibration's rig, and the error of its relative pose over the stated one.
-- metric_workcell, four cameras beside an arm: distance from the true places of two of them, with
+- metric_workcell, four cameras next to an arm: distance from the true places of two of them, with
   all states and with eight random states for each camera.
 - Two arms that see one board, with and without errors of the arms: the base of one in the other's.
 - Four cameras of 500 views and 1000 points against one: seconds of a solve.

@@ -4,7 +4,7 @@ The jobs are `smartview --help`, imports, `sv.calibrate` of the sample, the whol
 `smartview calibrate`, and a notebook's second fit, on fewer views than the first. Every process
 has its yardstick, a fixed JAX program that is compiled before and after it: on a machine that does
 other things besides, seconds differ from minute to minute, but hardly their ratio to the
-yardstick's. "--beside REV" measures another revision of this repository in turn with this one.
+yardstick's. "--against REV" measures another revision of this repository in turn with this one.
 """
 
 import json
@@ -61,9 +61,9 @@ HELP_SHARE = 0.4
 Figures = dict[str, float]
 
 
-def run(smoke: bool = False, beside: str | None = None) -> bool:
+def run(smoke: bool = False, against: str | None = None) -> bool:
     """Print the table; True where `--help` is quick and the first fit needs few programs."""
-    with _trees(beside) as trees:
+    with _trees(against) as trees:
         table = _measured(trees, SMOKE if smoke else JOBS)
     print(f"{'job':22}{'kept':6}{'tree':10}" + "".join(f"{x:>9}" for x in COLUMNS.values()))
     for (job, kept), found in table.items():
@@ -80,17 +80,17 @@ def run(smoke: bool = False, beside: str | None = None) -> bool:
 
 
 @contextmanager
-def _trees(beside: str | None) -> Iterator[dict[str, Path]]:
+def _trees(against: str | None) -> Iterator[dict[str, Path]]:
     """Yield this tree and another revision's in a temporary folder, by their names in the table."""
-    if beside is None:
+    if against is None:
         yield {"here": ROOT}
         return
     git = ["git", "-C", str(ROOT), "worktree"]
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
-        subprocess.run([*git, "add", "--quiet", "--detach", str(tree), beside], check=True)
+        subprocess.run([*git, "add", "--quiet", "--detach", str(tree), against], check=True)
         try:
-            yield {"here": ROOT, beside[:9]: tree}
+            yield {"here": ROOT, against[:9]: tree}
         finally:
             subprocess.run([*git, "remove", "--force", str(tree)], check=True)
 

@@ -1,4 +1,4 @@
-"""Real data sets that lie beside the checkout; tests that need one skip where it is missing."""
+"""Real data sets that lie next to the checkout; tests that need one skip where it is missing."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ def shared_data(name: str) -> Path:
     """Folder of one data set; skips the test, with the reason, where it is missing."""
     folder = _ROOT / name
     if not folder.is_dir():
-        pytest.skip(f"the data set {name} is not beside this checkout (shared/data/{name})")
+        pytest.skip(f"the data set {name} is not next to this checkout (shared/data/{name})")
     return folder
 
 
@@ -37,5 +37,5 @@ def shared_case(name: str) -> Path:
     """File or folder of one small case; skips the test, with the reason, where it is missing."""
     path = _SHARED / "cases" / name
     if not path.exists():
-        pytest.skip(f"the case {name} is not beside this checkout (shared/cases/{name})")
+        pytest.skip(f"the case {name} is not next to this checkout (shared/cases/{name})")
     return path

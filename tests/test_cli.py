@@ -194,7 +194,7 @@ def test_where_results_go_is_looked_at_before_the_work(tmp_path, monkeypatch):
 
 
 def test_a_report_that_fails_leaves_the_last_runs_files(tmp_path, monkeypatch):
-    """Not a new calibration beside an old report."""
+    """Not a new calibration next to an old report."""
     monkeypatch.setattr(LOAD, lambda *_, **__: (three_views(), "three views"))
 
     def broken(*_):

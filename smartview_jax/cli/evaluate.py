@@ -29,7 +29,7 @@ def evaluate(
         ),
     ],
     dataset: Annotated[Path, typer.Argument(help="Data-set folder with new pictures and poses.")],
-    beside: Annotated[
+    compare: Annotated[
         list[Path] | None,
         typer.Option(
             help="Another calibration to compare with the first, such as old/calibration.yaml. May "
@@ -62,13 +62,13 @@ def evaluate(
         from ..report import ErrorSummary, write_evaluation_page
 
         if is_rig_folder(dataset):
-            if beside or out is not None:
-                raise ValueError(f"--beside, --out: not for several cameras, which {dataset} has")
+            if compare or out is not None:
+                raise ValueError(f"--compare, --out: not for several cameras, which {dataset} has")
             _evaluate_rig(calibration, dataset, moved, bad_views, json)
             return
         if out is not None:
             refuse_unwritable(out.parent, "--out")
-        paths = [calibration, *(beside or [])]
+        paths = [calibration, *(compare or [])]
         with progress_line() as progress:
             loaded = [load_with_uncertainty(path) for path in paths]
             data, name = load_named(dataset, bad_views, progress)

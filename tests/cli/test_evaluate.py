@@ -55,7 +55,7 @@ def folder(data, tmp_path_factory):
 def evaluated(board, folder, tmp_path_factory):
     """The result of one run with all options, and its page."""
     page = tmp_path_factory.mktemp("evaluate") / "page.html"
-    options = ("--beside", board.data / "truth.yaml", "--out", page)
+    options = ("--compare", board.data / "truth.yaml", "--out", page)
     ended = run("evaluate", board.calibration, folder, *options)
     assert ended.exit_code == 0, ended.output
     return ended.output, page.read_text()

@@ -118,8 +118,8 @@ def test_a_comparison_has_every_method(folder, monkeypatch):
 def test_an_evaluation_has_every_calibration_and_view(calibrated, folder, tmp_path):
     _, out = calibrated
     words = ["evaluate", str(out / "calibration.yaml"), str(folder), "--json"]
-    beside = ["--beside", str(folder / "truth.yaml"), "--out", str(tmp_path / "page.html")]
-    ended = run(*words, *beside)
+    compared = ["--compare", str(folder / "truth.yaml"), "--out", str(tmp_path / "page.html")]
+    ended = run(*words, *compared)
     assert ended.exit_code == 0, ended.output
     content = document(ended, "evaluate")
     first, second = content["calibrations"]

@@ -1,4 +1,4 @@
-"""Edge points beside other edges: found as by brute force, and displaced as the theory says."""
+"""Edge points near other edges: found as by brute force, and displaced as the theory says."""
 
 import cv2
 import numpy as np
@@ -61,7 +61,7 @@ def test_they_are_those_of_all_pairs(seed):
 
 
 def two_steps(distance, ratio):
-    """A picture of a vertical step at u = 40 and of another one `distance` px beside it."""
+    """A picture of a vertical step at u = 40 and of another one `distance` px away from it."""
     u = np.arange(100.0)
     sigma = np.sqrt(2.0) * BLUR
     profile = 50.0 * erf((u - 40.0) / sigma) + 50.0 * ratio * erf((u - 40.0 - distance) / sigma)

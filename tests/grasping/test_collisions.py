@@ -136,7 +136,7 @@ def above(gap):
 
 def test_a_held_object_may_touch_what_it_stands_on_and_leans_against():
     vertices = box(0.06, 0.04, 0.03).vertices
-    # It lies on the table, and errors of its pose put it half a millimetre into what is beside it.
+    # It lies on the table, and errors of its pose put it half a millimetre into its neighbour.
     assert np.isclose(held_contact(Obstacle.table(), vertices), 1e-3, atol=1e-6)
     assert np.isclose(held_contact(beside(0.0), vertices), 1e-3, atol=1e-6)
     assert np.isclose(held_contact(beside(-5e-4), vertices), 5e-4, atol=1e-6)

@@ -167,7 +167,7 @@ def test_what_stands_in_the_way_is_named(scene):
     plan = grasps_for(placed(), GRIPPER, covered)
     assert not len(plan)
     assert "touches lid" in plan.summary
-    # And another object beside it, which the open fingers would hit.
+    # And another object next to it, which the open fingers would hit.
     neighbour = placed(x=0.1 - 0.045 * np.sin(0.3), y=-0.1 + 0.045 * np.cos(0.3))
     crowded = grasps_for(placed(), GRIPPER, scene.with_objects([neighbour]))
     assert all("box" in "; ".join(one.reasons) for one in crowded.refused)

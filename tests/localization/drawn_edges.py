@@ -134,7 +134,7 @@ def evidence(pictures, sizes=None):
 
 
 def together(*pictures):
-    """The edge points of several drawings of the same views, beside each other."""
+    """The edge points of several drawings of the same views, side by side."""
     return [
         EdgePoints(*(np.concatenate(parts) for parts in zip(*one, strict=True)))
         for one in zip(*pictures, strict=True)

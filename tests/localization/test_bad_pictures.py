@@ -81,7 +81,7 @@ def test_two_objects_that_touch_are_two(gap):
     pictures = together(
         drawn(model, views, POSE, 0.05, rng), drawn(model, views, second, 0.05, rng)
     )
-    # Both, and the poses half a box beside them, which share many edges with one or the other.
+    # Both, and the poses half a box away from them, which share many edges with one or the other.
     starts = [POSE, second]
     starts += [pose @ np.block([[np.eye(3), np.array([[x], [0.0], [0.0]])], [0.0, 0.0, 0.0, 1.0]])
                for pose in (POSE, second) for x in (-0.03, 0.03)]  # fmt: skip

@@ -54,7 +54,7 @@ def error_of(one, pose):
 
 
 def test_what_a_neighbour_hides_and_explains_misleads_no_more(views, prepared):
-    """Of the second box some edges are hidden, and the first has edges 2 px beside them."""
+    """Of the second box some edges are hidden, and the first has edges 2 px away from them."""
     rng, exact = np.random.default_rng(0), CalibrationUncertainty.none(views)
     # The first box stands before the second one, as its right side is seen from the cameras.
     close = POSE.copy()

@@ -35,11 +35,11 @@ def test_what_is_taken_is_free_in_the_untouched_scene(views, prepared):
     assert explained(scene, POSE, prepared) < 0.01 * before
     # What the object hides is not held against others.
     assert hidden(scene, BEHIND, prepared) > 300.0
-    anew = scene.untouched()
-    assert explained(anew, POSE, prepared) == before
-    assert hidden(anew, BEHIND, prepared) == 0.0
+    restored = scene.untouched()
+    assert explained(restored, POSE, prepared) == before
+    assert hidden(restored, BEHIND, prepared) == 0.0
     # What is taken from one scene is not taken from the other.
-    anew.take(claim)
+    restored.take(claim)
     assert explained(scene.untouched(), POSE, prepared) == before
 
 

@@ -87,7 +87,7 @@ def test_planned_views_show_most_of_the_board_from_many_sides():
 def test_planned_views_keep_to_their_limits():
     views = _planned_views(BOARD, BoardViews(24, 0, (1.0, 1.2), 0.1))
     centres = np.linalg.inv(views)[:, :3, 3]
-    # Aimed beside the board's middle by a quarter of its size, along the axis of the camera.
+    # Aimed next to the board's middle by a quarter of its size, along the axis of the camera.
     heights = np.abs(centres[:, 2])
     assert heights.min() > np.cos(0.1) - 1e-9
     assert heights.max() <= 1.2
