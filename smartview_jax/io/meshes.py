@@ -1,10 +1,12 @@
 """Read and write object models as triangle meshes: OBJ, PLY, STL and glTF, through trimesh.
 
-On reading, adjacent coplanar triangles are joined to flat faces, and the edges at which the surface
-bends sharply become the wireframe. On writing, faces are cut into triangles; graspable surfaces,
-grasps and uncertainty are lost, because meshes have no place for them.
+On reading, adjacent coplanar triangles are joined to flat faces, the edges at which the surface
+bends sharply become the wireframe, and the symmetry of the solid is found. On writing, faces are
+cut into triangles; graspable surfaces, grasps and uncertainty are lost, because meshes have no
+place for them.
 """
 
+import dataclasses
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,7 +19,7 @@ from ..argument_checks import nearest_name
 from ..extras import import_extra
 from ..files import write_atomically
 from ..geometry import LENGTH_UNITS
-from ..modeling import Face, ObjectModel, face_plane
+from ..modeling import SHARP_ANGLE, Face, ObjectModel, face_plane, find_symmetry
 from .mesh_text import refuse_broken_text
 
 if TYPE_CHECKING:
@@ -25,13 +27,6 @@ if TYPE_CHECKING:
 
 MESH_FORMATS = ("obj", "ply", "stl", "glb", "gltf")
 """Endings of the files that are read and written."""
-
-SHARP_ANGLE = float(np.deg2rad(20.0))
-"""Smallest angle between the normals of two triangles whose common edge is sharp, rad.
-
-The smallest bend commonly meant as an edge is 45 degrees (an octagonal prism); round parts are
-meshed with steps of 5 to 15 degrees.
-"""
 
 COPLANAR_ANGLE = float(np.deg2rad(0.5))
 """Largest angle between the normals of two triangles of one flat face, rad."""
@@ -185,9 +180,17 @@ def model_from_triangles(
         for face in faces
     )
     provenance = (f"from the mesh {source}",) if source else ()
-    return ObjectModel(
+    model = ObjectModel(
         mesh.vertices[kept], number[edges], renumbered, name=name, provenance=provenance
     )
+    # Nothing tells the pose of a smooth surface.
+    if not len(model.edges):
+        return model
+    try:
+        return dataclasses.replace(model, symmetry=find_symmetry(model))
+    except ValueError:
+        # A single straight edge has no finite group.
+        return model
 
 
 def _welded(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"]) -> Any:

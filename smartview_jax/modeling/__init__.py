@@ -39,6 +39,7 @@ from .rig_views import AnyCalibration as AnyCalibration
 from .rig_views import RigViews as RigViews
 from .rig_views import calibration_of_views as calibration_of_views
 from .shapes import PLANAR_TOLERANCE as PLANAR_TOLERANCE
+from .shapes import SHARP_ANGLE as SHARP_ANGLE
 from .shapes import Dimension as Dimension
 from .shapes import Face as Face
 from .shapes import FacePlane as FacePlane

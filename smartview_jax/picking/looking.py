@@ -51,7 +51,7 @@ class FirstViews(NamedTuple):
 
 
 class LookOptions(NamedTuple):
-    """How many views are taken of a region, and from where.
+    """The number of views of a region, and their places.
 
     Attributes:
         first: distance and directions of the first views; by default for a camera of 1280 x 800 px

@@ -72,6 +72,7 @@ def test_what_other_programs_cut_finely_is_joined():
     mesh = trimesh.creation.box((0.06, 0.04, 0.03)).subdivide().subdivide()
     model = model_from_triangles(np.array(mesh.vertices), np.array(mesh.faces))
     assert (len(model.vertices), len(model.edges), len(model.faces)) == (8, 12, 6)
+    assert model.symmetry.order == len(Rotation.create_group("D2"))
     assert model.is_closed
 
 

@@ -32,7 +32,7 @@ def checked(points=None, **limits):
 
 @pytest.mark.parametrize(("axis", "last"), [(0, 639.0 - 620.0), (1, 479.0 - 470.0)])
 def test_the_margin_to_the_border_is_kept(axis, last):
-    """300 px left of the centre of 320 columns, 230 of 240 rows."""
+    """300 px from the centre of 640 columns, 230 px of 480 rows."""
     place = np.zeros((1, 3))
     place[0, axis] = (0.30, 0.23)[axis]
     aside = [np.asarray(CALIBRATION.project(VIEW.inverse(), sign * place)[0]) for sign in (1, -1)]

@@ -4,6 +4,7 @@ from .dimensions import Dimension as Dimension
 from .dimensions import angle as angle
 from .dimensions import dimension as dimension
 from .faces import PLANAR_TOLERANCE as PLANAR_TOLERANCE
+from .faces import SHARP_ANGLE as SHARP_ANGLE
 from .faces import Face as Face
 from .faces import FacePlane as FacePlane
 from .faces import check_face as check_face
@@ -22,4 +23,4 @@ from .object_model import ObjectModel as ObjectModel
 from .object_model import edges_of_faces as edges_of_faces
 from .symmetry import Symmetry as Symmetry
 from .symmetry import SymmetryAxis as SymmetryAxis
-from .symmetry import find_symmetry as find_symmetry
+from .symmetry_search import find_symmetry as find_symmetry

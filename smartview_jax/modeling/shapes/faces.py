@@ -18,6 +18,13 @@ from ...argument_checks import require_readable_or_empty
 PLANAR_TOLERANCE = 0.01
 """Largest distance of a vertex from the plane of its face, relative to the face's extent."""
 
+SHARP_ANGLE = float(np.deg2rad(20.0))
+"""Smallest bend of a surface or of an edge that is meant as such, rad.
+
+The smallest bend commonly meant is 45 degrees (an octagonal prism); round parts are meshed with
+steps of 5 to 15 degrees.
+"""
+
 MIN_RELATIVE_AREA = 1e-6
 """Smallest area of a face over its squared extent; a smaller face is only a line."""
 
