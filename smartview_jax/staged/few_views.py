@@ -69,6 +69,7 @@ def start_by_target(data: Dataset, camera: Camera, holder_from_world: PoseLike) 
     views = np.flatnonzero(used)
     robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))[views]
     world = host_matrices(as_se3(holder_from_world))
+    sigma = _pixel_noise(np.asarray(rms), inliers, used)
     candidates, hand_eye, warning = hand_eye_at_target(
         observations,
         camera,
