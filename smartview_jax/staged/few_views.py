@@ -71,13 +71,7 @@ def start_by_target(data: Dataset, camera: Camera, holder_from_world: PoseLike) 
     world = host_matrices(as_se3(holder_from_world))
     sigma = _pixel_noise(np.asarray(rms), inliers, used)
     candidates, hand_eye, warning = hand_eye_at_target(
-        observations,
-        camera,
-        poses,
-        robot,
-        used,
-        _pixel_noise(np.asarray(rms), inliers, used),
-        world,
+        observations, camera, poses, robot, used, sigma, world
     )
     chosen = nearer_poses(candidates, hand_eye @ robot @ world)
     seen = candidates[chosen, np.arange(len(views))]
