@@ -55,6 +55,23 @@ def test_a_state_that_is_wrong_is_the_fault_of_its_own_arm(fit):
         _ = fit.noise
 
 
+def test_each_arm_has_the_noise_of_its_own_reports():
+    """The right one errs ten times as much, and does not spoil what is known by the left one."""
+    rig, truths = arms_scene(3, views=16, right_noise=10.0)
+    fit = fit_rig(rig, truths, field=None)
+    for arm, times in (("left", 1.0), ("right", 10.0)):
+        sizes = fit.noises[arm].translation, fit.noises[arm].rotation
+        expected = times * NOISE.translation, times * NOISE.rotation
+        np.testing.assert_allclose(sizes, expected, rtol=0.6)
+    std = {
+        arm: np.linalg.norm(
+            [fit.std[f"{arm}_table.camera_from_tool.translation.{axis}"] for axis in "xyz"]
+        )
+        for arm in ("left", "right")
+    }
+    assert std["right"] > 4.0 * std["left"]
+
+
 def test_the_bases_are_known_as_well_as_said(fit):
     base, back = fit.base("left", "right"), fit.base("right", "left")
     error = base_error(base)
