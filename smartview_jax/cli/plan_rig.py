@@ -20,12 +20,12 @@ class Stop(NamedTuple):
     """When a plan stops.
 
     Attributes:
-        count: largest number of states.
+        states: largest number of states.
         goal: error at which it stops, m; None for none.
         gain: relative gain by one more state below which it stops.
     """
 
-    count: int
+    states: int
     goal: float | None
     gain: float
 
@@ -87,7 +87,7 @@ def plan_rig(
         found = plan_states(
             RigInformationModel.from_estimate(estimate, rig, sigmas),
             limits,
-            stop.count,
+            stop.states,
             goal=stop.goal,
             least_gain=stop.gain,
             arm=arm,
