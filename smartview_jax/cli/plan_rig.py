@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Stop(NamedTuple):
-    """When a plan stops.
+    """The rule by which a plan stops.
 
     Attributes:
         states: largest number of states.
