@@ -156,7 +156,8 @@ def calibrate(
 
     Args:
         data: at least three views with six visible points each; with a known camera four suffice.
-            The cameras of a `Rig` are calibrated together, and the result is a `RigFit`.
+            The cameras of a `Rig` are calibrated together, and the result is a `RigFit`; one or two
+            views suffice for a known camera whose target another one on the same arm sees in three.
         lens: the lens model of both fits; the paper's is `"radial"`.
         camera: a known camera, which both fits then hold; of a rig, known cameras by name.
         start: where the joint fit starts, which is what parameters of `fixed` keep and what priors

@@ -1,7 +1,7 @@
 """Calibrate a rig: each camera by the staged pipeline, then all of them together."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Unpack
 
 import numpy as np
@@ -9,11 +9,12 @@ import numpy as np
 from .argument_checks import require_instance
 from .calibration import Calibration, host_mount_from_holder, transform_names
 from .cameras import AbstractLens, Camera
+from .data_checks import minimum_points, unusable_views
 from .dataset import Dataset, Rig
 from .geometry import PoseLike, host_matrices, host_transforms, mean_pose
 from .joint import JointOptions, RigFit, fit_rig, remove_gross_errors
 from .runtime.double_precision import require_double_precision
-from .staged import StagedFit, fit_staged
+from .staged import FewViewsStart, StagedFit, fit_staged, start_by_target
 
 RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior")
 """The options of `fit_joint` that `fit_rig` has too."""
@@ -31,10 +32,12 @@ def calibrate_rig(
 
     The camera with the most views tells where its target is; other cameras of the same arm that see
     this target start from there. So does a camera whose own views do not tell the place of the
-    target, such as one that saw it in a single orientation.
+    target, such as one that saw it in a single orientation, and a known camera with one or two
+    views.
 
     Args:
-        rig: data sets of the cameras; each camera has at least three views.
+        rig: data sets of the cameras. Each has at least three views; one or two suffice for a known
+            camera whose target another camera on the same arm sees in three or more.
         lens: lens model of all cameras.
         cameras: known cameras by name, which are held.
         progress: called with a line of text for each stage.
@@ -57,16 +60,26 @@ def calibrate_rig(
             f"camera: expected cameras of {', '.join(rig.cameras)}, found {', '.join(strangers)}"
         )
     report = progress or (lambda _: None)
-    staged, starts = {}, {}
+    staged: dict[str, StagedFit | FewViewsStart] = {}
+    starts: dict[str, Calibration] = {}
     for arm in rig.arm_names:
         part = rig.of_arm(arm)
-        of_arm = _staged_fits(part, lens, known, report)
-        staged, starts = staged | of_arm, starts | _consistent_starts(part, of_arm)
+        few = {name: count for name, count in _usable_views(part, known).items() if count < 3}
+        _require_known(few, known)
+        many = [name for name in part.cameras if name not in few]
+        of_arm = _staged_fits(part, many, lens, known, report)
+        of_few = {name: _placed_by_target(part, name, known[name], of_arm, report) for name in few}
+        staged |= {**of_arm, **of_few}
+        starts |= _consistent_starts(part, of_arm)
+        starts |= {name: start.calibration for name, start in of_few.items()}
     used, rejected = {}, []
     for name, data in rig.cameras.items():
         inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
         used[name], outliers = remove_gross_errors(inliers, starts[name], (), None, None)
         rejected += [(name, entry) for entry in (*staged[name].rejected, *outliers)]
+    # In the order of the rig, as are the names of the parameters.
+    starts = {name: starts[name] for name in rig.cameras}
+    staged = {name: staged[name] for name in rig.cameras}
     fixed = (*joint_options.get("fixed", ()), *(f"{name}.camera" for name in known))
     fit = fit_rig(
         rig.with_cameras(used),
@@ -78,13 +91,75 @@ def calibrate_rig(
     return dataclasses.replace(fit, warnings=_warnings(staged, fit))
 
 
+def _usable_views(rig: Rig, known: Mapping[str, Camera]) -> dict[str, int]:
+    """Return the number of usable views of each camera."""
+    return {
+        name: data.view_count - len(unusable_views(data, minimum_points(known.get(name))))
+        for name, data in rig.cameras.items()
+    }
+
+
+def _require_known(few: Mapping[str, int], known: Mapping[str, Camera]) -> None:
+    """Raise a ValueError that names a camera with few views whose lens is not known.
+
+    Args:
+        few: number of usable views of the cameras that have fewer than three.
+        known: known cameras by name.
+    """
+    for name, count in few.items():
+        if name not in known:
+            raise ValueError(
+                f"camera {name!r}: {count} usable views do not tell its lens: take 3 or more, or "
+                f"give the known camera (camera={{{name!r}: ...}}, or --camera FOLDER with a file "
+                f"{name}.yaml)"
+            )
+
+
+def _placed_by_target(
+    rig: Rig,
+    name: str,
+    camera: Camera,
+    staged: Mapping[str, StagedFit],
+    report: Callable[[str], None],
+) -> FewViewsStart:
+    """Return the place of a known camera with few views, from the target's that others tell.
+
+    Raises:
+        ValueError: no other camera sees this target in enough views; the message names the camera.
+    """
+    reference = _best_of_target(rig, rig.targets[name], staged)
+    if reference is None:
+        raise ValueError(
+            f"camera {name!r}: one or two views tell where it is only if another camera on the "
+            f"same arm sees its target {rig.targets[name]!r} in 3 views or more"
+        )
+    report(f"{name}: from the place of its target that {reference} tells")
+    place = staged[reference].calibration.holder_from_world
+    try:
+        return start_by_target(rig.cameras[name], camera, place)
+    except ValueError as error:
+        raise ValueError(f"camera {name!r}: {error}") from error
+
+
+def _best_of_target(rig: Rig, target: str, staged: Mapping[str, StagedFit]) -> str | None:
+    """Return the camera that sees a target in most views; None if there is none."""
+    seeing = [name for name in staged if rig.targets[name] == target]
+    return max(seeing, key=lambda name: len(staged[name].views), default=None)
+
+
 def _staged_fits(
     rig: Rig,
+    cameras: Sequence[str],
     lens: str | AbstractLens,
     known: Mapping[str, Camera],
     report: Callable[[str], None],
 ) -> dict[str, StagedFit]:
     """Return the staged fit of each camera alone, or from the target's place that others tell.
+
+    Args:
+        rig: data sets of one arm's cameras.
+        cameras: names of the cameras to fit.
+        lens, known, report: as for `calibrate_rig`.
 
     Raises:
         ValueError: a camera that cannot be calibrated; the message names it.
@@ -106,29 +181,26 @@ def _staged_fits(
             # The first error tells more: the second is about a start that nobody gave.
             errors.setdefault(name, error)
 
-    for name in rig.cameras:
+    for name in cameras:
         fit(name, None)
     for name in list(errors):
-        others = [other for other in staged if rig.targets[other] == rig.targets[name]]
-        if others:
-            most = max(others, key=lambda other: len(staged[other].views))
+        most = _best_of_target(rig, rig.targets[name], staged)
+        if most is not None:
             report(f"{name}: again, from the place of its target that {most} tells")
             place = staged[most].calibration.holder_from_world
             fit(name, {transform_names(rig.cameras[name].mount)[1]: place})
         if name not in staged:
             raise ValueError(f"camera {name!r}: {errors[name]}") from errors[name]
-    return {name: staged[name] for name in rig.cameras}
+    return {name: staged[name] for name in cameras}
 
 
 def _consistent_starts(rig: Rig, staged: Mapping[str, StagedFit]) -> dict[str, Calibration]:
     """Return the calibrations of the staged fits, with one pose for each target."""
     starts = {name: fit.calibration for name, fit in staged.items()}
-    for target in set(rig.targets.values()):
-        seeing = [name for name in rig.cameras if rig.targets[name] == target]
-        first = max(seeing, key=lambda name: len(staged[name].views))
-        for name in seeing:
-            if name != first:
-                starts[name] = _with_target_at(starts[first], rig.cameras[name], staged[name])
+    for name in staged:
+        first = _best_of_target(rig, rig.targets[name], staged)
+        if first is not None and name != first:
+            starts[name] = _with_target_at(starts[first], rig.cameras[name], staged[name])
     return starts
 
 
@@ -149,7 +221,7 @@ def _with_target_at(reference: Calibration, data: Dataset, staged: StagedFit) ->
     )
 
 
-def _warnings(staged: Mapping[str, StagedFit], fit: RigFit) -> tuple[str, ...]:
+def _warnings(staged: Mapping[str, StagedFit | FewViewsStart], fit: RigFit) -> tuple[str, ...]:
     """Return the doubts of the staged fits, with the camera's name, and of the joint fit."""
     of_cameras = [f"{name}: {text}" for name, one in staged.items() for text in one.warnings]
     return (*of_cameras, *fit.warnings)

@@ -48,12 +48,19 @@ def truth_of(camera, moved=0.0):
 
 
 @functools.cache
-def arms_scene(seed, cameras=("left_table", "right_table"), views=8, moved=0.0):
-    """The rig of these cameras, and the true calibrations."""
+def arms_scene(seed, cameras=("left_table", "right_table"), views=8, moved=0.0, right_noise=1.0):
+    """The rig of these cameras, and the true calibrations.
+
+    The noise of the right arm is so many times the left one's.
+    """
     data, truths = {}, {}
     for k, camera in enumerate(cameras):
         truths[camera] = truth_of(camera, moved)
-        noise = {"translation_noise": NOISE.translation, "rotation_noise": NOISE.rotation}
+        times = right_noise if camera.startswith("right") else 1.0
+        noise = {
+            "translation_noise": times * NOISE.translation,
+            "rotation_noise": times * NOISE.rotation,
+        }
         seen = scene_with(truths[camera], 100 * seed + k, views, **noise).data
         # Both arms have a state `table0`.
         target = camera.split("_")[1]

@@ -11,6 +11,7 @@ from .json_document import print_document, transform_document
 from .terminal import progress_line
 
 if TYPE_CHECKING:
+    from ..cameras import Camera
     from ..dataset import Rig
     from ..evaluation import HeldOutErrors, RigErrorBudget
     from ..joint import RigFit
@@ -125,10 +126,11 @@ def _calibrated_rig(
     elif settings.held_out:
         scores = held_out(
             used,
-            lambda part: calibrate(part, settings.lens, camera=known),
+            lambda part: calibrate(part, settings.lens, camera=_of_cameras(part, known)),
             progress=lambda text: progress(f"held-out: {text}"),
         )
-        failures = next(iter(scores.values())).failures
+        # What failed for all cameras is said once.
+        failures = dict.fromkeys(entry for own in scores.values() for entry in own.failures)
         notes += [f"held-out: fold {k + 1}: {reason}" for k, reason in failures]
     budget = None
     if settings.diagnose:
@@ -137,6 +139,11 @@ def _calibrated_rig(
         except ValueError as error:
             notes.append(f"no error budget: {error}")
     return RigResult(rig, name, fit, scores, tuple(notes), budget)
+
+
+def _of_cameras(rig: "Rig", known: "dict[str, Camera] | None") -> "dict[str, Camera] | None":
+    """Return the known cameras that a rig has."""
+    return known and {name: camera for name, camera in known.items() if name in rig.cameras}
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:

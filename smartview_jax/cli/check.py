@@ -1,7 +1,7 @@
 """Define `smartview check`, which looks at a data set before anything is calibrated with it."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
@@ -67,17 +67,16 @@ def check(
     Exits with 1 if the data cannot be calibrated as they are.
     """
     with errors_reported(debug):
-        from ..io import is_rig_folder, load_rig, read_camera
+        from ..io import is_rig_folder, load_rig, read_camera, read_cameras
 
-        known_camera = None if camera is None else read_camera(camera)
         if dataset is not None and is_rig_folder(dataset):
-            if known_camera is not None:
-                raise ValueError("--camera: the folder has several cameras")
             with progress_line() as progress:
                 rig = load_rig(dataset, bad_views, progress)
-            if not _check_rig(rig, dataset.resolve().name, json):
+            known = {} if camera is None else read_cameras(camera, tuple(rig.cameras))
+            if not _check_rig(rig, dataset.resolve().name, json, known):
                 raise typer.Exit(1)
             return
+        known_camera = None if camera is None else read_camera(camera)
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress)
         checked = _checked(data, name, known_camera)
@@ -108,15 +107,29 @@ class CheckedData(NamedTuple):
     document: dict[str, Any]
 
 
-def _checked(given: "Dataset", name: str, camera: "Camera | None") -> CheckedData:
-    """Check the data of one camera."""
+def _checked(
+    given: "Dataset", name: str, camera: "Camera | None", neighbour: str | None = None
+) -> CheckedData:
+    """Check the data of one camera.
+
+    Args:
+        given: the data set.
+        name: name of the data set or of the camera.
+        camera: the known camera; None for one to be estimated.
+        neighbour: another camera of a rig, which tells where the target is; one or two views of a
+            known camera suffice then.
+    """
     data = _without_repetitions(given)
     figures = _figures(data)
     first = f"{name}: {data.view_count} views, {data.mount}"
     lines = (first, *data.notes, *_seen(figures, data), *_motion(figures))
     # The data with repetitions: if all poses are equal, no view is left without them.
     reported = {view for view, _ in data.masked_views}
-    problems, doubts = _agreement(given, reported, camera)
+    if camera is not None and neighbour is not None and 0 < figures.usable_views < 3:
+        text = f"with so few views its place follows from the target that {neighbour} sees"
+        lines, problems, doubts = (*lines, text), (), ()
+    else:
+        problems, doubts = _agreement(given, reported, camera)
     document = _document(name, data, figures, problems, doubts)
     return CheckedData(lines, problems, doubts, document)
 
@@ -130,9 +143,12 @@ def _print_lines(checked: CheckedData) -> None:
             typer.echo(f"{kind}: {text}")
 
 
-def _check_rig(rig: "Rig", name: str, json: bool) -> bool:
+def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]") -> bool:
     """Check the data of several cameras, and return whether all can be calibrated."""
-    checked = {camera: _checked(data, camera, None) for camera, data in rig.cameras.items()}
+    checked = {
+        camera: _checked(data, camera, known.get(camera), _neighbour(rig, camera))
+        for camera, data in rig.cameras.items()
+    }
     shared = sum(len(cameras) > 1 for cameras in rig.seeing)
     doubts = _lonely_cameras(rig)
     ready = not any(found.problems for found in checked.values())
@@ -161,6 +177,19 @@ def _check_rig(rig: "Rig", name: str, json: bool) -> bool:
         except_for = ", apart from these doubts" if any_doubt else ""
         typer.echo(f"cameras and robot agree{except_for}: ready for smartview calibrate")
     return ready
+
+
+def _neighbour(rig: "Rig", camera: str) -> str | None:
+    """Return another camera of the same arm that tells where this one's target is, or None."""
+    seeing = [
+        other
+        for other, data in rig.cameras.items()
+        if rig.targets[other] == rig.targets[camera]
+        and rig.arms[other] == rig.arms[camera]
+        and other != camera
+        and len(data.usable_views()) >= 3
+    ]
+    return seeing[0] if seeing else None
 
 
 def _lonely_cameras(rig: "Rig") -> list[str]:

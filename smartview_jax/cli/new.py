@@ -41,6 +41,13 @@ def new(
             "default there is one."
         ),
     ] = None,
+    arms: Annotated[
+        str | None,
+        typer.Option(
+            help="With --cameras: the arm that carries each of them, in their order, such as "
+            "a,a,b; by default there is one."
+        ),
+    ] = None,
     debug: DebugOption = False,
 ) -> None:
     """Begin a data set: a commented dataset.yaml and an empty poses.csv, to be filled in.
@@ -52,6 +59,7 @@ def new(
 
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
         names = [] if cameras is None else _camera_names(cameras)
+        arm_of = None if arms is None else _arm_names(arms, names)
         images = folder / "images"
         places = {name: images / name for name in names} or {"": images}
         pictures = {name: found_pictures(place) for name, place in places.items()}
@@ -66,7 +74,7 @@ def new(
             )
         suffix = suffixes.pop() if suffixes else ".png"
         path = write_new_dataset(
-            folder, robot, target, mount, sizes if names else sizes[""], suffix
+            folder, robot, target, mount, sizes if names else sizes[""], suffix, arm_of
         )
         for name, found in pictures.items():
             if found:
@@ -80,13 +88,21 @@ def new(
             "error in every distance",
             f"take 15 pictures or more into {each}, with the target filling half of each, "
             "tilted by up to 40 degrees to all sides and turned about the optical axis",
-            f"write the robot's pose for each picture into {folder / 'poses.csv'}"
-            + (": one row for all cameras' pictures of the same name" if names else ""),
+            *_steps_of_poses(folder, bool(names), arm_of),
             f"smartview check {folder}",
             f"smartview calibrate {folder}",
         ]
         for number, step in enumerate(steps, start=1):
             typer.echo(f"  {number}. {step}")
+
+
+def _steps_of_poses(folder: Path, several: bool, arm_of: dict[str, str] | None) -> list[str]:
+    """Return where the poses of the robot, or of each arm, are to be written."""
+    each = ": one row for all cameras' pictures of the same name" if several else ""
+    if arm_of is None:
+        return [f"write the robot's pose for each picture into {folder / 'poses.csv'}{each}"]
+    tables = " and ".join(str(folder / arm / "poses.csv") for arm in dict.fromkeys(arm_of.values()))
+    return [f"write each arm's poses into {tables}{each}"]
 
 
 def _print_pictures(folder: Path, found: "FoundPictures") -> None:
@@ -112,3 +128,18 @@ def _camera_names(text: str) -> list[str]:
             f"found {text!r}"
         )
     return names
+
+
+def _arm_names(text: str, cameras: list[str]) -> dict[str, str]:
+    """Return the name of each camera's arm.
+
+    Raises:
+        ValueError: another number of arms than of cameras, an empty name, or a camera's name.
+    """
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != len(cameras) or "" in names or set(names) & set(cameras):
+        raise ValueError(
+            f"--arms: expected an arm for each camera of --cameras, such as a,a,b for three, and "
+            f"called as none of them; found {text!r} for {','.join(cameras) or 'no --cameras'}"
+        )
+    return dict(zip(cameras, names, strict=True))

@@ -11,8 +11,9 @@ from .fit_options import StartOption
 from .json_document import print_document
 from .number_lists import parse_numbers
 from .option_groups import with_option_groups
+from .plan_rig import Stop, is_rig_plan, plan_rig
 from .plan_situation import first_views, next_views
-from .plan_words import plan_entries, plan_words
+from .plan_words import new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported, progress_line
 
@@ -27,8 +28,9 @@ def plan(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            help="For the next views: calibration.yaml and its data-set folder. For the first "
-            "views, with --start: the folder alone (smartview new)."
+            help="For the next views: calibration.yaml and its data-set folder; of several "
+            "cameras, the folder that calibrate wrote and the data-set folder. For the first "
+            "views, with --start: the data-set folder alone (smartview new)."
         ),
     ],
     start: StartOption = None,
@@ -78,7 +80,8 @@ def plan(
 
     Views minimise the position error of a point in front of the camera. With few views so far the
     stated error is good to about 20 %. With --start the first views are planned, from rough poses
-    of camera and target.
+    of camera and target. Of several cameras, each command is a view of one of them, and counts for
+    all.
     """
     with errors_reported(debug):
         import math
@@ -94,6 +97,12 @@ def plan(
 
         codec = robot.codec()
         span = ViewLimits(_distance_range(distance), math.radians(tilt), math.radians(roll), below)
+        if is_rig_plan(paths, bool(start)):
+            if camera is not None:
+                raise ValueError("--camera: only with --start; the calibrations have their cameras")
+            stop = Stop(views or 10, None if goal is None else 1e-3 * goal, 0.01 * gain)
+            plan_rig(paths, span, stop, robot, json)
+            return
         with progress_line() as progress:
             if start:
                 progress("reading the description of the data set")
@@ -121,7 +130,7 @@ def plan(
         commands = viewpoint_commands(
             situation.calibration, wanted, situation.points, arm, readings
         )
-        names = _new_names(taken, len(view_plan.camera_from_world))
+        names = new_names(taken, len(view_plan.camera_from_world))
         sheet = CommandSheet(
             names,
             commands,
@@ -165,10 +174,3 @@ def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> 
         return model
     near = to_device(readings)
     return eqx.tree_at(lambda m: m.near, model, near, is_leaf=lambda leaf: leaf is None)
-
-
-def _new_names(taken: tuple[str, ...], count: int) -> tuple[str, ...]:
-    """Return names that no view of the data set has: v16, v17, ..."""
-    numbers = range(1 + len(taken), 1 + 2 * len(taken) + count)
-    # A name twice in poses.csv would be ambiguous.
-    return tuple(f"v{k}" for k in numbers if f"v{k}" not in taken)[:count]

@@ -50,7 +50,8 @@ def plan_entries(plan: "ViewPlan") -> dict[str, Any]:
 def _quantity(plan: "ViewPlan") -> str:
     """Return the name of the quantity whose error the plan minimises."""
     if plan.unit == "m":
-        return f"a point {plan.distance:.2g} m in front of the camera (in the tool frame)"
+        camera = "each camera" if len(plan.cameras) > 1 else "the camera"
+        return f"a point {plan.distance:.2g} m in front of {camera} (in the tool frame)"
     return "predicted pixels"
 
 
@@ -76,3 +77,10 @@ def _size(value: float, plan: "ViewPlan") -> str:
 def _number(count: int) -> str:
     """Return a small number as a word, a larger one in digits."""
     return _NUMBERS[count] if count < len(_NUMBERS) else str(count)
+
+
+def new_names(taken: tuple[str, ...], count: int) -> tuple[str, ...]:
+    """Return names that no view of the data set has: v16, v17, ..."""
+    numbers = range(1 + len(taken), 1 + 2 * len(taken) + count)
+    # A name twice in poses.csv would be ambiguous.
+    return tuple(f"v{k}" for k in numbers if f"v{k}" not in taken)[:count]

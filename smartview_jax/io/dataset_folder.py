@@ -107,7 +107,7 @@ def load_dataset_folder(
     if is_rig_description(raw_content):
         raise ValueError(
             f"{description_path}: cameras: a folder with several cameras is read by load_rig; of "
-            "the commands only smartview check, calibrate, compare and evaluate do"
+            "the commands only smartview check, calibrate, compare, evaluate and plan do"
         )
     description = validate_content(raw_content, DATASET_SCHEMA, description_path)
     content = without_nulls(raw_content)

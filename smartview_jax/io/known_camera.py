@@ -52,8 +52,9 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
 
     Raises:
         FileNotFoundError: the path is missing.
-        ValueError: no file for any camera, two for one, a camchain of another number of cameras, or
-            a file that cannot be read; the message names it.
+        ValueError: no file for any camera, two for one, a file that is called as no camera while
+            a camera has none, a camchain of another number of cameras, or a file that cannot be
+            read; the message names it.
     """
     path = Path(path)
     if path.is_dir():
@@ -68,6 +69,8 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
             raise ValueError(
                 f"{path}: expected a file for a camera, such as {names[0]}.yaml; found {found}"
             )
+        if lacking := [name for name, own in files.items() if not own]:
+            _refuse_misnamed([file for file in present if file.stem not in names], lacking)
         return {name: read_camera(own[0]) for name, own in files.items() if own}
     if not _is_camchain(read_text(path)):
         raise ValueError(
@@ -84,6 +87,25 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
             f"{', '.join(cameras)}"
         )
     return dict(zip(names, cameras.values(), strict=True))
+
+
+def _refuse_misnamed(others: Sequence[Path], lacking: Sequence[str]) -> None:
+    """Raise a ValueError that names a file of a camera which is called as no camera of the rig.
+
+    Args:
+        others: files that are called as no camera.
+        lacking: names of the cameras without a file.
+    """
+    for file in others:
+        try:
+            read_camera(file)
+        except (ValueError, OSError):
+            # It is no camera's: a report, or where two arms are.
+            continue
+        raise ValueError(
+            f"{file}: it has a camera, but no camera of the rig is called {file.stem!r}; call it "
+            f"{' or '.join(f'{name}{file.suffix}' for name in lacking)}, or take it away"
+        )
 
 
 def _is_camchain(text: str) -> bool:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ..detection import read_picture
 from ..files import parse_yaml, write_atomically
-from ..geometry import pose_codec
+from ..geometry import PoseCodec, pose_codec
 from .dataset_folder import DESCRIPTION_FILE
 from .picture_detections import is_picture_name
 from .poses import POSES_FILE
@@ -110,15 +110,17 @@ smartview_dataset: 1
 # eye_to_hand: the camera stands still, the target is on the tool.
 mount: {mount}
 # One row for each picture: its name, then {source}.
-poses:
-  file: {poses_file}
-  codec: {codec.name}
-  length_unit: {length_unit}
-  angle_unit: {angle_unit}
-  direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse
+{poses}
 # {{view}} stands for the name in the first column of {poses_file}.
 pictures: {{pattern: "{pattern}"}}
 """
+
+_POSES = """poses:
+  file: {file}
+  codec: {codec.name}
+  length_unit: {length_unit}
+  angle_unit: {angle_unit}
+  direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse"""
 
 
 def found_pictures(pictures: Path) -> FoundPictures | None:
@@ -144,10 +146,12 @@ def write_new_dataset(
     mount: str,
     image_sizes: tuple[int, int] | Mapping[str, tuple[int, int]],
     suffix: str = ".png",
+    arms: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a commented `dataset.yaml`, the heading of `poses.csv` and the folder `images`.
 
-    For several cameras there is a folder for each in `images`.
+    For several cameras there is a folder for each in `images`; for several arms, a folder for each
+    with its table, such as `left/poses.csv`.
 
     Args:
         folder: the folder; it may exist, and may have pictures already.
@@ -156,12 +160,15 @@ def write_new_dataset(
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_sizes: width and height of the pictures, px; of several cameras by their names.
         suffix: of the pictures' names, with its dot.
+        arms: name of the arm that moves each of several cameras, by the camera's name; None for
+            one arm.
 
     Returns:
         The path of the description.
 
     Raises:
-        ValueError: an unknown robot, target or mount, or an invalid suffix or size.
+        ValueError: an unknown robot, target or mount, an invalid suffix, size or name, or several
+            arms with cameras next to them, which see no target in common.
         FileExistsError: the folder has a description or a table already.
     """
     from ..schemas.dataset import DATASET_SCHEMA
@@ -175,50 +182,77 @@ def write_new_dataset(
     ):
         if value not in known:
             raise ValueError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
-    description, table = folder / DESCRIPTION_FILE, folder / POSES_FILE
-    for path in (description, table):
+    if arms and mount == "eye_to_hand":
+        raise ValueError(
+            "arms: cameras next to several arms see no target in common, which would tell where "
+            "the arms are to each other; begin a data set for each arm"
+        )
+    tables = {arm: f"{arm}/{POSES_FILE}" for arm in dict.fromkeys((arms or {}).values())}
+    description = folder / DESCRIPTION_FILE
+    for path in (description, *(folder / table for table in tables.values() or [POSES_FILE])):
         if path.exists():
             raise FileExistsError(f"{path}: exists already; nothing is overwritten")
     codec = pose_codec(ROBOTS[robot].codec)
-    length_unit, angle_unit = codec.units
     cameras = image_sizes if isinstance(image_sizes, Mapping) else {}
     text = _DESCRIPTION.format(
-        cameras=_cameras_text(image_sizes),
+        cameras=_cameras_text(image_sizes, arms or {}),
         target=TARGETS[target],
         mount=mount,
         source=ROBOTS[robot].source,
+        poses=_arms_text(tables, codec) if tables else _poses_text(POSES_FILE, codec),
         poses_file=POSES_FILE,
-        codec=codec,
-        length_unit=length_unit,
-        angle_unit=angle_unit,
         pattern=f"images/{'{camera}/' if cameras else ''}{{view}}{suffix}",
     )
     schema = RIG_SCHEMA if cameras else DATASET_SCHEMA
     refuse_unreadable(parse_yaml(text, description), schema, description)
     for camera in cameras or ("",):
         (folder / "images" / camera).mkdir(parents=True, exist_ok=True)
-    write_atomically(table, ",".join(("view", *codec.columns)) + "\n")
+    for table in tables.values() or [POSES_FILE]:
+        (folder / table).parent.mkdir(exist_ok=True)
+        write_atomically(folder / table, ",".join(("view", *codec.columns)) + "\n")
     # Written last, so that an interrupted run can be repeated.
     write_atomically(description, text)
     return description
 
 
-def _cameras_text(image_sizes: tuple[int, int] | Mapping[str, tuple[int, int]]) -> str:
-    """Return the entry that describes one camera or several."""
+def _cameras_text(
+    image_sizes: tuple[int, int] | Mapping[str, tuple[int, int]], arms: Mapping[str, str]
+) -> str:
+    """Return the entry that describes one camera or several, each with its arm if there are any."""
     if not isinstance(image_sizes, Mapping):
         width, height = image_sizes
         size = f"{{image_size: [{width}, {height}]}}"
         return f"camera: {size}  # width and height of the pictures, px"
-    rows = [
-        f"  {name}: {{image_size: [{width}, {height}]}}"
-        for name, (width, height) in image_sizes.items()
-    ]
+    rows = []
+    for name, (width, height) in image_sizes.items():
+        arm = f", arm: {arms[name]}" if arms else ""
+        rows.append(f"  {name}: {{image_size: [{width}, {height}]{arm}}}")
     return "\n".join(
         [
             "# {camera} below stands for a name here; width and height of its pictures, px.",
             "# A camera may have a mount of its own; see the example for several targets in",
             "# smartview_jax.io.rig_folder.",
+            *(["# arm: the arm on whose hand the camera is."] if arms else []),
             "cameras:",
             *rows,
         ]
     )
+
+
+def _poses_text(file: str, codec: PoseCodec) -> str:
+    """Return the entry that describes the table of poses of an arm."""
+    length_unit, angle_unit = codec.units
+    return _POSES.format(file=file, codec=codec, length_unit=length_unit, angle_unit=angle_unit)
+
+
+def _arms_text(tables: Mapping[str, str], codec: PoseCodec) -> str:
+    """Return the entry that describes several arms, each with its table of poses."""
+    rows = [
+        "# Poses of each arm in its own base. The cameras on the hands must see one target,",
+        "# which tells where the bases are to each other. An arm may have a codec of its own.",
+        "arms:",
+    ]
+    for arm, table in tables.items():
+        rows.append(f"  {arm}:")
+        rows += [f"    {line}" for line in _poses_text(table, codec).splitlines()]
+    return "\n".join(rows)

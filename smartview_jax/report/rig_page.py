@@ -57,7 +57,7 @@ def rig_camera_rows(
     for name, calibration in fit.calibrations.items():
         data = used.cameras[name]
         error = reprojection_errors(calibration, data).rms
-        unseen = "" if held_out is None else f"{held_out[name].errors.rms:.3f}"
+        unseen = "" if held_out is None else _rms_text(held_out[name].errors.rms)
         position = 1e3 * host_matrices(calibration.camera_from_mount)[:3, 3]
         mount = f"{name}.{calibration.transform_names[0]}"
         widths = [
@@ -76,6 +76,11 @@ def rig_camera_rows(
             )
         )
     return rows
+
+
+def _rms_text(rms: float) -> str:
+    """Return an error, px; a dash where no view could be held out."""
+    return f"{rms:.3f}" if np.isfinite(rms) else "-"
 
 
 def _half_width(fit: RigFit, name: str) -> float:
@@ -176,7 +181,8 @@ def rig_summary(fit: RigFit, held_out: Mapping[str, HeldOutErrors] | None = None
             f"reported poses have noise of {noise} per axis."
         )
     errors = {} if held_out is None else {name: e.errors.rms for name, e in held_out.items()}
-    if errors and np.isfinite(list(errors.values())).all():
+    errors = {name: rms for name, rms in errors.items() if np.isfinite(rms)}
+    if errors:
         worst = max(errors, key=lambda name: errors[name])
         text += (
             f" States of the robot that the fit never saw are predicted to {errors[worst]:.3g} px "

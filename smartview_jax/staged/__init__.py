@@ -6,7 +6,8 @@
 
 `fit.py` runs the three, with the checks of the room data_checks between them. `two_poses.py` lets
 the robot choose between the two poses of a small flat target; `start_checks.py` checks a given
-start; `interpolation.py` is the comparison method of the paper's Table 1.
+start; `few_views.py` places a camera by a target whose place is known; `interpolation.py` is the
+comparison method of the paper's Table 1.
 """
 
 from ..data_checks import ConventionHypothesis as ConventionHypothesis
@@ -27,6 +28,8 @@ from ..hand_eye import park_martin as park_martin
 from ..hand_eye import shah as shah
 from ..hand_eye import solve_hand_eye as solve_hand_eye
 from ..hand_eye import tsai_lenz as tsai_lenz
+from .few_views import FewViewsStart as FewViewsStart
+from .few_views import start_by_target as start_by_target
 from .fit import MAX_UNCHECKED_POINTS as MAX_UNCHECKED_POINTS
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged

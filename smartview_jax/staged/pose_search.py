@@ -6,6 +6,7 @@ views best are refined on all points by a robust search.
 """
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -108,8 +109,29 @@ def ranked_transforms(
             for pair in _pairs_of_start(start, candidates, robot)
         ]
         refined.insert(0, min(given, key=lambda pair: pair.deviance))
+    return _different_answers(refined)
+
+
+def ranked_hand_eyes(
+    cameras: Float[np.ndarray, "many 4 4"],
+    robot: Matrices,
+    world: Float[np.ndarray, "4 4"],
+    sight: Sight,
+    sigma: float,
+) -> list[Transforms]:
+    """Return different hand-eye transforms for a target whose place is known, the best first."""
+    squares = squared_distances(cameras, robot, np.broadcast_to(world, cameras.shape), sight)
+    found = [
+        Transforms(camera, world, *_scale_and_deviance(own, sight, sigma))
+        for camera, own in zip(cameras, squares, strict=True)
+    ]
+    return _different_answers(sorted(found, key=lambda pair: pair.deviance))
+
+
+def _different_answers(ranked: Sequence[Transforms]) -> list[Transforms]:
+    """Return the transforms that differ from all before them."""
     different: list[Transforms] = []
-    for pair in refined:
+    for pair in ranked:
         if not any(_is_same_answer(pair, other) for other in different):
             different.append(pair)
     return different

@@ -35,6 +35,7 @@ from .pose_search import (
     Matrices,
     Transforms,
     nearer_poses,
+    ranked_hand_eyes,
     ranked_transforms,
     spaced_views,
     squared_distances,
@@ -53,6 +54,9 @@ MAX_SEPARATION = 5.0
 
 Noise makes the wrong pose look better as often as a normal number exceeds this: once in three
 million views."""
+
+MIN_PIXEL_SIGMA = 1e-6
+"""The least noise, px, that a few views are said to have."""
 
 RIVAL_DEVIANCE = 2.0 * np.log(1e3)
 """The difference of -2 log of the likelihood up to which a rival answer is named: it is then more
@@ -115,13 +119,7 @@ def choose_poses(
     sigma = pixel_sigma / alpha
     if not _may_be_ambiguous(poses, points, seen, flat, sigma):
         return None
-    rays, valid = unprojected(observations, camera)
-    seen = seen & valid[views]
-    sight = Sight(points, np.where(seen[..., None], rays[views], 0.0), seen)
-    first, _ = refined_poses(poses, sight)
-    second, _ = refined_poses(mirrored_poses(first, sight), sight)
-    asked = flat & _is_ambiguous(first, points, seen, flat, sigma)
-    candidates = np.stack([first, np.where(asked[:, None, None], second, first)])
+    candidates, asked, sight = _both_poses(observations, camera, poses, views, sigma)
     known = tuple(None if pose is None else host_matrices(pose) for pose in start)
     plain = np.flatnonzero(~asked)
     searched = np.arange(len(views)) if len(plain) < MIN_PLAIN_VIEWS else spaced_views(plain)
@@ -143,8 +141,61 @@ def choose_poses(
         tuple(int(view) for view in exchanged),
         best.scale < EXPLAINED_SHARE * _angular_size(sight),
         {int(views[k]): text for k, text in _outlying(best, robot, sight, alpha).items()},
-        _rival_warning(found, alpha),
+        _rival_warning(
+            found,
+            alpha,
+            "Say roughly which (start=), tilt the target more, or use a larger one",
+        ),
     )
+
+
+def hand_eye_at_target(
+    observations: Observations,
+    camera: Camera,
+    camera_from_world: SE3,
+    robot: Matrices,
+    used: np.ndarray,
+    pixel_sigma: float,
+    holder_from_world: Float[np.ndarray, "4 4"],
+) -> tuple[Float[np.ndarray, "2 used 4 4"], Float[np.ndarray, "4 4"], str]:
+    """Return the hand-eye transform that explains a few views of a target whose place is known.
+
+    Args:
+        observations, camera, camera_from_world, used, pixel_sigma: as for `choose_poses`.
+        robot: `mount_from_holder` of the views to use.
+        holder_from_world: pose of the target.
+
+    Returns:
+        Both poses of each view to use, equal where it tells its own; the transform; and a sentence
+        if another one explains the views about as well, else an empty text.
+    """
+    views = np.flatnonzero(used)
+    alpha = float(np.sqrt(float(camera.alpha_u) * float(camera.alpha_v)))
+    # Exact pixels would leave a logarithm of zero.
+    sigma = max(pixel_sigma, MIN_PIXEL_SIGMA) / alpha
+    poses = host_matrices(camera_from_world)[views]
+    candidates, _, sight = _both_poses(observations, camera, poses, views, sigma)
+    tried = (candidates @ np.linalg.inv(robot @ holder_from_world)).reshape(-1, 4, 4)
+    found = ranked_hand_eyes(tried, robot, holder_from_world, sight, sigma)
+    advice = "Take another view in which the target is tilted more"
+    return candidates, found[0].camera, _rival_warning(found, alpha, advice)
+
+
+def _both_poses(
+    observations: Observations, camera: Camera, poses: Matrices, views: np.ndarray, sigma: float
+) -> tuple[Float[np.ndarray, "2 views 4 4"], np.ndarray, Sight]:
+    """Return both poses of some views, which of them are ambiguous, and their points.
+
+    Both are equal where a view is not ambiguous.
+    """
+    points, seen = np.asarray(observations.points)[views], np.asarray(observations.visible)[views]
+    rays, valid = unprojected(observations, camera)
+    flat, seen = coplanar(extents(points, seen)), seen & valid[views]
+    sight = Sight(points, np.where(seen[..., None], rays[views], 0.0), seen)
+    first, _ = refined_poses(poses, sight)
+    second, _ = refined_poses(mirrored_poses(first, sight), sight)
+    asked = flat & _is_ambiguous(first, points, seen, flat, sigma)
+    return np.stack([first, np.where(asked[:, None, None], second, first)]), asked, sight
 
 
 def _may_be_ambiguous(
@@ -211,8 +262,11 @@ def _angular_size(sight: Sight) -> float:
     return float(np.median(distance[sight.seen]))
 
 
-def _rival_warning(found: list[Transforms], alpha: float) -> str:
-    """Return a sentence if another answer explains the pictures about as well as the first."""
+def _rival_warning(found: list[Transforms], alpha: float, advice: str) -> str:
+    """Return a sentence if another answer explains the pictures about as well as the first.
+
+    It ends with the advice.
+    """
     best = found[0]
     rivals = [pair for pair in found[1:] if pair.deviance - best.deviance < RIVAL_DEVIANCE]
     if not rivals:
@@ -224,6 +278,5 @@ def _rival_warning(found: list[Transforms], alpha: float) -> str:
         "a small flat target has two poses in every view, and two answers explain the pictures "
         f"about as well: hand-eye translations {numbers[0]} mm, which leaves "
         f"{alpha * best.scale:.2f} px, and {numbers[1]} mm, which leaves "
-        f"{alpha * rival.scale:.2f} px. Say roughly which (start=), tilt the target more, or use "
-        "a larger one"
+        f"{alpha * rival.scale:.2f} px. {advice}"
     )

@@ -149,14 +149,27 @@ def estimate_rig_noise(
 
 
 def _camera_noise(rig: Rig, name: str, start: Calibration) -> CameraNoise:
-    """Return the noise of one camera, as far as its pictures alone tell it."""
+    """Return the noise of one camera, as far as its pictures alone tell it.
+
+    With one or two views it is the noise about the lens of the start.
+    """
     data = rig.cameras[name]
     usable = data.usable_views()
     # The field has no effect, but with it the fit shares the program that removed gross errors.
     field = encompassing_field(data, len(usable)) if data.arm is None else None
     groups = 0 if field is None else len(field.groups)
     noise = Noise(1.0, 1.0, 1.0, field=(1.0,) * groups)
-    built = build_problem(data, start.uncorrected, noise=noise, field=field)
+    # One or two views do not tell a lens: it is held. The prior has no effect, since every view has
+    # a free pose, but so few views are refused without one.
+    few = len(usable) < 3
+    built = build_problem(
+        data,
+        start.uncorrected,
+        noise=noise,
+        field=field,
+        fixed=("camera",) if few else (),
+        priors={start.transform_names[0]: Prior(std=1.0)} if few else None,
+    )
     fit = fit_free_poses(built, usable, None)
     poses = built.pose_parameters(usable)
     views = ViewStatistics(built, poses, fit.sum_of_squares)

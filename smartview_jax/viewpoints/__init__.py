@@ -29,6 +29,8 @@ from .optimality_criteria import a_optimal as a_optimal
 from .optimality_criteria import d_optimal as d_optimal
 from .optimality_criteria import i_optimal as i_optimal
 from .rig_information import RigInformationModel as RigInformationModel
+from .rig_next_states import StatePlan as StatePlan
+from .rig_next_states import plan_states as plan_states
 from .rig_planning import ChosenStates as ChosenStates
 from .situations import Situation as Situation
 from .situations import ViewLimits as ViewLimits

@@ -34,11 +34,13 @@ class ViewPlan(NamedTuple):
     """The views to take next, best first, and the benefit of each.
 
     Attributes:
-        camera_from_world: camera poses of the views as matrices, `(count, 4, 4)`.
+        camera_from_world: camera poses of the views as matrices, `(count, 4, 4)`; of a rig, of the
+            camera that each is a view of.
         before: value of the criterion without them; infinite where something is undetermined.
         values: its value after the first of all considered views, after two, and so on.
         unit: unit of the criterion: m, or px if the hand-eye transform is fixed.
         distance: distance from the camera of the point whose displacement is minimised, m.
+        cameras: names of a rig's cameras; empty for one camera.
     """
 
     camera_from_world: Float[np.ndarray, "count 4 4"]
@@ -46,6 +48,7 @@ class ViewPlan(NamedTuple):
     values: tuple[float, ...]
     unit: str
     distance: float
+    cameras: tuple[str, ...] = ()
 
     @property
     def after(self) -> float:

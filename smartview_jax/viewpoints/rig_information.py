@@ -18,7 +18,7 @@ from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..dataset import Dataset, Observations, Rig, chain_residuals
 from ..engine import BuiltRig, Noise, Prior, RigProblem, Step, build_rig, inverse_of_covariance
-from ..joint import RigFit
+from ..joint import RigEstimate, RigFit
 from ..robot_errors import FieldChoice, nominal_arm
 from ..robots import Command, CommandLike, as_command
 from ..runtime.array_namespace import to_device
@@ -103,23 +103,42 @@ class RigInformationModel:
         for name in fit.parameter_names:
             if not np.isfinite(fit.std[name]):
                 raise ValueError(f"fit: its data do not determine {name}; add states or a prior")
-        error = next(iter(fit.calibrations.values())).robot_error
+        return cls.from_estimate(RigEstimate.of(fit), rig, fit.pixel_sigmas)
+
+    @classmethod
+    def from_estimate(
+        cls, estimate: RigEstimate, rig: Rig, pixel_sigmas: Mapping[str, float]
+    ) -> "RigInformationModel":
+        """Return a model whose knowledge before any further state is the covariance of an estimate.
+
+        Args:
+            estimate: the calibrations of the cameras with their joint covariance.
+            rig: the data sets, for their targets and their arm.
+            pixel_sigmas: standard deviation of u and of v of each camera, px.
+
+        Raises:
+            ValueError: the rig has several arms, or other cameras than the estimate.
+        """
+        rig.require_one_arm("RigInformationModel")
+        error = next(iter(estimate.calibrations.values())).robot_error
         # All knowledge of the robot's error is in the covariance; no other prior applies.
         groups = () if error is None else error.field.groups
-        sigmas = {name: sigma / fit.noise.pixel for name, sigma in fit.pixel_sigmas.items()}
         build = functools.partial(
             build_rig,
-            starts=fit.calibrations,
-            noise=dataclasses.replace(fit.noise, field=(1.0,) * len(groups)),
+            starts=estimate.calibrations,
+            noise=dataclasses.replace(estimate.noise, field=(1.0,) * len(groups)),
             field=None if error is None else error.field,
-            relative_sigmas=sigmas,
+            relative_sigmas={
+                name: sigma / estimate.noise.pixel for name, sigma in pixel_sigmas.items()
+            },
         )
-        known = set(build(rig).shared_names) - set(fit.parameter_names)
-        build = functools.partial(build, fixed=tuple(known), free=fit.parameter_names)
+        known = set(build(rig).shared_names) - set(estimate.parameter_names)
+        build = functools.partial(build, fixed=tuple(known), free=estimate.parameter_names)
         names = build(rig).shared_names
-        order = [fit.parameter_names.index(name) for name in names]
-        information = inverse_of_covariance(np.asarray(fit.covariance)[np.ix_(order, order)])
-        return cls(rig, fit.calibrations, build, to_device(information), names)
+        order = [estimate.parameter_names.index(name) for name in names]
+        covariance = np.asarray(estimate.covariance)[np.ix_(order, order)]
+        information = inverse_of_covariance(covariance)
+        return cls(rig, estimate.calibrations, build, to_device(information), names)
 
     @property
     def mounts(self) -> dict[str, str]:

@@ -89,16 +89,26 @@ def situation_of_estimate(
         ValueError: the calibration states no region, which files of earlier versions lack.
     """
     model = model_from_estimate(estimate, points, readings)
-    # New views stay near the calibrated ones.
-    region = estimate.calibration.region
+    views = views_near_calibrated(estimate.calibration, points, limits)
+    return Situation(estimate.calibration, model, points, views, 0.0, ())
+
+
+def views_near_calibrated(
+    calibration: Calibration, points: Float[np.ndarray, "points 3"], limits: ViewLimits
+) -> ViewRange:
+    """Return the range of new views of a camera, which stay near the calibrated ones.
+
+    Raises:
+        ValueError: the calibration states no region, which files of earlier versions lack.
+    """
+    region = calibration.region
     if region is None:
         raise ValueError("region: missing; calibrate again to add it")
     near, far = (float(x) for x in np.asarray(region.distance_range))
     below = limits.below
     above = bool(float(region.side) >= 0.0) if below is None else not below
     widened = ((1.0 - DISTANCE_MARGIN) * near, (1.0 + DISTANCE_MARGIN) * far)
-    views = _view_range(points, limits, widened, above)
-    return Situation(estimate.calibration, model, points, views, 0.0, ())
+    return _view_range(points, limits, widened, above)
 
 
 def situation_of_drawing(

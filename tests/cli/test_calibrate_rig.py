@@ -17,6 +17,7 @@ from smartview_jax import (
     Rig,
     calibration_pipeline,
     compare,
+    load_dataset,
     load_estimate,
     load_rig_estimate,
     save_dataset,
@@ -199,12 +200,39 @@ def test_check_looks_at_every_camera(rig, tmp_path):
     assert document["cameras"]["camera2"]["problems"]
 
 
-def test_other_verbs_say_what_takes_several_cameras(fit, folder, tmp_path):
+def test_the_next_states_of_the_robot_are_planned(rig, fit, folder, tmp_path):
     fit.save(tmp_path)
-    told = CliRunner().invoke(app, ["plan", str(tmp_path / "camera1.yaml"), folder])
+    words = ["plan", str(tmp_path), folder, "--views", "2", "--gain", "1"]
+    told = CliRunner().invoke(app, [*words, "--json"])
+    assert told.exit_code == 0, told.output
+    document = json.loads(told.stdout)
+    assert [entry["name"] for entry in document["commands"]] == ["v17", "v18"]
+    assert document["std_after_mm"] < document["std_before_mm"]
+    assert set(document["seen"]) == set(rig.cameras)
+    assert "two more views bring the error of a point" in document["words"][0]
+    assert "in front of each camera" in document["words"][0]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["{out}/camera1.yaml", "{folder}"], "expected the folder that calibrate wrote for it, w"),
+        (["{folder}"], "expected the folder that calibrate wrote for it, with rig.joint.yaml"),
+        (["{folder}", "--start", "camera_from_tool=0,0,0,0,0,0"], "plan the first views of one"),
+        (["{out}", "{folder}", "--camera", "{out}"], "--camera: only with --start"),
+    ],
+)
+def test_what_a_plan_of_several_cameras_lacks_is_said(folder, tmp_path, words, message):
+    given = [word.format(out=tmp_path, folder=folder) for word in words]
+    (tmp_path / RIG_FILE).touch()
+    told = CliRunner().invoke(app, ["plan", *given])
     assert told.exit_code == 2
-    message = "only smartview check, calibrate, compare and evaluate do"
     assert message in " ".join(told.stderr.split())
+
+
+def test_other_verbs_say_what_takes_several_cameras(folder):
+    with pytest.raises(ValueError, match="only smartview check, calibrate, compare, evaluate and "):
+        load_dataset(folder)
 
 
 def test_a_camera_that_shares_nothing_is_named(rig):

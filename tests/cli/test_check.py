@@ -7,7 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from board_scene import BOARD, VIEWS, board_folder, run
+from fit_scenes import scene_of
 
+from smartview_jax import Rig
+from smartview_jax.cli.check import _checked, _neighbour
 from smartview_jax.io import save_dataset
 from smartview_jax.simulation import random_scene
 
@@ -95,3 +98,18 @@ def test_a_single_tag_can_begin_with_a_known_camera(tmp_path):
     told = run("check", tmp_path / "tag", "--camera", tmp_path / "camera.yaml")
     assert told.exit_code == 0, told.output
     assert "camera and robot agree" in told.output
+
+
+def test_few_views_of_a_known_camera_need_a_neighbour():
+    scene = scene_of(0)
+    few = scene.data.select([0, 1])
+    rig = Rig({"left": scene.data, "right": few}, {"left": "table", "right": "table"})
+    assert [_neighbour(rig, name) for name in rig.cameras] == [None, "left"]
+    apart = Rig(rig.cameras, {"left": "table", "right": "wall"})
+    assert _neighbour(apart, "right") is None
+    with_help = _checked(few, "right", scene.calibration.camera, "left")
+    assert with_help.problems == ()
+    assert with_help.lines[-1].endswith("from the target that left sees")
+    for camera, neighbour in ((None, "left"), (scene.calibration.camera, None)):
+        (problem,) = _checked(few, "right", camera, neighbour).problems
+        assert "needs at least 3 views" in problem

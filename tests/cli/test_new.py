@@ -1,5 +1,7 @@
 """A folder that was begun can be filled in and read, for every robot and every target."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from typer.testing import CliRunner
 from smartview_jax.cli import app
 from smartview_jax.files import read_yaml
 from smartview_jax.geometry import ANGLE_UNITS, LENGTH_UNITS, host_matrices, pose_codec
+from smartview_jax.io import load_dataset, load_rig, sample_folder
 from smartview_jax.io.new_dataset import ROBOTS, TARGETS, write_new_dataset
 from smartview_jax.io.poses import read_poses
 from smartview_jax.schemas.dataset import DATASET_SCHEMA
@@ -111,4 +114,49 @@ def test_several_cameras_have_a_folder_each(tmp_path):
     assert "--cameras: expected different names between commas" in " ".join(told.stderr.split())
     told = CliRunner().invoke(app, ["new", str(tmp_path / "b"), "--cameras", "left,../x"])
     assert told.exit_code == 2
+    assert not (tmp_path / "b").exists()
+
+
+def test_several_arms_can_be_filled_in_and_read(tmp_path):
+    """With the sample's pictures and poses, which both arms are said to have."""
+    sample, folder = sample_folder(), tmp_path / "cell"
+    views = {"left": ("0", "1"), "right": ("2", "3", "4")}
+    for camera, names in views.items():
+        (folder / "images" / camera).mkdir(parents=True)
+        for name in names:
+            shutil.copy(sample / f"images/{name}.png", folder / "images" / camera)
+    words = ["--robot", "ros", "--target", "circle_grid", "--cameras", "left,right"]
+    told = CliRunner().invoke(app, ["new", str(folder), *words, "--arms", "a,b"])
+    assert told.exit_code == 0, told.output
+    head, *rows = (sample / "poses.csv").read_text().splitlines()
+    for arm, names in zip("ab", views.values(), strict=True):
+        table = folder / arm / "poses.csv"
+        assert table.read_text() == f"{head}\n"
+        with open(table, "a") as file:
+            file.writelines(f"{row}\n" for row in rows if row.split(",")[0] in names)
+    rig = load_rig(folder)
+    assert rig.arms == {"left": "a", "right": "b"}
+    assert rig.view_ids == ("a/0", "a/1", "b/2", "b/3", "b/4")
+    assert rig.usable_views().tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(
+        host_matrices(rig.base_from_tool),
+        host_matrices(load_dataset(sample).select(range(5)).base_from_tool),
+        atol=1e-12,
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--arms", "a,b"], "an arm for each camera of --cameras"),
+        (["--cameras", "left,right", "--arms", "a"], "found 'a' for left,right"),
+        (["--cameras", "left,right", "--arms", "left,b"], "called as none of them"),
+        (["--cameras", "l,r", "--arms", "a,b", "--eye-to-hand"], "see no target in common"),
+        (["--cameras", "l,r", "--arms", "a,../b"], "arms"),
+    ],
+)
+def test_arms_that_cannot_be_are_refused(tmp_path, words, message):
+    told = CliRunner().invoke(app, ["new", str(tmp_path / "b"), *words])
+    assert told.exit_code == 2
+    assert message in " ".join(told.stderr.split())
     assert not (tmp_path / "b").exists()

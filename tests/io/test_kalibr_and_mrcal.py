@@ -98,6 +98,19 @@ def test_cameras_of_a_rig_are_read_by_name_or_in_the_order_of_a_camchain(tmp_pat
         read_cameras(tmp_path, ("left", "right"))
 
 
+def test_a_misnamed_file_of_a_camera_is_named(tmp_path):
+    for name in ("right", "lft"):
+        (tmp_path / f"{name}.cameramodel").write_text(CAMERAMODEL)
+    (tmp_path / "report.html").write_text("<html>no camera</html>")
+    message = r"lft\.cameramodel: it has a camera, .* 'lft'; call it left\.cameramodel, or take"
+    with pytest.raises(ValueError, match=message):
+        read_cameras(tmp_path, ("left", "right"))
+    # Where every camera has its file, the others are of another rig.
+    assert list(read_cameras(tmp_path, ("right",))) == ["right"]
+    (tmp_path / "lft.cameramodel").unlink()
+    assert list(read_cameras(tmp_path, ("left", "right"))) == ["right"]
+
+
 def test_mrcals_opencv8_is_opencvs(tmp_path):
     (tmp_path / "left.cameramodel").write_text(CAMERAMODEL)
     camera = read_camera(tmp_path / "left.cameramodel")

@@ -12,6 +12,7 @@ from arms_scene import (
     arms_fit,
     arms_scene,
     base_error,
+    truth_of,
 )
 from jaxlie import SE3
 from scipy.stats import chi2
@@ -29,11 +30,17 @@ from smartview_jax.viewpoints import RigInformationModel
 
 STATE = 5
 
+RIGHT_NOISE = 5.0
+"""Noise of the right arm as a multiple of the left one's."""
+
 
 @pytest.fixture(scope="module")
 def rig():
-    """One target connects the arms; the right one was not where it said in one of 16 states."""
-    rig, _ = arms_scene(2, views=16)
+    """One target connects the arms; the right one was not where it said in one of 16 states.
+
+    Its reports err five times as much as the left one's.
+    """
+    rig, _ = arms_scene(2, views=16, right_noise=RIGHT_NOISE)
     data = rig.cameras["right_table"]
     poses = data.base_from_tool.wxyz_xyz.at[STATE, 4].add(20e-3)
     moved = dataclasses.replace(data, base_from_tool=SE3(poses))
@@ -42,15 +49,16 @@ def rig():
 
 @pytest.fixture(scope="module")
 def fit(rig):
-    return fit_rig(rig, arms_scene(2, views=16)[1], field=None)
+    return fit_rig(rig, arms_scene(2, views=16, right_noise=RIGHT_NOISE)[1], field=None)
 
 
 def test_a_state_that_is_wrong_is_the_fault_of_its_own_arm(fit):
     ((camera, entry),) = fit.rejected
     assert (camera, entry.view) == ("right_table", f"table{STATE}")
     assert fit.warnings == ()
-    for noise in fit.noises.values():
-        assert 5e-5 < noise.translation < 2e-4
+    for arm, times in (("left", 1.0), ("right", RIGHT_NOISE)):
+        assert 0.5 < fit.noises[arm].translation / (times * NOISE.translation) < 2.0
+        assert 0.5 < fit.noises[arm].rotation / (times * NOISE.rotation) < 2.0
     with pytest.raises(ValueError, match=r"this rig has the arms left, right: take noises\[...\]"):
         _ = fit.noise
 
@@ -59,7 +67,7 @@ def test_the_bases_are_known_as_well_as_said(fit):
     base, back = fit.base("left", "right"), fit.base("right", "left")
     error = base_error(base)
     assert error @ np.linalg.solve(base.covariance, error) < chi2.ppf(0.95, 6)
-    assert (base.std[:3] < 2e-3).all()
+    assert (base.std[:3] < 5e-3).all()
     np.testing.assert_allclose(
         host_matrices(base.transform) @ host_matrices(back.transform), np.eye(4), atol=1e-12
     )
@@ -115,7 +123,7 @@ def test_bases_that_are_both_relative_to_a_third_have_the_covariance_of_both():
 def test_with_one_common_target_each_arm_is_known_as_alone(rig, fit):
     """The arms then have only the place of the target to tell each other."""
     part = rig.of_arm("right")
-    alone = fit_rig(part, {"right_table": arms_scene(2, views=16)[1]["right_table"]}, field=None)
+    alone = fit_rig(part, {"right_table": truth_of("right_table")}, field=None)
     own, of_both = alone.estimate("right_table"), fit.estimate("right_table")
     assert own.parameter_names == of_both.parameter_names
     std = np.sqrt(np.outer(np.diagonal(own.covariance), np.diagonal(own.covariance)))

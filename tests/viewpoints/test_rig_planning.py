@@ -15,10 +15,12 @@ from smartview_jax.simulation import paper_calibration, paper_points, random_vie
 from smartview_jax.viewpoints import (
     InformationModel,
     RigInformationModel,
+    ViewLimits,
     ViewRange,
     a_optimal,
     d_optimal,
     i_optimal,
+    plan_states,
 )
 
 TRUTH = paper_calibration()
@@ -210,3 +212,43 @@ def test_after_a_fit_its_covariance_is_what_is_known(tmp_path_factory):
     open_one = dataclasses.replace(fit, std={**fit.std, "camera1.camera.u0": np.inf})
     with pytest.raises(ValueError, match=r"its data do not determine camera1\.camera\.u0"):
         RigInformationModel.from_fit(open_one, rig)
+
+
+def hand_eye_error(fit, covariance, names, distance):
+    """The displacement of a point before each camera, root mean square over both, by NumPy."""
+    squares = []
+    for camera, calibration in fit.calibrations.items():
+        path = f"{camera}.{calibration.transform_names[0]}"
+        shift, turn = (
+            sum(covariance[k, k] for k, n in enumerate(names) if n.startswith(f"{path}.{part}."))
+            for part in ("translation", "rotation")
+        )
+        squares.append(shift + 2.0 / 3.0 * distance**2 * turn)
+    return np.sqrt(np.mean(squares))
+
+
+def test_the_next_states_of_a_rig_bring_what_is_promised(tmp_path_factory):
+    fit, rig = calibrated_rig(tmp_path_factory), rig_scene().rig
+    model = RigInformationModel.from_fit(fit, rig)
+    found = plan_states(model, ViewLimits(), 3, least_gain=0.0)
+    plan, commands = found.plan, found.commands
+    assert len(found.view_of) == len(plan.values) == 3
+    assert np.asarray(commands.checks.safe).all()
+    before = hand_eye_error(fit, np.asarray(fit.covariance), fit.parameter_names, plan.distance)
+    assert plan.before == pytest.approx(before, rel=1e-6)
+    told = model.information(model.planned(commands.command)).sum(axis=0)
+    after = np.linalg.inv(np.asarray(model.prior_information) + np.asarray(told))
+    expected = hand_eye_error(fit, after, model.parameter_names, plan.distance)
+    assert plan.after == pytest.approx(expected, rel=1e-5)
+    assert plan.after < 0.95 * plan.before
+    for state, camera in enumerate(found.view_of):
+        assert found.seen[camera][state] == 1.0
+    for camera, calibration in fit.calibrations.items():
+        pixels, valid = calibration.project(commands.base_from_tool, rig.cameras[camera].points[0])
+        last = np.array(calibration.camera.image_size) - 1
+        inside = (np.asarray(pixels) >= 0) & (np.asarray(pixels) <= last)
+        shown = (inside.all(axis=-1) & np.asarray(valid)).mean(axis=1)
+        np.testing.assert_allclose(found.seen[camera], shown, atol=1e-12)
+    # A goal that is reached already needs no state.
+    enough = plan_states(model, ViewLimits(), 3, goal=1.0)
+    assert (enough.view_of, len(enough.plan.camera_from_world)) == ((), 0)

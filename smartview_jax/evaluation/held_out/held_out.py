@@ -87,7 +87,8 @@ def held_out(
         data: all views. Of a `Rig`, states of the robot are held out for all cameras at once.
         fitter: function from a data set to a fit with a `.calibration`, or to anything with
             `project`, `points_in_camera` and `camera`. It is called with the held-out views masked.
-            Of a rig, it returns a `RigFit`.
+            Of a rig, it returns a `RigFit`, and is called without cameras whose views are all held
+            out, which are among the failures of that fold.
         folds: number of folds; by view and below eight views, as many as there are views.
         progress: called with a line of text for each fold.
         by: `"view"` hides views at random; `"region"` hides views with nearby tool positions
@@ -144,14 +145,17 @@ def camera_views(rig: Rig, name: str, states: Sequence[int]) -> tuple[int, ...]:
 
 def folds_of_camera(fits: Sequence[FoldFit], rig: Rig, name: str) -> tuple[FoldFit, ...]:
     """Return the fits of a rig's folds as fits of one camera, with its own hidden views."""
-    return tuple(
-        FoldFit(
-            camera_views(rig, name, fold.views),
-            None if fold.failure is not None else camera_of_rig(fold.fit, name),
-            fold.failure,
-        )
-        for fold in fits
-    )
+
+    def of_camera(fold: FoldFit) -> FoldFit:
+        """Return the camera's part of one fold."""
+        views = camera_views(rig, name, fold.views)
+        if fold.failure is not None:
+            return FoldFit(views, None, fold.failure)
+        if name not in fold.fit.calibrations:
+            return FoldFit(views, None, f"camera {name!r}: no usable view is left to fit it")
+        return FoldFit(views, camera_of_rig(fold.fit, name))
+
+    return tuple(map(of_camera, fits))
 
 
 def fit_folds(
@@ -180,11 +184,20 @@ def fit_split(
         if progress is not None:
             progress(f"fold {number + 1} of {len(split)}")
         try:
-            fits.append(FoldFit(hidden_views, fitter(data.mask_views(hidden_views))))
+            fits.append(FoldFit(hidden_views, fitter(_without_views(data, hidden_views))))
         except ValueError as error:
             # Reported with the results, so that the other folds still count.
             fits.append(FoldFit(hidden_views, None, str(error)))
     return tuple(fits)
+
+
+def _without_views(data: Dataset | Rig, hidden: Sequence[int]) -> Dataset | Rig:
+    """Return the data with views masked, and of a rig the cameras that still see their target."""
+    part = data.mask_views(hidden)
+    if isinstance(part, Dataset):
+        return part
+    seeing = {name: own for name, own in part.cameras.items() if len(own.usable_views())}
+    return part.with_cameras(seeing) if 0 < len(seeing) < len(part.cameras) else part
 
 
 def predictor_of(fit: Any) -> Predictor:

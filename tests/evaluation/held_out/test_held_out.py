@@ -59,6 +59,19 @@ def test_states_of_a_rig_are_hidden_from_all_its_cameras(scene):
             assert np.flatnonzero(~visible).tolist() == sorted(hidden)
 
 
+def test_a_camera_whose_views_are_all_hidden_fails_alone(scene):
+    rig = Rig({"left": scene.data, "right": scene.data.select([2])})
+
+    def fitter(part):
+        return SimpleNamespace(calibrations=dict.fromkeys(part.cameras, scene.calibration))
+
+    found = held_out(rig, fitter, folds=4)
+    assert found["left"].failures == ()
+    assert np.isfinite(found["left"].errors.px).any(axis=1).all()
+    ((_, reason),) = found["right"].failures
+    assert reason == "camera 'right': no usable view is left to fit it"
+
+
 def test_every_view_is_predicted_by_a_fit_that_never_saw_it(scene):
     shown = []
 

@@ -1,0 +1,125 @@
+"""Plan the next states of a robot with several cameras, for `smartview plan`."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import typer
+
+from .json_document import print_document
+from .plan_words import new_names, plan_entries, plan_words
+from .robot_commands import CommandSheet, RobotOptions
+from .terminal import progress_line
+
+if TYPE_CHECKING:
+    from ..viewpoints import StatePlan, ViewLimits
+
+
+class Stop(NamedTuple):
+    """The rule by which a plan stops.
+
+    Attributes:
+        states: largest number of states.
+        goal: error at which it stops, m; None for none.
+        gain: relative gain by one more state below which it stops.
+    """
+
+    states: int
+    goal: float | None
+    gain: float
+
+
+def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
+    """Return whether the next states of a robot with several cameras are to be planned.
+
+    Args:
+        paths: arguments of the subcommand.
+        first: whether the first views are to be planned.
+
+    Raises:
+        ValueError: a folder with several cameras, but not what `calibrate` wrote for it, or for the
+            first views.
+    """
+    from ..io import is_rig_folder
+    from ..joint import RIG_FILE, is_rig
+
+    if not (paths[-1].is_dir() and is_rig_folder(paths[-1])):
+        return False
+    if first:
+        raise ValueError(
+            f"--start: {paths[-1]} has several cameras: plan the first views of one of them, in a "
+            "folder with this camera alone (smartview new), and take them with all cameras"
+        )
+    if len(paths) != 2 or not is_rig(paths[0]):
+        raise ValueError(
+            f"{paths[-1]} has several cameras: expected the folder that calibrate wrote for it, "
+            f"with {RIG_FILE}, and this folder"
+        )
+    return True
+
+
+def plan_rig(
+    paths: Sequence[Path], limits: "ViewLimits", stop: Stop, robot: RobotOptions, json: bool
+) -> None:
+    """Print commands of the states to take next, best first, and the error they lead to.
+
+    Args:
+        paths: the folder of the calibrations, and the data-set folder.
+        limits: limits of the views of each camera.
+        stop: when the plan stops.
+        robot: the robot's arm and readings.
+        json: print a document instead of a table.
+    """
+    from ..io import load_rig
+    from ..joint import load_estimate, load_rig_estimate
+    from ..viewpoints import SAFETY_CHECKS, RigInformationModel, plan_states, unchecked
+
+    folder = paths[0] if paths[0].is_dir() else paths[0].parent
+    with progress_line() as progress:
+        progress("reading the calibrations and their data set")
+        estimate = load_rig_estimate(folder)
+        rig = load_rig(paths[1], "mask", progress, keep_detections=False)
+        sigmas = {n: load_estimate(folder / f"{n}.yaml").pixel_sigma for n in rig.cameras}
+        calibration = next(iter(estimate.calibrations.values()))
+        arm, readings = robot.arm_and_readings(calibration)
+        progress("computing what the states so far tell")
+        found = plan_states(
+            RigInformationModel.from_estimate(estimate, rig, sigmas),
+            limits,
+            stop.states,
+            goal=stop.goal,
+            least_gain=stop.gain,
+            arm=arm,
+            near=readings,
+            progress=progress,
+        )
+    plan, codec = found.plan, robot.codec()
+    goal_mm = None if stop.goal is None else 1e3 * stop.goal
+    names = new_names(rig.view_ids, len(found.view_of))
+    words = plan_words(plan, stop.gain, goal_mm, first=False)
+    views = _seen_words(found, names)
+    sheet = CommandSheet(
+        names, found.commands, codec, arm, SAFETY_CHECKS, unchecked(calibration, arm is not None)
+    )
+    say = partial(typer.echo, "\n".join([*views, *words]))
+    entries = {**plan_entries(plan), "words": words, "seen": found.seen}
+    if names:
+        sheet.give("plan", robot.out, robot.allow, json, say, **entries)
+    elif json:
+        print_document("plan", {"commands": [], **entries, "file": None})
+    else:
+        typer.echo("\n".join(words))
+
+
+def _seen_words(found: "StatePlan", names: Sequence[str]) -> list[str]:
+    """Return which cameras see their target in each state."""
+    lines = []
+    for row, (name, camera) in enumerate(zip(names, found.view_of, strict=True)):
+        others = [
+            f"{other} sees {fractions[row]:.0%}"
+            for other, fractions in found.seen.items()
+            if other != camera
+        ]
+        lines.append(f"{name}: a view of {camera}; of the target {', '.join(others)}")
+    return lines

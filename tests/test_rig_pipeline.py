@@ -1,0 +1,89 @@
+"""A camera of a rig with one or two views starts from the target that its neighbours placed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from fit_scenes import scene_of, scene_with
+from scipy.stats import chi2
+
+from smartview_jax import Noise, Rig, calibrate
+from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
+from smartview_jax.simulation import paper_calibration
+
+NOISE = Noise(0.15, 1e-4, 2e-4)
+"""Noise of the scenes, as stated."""
+
+LEFT = paper_calibration()
+
+RIGHT = dataclasses.replace(
+    LEFT,
+    camera_from_mount=host_transforms(
+        host_exponentials(np.array([0.02, 0.0, 0.0, 0.0, -0.13, 0.02]))
+        @ host_matrices(LEFT.camera_from_mount)
+    ),
+)
+"""A second camera on the hand, which looks inwards."""
+
+PATHS = [
+    f"right.camera_from_tool.{part}.{axis}"
+    for part in ("translation", "rotation")
+    for axis in "xyz"
+]
+
+
+def rig_with_few_views(seed, count):
+    """Eight views of the left camera, and few of the right one, in states of its own."""
+    robot: dict = {"translation_noise": NOISE.translation, "rotation_noise": NOISE.rotation}
+    few = scene_with(RIGHT, 2 * seed + 1, **robot).data.select(range(count))
+    few = dataclasses.replace(few, view_ids=tuple("abcdefgh"[:count]))
+    return Rig({"left": scene_of(2 * seed, **robot).data, "right": few})
+
+
+def squared_error(fit):
+    """The squared error of the right camera's place in units of its covariance."""
+    found, true = (host_matrices(c.camera_from_mount) for c in (fit.calibrations["right"], RIGHT))
+    turn = found[:3, :3] @ true[:3, :3].T
+    # To first order in a small rotation.
+    turned = 0.5 * np.array(
+        [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+    )
+    error = np.concatenate([found[:3, 3] - true[:3, 3], turned])
+    index = [fit.parameter_names.index(path) for path in PATHS]
+    return error @ np.linalg.solve(np.asarray(fit.covariance)[np.ix_(index, index)], error)
+
+
+def test_a_camera_with_few_views_is_known_as_well_as_said():
+    squares, messages = [], []
+    for seed in range(4):
+        fit = calibrate(
+            rig_with_few_views(seed, 1 + seed % 2),
+            "radial",
+            camera={"right": RIGHT.camera},
+            noise=NOISE,
+            progress=messages.append,
+        )
+        squares.append(squared_error(fit))
+        assert max(fit.std[path] for path in PATHS[:3]) < 2e-3
+        assert float(fit.calibrations["right"].camera.alpha_u) == float(RIGHT.camera.alpha_u)
+    assert "right: from the place of its target that left tells" in messages
+    assert chi2.ppf(0.01, 24) < sum(squares) < chi2.ppf(0.99, 24)
+
+
+def test_the_noise_is_estimated_with_a_view_alone():
+    fit = calibrate(rig_with_few_views(1, 1), "radial", camera={"right": RIGHT.camera}, field=None)
+    assert 0.5 * NOISE.pixel < fit.pixel_sigmas["right"] < 2.0 * NOISE.pixel
+    assert squared_error(fit) < chi2.ppf(0.999, 6)
+
+
+def test_what_few_views_need_is_said():
+    rig = rig_with_few_views(0, 2)
+    with pytest.raises(ValueError, match="'right': 2 usable views do not tell its lens: take 3"):
+        calibrate(rig, "radial", noise=NOISE)
+    known = {"right": RIGHT.camera}
+    apart = Rig(rig.cameras, {"left": "table", "right": "wall"})
+    with pytest.raises(ValueError, match="if another camera on the same arm sees its target 'wall"):
+        calibrate(apart, "radial", camera=known, noise=NOISE)
+    blind = rig.with_cameras({**rig.cameras, "right": rig.cameras["right"].mask_views([0, 1])})
+    with pytest.raises(ValueError, match="camera 'right': no view with 4 points"):
+        calibrate(blind, "radial", camera=known, noise=NOISE)
