@@ -23,7 +23,6 @@ from ..data_checks import ConventionReport, check_conventions
 from ..dataset import (
     UNIT_ROTATION,
     UNIT_TRANSLATION,
-    DepthSensor,
     PoseDataset,
     chain_residuals,
 )
@@ -107,14 +106,11 @@ class PoseFit(JointFit):
             axis (rad).
         pose_errors: distance (m) and angle (rad) of each measured pose from its prediction by the
             chain; NaN where the target was not seen.
-        sensor: the depth sensor that measured the poses, whose scale and offset were held, and
-            whose uncertainty is in `covariance`; None for other trackers.
     """
 
     has_camera: bool = eqx.field(static=True, kw_only=True)
     tracker_noise: tuple[float, float] = eqx.field(static=True, kw_only=True)
     pose_errors: Float[np.ndarray, "views 2"] = eqx.field(kw_only=True)
-    sensor: DepthSensor | None = eqx.field(static=True, kw_only=True, default=None)
 
     @classmethod
     def of(cls, fit: JointFit, data: PoseDataset, has_camera: bool) -> "PoseFit":
@@ -122,7 +118,7 @@ class PoseFit(JointFit):
         values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
         # Also of the pairs that the fit does not use.
         values["residuals"] = chain_residuals(fit.calibration, data.observations)
-        values["pose_format"] = data.pose_format
+        values |= {"pose_format": data.pose_format, "sensor": data.sensor}
         errors = tracked_pose_errors(data, fit.calibration)
         errors[~data.seen] = np.nan
         translation, rotation = data.typical_noise
@@ -134,7 +130,6 @@ class PoseFit(JointFit):
             has_camera=has_camera,
             tracker_noise=(sigma * translation, sigma * rotation),
             pose_errors=errors,
-            sensor=data.sensor,
         )
 
     @property
