@@ -241,6 +241,8 @@ def _profile_of_tracked_poses(data_at: Callable[[float], Dataset], seconds: floa
     def in_units(offset: float) -> Dataset:
         moved = data_at(offset)
         assert isinstance(moved, PoseDataset)
+        if data.states_covariance:
+            return moved.times_covariance(fit.pixel_sigma**2)
         return moved.with_units(*fit.tracker_noise)
 
     def again(offset: float) -> Profile:

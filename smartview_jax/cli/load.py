@@ -45,7 +45,8 @@ def load_named(
     data = load_dataset(dataset, bad_views, progress=progress, holder_from_world=rough_pose)
     if isinstance(data, PoseDataset) and not tracked_poses:
         raise ValueError(
-            f"{dataset}: has tracked poses and no pictures: only smartview calibrate takes it"
+            f"{dataset}: has poses of a tracker or a depth sensor in place of pictures: only "
+            "smartview calibrate takes it"
         )
     return data, dataset.resolve().name
 

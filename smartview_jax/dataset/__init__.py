@@ -2,7 +2,9 @@
 
 from .dataset import MINIMUM_RELIABLE_VIEWS as MINIMUM_RELIABLE_VIEWS
 from .dataset import Dataset as Dataset
+from .depth_sensor import DepthSensor as DepthSensor
 from .input_checks import FORWARD_KINEMATICS_TOLERANCE as FORWARD_KINEMATICS_TOLERANCE
+from .input_checks import checked_view_ids as checked_view_ids
 from .observations import AnyObservations as AnyObservations
 from .observations import Observations as Observations
 from .observations import chain_residuals as chain_residuals

@@ -2,57 +2,31 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
+import equinox as eqx
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
-from ..geometry import PoseLike, as_se3, check_rigid, host_matrices, host_nearest_pose
+from ..cameras import Camera
+from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
 from ..robots import SerialArm
 from ..runtime.array_namespace import to_device
 from .dataset import Dataset, of_views
+from .depth_sensor import DepthSensor
 from .input_checks import checked_view_ids, finite_views, forward_kinematics, pose_matrices
 from .pose_observations import PAIRS, PoseObservations
 
 UNIT_TRANSLATION = 1e-3
 """Unit of the noise of tracked positions, m."""
 
-MIN_RELATIVE_WIDTH = 1e-3
-"""Smallest width of a set of points that is not a line, relative to its length."""
-
 UNIT_ROTATION = 1e-2
 """Unit of the noise of tracked orientations, rad: of a marker of 0.1 m with corners off by 1 mm."""
 
-
-class _NearestPose(NamedTuple):
-    """The pose of some points that is nearest to where they were measured.
-
-    Attributes:
-        matrix: the pose.
-        size: spread of the measured points over the spread of the points themselves.
-    """
-
-    matrix: Float[np.ndarray, "4 4"]
-    size: float
-
-
-def _nearest_pose(
-    points: Float[np.ndarray, "points 3"], measured: Float[np.ndarray, "points 3"]
-) -> _NearestPose | None:
-    """Return the pose that brings points nearest to measured ones, by least squares.
-
-    None for points that do not determine it: fewer than three, or all on one line.
-    """
-    if len(points) < 3:
-        return None
-    a, b = points - points.mean(axis=0), measured - measured.mean(axis=0)
-    spreads = np.linalg.svd(a, compute_uv=False)
-    if spreads[1] < MIN_RELATIVE_WIDTH * spreads[0]:
-        return None
-    size = float(np.sqrt(np.sum(b**2) / np.sum(a**2)))
-    return _NearestPose(host_nearest_pose(points, measured), size)
+MIN_CORRELATION_EIGENVALUE = 1e-12
+"""Smallest eigenvalue of a covariance's correlations, so that it has an inverse."""
 
 
 class PoseDataset(Dataset):
@@ -60,11 +34,23 @@ class PoseDataset(Dataset):
 
     Attributes:
         camera_from_world: poses of the target that the tracker measured.
-        units: as in `PoseObservations`.
+        covariance: of each tracked pose, for a tracker with noise of one unit: of its translation
+            (m) and of its rotation vector (rad), both in the camera's axes, as in ROS's
+            `PoseWithCovariance`.
+        states_covariance: whether the covariances were given; otherwise the ratio of the noises of
+            translation and rotation is estimated, and all poses are equal.
+        sensor: the depth sensor that measured the poses; None for other trackers.
+        sensor_changes: change of each pose, as in `covariance`, by the sensor's scale and offset
+            (m): an error that all poses share.
+        camera: of the depth sensor's pictures, if known.
     """
 
     camera_from_world: SE3 | None = None
-    units: Float[Array, "views 2"] | None = None
+    covariance: Float[Array, "views 6 6"] | None = None
+    states_covariance: bool = eqx.field(static=True, default=False)
+    sensor: DepthSensor | None = eqx.field(static=True, default=None)
+    sensor_changes: Float[Array, "views 6 2"] | None = None
+    camera: Camera | None = None
 
     @classmethod
     def from_poses(
@@ -124,71 +110,21 @@ class PoseDataset(Dataset):
                 if not is_seen
             ),
             camera_from_world=as_se3(measured),
-            units=to_device(np.tile([UNIT_TRANSLATION, UNIT_ROTATION], (len(ids), 1))),
+            covariance=_diagonal(UNIT_TRANSLATION, UNIT_ROTATION, len(ids)),
         )
         if joints is None and arm is None:
             return data
         return cast(PoseDataset, data.with_joints(joints, arm))
 
-    @classmethod
-    def from_points(
-        cls,
-        base_from_tool: PoseLike | None,
-        points: np.ndarray,
-        points_in_camera: np.ndarray,
-        mount: str = "eye_in_hand",
-        view_ids: Sequence[str | int] | None = None,
-        joints: np.ndarray | Array | None = None,
-        arm: SerialArm | None = None,
-    ) -> "PoseDataset":
-        """Build a data set from target points that a depth camera or a scanner measured.
-
-        Each view's pose is the one that brings the target's points nearest to the measured ones
-        (Kabsch, 1976). A sensor that measures everything too large by a factor also shifts the
-        pose by it: `fit_poses(data, scale=True)` estimates the factor from the robot's motion, and
-        `notes` has the factor that the target's own size suggests.
-
-        Args:
-            base_from_tool: as in `from_poses`.
-            points: `(N, 3)` points of the target in its own frame, m.
-            points_in_camera: `(M, N, 3)` the same points as the sensor measured them in its frame,
-                m; NaN for points that were not measured.
-            mount, view_ids, joints, arm: as in `from_poses`.
-
-        Raises:
-            ValueError: a wrong shape, a duplicate id, no view with three points that are not on one
-                line, or a robot pose that is not rigid.
-        """
-        points, measured = np.asarray(points, dtype=float), np.asarray(points_in_camera, float)
-        if points.ndim != 2 or measured.shape[1:] != points.shape or points.shape[1:] != (3,):
-            raise ValueError(
-                "points_in_camera: expected shape (views, points, 3) for points of shape (points, "
-                f"3), found {measured.shape} and {points.shape}"
-            )
-        ids = checked_view_ids(view_ids, len(measured))
-        poses, sizes, reasons = np.full((len(ids), 4, 4), np.nan), [], []
-        for view, seen in enumerate(measured):
-            used = np.isfinite(seen).all(axis=1)
-            fitted = _nearest_pose(points[used], seen[used])
-            if fitted is None:
-                text = f"{used.sum()} points measured; expected 3 that are not on one line"
-                reasons.append((ids[view], text))
-                continue
-            poses[view] = fitted.matrix
-            sizes.append(fitted.size)
-        if not sizes:
-            raise ValueError(f"view {reasons[0][0]}: {reasons[0][1]}; so are all views")
-        data = cls.from_poses(base_from_tool, poses, mount, ids, reasons, joints, arm)
-        size = float(np.median(sizes))
-        note = f"the measured points are {size:.4f} times as far apart as the target's"
-        return dataclasses.replace(data, notes=(*data.notes, note))
-
     @property
     def observations(self) -> PoseObservations:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The arrays of the data set, without names."""
+        assert self.covariance is not None
+        # r^T C^-1 r = |W r|^2 with C = L L^T and W = L^-1.
+        whitening = np.linalg.inv(np.linalg.cholesky(np.asarray(self.covariance)))
         return PoseObservations(
             self.camera_from_world,  # pyright: ignore[reportArgumentType]
-            self.units,  # pyright: ignore[reportArgumentType]
+            to_device(whitening),
             self.visible,
             self.base_from_tool,
             self.joints,
@@ -211,12 +147,75 @@ class PoseDataset(Dataset):
 
     def _arrays_of(self, index: np.ndarray) -> dict[str, Any]:
         """Return the arrays of the given views, by name."""
-        tracked = of_views((self.camera_from_world, self.units), index)
-        return super()._arrays_of(index) | dict(
-            zip(("camera_from_world", "units"), tracked, strict=True)
-        )
+        names = "camera_from_world", "covariance", "sensor_changes"
+        tracked = of_views(tuple(getattr(self, name) for name in names), index)
+        return super()._arrays_of(index) | dict(zip(names, tracked, strict=True))
 
     def with_units(self, translation: float, rotation: float) -> "PoseDataset":
         """Return the data set with other units of the tracker's noise, m and rad."""
-        units = np.tile([translation, rotation], (self.view_count, 1))
-        return dataclasses.replace(self, units=to_device(units))
+        return dataclasses.replace(
+            self, covariance=_diagonal(translation, rotation, self.view_count)
+        )
+
+    def with_covariance(self, covariance: np.ndarray) -> "PoseDataset":
+        """Return the data set with the covariance of each tracked pose.
+
+        A fit takes their shapes and sizes relative to one another as given, and estimates one
+        factor for all of them.
+
+        Args:
+            covariance: `(M, 6, 6)` as in the attributes; NaN where the target was not seen.
+
+        Raises:
+            ValueError: a wrong shape, or a matrix that is not a covariance; the message names the
+                view.
+
+        For example:
+
+            >>> from smartview_jax.dataset import PoseDataset
+            >>> tracked = truth.camera_from_world(scene.base_from_tool)
+            >>> pairs = PoseDataset.from_poses(data.base_from_tool, tracked)
+            >>> by_axis = np.diag([1e-4, 1e-4, 5e-4, 1e-3, 1e-3, 2e-4]) ** 2
+            >>> pairs = pairs.with_covariance(np.tile(by_axis, (8, 1, 1)))
+            >>> print(pairs.states_covariance)
+            True
+        """
+        matrices = np.array(covariance, dtype=float)
+        if matrices.shape != (self.view_count, 6, 6):
+            raise ValueError(
+                f"covariance: expected shape ({self.view_count}, 6, 6), found {matrices.shape}"
+            )
+        matrices[~self.seen] = np.diag(np.repeat([UNIT_TRANSLATION, UNIT_ROTATION], 3) ** 2)
+        for view, matrix in zip(self.view_ids, matrices, strict=True):
+            scale = np.sqrt(np.abs(np.diagonal(matrix)))
+            correlation = (
+                matrix / np.outer(scale, scale) if scale.all() else np.full((6, 6), np.nan)
+            )
+            if not (
+                np.isfinite(correlation).all()
+                and np.allclose(correlation, correlation.T, atol=1e-9)
+                and np.linalg.eigvalsh(correlation).min() > MIN_CORRELATION_EIGENVALUE
+            ):
+                raise ValueError(
+                    f"covariance: view {view}: expected a symmetric, positive definite matrix of "
+                    f"translation (m) and rotation (rad), found diagonal {np.diagonal(matrix)}"
+                )
+        return dataclasses.replace(self, covariance=to_device(matrices), states_covariance=True)
+
+    def times_covariance(self, factor: float) -> "PoseDataset":
+        """Return the data set with the covariances times a factor."""
+        assert self.covariance is not None
+        return dataclasses.replace(self, covariance=to_device(factor * np.asarray(self.covariance)))
+
+    @property
+    def typical_noise(self) -> tuple[float, float]:
+        """Standard deviation per axis of the seen poses, as of `covariance`: m and rad (RMS)."""
+        used = np.asarray(self.covariance)[self.seen]
+        variances = np.diagonal(used, axis1=1, axis2=2).reshape(-1, 2, 3).mean(axis=(0, 2))
+        return float(np.sqrt(variances[0])), float(np.sqrt(variances[1]))
+
+
+def _diagonal(translation: float, rotation: float, count: int) -> Float[Array, "views 6 6"]:
+    """Return equal covariances of the poses of all views, from standard deviations by axis."""
+    variances = np.repeat([translation, rotation], 3) ** 2
+    return to_device(np.tile(np.diag(variances), (count, 1, 1)))

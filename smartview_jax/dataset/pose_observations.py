@@ -23,15 +23,16 @@ class PoseObservations(eqx.Module):
 
     Attributes:
         camera_from_world: measured poses, one transform per view.
-        units: standard deviation of a measured pose for a tracker with noise of one unit:
-            translation per axis (m), rotation per axis (rad).
+        whitening: matrix of each view that brings the error of a measured pose, translation (m)
+            and rotation vector (rad) in the camera's axes, to unit covariance for a tracker with
+            noise of one unit.
         visible: mask of the measured pairs; the three of a view are equal.
         base_from_tool: poses reported by the robot, one transform per view.
         joints: readings of the robot's joints, rad or m; None if unknown.
     """
 
     camera_from_world: SE3
-    units: Float[Array, "*views 2"]
+    whitening: Float[Array, "*views 6 6"]
     visible: Bool[Array, "*views 3"]
     base_from_tool: SE3
     joints: Float[Array, "*views joints"] | None = None
@@ -58,16 +59,16 @@ class PoseObservations(eqx.Module):
         visible = np.zeros((count, PAIRS), dtype=bool)
         visible[:views] = np.asarray(self.visible)
         host = jax.tree.map(
-            np.asarray, (self.camera_from_world, self.units, self.base_from_tool, self.joints)
+            np.asarray, (self.camera_from_world, self.whitening, self.base_from_tool, self.joints)
         )
         arrays, visible = jax.device_put((repeat_last(host, count), visible))
-        measured, units, base_from_tool, joints = arrays
-        return PoseObservations(measured, units, visible, base_from_tool, joints)
+        measured, whitening, base_from_tool, joints = arrays
+        return PoseObservations(measured, whitening, visible, base_from_tool, joints)
 
-    def residuals(
+    def differences(
         self, camera_from_world: SE3, target_scale: Float[Array, ""]
-    ) -> Float[Array, "*views 3 2"]:
-        """Return measured minus predicted poses in units of the tracker's noise.
+    ) -> Float[Array, "*views 6"]:
+        """Return measured minus predicted translations (m), and the rotations between them (rad).
 
         A tracker that knows a wrong size of the target, or none, measures `translation / scale`.
 
@@ -78,8 +79,13 @@ class PoseObservations(eqx.Module):
         measured = self.camera_from_world
         translation = measured.translation() - camera_from_world.translation() / target_scale
         rotation = (measured.rotation() @ camera_from_world.rotation().inverse()).log()
-        numbers = jnp.concatenate(
-            [translation / self.units[..., :1], rotation / self.units[..., 1:]], axis=-1
-        )
+        return jnp.concatenate([translation, rotation], axis=-1)
+
+    def residuals(
+        self, camera_from_world: SE3, target_scale: Float[Array, ""]
+    ) -> Float[Array, "*views 3 2"]:
+        """Return `differences` in standard deviations of a tracker with noise of one unit."""
+        numbers = self.differences(camera_from_world, target_scale)
+        numbers = (self.whitening @ numbers[..., None])[..., 0]
         pairs = numbers.reshape(*numbers.shape[:-1], PAIRS, 2)
         return jnp.where(self.visible[..., None], pairs, 0.0)

@@ -11,17 +11,23 @@ contradict the others have no weight.
 The poses are what `fit_poses` needs. NumPy code: a few steps for all views at once.
 """
 
+import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
+from ..dataset import DepthSensor, PoseDataset, checked_view_ids
 from ..geometry import (
+    PoseLike,
     host_cross_matrices,
     host_exponentials,
     host_nearest_pose,
     host_transformed,
 )
+from ..robots import SerialArm
+from ..runtime.array_namespace import to_device
 
 MIN_POINTS = 4
 """Smallest number of points of a view whose pose is fitted."""
@@ -48,14 +54,11 @@ class MeasuredPoses(NamedTuple):
     Attributes:
         camera_from_world: pose of the target in each view `(views, 4, 4)`, m; NaN where too few
             points were measured.
-        covariance: of each pose `(views, 6, 6)`, as a twist in the camera's axes, translation (m)
-            first; with the uncertainty of scale and offset.
-        scale: true depth over measured depth, but for the offset.
-        offset: true depth minus scaled depth, m.
-        scale_std, offset_std: their standard deviations; close to their priors where a flat target
-            is seen from one distance and without tilt.
-        across_std, along_std: standard deviation of a coordinate across the line of sight, and
-            along it, m.
+        covariance: of each pose `(views, 6, 6)` by the points' noise, for a known sensor: of its
+            translation (m) and of its rotation vector (rad), both in the camera's axes.
+        sensor_changes: change of each pose by the sensor's scale and offset `(views, 6, 2)`.
+        sensor: bias and noise. The standard deviations of the bias are close to their priors where
+            a flat target is seen from one distance and without tilt.
         residuals: corrected minus fitted points `(views, points, 3)`, m; NaN where not measured.
         used: points that were measured and not left out.
         converged: whether the noise, and the choice of points, settled.
@@ -63,19 +66,59 @@ class MeasuredPoses(NamedTuple):
 
     camera_from_world: Float[np.ndarray, "views 4 4"]
     covariance: Float[np.ndarray, "views 6 6"]
-    scale: float
-    offset: float
-    scale_std: float
-    offset_std: float
-    across_std: float
-    along_std: float
+    sensor_changes: Float[np.ndarray, "views 6 2"]
+    sensor: DepthSensor
     residuals: Float[np.ndarray, "views points 3"]
     used: Bool[np.ndarray, "views points"]
     converged: bool
 
-    def corrected(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-        """Return measured points with the bias of the sensor removed."""
-        return points * (self.scale + self.offset / points[..., 2:])
+    @property
+    def whole_covariance(self) -> Float[np.ndarray, "views 6 6"]:
+        """The covariance of each pose alone, with the uncertainty of the sensor's bias."""
+        changes = self.sensor_changes
+        return self.covariance + changes @ self.sensor.covariance @ changes.swapaxes(1, 2)
+
+    def dataset(
+        self,
+        base_from_tool: PoseLike | None,
+        mount: str = "eye_in_hand",
+        view_ids: Sequence[str | int] | None = None,
+        masked_views: Sequence[tuple[str, str]] = (),
+        joints: np.ndarray | Array | None = None,
+        arm: SerialArm | None = None,
+    ) -> PoseDataset:
+        """Return the poses with the robot's, as `fit_poses` takes them.
+
+        Args:
+            base_from_tool, mount, view_ids, masked_views, joints, arm: as in
+                `PoseDataset.from_poses`.
+
+        Raises:
+            ValueError: as of `PoseDataset.from_poses`.
+
+        For example:
+
+            >>> seen = sv.geometry.host_matrices(truth.camera_from_world(scene.base_from_tool))
+            >>> target = np.asarray(data.points)[0]
+            >>> points = target @ seen[:, :3, :3].swapaxes(1, 2) + seen[:, None, :3, 3]
+            >>> noisy = points + 1e-4 * np.random.default_rng(0).normal(size=points.shape)
+            >>> pairs = sv.depth.poses_from_points(noisy, target).dataset(data.base_from_tool)
+            >>> print(pairs.view_count, pairs.states_covariance)
+            8 True
+        """
+        poses = self.camera_from_world
+        ids = checked_view_ids(view_ids, len(poses))
+        measured = np.isfinite(poses[:, 0, 0])
+        reasons = {
+            view: f"expected {MIN_POINTS} measured points or more that are not in one line"
+            for view, is_measured in zip(ids, measured, strict=True)
+            if not is_measured
+        } | dict(masked_views)
+        data = PoseDataset.from_poses(
+            base_from_tool, poses, mount, ids, list(reasons.items()), joints, arm
+        ).with_covariance(self.covariance)
+        changes = to_device(np.where(measured[:, None, None], self.sensor_changes, 0.0))
+        return dataclasses.replace(data, sensor=self.sensor, sensor_changes=changes)
 
 
 def poses_from_points(
@@ -96,12 +139,11 @@ def poses_from_points(
 
     For example:
 
-        >>> seen = truth.camera_from_world(scene.base_from_tool)
+        >>> seen = sv.geometry.host_matrices(truth.camera_from_world(scene.base_from_tool))
         >>> target = np.asarray(data.points)[0]
-        >>> points = np.stack([(pose @ np.c_[target, np.ones(len(target))].T).T[:, :3]
-        ...                    for pose in sv.geometry.host_matrices(seen)])
+        >>> points = target @ seen[:, :3, :3].swapaxes(1, 2) + seen[:, None, :3, 3]
         >>> measured = sv.depth.poses_from_points(points / 1.02, target)
-        >>> print(f"{measured.scale:.3f}")
+        >>> print(f"{measured.sensor.scale:.3f}")
         1.020
     """
     points, target = _checked(points_in_camera, target_points)
@@ -116,11 +158,17 @@ def poses_from_points(
     fit = _fitted(points[whole], target, seen[whole])
     count = len(points)
     poses, covariance = np.full((count, 4, 4), np.nan), np.full((count, 6, 6), np.nan)
+    changes = np.full((count, 6, 2), np.nan)
     residuals, used = np.full(points.shape, np.nan), np.zeros(seen.shape, dtype=bool)
     poses[whole], covariance[whole] = fit.camera_from_world, fit.covariance
+    changes[whole] = fit.sensor_changes
     residuals[whole], used[whole] = fit.residuals, fit.used
     return fit._replace(
-        camera_from_world=poses, covariance=covariance, residuals=residuals, used=used
+        camera_from_world=poses,
+        covariance=covariance,
+        sensor_changes=changes,
+        residuals=residuals,
+        used=used,
     )
 
 
@@ -193,7 +241,7 @@ def _fitted(
     # Derivatives of the corrected points by scale and offset.
     by_sensor = np.stack([measured, measured / measured[..., 2:]], axis=-1)
     sensor, used = np.array([1.0, 0.0]), seen
-    covariance, sensor_covariance = np.zeros((len(points), 6, 6)), np.zeros((2, 2))
+    solved = None
     prior = np.array([TYPICAL_SCALE_STD, TYPICAL_OFFSET_STD]) ** -2
     residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
     # Robust: half of the points may be wrong before any noise is known.
@@ -202,30 +250,36 @@ def _fitted(
     for _ in range(MAX_STEPS):
         used = seen & (_distances(in_ray, sigma) < REJECTED_SIGMAS)
         # Too few points are left in a view where most are wrong: all of them count.
-        used = np.where(used.sum(axis=1, keepdims=True) >= MIN_POINTS, used, seen)
-        step, sensor_step, covariance, sensor_covariance, freedom = _solved(
-            in_ray, jacobian, used, sigma, prior, sensor - [1.0, 0.0]
-        )
-        poses = host_exponentials(step) @ poses
-        sensor = sensor + sensor_step
+        used = np.where(_has_enough(target, used)[:, None], used, seen)
+        solved = _solved(in_ray, jacobian, used, sigma, prior, sensor - [1.0, 0.0])
+        poses = host_exponentials(solved.step) @ poses
+        sensor = sensor + solved.sensor_step
         residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
         squares = (np.where(used[..., None], in_ray, 0.0) ** 2).sum(axis=(0, 1))
-        new = np.sqrt([squares[:2].sum() / freedom[0], squares[2] / freedom[1]])
+        new = np.sqrt([squares[:2].sum() / solved.freedom[0], squares[2] / solved.freedom[1]])
         new = np.maximum(new, 1e-12)
         has_converged = bool(np.abs(new / sigma - 1.0).max() < CONVERGED)
         sigma = new
         if has_converged:
             break
-    scale_std, offset_std = np.sqrt(np.diag(sensor_covariance))
+    assert solved is not None
+    scale_std, offset_std = np.sqrt(np.diag(solved.sensor_covariance))
+    # The twist (v, w) from the left moves the target's origin t by v + w x t.
+    at_target = np.tile(np.eye(6), (len(poses), 1, 1))
+    at_target[:, :3, 3:] = -host_cross_matrices(poses[:, :3, 3])
     return MeasuredPoses(
         poses,
-        covariance,
-        float(sensor[0]),
-        float(sensor[1]),
-        float(scale_std),
-        float(offset_std),
-        float(sigma[0]),
-        float(sigma[1]),
+        at_target @ solved.covariance @ at_target.swapaxes(1, 2),
+        at_target @ solved.sensor_changes,
+        DepthSensor(
+            float(sensor[0]),
+            float(sensor[1]),
+            float(scale_std),
+            float(offset_std),
+            float(solved.sensor_covariance[0, 1] / (scale_std * offset_std)),
+            float(sigma[0]),
+            float(sigma[1]),
+        ),
         np.where(seen[..., None], residuals, np.nan),
         used,
         has_converged,
@@ -292,6 +346,26 @@ def _distances(
     return np.linalg.norm(in_ray / [sigma[0], sigma[0], sigma[1]], axis=-1)
 
 
+class _Solved(NamedTuple):
+    """A Gauss-Newton step of poses and sensor.
+
+    Attributes:
+        step: a twist of each pose.
+        sensor_step: of scale and offset.
+        covariance: of each pose's twist, for a known sensor.
+        sensor_covariance: of scale and offset.
+        sensor_changes: change of each pose's twist by scale and offset.
+        freedom: degrees of freedom across and along the rays.
+    """
+
+    step: Float[np.ndarray, "views 6"]
+    sensor_step: Float[np.ndarray, "2"]
+    covariance: Float[np.ndarray, "views 6 6"]
+    sensor_covariance: Float[np.ndarray, "2 2"]
+    sensor_changes: Float[np.ndarray, "views 6 2"]
+    freedom: Float[np.ndarray, "2"]
+
+
 def _solved(
     in_ray: Float[np.ndarray, "views points 3"],
     jacobian: Float[np.ndarray, "views points 3 8"],
@@ -299,14 +373,8 @@ def _solved(
     sigma: Float[np.ndarray, "2"],
     prior: Float[np.ndarray, "2"],
     off: Float[np.ndarray, "2"],
-) -> tuple[
-    Float[np.ndarray, "views 6"],
-    Float[np.ndarray, "2"],
-    Float[np.ndarray, "views 6 6"],
-    Float[np.ndarray, "2 2"],
-    Float[np.ndarray, "2"],
-]:
-    """Return the Gauss-Newton step of poses and sensor, their covariances, degrees of freedom.
+) -> _Solved:
+    """Return the Gauss-Newton step of poses and sensor.
 
     Args:
         in_ray: residuals along the rays' axes.
@@ -315,9 +383,6 @@ def _solved(
         sigma: standard deviations across and along the rays.
         prior: inverse variances of scale and offset.
         off: their distance from the priors' means.
-
-    Returns:
-        Steps and covariances, and the degrees of freedom across and along the rays.
     """
     weight = np.array([sigma[0], sigma[0], sigma[1]]) ** -2 * used[..., None]
     gram = np.einsum("vpci,vpc,vpcj->vij", jacobian, weight, jacobian)
@@ -341,4 +406,4 @@ def _solved(
     leverage = np.einsum("vpci,vij,vpcj->vpc", jacobian, whole, jacobian) * weight
     taken, count = leverage.sum(axis=(0, 1)), int(used.sum())
     freedom = np.array([2 * count - taken[:2].sum(), count - taken[2]])
-    return step, sensor_step, covariance, sensor_covariance, np.maximum(freedom, 1.0)
+    return _Solved(step, sensor_step, inverse, sensor_covariance, -gain, np.maximum(freedom, 1.0))

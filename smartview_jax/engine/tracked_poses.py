@@ -22,18 +22,17 @@ def linearise_tracked_poses(
         camera_from_world: predicted poses, batch shape `(views)`.
         observations: measured poses.
         target_scale: ratio of the target's true size to the size that the tracker assumes.
-        sigma: the tracker's noise over the observations' units.
+        sigma: the tracker's noise in the observations' units.
         camera_parameters: number of the camera's parameters, which have no effect.
     """
     # Predicted are t / s and R. The twist (v, w) of the camera's pose changes them by
     # (v + w x t) / s and w. With r = log(R_measured R^T) the residual's change is -J_r(r)^-1 w,
     # where J_r(r) = J_l(-r).
-    in_units = observations.residuals(camera_from_world, target_scale).reshape(-1, 6)
-    residuals = in_units / sigma
-    weight = jnp.repeat(1.0 / (sigma * observations.units), 3, axis=1)
-    weight = jnp.where(observations.visible[:, :1], weight, 0.0)
-    views = len(weight)
-    rotation = in_units[:, 3:] * observations.units[:, 1:]
+    residuals = observations.residuals(camera_from_world, target_scale).reshape(-1, 6) / sigma
+    seen = observations.visible[:, :1, None]
+    whitening = jnp.where(seen, observations.whitening / sigma, 0.0)
+    views = len(whitening)
+    rotation = observations.differences(camera_from_world, target_scale)[:, 3:]
     tangent = jnp.concatenate([jnp.zeros_like(rotation), -rotation], axis=1)
     by_turn = jnp.linalg.inv(se3_left_jacobian(tangent)[:, 3:, 3:])
     translation = camera_from_world.translation() / target_scale
@@ -42,7 +41,7 @@ def linearise_tracked_poses(
     levers = jnp.swapaxes(jnp.cross(axes, translation[:, None]), 1, 2)
     upper = jnp.concatenate([axes / target_scale, levers], axis=2)
     lower = jnp.concatenate([jnp.zeros_like(axes), by_turn], axis=2)
-    columns = jnp.concatenate([upper, lower], axis=1) * weight[..., None]
+    columns = whitening @ jnp.concatenate([upper, lower], axis=1)
     columns = jnp.pad(columns, ((0, 0), (0, 0), (camera_parameters, 0)))
     transposed = jnp.swapaxes(columns, 1, 2)
     return ViewNormalEquations(

@@ -19,7 +19,7 @@ pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a 
 the target's approximate pose (see `rough_pose.py`). The schema of the file is in `schemas.dataset`;
 an unknown key is an error. A board printed by Kalibr can refer to Kalibr's own file:
 `target: {kind: aprilgrid, file: target.yaml}`. A folder of tracked poses instead of pictures is
-described in `tracked_poses.py`.
+described in `tracked_poses.py`, one of a depth sensor in `depth_folder.py`.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
@@ -41,8 +41,10 @@ from ..files import read_yaml
 from ..geometry import PoseLike, pose_codec
 from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .board_heights import read_board_heights
+from .depth_folder import depth_dataset, points_dataset
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
+from .known_camera import read_camera
 from .pending_pictures import standing_path
 from .pictures import dataset_from_pictures, refuse_unmatched_pictures
 from .poses import POSES_FILE, poses_entry, refuse_unreadable_poses, write_poses
@@ -113,6 +115,8 @@ def load_dataset_folder(
     content = without_nulls(raw_content)
     if description.tracked_poses is not None:
         return read_tracked_folder(folder, content, description_path, options.bad_views)
+    if description.measured_points is not None:
+        return _points_folder(folder, content, description_path, options)
     assert description.camera is not None
     width, height = description.camera.image_size
     try:
@@ -139,12 +143,35 @@ def load_dataset_folder(
             description_path,
             camera_board_heights(camera, readings),
         )
-        return camera_dataset(camera, readings, files, options, description_path)
+        data = camera_dataset(camera, readings, files, options, description_path)
+        if description.depth_pictures is None:
+            return data
+        entry, table = content["depth_pictures"], table_of_views(folder, content)
+        depths = picture_files(folder, entry, readings.view_ids, target, table, description_path)
+        sensor = read_camera(folder / entry["camera"])
+        return depth_dataset(
+            data, readings, depths, entry["unit"], sensor, description_path, options
+        )
     if not camera.detections.is_file():
         raise ValueError(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
         )
     return detected_dataset(camera, readings, options, description_path)
+
+
+def _points_folder(
+    folder: Path, content: dict[str, Any], description_path: Path, options: LoadOptions
+) -> PoseDataset:
+    """Return the data set of a folder with the points that a depth sensor measured."""
+    try:
+        target = read_target(folder, content["target"])
+    except ValueError as error:
+        raise ValueError(f"{description_path}: {error}") from error
+    readings = read_robot_readings(folder, content, description_path, options.bad_views)
+    entry, table = content["measured_points"], table_of_views(folder, content)
+    files = picture_files(folder, entry, readings.view_ids, target, table, description_path)
+    mount = content.get("mount", "eye_in_hand")
+    return points_dataset(readings, target, mount, files, entry["unit"], description_path, options)
 
 
 def is_rig_description(content: Mapping[str, Any]) -> bool:
@@ -270,8 +297,8 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
 
     Raises:
         ValueError: an unknown pose format, no target description, points that are not the
-            target's, or a name or value with which the folder could not be read back; nothing is
-            written.
+            target's, poses with covariances, or a name or value with which the folder could not be
+            read back; nothing is written.
 
     For example:
 
@@ -285,6 +312,11 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """
     folder, target = Path(folder), data.target
     if isinstance(data, PoseDataset):
+        if data.states_covariance:
+            raise ValueError(
+                "save_dataset: a table of tracked poses has no place for the poses' covariances: "
+                "keep the measured points"
+            )
         refuse_unreadable_robot(folder, data, pose_format)
         entries = {
             "mount": data.mount,

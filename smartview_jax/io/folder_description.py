@@ -42,7 +42,8 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
     content = read_yaml(path)
     description = validate_content(content, DATASET_SCHEMA, path)
     if description.camera is None:
-        raise ValueError(f"{path}: tracked_poses: expected a data set with pictures of a target")
+        form = "tracked_poses" if description.target is None else "measured_points"
+        raise ValueError(f"{path}: {form}: expected a data set with pictures of a target")
     width, height = description.camera.image_size
     try:
         target = read_target(Path(folder), content["target"])

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.special import ndtri, stdtrit
 
 from ..calibration import Calibration
+from ..dataset import DepthSensor
 from ..engine import (
     JointProblem,
     Noise,
@@ -59,6 +60,8 @@ class JointFit(eqx.Module):
         result: whether the fit converged.
         warnings: reasons to doubt the result, a sentence each.
         pose_format: format in which the robot's controller writes poses; None if it is not known.
+        sensor: the depth sensor whose points were fitted, with its scale and offset held, but their
+            uncertainty in `covariance`; None for pictures and other trackers.
 
     For example:
 
@@ -90,6 +93,7 @@ class JointFit(eqx.Module):
     result: FitResult = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
     pose_format: str | None = eqx.field(static=True, default=None)
+    sensor: DepthSensor | None = eqx.field(static=True, default=None)
 
     def __repr__(self) -> str:
         # A traced fit, inside `jit`, has no figures to show.

@@ -20,9 +20,14 @@ from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera, Pinhole
 from ..data_checks import ConventionReport, check_conventions
-from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset, chain_residuals
-from ..engine import Prior
-from ..geometry import PoseLike, host_matrices, host_transforms
+from ..dataset import (
+    UNIT_ROTATION,
+    UNIT_TRANSLATION,
+    PoseDataset,
+    chain_residuals,
+)
+from ..engine import Prior, solve
+from ..geometry import PoseLike, host_exponentials, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
@@ -113,14 +118,17 @@ class PoseFit(JointFit):
         values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
         # Also of the pairs that the fit does not use.
         values["residuals"] = chain_residuals(fit.calibration, data.observations)
-        values["pose_format"] = data.pose_format
+        values |= {"pose_format": data.pose_format, "sensor": data.sensor}
         errors = tracked_pose_errors(data, fit.calibration)
         errors[~data.seen] = np.nan
-        noise = float(fit.pixel_sigma) * np.asarray(data.units)[0]
+        translation, rotation = data.typical_noise
+        sigma = float(fit.pixel_sigma)
+        if data.sensor is not None:
+            values |= _with_sensor_error(fit, data)
         return cls(
             **values,
             has_camera=has_camera,
-            tracker_noise=(float(noise[0]), float(noise[1])),
+            tracker_noise=(sigma * translation, sigma * rotation),
             pose_errors=errors,
         )
 
@@ -147,10 +155,11 @@ class PoseFit(JointFit):
     def described_noise(self) -> str:
         """The standard deviations of tracked and reported poses in words."""
         translation, rotation = self.tracker_noise
-        return (
+        text = (
             f"tracked poses +- {1e3 * translation:.2g} mm, {np.rad2deg(rotation):.2g} deg; "
             f"{robot_noise_text(self)}"
         )
+        return text if self.sensor is None else f"{text}\ndepth sensor: {self.sensor.described}"
 
     def save(self, path: Any, *args: Any, **kwargs: Any) -> None:
         """Write the calibration, as `JointFit.save` does.
@@ -186,8 +195,10 @@ def fit_poses(
 
     Args:
         samples: at least three pairs of a robot pose and a tracked pose: a `PoseDataset`, or the
-            `PoseSamples` of a file.
-        camera: the tracker's camera, if the calibration is to be saved; it is not fitted.
+            `PoseSamples` of a file. Where the data set states each pose's covariance, poses count
+            by it, and one factor of all covariances is estimated.
+        camera: the tracker's camera, if the calibration is to be saved; it is not fitted. By
+            default the data set's.
         start: transforms that are known roughly, by name, such as
             `{"camera_from_tool": matrix}`; by default from closed forms.
         scale: whether the tracker's unit of length is unknown, as of a single moving camera without
@@ -196,7 +207,8 @@ def fit_poses(
         fixed: paths of parameters that keep the start's value.
         priors: a `Prior` by path.
         robot_prior: prior on the standard deviations of the robot's errors.
-        tracker_prior: prior on the ratio of the tracker's noise in rotation and in translation.
+        tracker_prior: prior on the ratio of the tracker's noise in rotation and in translation;
+            not for data with covariances, which state it.
         progress: called with a line of text for each stage.
 
     Raises:
@@ -227,6 +239,10 @@ def fit_poses(
     prior = _without_target(robot_prior or RobotPrior(), scale)
     if (count := int(data.seen.sum())) < 3:
         raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
+    if data.states_covariance and tracker_prior is not None:
+        raise ValueError("tracker_prior: the data set states the covariance of each pose already")
+    camera = data.camera if camera is None else camera
+    has_camera = camera is not None
     identity = host_transforms(np.eye(4))
     blank = Calibration(camera or NO_CAMERA, identity, identity, data.mount)
     check_start(start, data)
@@ -242,9 +258,10 @@ def fit_poses(
     def fit_consistent() -> tuple[PoseDataset, JointFit]:
         """Return the pairs that agree, with the tracker's units, and the fit to them."""
         used = without_views(data, _contradictions(data, calibration, consistent))
-        used = _with_likeliest_units(
-            used, calibration, options, prior, tracker_prior or TrackerPrior()
-        )
+        if not data.states_covariance:
+            used = _with_likeliest_units(
+                used, calibration, options, prior, tracker_prior or TrackerPrior()
+            )
         return used, fit_joint(
             used,
             calibration,
@@ -262,7 +279,36 @@ def fit_poses(
             break
         consistent = consistent | again
         used, fit = fit_consistent()
-    return PoseFit.of(fit, dataclasses.replace(data, units=used.units), camera is not None)
+    return PoseFit.of(fit, dataclasses.replace(data, covariance=used.covariance), has_camera)
+
+
+def _with_sensor_error(fit: JointFit, data: PoseDataset) -> dict[str, Any]:
+    """Return covariance and standard deviations with the uncertainty of the sensor's bias.
+
+    An error of the bias moves all tracked poses together. The fit's change is found by fitting
+    poses that are moved by one standard deviation of each independent part of the bias.
+    """
+    assert data.sensor is not None
+    assert data.camera_from_world is not None
+    # Columns: changes of each pose by the independent parts of the bias.
+    changes = np.asarray(data.sensor_changes) @ np.linalg.cholesky(data.sensor.covariance)
+    added, measured = np.zeros_like(fit.covariance), data.tracked_matrices
+    for part in np.moveaxis(changes, 2, 0):
+        moved = measured.copy()
+        turn = np.concatenate([np.zeros_like(part[:, 3:]), part[:, 3:]], axis=1)
+        moved[:, :3, :3] = (host_exponentials(turn) @ measured)[:, :3, :3]
+        moved[:, :3, 3] += part[:, :3]
+        observations = dataclasses.replace(
+            fit.problem.observations, camera_from_world=host_transforms(moved)
+        )
+        problem = dataclasses.replace(fit.problem, observations=observations)
+        solution, _ = solve(problem, start=fit.solution.z)
+        step = np.asarray(solution.z.shared) - np.asarray(fit.solution.z.shared)
+        added += np.outer(step, step)
+    std = dict(fit.std)
+    for name, variance in zip(fit.parameter_names, np.diagonal(added), strict=True):
+        std[name] = float(np.hypot(std[name], np.sqrt(variance)))
+    return {"covariance": fit.covariance + added, "std": std}
 
 
 def tracked_pose_errors(

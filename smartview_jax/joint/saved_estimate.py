@@ -3,6 +3,7 @@
 Modelling, localisation and grasping need the covariance of the calibration that they use.
 """
 
+import dataclasses
 import os
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration
+from ..dataset import DepthSensor
 from ..engine import Noise, Observability, parameter_names
 from ..files import read_yaml
 
@@ -27,6 +29,7 @@ class SavedEstimate(NamedTuple):
         noise: standard deviations of pixels and reported poses; None if the robot was trusted.
         pixel_sigma: standard deviation of u and of v, px.
         observability: the rank of the fit; all parameters are determined.
+        sensor: the depth sensor whose points were fitted; None for pictures and other trackers.
     """
 
     calibration: Calibration
@@ -35,6 +38,7 @@ class SavedEstimate(NamedTuple):
     noise: Noise | None
     pixel_sigma: float
     observability: Observability
+    sensor: DepthSensor | None = None
 
     @classmethod
     def of(cls, fit: "JointFit") -> "SavedEstimate":
@@ -46,6 +50,7 @@ class SavedEstimate(NamedTuple):
             fit.noise,
             float(fit.pixel_sigma),
             fit.observability,
+            fit.sensor,
         )
 
 
@@ -53,12 +58,14 @@ def uncertainty_to_dict(fit: "JointFit | SavedEstimate") -> dict[str, Any] | Non
     """Return the uncertainty of a fit as plain numbers; None if a parameter is undetermined."""
     if fit.observability.null_directions or not np.isfinite(fit.covariance).all():
         return None
+    sensor = fit.sensor
     return {
         "parameters": list(fit.parameter_names),
         "covariance": [[float(x) for x in row] for row in np.asarray(fit.covariance)],
         "noise": None if fit.noise is None else noise_to_dict(fit.noise),
         "pixel_sigma": float(fit.pixel_sigma),
         "smallest_singular_value": float(fit.observability.smallest_singular_value),
+        **({} if sensor is None else {"depth_sensor": dataclasses.asdict(sensor)}),
     }
 
 
@@ -121,6 +128,7 @@ def _estimate_from_dict(calibration: Calibration, entry: dict[str, Any]) -> Save
         noise_from_dict(entry.get("noise")),
         float(entry["pixel_sigma"]),
         Observability(len(names), len(names), (), (), float(entry["smallest_singular_value"])),
+        None if entry.get("depth_sensor") is None else DepthSensor(**entry["depth_sensor"]),
     )
 
 

@@ -24,10 +24,15 @@ def pose_error_rows(fit: PoseFit, held_out: HeldOutPoses | None) -> list[tuple[s
     if fit.noise is not None:
         robot = fit.noise.translation, fit.noise.rotation
         kinds.append(("noise of the robot, per axis", robot))
-    return [
+    rows = [
         (name, f"{1e3 * distance:.3g} mm", f"{np.rad2deg(angle):.3g} deg")
         for name, (distance, angle) in kinds
     ]
+    if fit.sensor is not None:
+        across, along = 1e3 * fit.sensor.across_std, 1e3 * fit.sensor.along_std
+        rows.append(("noise of a measured point, across the ray", f"{across:.3g} mm", ""))
+        rows.append(("noise of a measured point, along the ray", f"{along:.3g} mm", ""))
+    return rows
 
 
 def pose_fit_summary(fit: PoseFit, held_out: HeldOutPoses | None) -> str:
@@ -95,6 +100,8 @@ def _facts(fit: PoseFit, data: PoseDataset, origin: Origin | None) -> list[tuple
         ("mount", data.mount),
         ("joint fit", fit.result.message),
     ]
+    if fit.sensor is not None:
+        facts.append(("depth sensor", fit.sensor.described))
     if fit.noise_estimate is not None:
         facts.append(robot_error_row(fit.noise_estimate))
     if fit.calibration.robot_error is not None:

@@ -196,6 +196,18 @@ class NoiseEntry(Entry):
     white_pixel: _Sigma | None = None
 
 
+class DepthSensorEntry(Entry):
+    """Bias and noise of the depth sensor whose points were fitted; lengths in m."""
+
+    scale: Annotated[float, Field(gt=0.0, le=100.0), Expected("true over measured depth")]
+    offset: FiniteNumber
+    scale_std: _Sigma
+    offset_std: _Sigma
+    correlation: Annotated[float, Field(ge=-1.0, le=1.0), Expected("a correlation")]
+    across_std: _Sigma
+    along_std: _Sigma
+
+
 class UncertaintyEntry(Entry):
     """The covariance of the parameters that a fit estimated, in their own units."""
 
@@ -206,6 +218,7 @@ class UncertaintyEntry(Entry):
     noise: NoiseEntry | None = None
     pixel_sigma: _Sigma
     smallest_singular_value: FiniteNumber
+    depth_sensor: DepthSensorEntry | None = None
 
     @model_validator(mode="after")
     def _check_covariance(self) -> "UncertaintyEntry":

@@ -116,6 +116,15 @@ class TrackedPosesEntry(Entry):
     rows: _RowCount | None = None
 
 
+_Unit = Annotated[
+    Annotated[LengthUnit, Tag("name")]
+    | Annotated[
+        Annotated[float, Field(gt=0.0, le=1.0), Expected("metres, above 0 up to 1")], Tag("metres")
+    ],
+    Discriminator(lambda unit: "name" if isinstance(unit, str) else "metres"),
+]
+
+
 class JointsEntry(Entry):
     """A table of joint readings, one row per view, and their arm: its name or its numbers."""
 
@@ -146,17 +155,33 @@ def check_pattern(text: str, required: Sequence[str] = ("view",)) -> str:
     return text
 
 
+_Pattern = Annotated[
+    str,
+    Field(max_length=200),
+    AfterValidator(check_pattern),
+    Expected("a name with {view}, and {height} if there are several heights, and no other braces"),
+]
+
+
 class PicturesEntry(Entry):
     """The pictures' file names, as one pattern."""
 
-    pattern: Annotated[
-        str,
-        Field(max_length=200),
-        AfterValidator(check_pattern),
-        Expected(
-            "a name with {view}, and {height} if there are several heights, and no other braces"
-        ),
-    ]
+    pattern: _Pattern
+
+
+class MeasuredPointsEntry(Entry):
+    """Points of the target that a depth sensor measured, one file per view, and their unit."""
+
+    pattern: _Pattern
+    unit: _Unit
+
+
+class DepthPicturesEntry(Entry):
+    """Depth pictures, one per view, their unit, and the file of the camera that took them."""
+
+    pattern: _Pattern
+    unit: _Unit
+    camera: PrintableText
 
 
 class DetectionsEntry(Entry):
@@ -203,7 +228,8 @@ def check_point_count(target: TargetEntry) -> None:
 class DatasetFile(Entry):
     """A data-set folder's description.
 
-    With `tracked_poses` there are no pictures, so that camera and target are not needed.
+    With `tracked_poses` there are no pictures, so that camera and target are not needed; with
+    `measured_points` of a depth sensor there is a target, but no camera.
     """
 
     smartview_dataset: Literal[1]
@@ -211,6 +237,8 @@ class DatasetFile(Entry):
     camera: CameraSizeEntry | None = None
     target: TargetEntry | None = None
     tracked_poses: TrackedPosesEntry | None = None
+    measured_points: MeasuredPointsEntry | None = None
+    depth_pictures: DepthPicturesEntry | None = None
     mount: Literal["eye_in_hand", "eye_to_hand"] = "eye_in_hand"
     poses: PosesEntry | None = None
     joints: JointsEntry | None = None
@@ -235,12 +263,21 @@ class DatasetFile(Entry):
 
     def _check_target(self) -> None:
         """Raise a ValueError without a target and a camera, or for a target of too many points."""
-        if self.tracked_poses is not None:
-            for name in ("camera", "target", "pictures", "detections"):
+        forms = {
+            "tracked_poses": ("camera", "target", "pictures", "detections", "measured_points"),
+            "measured_points": ("camera", "pictures", "detections"),
+            "depth_pictures": ("detections", "tracked_poses", "measured_points"),
+        }
+        for form, foreign in forms.items():
+            for name in foreign if getattr(self, form) is not None else ():
                 if getattr(self, name) is not None:
-                    raise ValueError(f"{name}: a data set of tracked_poses has none")
+                    raise ValueError(f"{name}: a data set of {form} has none")
+        if self.tracked_poses is not None:
             return
-        for name in ("camera", "target"):
+        needed = ["target"] if self.measured_points is not None else ["camera", "target"]
+        if self.depth_pictures is not None:
+            needed.append("pictures")
+        for name in needed:
             if getattr(self, name) is None:
                 raise ValueError(f"entry '{name}' is missing")
         assert self.target is not None

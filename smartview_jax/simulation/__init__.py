@@ -15,6 +15,7 @@ from .cell import Physics as Physics
 from .cell import SimulatedCell as SimulatedCell
 from .cell import drawn_calibration as drawn_calibration
 from .cell import random_truth as random_truth
+from .depth_points import simulate_depth_points as simulate_depth_points
 from .object_example import ObjectExample as ObjectExample
 from .object_example import example_solid as example_solid
 from .object_example import object_example as object_example

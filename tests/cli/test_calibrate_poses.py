@@ -10,9 +10,17 @@ from tracked_scene import MOUNT, tracked
 
 from smartview_jax.calibration import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.dataset import PoseDataset
+from smartview_jax.dataset import DepthSensor, PoseDataset
 from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
-from smartview_jax.io import PoseSamples, save_dataset, write_easy_handeye
+from smartview_jax.io import (
+    PoseSamples,
+    poses_entry,
+    save_dataset,
+    write_easy_handeye,
+    write_poses,
+)
+from smartview_jax.joint import load_estimate
+from smartview_jax.simulation import simulate_depth_points
 
 WRONG = 5
 
@@ -114,3 +122,34 @@ def test_other_subcommands_say_that_they_need_pictures(folder):
     ended = run("check", folder)
     assert ended.exit_code
     assert "only smartview calibrate takes it" in " ".join(ended.output.split())
+
+
+def test_points_of_a_depth_sensor_give_the_transform_and_the_sensor(tmp_path, camera_file):
+    robot, seen = tracked(2)
+    y, x = np.mgrid[:4, :5]
+    board = np.stack([0.02 * x, 0.02 * y, 0.0 * x], axis=-1).reshape(-1, 3)
+    sensor = DepthSensor(1.02, 1e-3, 0.0, 0.0, 0.0, 1e-4, 2e-4)
+    points = simulate_depth_points(seen, board, sensor, np.random.default_rng(0))
+    (tmp_path / "points").mkdir()
+    views = [str(view) for view in range(len(robot))]
+    for view, own in zip(views, points, strict=True):
+        np.save(tmp_path / "points" / f"{view}.npy", own)
+    write_poses(tmp_path, views, as_se3(robot), "matrix")
+    content = {
+        "smartview_dataset": 1,
+        "target": {"kind": "chessboard", "rows": 4, "columns": 5, "square": 0.02},
+        "poses": poses_entry(len(views), "matrix"),
+        "measured_points": {"pattern": "points/{view}.npy", "unit": "m"},
+    }
+    (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(content))
+    options = "--no-held-out", "--camera", camera_file, "--out", tmp_path / "out"
+    ended = run("calibrate", tmp_path, *options)
+    assert ended.exit_code == 0, ended.output
+    said = " ".join(ended.output.split())
+    assert "depth sensor: depths times 1.0" in said
+    assert "noise of a measured point, along the ray" in said
+    estimate = load_estimate(tmp_path / "out" / "calibration.yaml")
+    found = host_matrices(estimate.calibration.camera_from_tool)
+    np.testing.assert_allclose(found[:3, 3], MOUNT[:3, 3], atol=3e-3)
+    assert estimate.sensor.scale == pytest.approx(1.02, abs=4.0 * estimate.sensor.scale_std)
+    assert "depth sensor" in (tmp_path / "out" / "report.html").read_text()

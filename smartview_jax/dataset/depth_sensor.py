@@ -1,0 +1,49 @@
+"""Describe a depth sensor: the bias and the noise of the points that it measures."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthSensor:
+    """The bias and the noise of a depth sensor, with the uncertainty of the bias.
+
+        corrected point = measured point (scale z + offset) / z
+
+    Attributes:
+        scale: true depth over measured depth, but for the offset.
+        offset: true depth minus scaled depth, m.
+        scale_std, offset_std: their standard deviations.
+        correlation: of scale and offset.
+        across_std, along_std: standard deviation of a coordinate across the line of sight, and
+            along it, m.
+    """
+
+    scale: float
+    offset: float
+    scale_std: float
+    offset_std: float
+    correlation: float
+    across_std: float
+    along_std: float
+
+    def corrected(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Return measured points in the sensor's frame, m, with its bias removed."""
+        return points * (self.scale + self.offset / points[..., 2:])
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "2 2"]:
+        """The covariance of scale and offset (m)."""
+        stds = np.array([self.scale_std, self.offset_std])
+        return np.outer(stds, stds) * [[1.0, self.correlation], [self.correlation, 1.0]]
+
+    @property
+    def described(self) -> str:
+        """The bias with its standard deviations, and the noise, in words."""
+        return (
+            f"depths times {self.scale:.5f} +- {self.scale_std:.2g}, plus {1e3 * self.offset:.3f} "
+            f"+- {1e3 * self.offset_std:.2g} mm; points +- {1e3 * self.across_std:.2g} mm across "
+            f"the line of sight, {1e3 * self.along_std:.2g} mm along it"
+        )
