@@ -253,7 +253,7 @@ def parse_yaml(
 if yaml.__with_libyaml__:
 
     class _SafeLoader(Composer, yaml.CSafeLoader):
-        """libyaml reads the text, and Python composes the nodes, where the limits are checked."""
+        """Read text by libyaml, and compose the nodes in Python, where limits are checked."""
 
         def __init__(self, stream: str):
             yaml.CSafeLoader.__init__(self, stream)

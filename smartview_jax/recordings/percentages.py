@@ -1,8 +1,8 @@
 """Recognise joint readings that LeRobot recorded in percent of each joint's range of motion.
 
 The description of a data set does not tell the unit, but the readings do. An encoder counts in
-whole steps. With N = range_max - range_min steps between the two ends of a joint's motion, the arm's
-calibration, LeRobot records for the step number k
+whole steps. With N = range_max - range_min steps between the two ends of a joint's motion, known
+from the arm's calibration, LeRobot records for the step number k
 
     in percent    -100 + 200 k / N,                    with another N in each joint
     in degrees    (k - N / 2) 360 / (resolution - 1),  with the same step in all joints
