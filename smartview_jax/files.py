@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
 
 MAX_NESTING_DEPTH = 40
 """Largest number of nested levels in a YAML file; the package's own files have six."""
@@ -249,7 +250,20 @@ def parse_yaml(
         raise ValueError(f"{path}: not readable as YAML: {message}") from error
 
 
-class StrictYamlLoader(yaml.SafeLoader):
+if yaml.__with_libyaml__:
+
+    class _SafeLoader(Composer, yaml.CSafeLoader):
+        """Read text by libyaml, and compose the nodes in Python, where limits are checked."""
+
+        def __init__(self, stream: str):
+            yaml.CSafeLoader.__init__(self, stream)
+            Composer.__init__(self)
+
+else:
+    _SafeLoader = yaml.SafeLoader  # pyright: ignore[reportAssignmentType]
+
+
+class StrictYamlLoader(_SafeLoader):
     """A stricter safe YAML loader: unique keys, numbers as in YAML 1.2, bounded nesting.
 
     YAML 1.1, which PyYAML follows, reads 1e-3 as text, 010 as eight and 1:30 as ninety. The result
@@ -312,7 +326,8 @@ def _child_nodes(node: yaml.Node) -> list[tuple[yaml.Node, ...]]:
 
 def _is_absent(node: yaml.Node) -> bool:
     """Return whether nothing is written where a value is expected."""
-    return isinstance(node, yaml.ScalarNode) and node.value == "" and node.style is None
+    # The style of an unquoted scalar is "" for libyaml, None for Python's scanner.
+    return isinstance(node, yaml.ScalarNode) and node.value == "" and not node.style
 
 
 def _construct_int(loader: StrictYamlLoader, node: yaml.ScalarNode) -> int:

@@ -26,6 +26,7 @@ from .imported_folder import (
 )
 from .lerobot_dataset import Frames, LeRobotDataset
 from .moments import MomentChoice, choose_moments
+from .percentages import refuse_percentages
 from .picture_messages import PictureFile, checked_file, png_of
 from .target_text import TargetText, target_text
 
@@ -41,7 +42,8 @@ class LeRobotSources:
     """Features of a data set of LeRobot, by their meaning.
 
     The description of a data set does not tell units. Joint readings that were recorded in percent
-    of each joint's range (-100 to 100, the default of some arms) are no angles, and useless here.
+    of each joint's range (-100 to 100, the default of some arms) are no angles, and refused where
+    their steps show it.
 
     Attributes:
         image: feature of the pictures; None for the only one.
@@ -226,6 +228,7 @@ def _poses(
         poses[known] = host_matrices(decoded)
         return rows, poses
     turning = ~np.asarray(sources.arm.prismatic)
+    refuse_percentages(where, rows[known][:, turning])
     largest = float(np.abs(rows[known][:, turning]).max(initial=0.0))
     if sources.angle_unit == "rad" and largest > MAX_RADIANS:
         raise ValueError(f"{where}: joint readings up to {largest:.4g} are too large for radians")

@@ -209,6 +209,23 @@ def test_joint_readings_have_the_stated_unit(tmp_path):
     assert not (tmp_path / "rad").exists()
 
 
+def test_joint_readings_in_percent_are_refused(tmp_path):
+    """LeRobot's default for some arms: whole steps of an encoder between the ends of a motion."""
+    counts = np.array([2476, 2400, 2192, 2340, 4095, 1890, 2001])
+
+    def percent(pose):
+        share = 0.5 + 0.1 * pose[:2, :4].ravel()[:7]
+        return [*(np.round(share * counts) / counts * 200.0 - 100.0).tolist(), 50.0]
+
+    names = [f"joint{k}.pos" for k in range(7)] + ["gripper.pos"]
+    folder = write_dataset(tmp_path / "set", "v2.1", "image", percent, names)
+    for unit in ("deg", "rad"):
+        sources = sv.LeRobotSources(arm=kuka_lwr4(), angle_unit=unit, names=tuple(names[:7]))
+        with pytest.raises(ValueError, match=r"set: observation.state: .*percent.*use_degrees"):
+            sv.import_lerobot(folder, tmp_path / "data", sources, "charuco")
+    assert not (tmp_path / "data").exists()
+
+
 @pytest.mark.parametrize(
     ("sources", "message"),
     [
