@@ -101,19 +101,16 @@ def test_priors_and_losses_weigh_as_in_one_fit_and_a_lens_may_be_asked_for(scene
     start = dataclasses.replace(nudged(paper_calibration()), camera=pinhole)
     told = {
         "priors": {"camera.u0": Prior(std=2.0), "camera.v0": Prior(std=2.0)},
-        "loss": "huber",
-        "lens": "opencv4",
-        "fixed": ("camera.lens.p1",),
+        "loss": "cauchy",
+        "lens": "radial",
+        "fixed": ("camera.alpha_v",),
     }
     together = fit_many(scenes[1:], start, **told)
-    assert together.parameter_names[:7] == (
+    assert together.parameter_names[:4] == (
         "camera.alpha_u",
-        "camera.alpha_v",
         "camera.u0",
         "camera.v0",
         "camera.lens.k1",
-        "camera.lens.k2",
-        "camera.lens.p2",
     )
     for k in range(2):
         alone = fit_joint(scenes[1 + k], start, noise="trusted", **told)
@@ -221,7 +218,7 @@ def test_data_sets_of_other_shapes_get_what_one_fit_finds(scenes):
     """They are padded to shapes in common, and keep their order."""
     noise, fewer = Noise(0.15, 1e-4, 1e-3), scene_of(4, views=5).data
     arrays = {name: getattr(fewer, name)[:, :12] for name in ("points", "pixels", "visible")}
-    given = [scenes[1], scene_of(5, views=9).data, dataclasses.replace(fewer, **arrays)]
+    given = [scenes[1], scene_of(5, views=7).data, dataclasses.replace(fewer, **arrays)]
     start = nudged(paper_calibration())
     together = fit_many(given, start, noise=noise)
     for k, data in enumerate(given):
