@@ -221,7 +221,10 @@ def test_one_rotation_axis_is_named(scene):
         ({"loss": "l7", "noise": "trusted"}, "loss is one of huber, cauchy"),
         ({"lens": "bottle"}, "lens is one of pinhole"),
         (
-            {"priors": {"camera_from_tool.rotation": Prior(std=0.1, mean=0.0)}},
+            {
+                "priors": {"camera_from_tool.rotation": Prior(std=0.1, mean=0.0)},
+                "noise": "trusted",
+            },
             "a rotation's prior is centred at the start",
         ),
     ],
