@@ -101,19 +101,16 @@ def test_priors_and_losses_weigh_as_in_one_fit_and_a_lens_may_be_asked_for(scene
     start = dataclasses.replace(nudged(paper_calibration()), camera=pinhole)
     told = {
         "priors": {"camera.u0": Prior(std=2.0), "camera.v0": Prior(std=2.0)},
-        "loss": "huber",
-        "lens": "opencv4",
-        "fixed": ("camera.lens.p1",),
+        "loss": "cauchy",
+        "lens": "radial",
+        "fixed": ("camera.alpha_v",),
     }
     together = fit_many(scenes[1:], start, **told)
-    assert together.parameter_names[:7] == (
+    assert together.parameter_names[:4] == (
         "camera.alpha_u",
-        "camera.alpha_v",
         "camera.u0",
         "camera.v0",
         "camera.lens.k1",
-        "camera.lens.k2",
-        "camera.lens.p2",
     )
     for k in range(2):
         alone = fit_joint(scenes[1 + k], start, noise="trusted", **told)
@@ -126,15 +123,19 @@ def test_priors_and_losses_weigh_as_in_one_fit_and_a_lens_may_be_asked_for(scene
 
 
 def test_what_priors_cost_is_no_scatter_of_pixels(scenes):
-    # Priors that contradict the pixels add to the cost; the pixels' variance leaves them out.
+    """Priors that contradict the pixels add to the cost; the pixels' variance leaves them out.
+
+    By the program of the test before.
+    """
     start = nudged(paper_calibration())
     camera = start.camera
     told = {
         "camera.alpha_u": Prior(std=0.5, mean=float(camera.alpha_u) + 20.0),
         "camera.alpha_v": Prior(std=0.5, mean=float(camera.alpha_v) - 20.0),
     }
-    together = fit_many(scenes[:2], start, priors=told)
-    alone = fit_joint(scenes[0], start, noise="trusted", priors=told)
+    options = {"priors": told, "loss": "cauchy", "fixed": ("camera.u0",)}
+    together = fit_many(scenes[:2], start, **options)
+    alone = fit_joint(scenes[0], start, noise="trusted", **options)
     np.testing.assert_allclose(
         np.diag(together.covariance[0]), np.diag(alone.covariance), rtol=1e-3
     )
@@ -203,7 +204,7 @@ def test_every_data_set_is_looked_at(scenes):
     """Not the first one alone, whose views also say which poses may move."""
     few = scenes[1].mask_views(range(1, VIEWS))
     with pytest.raises(ValueError, match=r"data\[1\]: a joint fit needs at least 3 views"):
-        fit_many([scenes[0], few], paper_calibration())[1]
+        fit_many([scenes[0], few, scenes[0]], paper_calibration())[1]
     with pytest.raises(ValueError, match=r"data\[0\]: a joint fit needs at least 3 views"):
         fit_many([few, few], paper_calibration())
     poses = scenes[2].base_from_tool.wxyz_xyz
@@ -221,7 +222,7 @@ def test_data_sets_of_other_shapes_get_what_one_fit_finds(scenes):
     """They are padded to shapes in common, and keep their order."""
     noise, fewer = Noise(0.15, 1e-4, 1e-3), scene_of(4, views=5).data
     arrays = {name: getattr(fewer, name)[:, :12] for name in ("points", "pixels", "visible")}
-    given = [scenes[1], scene_of(5, views=9).data, dataclasses.replace(fewer, **arrays)]
+    given = [scenes[1], scene_of(5, views=7).data, dataclasses.replace(fewer, **arrays)]
     start = nudged(paper_calibration())
     together = fit_many(given, start, noise=noise)
     for k, data in enumerate(given):

@@ -32,18 +32,15 @@ def run(code, **settings):
 @pytest.mark.parametrize(
     ("first", "settings"),
     [
-        ("import smartview_jax, jax.numpy as jnp", {}),
         ("import jax.numpy as jnp, smartview_jax", {}),
-        ("import smartview_jax, equinox, jax.numpy as jnp", {}),
         ("from smartview_jax.cameras import Camera; import jax.numpy as jnp", {}),
-        ("import smartview_jax.engine, jax.numpy as jnp", {}),
         # Looking for JAX is not importing it; libraries do so to see whether it is installed.
         (
             "import smartview_jax, importlib.util; importlib.util.find_spec('jax')\n"
             "import jax.numpy as jnp",
             {},
         ),
-        ("import smartview_jax, jax.numpy as jnp", {VARIABLE: "0"}),
+        ("import smartview_jax, equinox, jax.numpy as jnp", {VARIABLE: "0"}),
         ("import jax.numpy as jnp, smartview_jax", {VARIABLE: "0"}),
     ],
 )

@@ -82,7 +82,7 @@ def test_an_interrupt_that_python_drops_leaves_no_traceback():
     assert said.count("interrupted; no file is left half-written") == 1
 
 
-@pytest.mark.parametrize(("word", "wait"), [(b"view 0 ", 0.0), (b"Step 2", 0.3)])
+@pytest.mark.parametrize(("word", "wait"), [(b"view 0 ", 0.0), (b"Step 1", 0.3)])
 def test_a_calibration_ends_with_a_line_of_words(tmp_path_factory, tmp_path, word, wait):
     """While circles of the sample are looked for, and while programs are compiled."""
     data = [] if wait == 0.0 else [str(board_folder(tmp_path_factory))]
