@@ -5,6 +5,7 @@ focal length and the axis at the origin: `f (x / z, y / z)`, in px, so that dist
 almost the same size as in the real picture.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import cv2
@@ -30,7 +31,8 @@ class IdealPlane:
     """
 
     def __init__(self, camera: Camera):
-        self._camera = camera
+        # No ray depends on the picture's size: pictures of all sizes share their programs.
+        self._camera = dataclasses.replace(camera, image_size=(0, 0))
         self.focal_length: float = 0.5 * float(camera.alpha_u + camera.alpha_v)
 
     def from_pixels(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
@@ -95,12 +97,12 @@ def _with_derivatives(
 ) -> tuple[Float[Array, "points 2"], Float[Array, "points 2 2"]]:
     """Return the values of a function that maps points one by one, and its derivatives."""
     # Each point depends only on itself: two directional derivatives give all of them.
-    columns = []
-    value = function(points)
-    for k in (0, 1):
-        direction = jnp.zeros_like(points).at[:, k].set(1.0)
-        columns.append(jax.jvp(function, (points,), (direction,))[1])
-    return value, jnp.stack(columns, axis=-1)
+    directions = jnp.stack([jnp.zeros_like(points).at[:, k].set(1.0) for k in (0, 1)])
+
+    def along(direction: Float[Array, "points 2"]) -> tuple[Array, Array]:
+        return jax.jvp(function, (points,), (direction,))
+
+    return jax.vmap(along, out_axes=(None, -1))(directions)
 
 
 def resampled(

@@ -59,12 +59,13 @@ def converged_poses(
 
     def step(pose: Float[Array, "4 4"], radius: Float[Array, ""]):
         lines = lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius)
-        return pose @ SE3.exp(_robust_step(lines, TOLERANCE_OF_RADIUS * radius)).as_matrix(), None
+        moved = pose @ SE3.exp(_robust_step(lines, TOLERANCE_OF_RADIUS * radius)).as_matrix()
+        return moved, (pose, _lengths(lines))
 
     def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, "2"]]:
-        pose, _ = jax.lax.scan(step, pose, jnp.asarray(RADII))
-        lengths = lengths_at(wireframe, camera, lookup, camera_from_world, pose)
-        return pose, lengths
+        # A last round, whose step is not taken, gives the lengths: the lines are compiled once.
+        _, (poses, lengths) = jax.lax.scan(step, pose, jnp.asarray((*RADII, EXPLAINED_DISTANCE)))
+        return poses[-1], lengths[-1]
 
     # One pose after the other, so that the arrays stay in the processor's cache.
     return jax.lax.map(converge, world_from_object)
@@ -94,7 +95,11 @@ def lengths_at(
 ) -> Float[Array, "2"]:
     """Return the visible and the explained edge length at a pose, all views together, px."""
     radius = jnp.asarray(EXPLAINED_DISTANCE)
-    lines = lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius)
+    return _lengths(lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius))
+
+
+def _lengths(lines: EdgeLines) -> Float[Array, "2"]:
+    """Return the visible and the explained length of all edges in all views, px."""
     return jnp.stack([lines.visible_px.sum(), lines.explained_px.sum()])
 
 

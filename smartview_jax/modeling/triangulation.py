@@ -23,7 +23,7 @@ from .pixel_jacobians import pixel_jacobians
 from .point_estimation import estimate_points
 from .rig_views import AnyCalibration
 from .view_poses import (
-    MAX_PADDED_FEATURES,
+    PADDED_FEATURES,
     SeenViews,
     padded_count,
     padded_to,
@@ -132,7 +132,7 @@ def solve_points(
     poses = views.poses_for(count)
     shape = (len(poses), padded_count(count))
     safe = np.where(visible[..., None], pixels, 0.0)
-    if count <= MAX_PADDED_FEATURES:
+    if count <= PADDED_FEATURES[-1]:
         # One program, whether the observations have one sigma or each its own.
         whitening = padded_to(np.broadcast_to(whitening, (*visible.shape, 2, 2)), shape)
     solution = estimate_points(

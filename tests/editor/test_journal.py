@@ -1,41 +1,37 @@
 """Test that a journal on a full disk has whole changes only."""
 
+import contextlib
 import json
-import subprocess
-import sys
+import resource
+import signal
 
 import pytest
 
 from smartview_jax.editor.journal import Journal
 
-FULL_DISK = """
-import resource, signal, sys
-from pathlib import Path
-from smartview_jax.editor.journal import Journal
 
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-path = Path(sys.argv[1])
-journal = Journal(path, {"views": ["v1"]})
-journal.append({"do": "first"})
-hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
-resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 20, hard))
-try:
-    journal.append({"do": "refused", "text": "x" * 100})
-except OSError:
-    print("refused")
-resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
-journal.append({"do": "next"})
-journal.close()
-"""
+@contextlib.contextmanager
+def room_for(size):
+    """Files of this process cannot grow beyond a size: as on a full disk, a write ends midway."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    told = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, told)
 
 
 def test_refused_change_does_not_come_out_with_the_next(tmp_path):
     """A write that the system refuses midway leaves neither bytes in the file nor in a buffer."""
     path = tmp_path / "model.journal"
-    job = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(path)], capture_output=True, text=True, check=True
-    )
-    assert job.stdout == "refused\n"
+    journal = Journal(path, {"views": ["v1"]})
+    journal.append({"do": "first"})
+    with room_for(path.stat().st_size + 20), pytest.raises(OSError, match="File too large"):
+        journal.append({"do": "refused", "text": "x" * 100})
+    journal.append({"do": "next"})
+    journal.close()
     entries = [json.loads(line) for line in path.read_text().splitlines()]
     assert [entry.get("do") for entry in entries] == [None, "first", "next"]
     journal = Journal(path, {"views": ["v1"]})

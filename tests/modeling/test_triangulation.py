@@ -249,8 +249,8 @@ def test_it_is_differentiable_and_batched(calibration, poses):
 
 
 def test_one_more_click_compiles_nothing(poses):
-    """No other test has five views by a pinhole camera, so that no program is there yet."""
-    camera = sv.Camera(2100.0, 2100.0, 320.0, 240.0, sv.cameras.Pinhole(), (640, 480))
+    """No other test has pictures of this size, so that no program is there yet."""
+    camera = sv.Camera(2100.0, 2100.0, 320.0, 240.0, sv.cameras.Pinhole(), (632, 480))
     calibration = dataclasses.replace(paper_calibration(), camera=camera)
     pixels = np.full((5, 7, 2), 250.0) + np.arange(7.0)[:, None]
     with programs_added() as seconds:
