@@ -129,8 +129,12 @@ def host_cross_matrices(
     vectors: Float[np.ndarray, "*batch 3"],
 ) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the matrices of the vector product with vectors from the left."""
-    # Row k of the matrix is e_k x v: (v x p)_k = p . (e_k x v).
-    return np.cross(np.eye(3), vectors[..., None, :])
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    matrices = np.zeros((*vectors.shape, 3))
+    matrices[..., 0, 1], matrices[..., 0, 2] = -z, y
+    matrices[..., 1, 0], matrices[..., 1, 2] = z, -x
+    matrices[..., 2, 0], matrices[..., 2, 1] = -y, x
+    return matrices
 
 
 def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:

@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
 from ..dataset import Observations
-from ..geometry import transform_points
+from ..geometry import transformed_coordinates
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import repeat_last, without_padding
 from .kalman_pass import PassResult, run_pass
@@ -237,7 +237,13 @@ def pixel_residuals(
 @compiled
 def _pixel_residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
     """Return what `pixel_residuals` returns, compiled for the shapes that are given."""
-    predicted, valid = camera.project(transform_points(camera_from_world, observations.points))
+    # By matrices: quaternions applied to each of many points take ten times as long.
+    in_camera = transformed_coordinates(
+        camera_from_world.rotation().as_matrix(),
+        camera_from_world.translation(),
+        observations.points,
+    )
+    predicted, valid = camera.project(jnp.stack(in_camera, axis=-1))
     residuals = observations.residuals(predicted, valid)
     return jnp.where((observations.visible & ~valid)[..., None], 1e4, residuals)
 

@@ -56,7 +56,7 @@ _DETERMINED_VARIANCE = 25.0
 Until then, and until four points of the view have been used, its predictions are poor, and good
 points would be rejected."""
 
-_DETERMINED_POINTS = 4.0
+_DETERMINED_POINTS = 4
 """Number of points that determine the pose of a view for a known camera."""
 
 POSE_SIZE = 6
@@ -105,6 +105,7 @@ def absorb_measurements(
     measurements = measurements.reshape(points * views, *measurements.shape[2:])
     # Those that are used come first, in their order.
     order = jnp.argsort(~used.ravel(), stable=True)
+    enough = jnp.uint8(_DETERMINED_POINTS)
 
     def absorb(number: Array, carry: tuple) -> tuple:
         """Update the camera and the pose of one view, unless the measurement is gated out."""
@@ -115,16 +116,18 @@ def absorb_measurements(
         new_camera, new_pose, squared_innovation, variance = _update(
             camera, pose, measurements[measured]
         )
-        determined = (variance < _DETERMINED_VARIANCE) & (count >= _DETERMINED_POINTS)
+        determined = (variance < _DETERMINED_VARIANCE) & (count == enough)
         accepted = (squared_innovation <= gate) | ~determined
+        more = jnp.minimum(count + jnp.uint8(1), enough)
         return (
             jnp.where(accepted, new_camera, camera),
             poses.at[view].set(jnp.where(accepted, new_pose, pose)),
-            counts.at[view].set(jnp.where(accepted, count + 1.0, count)),
+            counts.at[view].set(jnp.where(accepted, more, count)),
         )
 
-    # Floating point, because a `where` of another type would be promoted in the loop.
-    counts = jnp.zeros(views)
+    # Of all carried arrays XLA copies this one for every measurement, so it is kept small: one byte
+    # a view, in which nothing is counted beyond what determines a pose.
+    counts = jnp.zeros(views, jnp.uint8)
     camera, poses, _ = jax.lax.fori_loop(0, jnp.sum(used), absorb, (*state, counts))
     return FilterState(camera, poses)
 

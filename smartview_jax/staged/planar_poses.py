@@ -110,12 +110,19 @@ def _linearised(
     used = sight.seen & in_front
     residual = np.where(used[..., None], ideal - sight.rays, 0.0)
     cost = np.sum(residual**2, axis=(1, 2)) + 1e3 * np.sum(sight.seen & ~in_front, axis=1)
-    # d(x / z) = (dx - (x / z) dz) / z with dp = v + w x p
-    D = np.zeros((*z.shape, 2, 3))
-    D[..., 0, 0] = D[..., 1, 1] = 1.0 / z
-    D[..., 2] = -ideal / z[..., None]
-    jacobian = np.concatenate([D, -D @ host_cross_matrices(p)], axis=-1)
-    jacobian = np.where(used[..., None, None], jacobian, 0.0)
+    # d(x / z) = (dx - (x / z) dz) / z with dp = v + w x p, and g . (w x p) = (p x g) . w; row by
+    # row, because NumPy is slow at products of so small matrices.
+    inverse = np.where(used, 1.0 / z, 0.0)
+    x, y = np.where(used, ideal[..., 0], 0.0), np.where(used, ideal[..., 1], 0.0)
+    jacobian = np.zeros((*z.shape, 2, 6))
+    jacobian[..., 0, 0] = jacobian[..., 1, 1] = inverse
+    jacobian[..., 0, 2], jacobian[..., 1, 2] = -x * inverse, -y * inverse
+    jacobian[..., 0, 3] = -x * y
+    jacobian[..., 0, 4] = used + x * x
+    jacobian[..., 0, 5] = -y
+    jacobian[..., 1, 3] = -(used + y * y)
+    jacobian[..., 1, 4] = x * y
+    jacobian[..., 1, 5] = x
     views = len(poses)
     return residual.reshape(views, -1), jacobian.reshape(views, -1, 6), cost
 

@@ -24,7 +24,7 @@ from ..cameras import Camera
 from ..dataset import Observations, coplanar, extents
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, compiled_optimised
-from ..runtime.padding import MIN_PADDED_COUNT, without_padding
+from ..runtime.padding import MAX_PADDED_OBSERVATIONS, MIN_PADDED_COUNT, without_padding
 from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, view_starts
 
@@ -250,14 +250,15 @@ def _unproject(
 
 
 def _fit_all_views(*by_view: Any) -> ViewFit:
-    """Fit every view by `_fit_views`, in batches: one program then serves any number of views.
+    """Fit every view by `_fit_views`, in batches: one program then serves any small data set.
 
     Args:
         by_view: the arguments of `_fit_views`.
     """
-    view_count = len(by_view[0])
-    # Data sets are padded to a multiple of the batch, unless they are large.
-    if view_count % MIN_PADDED_COUNT or view_count == MIN_PADDED_COUNT:
+    view_count, point_count = by_view[0].shape[:2]
+    # A large data set is not padded and has programs of its own; hundreds of calls cost it a fifth.
+    is_large = view_count * point_count > MAX_PADDED_OBSERVATIONS
+    if is_large or view_count % MIN_PADDED_COUNT or view_count == MIN_PADDED_COUNT:
         return _fit_views(*by_view)
     by_view = jax.tree.map(np.asarray, by_view)
     fits = []

@@ -280,7 +280,8 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
     shared_rhs = shared_whitening @ (shared_gradient - border_rows.T @ per_view_rhs.reshape(-1))
     shared_step = xp.negative(shared_whitening.T @ shared_rhs)
     per_view_step = _times_vectors(
-        per_view_whitening.swapaxes(1, 2), per_view_rhs + whitened_border @ shared_step
+        per_view_whitening.swapaxes(1, 2),
+        per_view_rhs + (border_rows @ shared_step).reshape(per_view_rhs.shape),
     )
     step = Step(shared_step, xp.negative(per_view_step))
 
