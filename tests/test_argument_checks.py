@@ -29,6 +29,8 @@ CASES = {
     "sv.fit_joint(calibration, data)": "data: expected Dataset, found",
     "sv.fit_joint(data, calibration.camera)": "start: expected Calibration, found",
     "sv.fit_poses(5)": "samples: expected TrackedPoses, found 5 (int); a PoseDataset, or the Pose",
+    "sv.next_view([], views, None)": "found one of type RigViews; of a rig, give the camera that t",
+    "sv.GraspScene(views)": "expected Calibration, found one of type RigViews; of a rig, give a ca",
 }
 
 SCRIPT = """
@@ -41,6 +43,8 @@ from smartview_jax.simulation import paper_calibration, paper_points
 calibration, points = paper_calibration(), paper_points((0.0,))
 poses = np.tile(np.eye(4), (5, 1, 1))
 data = sv.Dataset.from_arrays(points, np.full((5, len(points), 2), 9.0), poses, (640, 480))
+
+views = sv.RigViews({"left": calibration}, ["left"])
 
 def fit(**options):
     return sv.fit_joint(data, calibration, noise="trusted", **options)

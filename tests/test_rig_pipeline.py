@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from fit_scenes import scene_of, scene_with
+from fit_scenes import POINTS, scene_of, scene_with
 from scipy.stats import chi2
 
 from smartview_jax import Noise, Rig, calibrate
@@ -70,9 +70,16 @@ def test_a_camera_with_few_views_is_known_as_well_as_said():
     assert chi2.ppf(0.01, 24) < sum(squares) < chi2.ppf(0.99, 24)
 
 
-def test_the_noise_is_estimated_with_a_view_alone():
-    fit = calibrate(rig_with_few_views(1, 1), "radial", camera={"right": RIGHT.camera}, field=None)
-    assert 0.5 * NOISE.pixel < fit.pixel_sigmas["right"] < 2.0 * NOISE.pixel
+def test_the_noise_is_estimated_with_five_points_in_a_view_alone():
+    """A free lens would pass through them exactly, and leave no noise."""
+    rig = rig_with_few_views(1, 1)
+    few = np.zeros((1, len(POINTS)), dtype=bool)
+    few[0, [0, 3, 6, 7, 13]] = True
+    right = rig.cameras["right"].with_visible(few)
+    rig = rig.with_cameras({**rig.cameras, "right": right})
+    fit = calibrate(rig, "radial", camera={"right": RIGHT.camera}, field=None)
+    for sigma in fit.pixel_sigmas.values():
+        assert 0.5 * NOISE.pixel < sigma < 2.0 * NOISE.pixel
     assert squared_error(fit) < chi2.ppf(0.999, 6)
 
 

@@ -122,16 +122,20 @@ def _checked(
     data = _without_repetitions(given)
     figures = _figures(data)
     first = f"{name}: {data.view_count} views, {data.mount}"
-    lines = (first, *data.notes, *_seen(figures, data), *_motion(figures))
-    # The data with repetitions: if all poses are equal, no view is left without them.
-    reported = {view for view, _ in data.masked_views}
+    lines = [first, *data.notes, *_seen(figures, data)]
     if camera is not None and neighbour is not None and 0 < figures.usable_views < 3:
-        text = f"with so few views its place follows from the target that {neighbour} sees"
-        lines, problems, doubts = (*lines, text), (), ()
+        lines.append(
+            f"usable views: {figures.usable_views}; its place follows from the target that "
+            f"{neighbour} sees"
+        )
+        problems, doubts = (), ()
     else:
+        lines += _motion(figures)
+        # The data with repetitions: if all poses are equal, no view is left without them.
+        reported = {view for view, _ in data.masked_views}
         problems, doubts = _agreement(given, reported, camera)
     document = _document(name, data, figures, problems, doubts)
-    return CheckedData(lines, problems, doubts, document)
+    return CheckedData(tuple(lines), problems, doubts, document)
 
 
 def _print_lines(checked: CheckedData) -> None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_transformed
@@ -61,10 +62,12 @@ class GraspScene:
 
     Attributes:
         calibration: its world is the frame of all poses and obstacles; the camera is on the hand.
+            Of a rig, any camera on the hand, such as `fit.calibrations["left"]`.
         obstacles: bin, table, other objects.
         arm: the nominal arm; None if it is commanded by poses and its reach is unknown.
         near: joint readings at which the arm starts; required with an arm.
-        estimate: fit with the calibration's covariance; None takes the calibration as exact.
+        estimate: fit with the calibration's covariance, of a rig `fit.estimate("left")`; None takes
+            the calibration as exact.
         margin: distance that gripper and arm keep from obstacles, m.
         link_radius: radius of the cylinders about the arm's links, which must not touch obstacles
             between pre-grasp and retreat, m; None leaves the links unchecked.
@@ -91,9 +94,12 @@ class GraspScene:
         """Check the combination of fields.
 
         Raises:
+            TypeError: a calibration of another type, such as the views of a rig.
             ValueError: the camera is not on the hand, an arm has no initial joints, or the
                 direction upwards is zero; the message says which.
         """
+        hint = "of a rig, give a camera on the hand, such as fit.calibrations['left']"
+        require_instance("calibration", self.calibration, Calibration, hint)
         # With a fixed camera the target, and so the world, is on the tool.
         if self.calibration.mount != "eye_in_hand":
             raise ValueError(

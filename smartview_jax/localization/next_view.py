@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..engine import Noise
 from ..geometry import host_matrices, look_at
@@ -19,6 +20,9 @@ from ..viewpoints import Limits, viewpoint_commands
 from .depth_buffers import checked_triangles
 from .localization import Localization
 from .view_gains import ViewGains
+
+OF_ONE_CAMERA = "of a rig, give the camera that takes the view, such as fit.calibrations['left']"
+"""The hint for who gives several cameras."""
 
 DIRECTIONS = 64
 """Number of default view directions, spread over a hemisphere."""
@@ -88,7 +92,7 @@ def next_view(
     Args:
         localizations: results of `localize`, in the world frame of the calibration; rejected ones
             are ignored.
-        calibration: of the camera that takes the next view.
+        calibration: of the camera that takes the next view; of a rig, `fit.calibrations["left"]`.
         reachable: the views that the robot may take.
         noise: of the robot, whose error limits the information of the new view; None for an exact
             robot.
@@ -100,6 +104,7 @@ def next_view(
             for `localize`.
 
     Raises:
+        TypeError: a calibration of another type, such as the views of a rig.
         ValueError: no object is left to look at, poses are in the base frame, neither candidates
             nor a distance are given, candidates are empty or not 4x4, or no candidate is reachable
             or shows an object; the message says why.
@@ -110,6 +115,7 @@ def next_view(
         >>> round(sv.next_view(found, truth, reachable).position_std[1], 6)  # doctest: +SKIP
         7e-06
     """
+    require_instance("calibration", calibration, Calibration, OF_ONE_CAMERA)
     objects = [obj for obj in localizations if obj.verdict.decision != "rejected"]
     if not objects:
         raise ValueError("localizations: nothing was found that a further view could verify")
