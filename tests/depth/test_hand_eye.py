@@ -1,5 +1,8 @@
 """The hand-eye transform from a depth sensor: each view counts by its own covariance."""
 
+import dataclasses
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -93,9 +96,24 @@ def test_the_covariance_of_the_hand_eye_transform_is_true(trials):
         np.array, zip(*(error_and_covariance(t[3]) for t in trials), strict=True)
     )
     assert mean_nees(nees(errors, covariances), 6).is_consistent
-    # The sensor's bias is a large part of the distance, and an error that no view reveals.
-    fit = trials[0][3]
-    assert fit.std["camera_from_tool.translation.z"] > 0.7 * fit.sensor.offset_std
+
+
+def test_an_unknown_offset_is_an_error_that_no_view_reveals(trials):
+    """All depths too large by d put the camera too far back by d, on top of all other errors."""
+    robot, _, measured, _ = trials[0]
+    moved = np.zeros((VIEWS, 6, 2))
+    moved[:, 2, 1] = 1.0
+    unsure = dataclasses.replace(measured.sensor, scale_std=1e-9, offset_std=1e-3, correlation=0.0)
+    data = dataclasses.replace(
+        measured.dataset(robot), sensor=unsure, sensor_changes=jnp.asarray(moved)
+    )
+    known = dataclasses.replace(data, sensor=None)
+    std, std_known = (sv.fit_poses(d, field=None).std for d in (data, known))
+    z = "camera_from_tool.translation.z"
+    assert std[z] == pytest.approx(np.hypot(std_known[z], 1e-3), rel=0.02)
+    # The other numbers do not depend on it.
+    for name in ("camera_from_tool.translation.x", "base_from_world.translation.z"):
+        assert std[name] == pytest.approx(std_known[name], rel=0.05)
 
 
 def test_the_sensor_is_said_with_the_fit(trials):
