@@ -10,6 +10,7 @@ between two views (`changes.py`), and which single views contradict the others
 
 from .camera_checks import camera_misfit as camera_misfit
 from .camera_checks import camera_problem as camera_problem
+from .changes import ChangeOptions as ChangeOptions
 from .changes import ChangeReport as ChangeReport
 from .changes import find_change as find_change
 from .closure import closure_error as closure_error

@@ -4,9 +4,22 @@ A set-up that changes once, half-way, is two good data sets that contradict each
 views then disagree with the other half, so no single view looks wrong, and medians over pairs of
 views may stay small. Therefore the transforms are fitted to the views on one side of every
 possible change; if the views on the other side disagree with them, but all by the same transform,
-that is the change. A lens that zoomed looks like a camera that moved along its optical axis.
+that is the change. A lens that zoomed by z makes the camera's poses, which are computed with one
+focal length for all views, err in depth only: by one factor before and by z times it after.
+
+A change is named if it is likely and large. Schwarz's criterion says how likely it is, for Gaussian
+errors of translation and rotation whose variances are estimated from the views. The errors of a
+real arm are alike in views near each other, so that n views count as n (1 - r) / (1 + r), with the
+correlation r of the errors that remain in successive views. A change is large if it explains more
+than all else together: by a size s half-way, it leaves s / 2 in every view of a fit to all of them.
+
+References:
+    Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978.
+    Bayley and Hammersley, The "effective" number of independent observations in an autocorrelated
+        time series, Journal of the Royal Statistical Society 8, 1946.
 """
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -18,27 +31,34 @@ from ..calibration import mount_frames
 from ..geometry import host_logarithms, host_matrices, mean_matrix
 from .closure import Poses
 from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
-from .transform_fit import fit_transforms, misfit_text, misfits
+from .transform_fit import TransformFit, fit_transforms, misfit_text, misfits
 
-MIN_VIEWS_ON_A_SIDE = 4
-"""Fewest views before and after a change. Of six good views of a real arm, three may agree with a
-moved camera by chance."""
+MIN_VARIANCE = 1e-18
+"""Smallest variance of an error, m^2 and rad^2: a nanometre, for rendered views without any."""
 
-MAX_REMAINING_RATIO = 0.5
-"""Ratio of the misfit with a change to the misfit without, up to which it is named: it explains
-more than all else together."""
 
-MAX_RIVAL_RATIO = 2.0
-"""Ratio to the smallest misfit up to which another kind of change explains the views as well."""
+@dataclasses.dataclass(frozen=True)
+class ChangeOptions:
+    """Say where a change is looked for, and which one is named.
 
-MIN_SCORE = 2e-3
-"""Smallest score without a change with which one is looked for: 1 mm at half a metre."""
+    Attributes:
+        min_odds: smallest odds of a change that is named; 20 are "strong evidence" in the words of
+            Kass and Raftery, Bayes factors, 1995.
+        min_views_on_a_side: fewest views before and after a change. Of six good views of a real
+            arm, three may agree with a moved camera by chance.
+        max_rival_ratio: ratio to the smallest misfit up to which another kind of change explains
+            the views as well.
+        min_score: smallest score without a change with which one is looked for; the default is 1 mm
+            at half a metre.
+        max_tried_places: largest number of places where a change is looked for at first; then
+            around the best of them.
+    """
 
-MAX_TRIED_CHANGES = 8
-"""Largest number of places where a change is looked for at first; then around the best of them."""
-
-MIN_AXIAL_PART = 0.8
-"""Part of a camera's motion along its optical axis from which a zoom is named, too."""
+    min_odds: float = 20.0
+    min_views_on_a_side: int = 4
+    max_rival_ratio: float = 2.0
+    min_score: float = 2e-3
+    max_tried_places: int = 8
 
 
 class Change(NamedTuple):
@@ -46,21 +66,27 @@ class Change(NamedTuple):
 
     Attributes:
         kind: `"camera"` for the camera against its mount, `"target"` for the target against its
-            holder.
+            holder, `"zoom"` for the lens.
         first_view: index of the first view after it.
-        translation, rotation: size of the change of the frame, m and rad.
-        axial_part: part of the translation along the optical axis, 0 to 1.
+        translation, rotation: size of the change of the frame, m and rad; for a zoom, by how much
+            the target seems to come nearer or to recede.
+        zoom: ratio of the focal length after the change to the one before; 1 for other kinds.
         misfit: mean misfit over the views with the change, m and rad.
         score: rotation plus translation over the distance to the target.
+        size: the same of the change itself.
+        evidence: difference of Schwarz's criterion, without the change minus with it: twice the
+            logarithm of the odds of the change.
     """
 
     kind: str
     first_view: int
     translation: float
     rotation: float
-    axial_part: float
+    zoom: float
     misfit: tuple[float, float]
     score: float
+    size: float
+    evidence: float
 
 
 class ChangeReport(NamedTuple):
@@ -92,27 +118,28 @@ class ChangeReport(NamedTuple):
             view_ids: names of the views.
         """
         best = self.changes[0]
-        size = misfit_text((best.translation, best.rotation))
         causes = ", or as if ".join(_causes(change, mount) for change in self.changes)
         return (
             f"from view {view_ids[best.first_view]} on, the views contradict the earlier ones, as "
-            f"if {causes}, by {size}: with such a change robot and camera agree to "
+            f"if {causes}: with such a change robot and camera agree to "
             f"{misfit_text(best.misfit)} instead of {misfit_text(self.misfit)} (means over the "
             "views). Calibrate the two parts separately"
         )
 
 
 def _causes(change: Change, mount: str) -> str:
-    """Return what may have been changed, as a clause."""
+    """Return what may have been changed, and by how much, as a clause."""
+    if change.kind == "zoom":
+        return f"the lens had zoomed by {100.0 * (change.zoom - 1.0):+.1f} %"
     in_hand = mount_frames(mount)[0] == "tool"
+    size = misfit_text((change.translation, change.rotation))
     if change.kind == "target":
         held = "the target had been moved" + ("" if in_hand else " in the hand")
         frame = "base" if in_hand else "tool"
-        return f"{held} (or the controller's {frame} frame changed)"
-    held = "the camera had been moved" + (" on the tool" if in_hand else "")
-    zoomed = ", or the lens zoomed" if change.axial_part > MIN_AXIAL_PART else ""
-    frame = "tool" if in_hand else "base"
-    return f"{held} (or the controller's {frame} frame changed{zoomed})"
+    else:
+        held = "the camera had been moved" + (" on the tool" if in_hand else "")
+        frame = "tool" if in_hand else "base"
+    return f"{held} (or the controller's {frame} frame changed) by {size}"
 
 
 def find_change(
@@ -120,6 +147,7 @@ def find_change(
     camera_from_world: SE3,
     used: Bool[np.ndarray, "views"],
     length_ratio: float = 1.0,
+    options: ChangeOptions | None = None,
 ) -> ChangeReport | None:
     """Return the change that explains most of the disagreement of robot and camera; None without.
 
@@ -129,65 +157,138 @@ def find_change(
         used: mask of the views to use.
         length_ratio: of the camera's motion to the robot's. A target of another size than stated
             would otherwise hide a small change.
+        options: where a change is looked for; by default `ChangeOptions()`.
     """
-    views = np.flatnonzero(used)
-    if len(views) < 2 * MIN_VIEWS_ON_A_SIDE:
+    options = options or ChangeOptions()
+    views, fewest = np.flatnonzero(used), options.min_views_on_a_side
+    if len(views) < 2 * fewest:
         return None
     robot, camera = host_matrices(mount_from_holder)[views], host_matrices(camera_from_world)[views]
     if not (np.isfinite(robot).all() and np.isfinite(camera).all()):
         return None
     robot[:, :3, 3] *= length_ratio
-    distance = float(np.median(np.linalg.norm(camera[:, :3, 3], axis=1)))
-    everything = np.ones(len(views), dtype=bool)
-    fit = fit_transforms(robot, camera, everything)
-    misfit, score = _score(fit.closure, distance)
-    if score < MIN_SCORE:
+    places = np.arange(fewest, len(views) - fewest + 1)
+    search = _Search.of(robot, camera, len(places))
+    misfit, score = search.misfit_and_score(search.fit.closure)
+    if score < options.min_score:
         return None
-    places = np.arange(MIN_VIEWS_ON_A_SIDE, len(views) - MIN_VIEWS_ON_A_SIDE + 1)
-    coarse = places[np.unique(np.linspace(0, len(places) - 1, MAX_TRIED_CHANGES).astype(int))]
-    tried = [change for place in coarse for change in _changes(robot, camera, place, distance)]
-    step = int(np.ceil(len(places) / MAX_TRIED_CHANGES))
+    count = options.max_tried_places
+    coarse = places[np.unique(np.linspace(0, len(places) - 1, count).astype(int))]
+    tried = [change for place in coarse for change in search.changes(place)]
+    step = int(np.ceil(len(places) / count))
     if step > 1:
         best = min(tried, key=lambda change: change.score).first_view
         near = np.setdiff1d(places[np.abs(places - best) < step], coarse)
-        tried += [change for place in near for change in _changes(robot, camera, place, distance)]
-    limit = MAX_REMAINING_RATIO * score
+        tried += [change for place in near for change in search.changes(place)]
     best_of_kind: dict[str, Change] = {}
     for change in sorted(tried, key=lambda change: change.score):
-        if change.score < limit:
-            best_of_kind.setdefault(change.kind, change)
-    if not best_of_kind:
+        best_of_kind.setdefault(change.kind, change)
+    named = [
+        change
+        for change in best_of_kind.values()
+        if change.evidence > 2.0 * np.log(options.min_odds) and 0.5 * change.size > change.score
+    ]
+    if not named:
         return None
-    least = min(change.score for change in best_of_kind.values())
     changes = tuple(
         change._replace(first_view=int(views[change.first_view]))
-        for change in best_of_kind.values()
-        if change.score <= MAX_RIVAL_RATIO * least
+        for change in named
+        if change.score <= options.max_rival_ratio * named[0].score
     )
     return ChangeReport(changes, misfit, score)
 
 
-def _changes(robot: Poses, camera: Poses, place: int, distance: float) -> Iterator[Change]:
-    """Yield the changes of each kind before the view `place`."""
-    after = np.arange(len(robot)) >= place
-    # The transforms of the side with more views, from which the other side differs.
-    reference = after if 2 * after.sum() >= len(after) else ~after
-    fit = fit_transforms(robot, camera, reference)
-    on_mount = fit.closure
-    on_holder = np.linalg.inv(robot) @ on_mount @ robot
-    for kind, closure in (("camera", on_mount), ("target", on_holder)):
-        change = mean_matrix(closure[~reference], np.ones(np.count_nonzero(~reference)))
-        corrected = closure.copy()
-        corrected[~reference] = np.linalg.inv(change) @ closure[~reference]
-        misfit, score = _score(corrected, distance)
-        twist = host_logarithms(change)
-        translation, rotation = misfits(change)[0].tolist()
-        along = fit.camera_from_mount[2, :3] @ twist[:3] / max(translation, 1e-12)
-        axial_part = abs(float(along)) if kind == "camera" else 0.0
-        yield Change(kind, place, translation, rotation, axial_part, misfit, score)
+class _Search(NamedTuple):
+    """Views in which a change is looked for.
 
+    Attributes:
+        robot: `mount_from_holder` of the views.
+        camera: `camera_from_world` of the views.
+        fit: the transforms that fit all views, without any change.
+        distance: median distance of the target, m.
+        place_count: number of places where a change may be.
+    """
 
-def _score(closure: Poses, distance: float) -> tuple[tuple[float, float], float]:
-    """Return the mean misfit, m and rad, and rotation plus translation over the distance."""
-    translation, rotation = misfits(closure).mean(axis=0).tolist()
-    return (translation, rotation), rotation + translation / distance
+    robot: Poses
+    camera: Poses
+    fit: TransformFit
+    distance: float
+    place_count: int
+
+    @classmethod
+    def of(cls, robot: Poses, camera: Poses, place_count: int) -> "_Search":
+        """Return the search in some views."""
+        fit = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool))
+        distance = float(np.median(np.linalg.norm(camera[:, :3, 3], axis=1)))
+        return cls(robot, camera, fit, distance, place_count)
+
+    def changes(self, place: int) -> Iterator[Change]:
+        """Yield the changes of each kind before the view `place`."""
+        after = np.arange(len(self.robot)) >= place
+        # The transforms of the side with more views, from which the other side differs.
+        reference = after if 2 * after.sum() >= len(after) else ~after
+        on_mount = fit_transforms(self.robot, self.camera, reference).closure
+        on_holder = np.linalg.inv(self.robot) @ on_mount @ self.robot
+        for kind, closure in (("camera", on_mount), ("target", on_holder)):
+            change = mean_matrix(closure[~reference], np.ones(np.count_nonzero(~reference)))
+            corrected = closure.copy()
+            corrected[~reference] = np.linalg.inv(change) @ closure[~reference]
+            translation, rotation = misfits(change)[0].tolist()
+            yield self._change(kind, place, (translation, rotation), 1.0, corrected)
+        before_factor, after_factor = self._depth_factors(after)
+        camera = self.camera.copy()
+        camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
+        corrected = fit_transforms(self.robot, camera, np.ones(len(after), dtype=bool)).closure
+        zoom = after_factor / before_factor
+        yield self._change("zoom", place, (abs(zoom - 1.0) * self.distance, 0.0), zoom, corrected)
+
+    def _depth_factors(self, after: Bool[np.ndarray, "views"]) -> tuple[float, float]:
+        """Return the true over the measured depth before and after a zoom.
+
+        With the hand-eye rotation R, the translations of the chain camera = X robot W are linear in
+        the unknown x, w (of the transforms X and W) and factors f:
+
+            (c_x, c_y, f c_z) = x + R (R_robot w + t_robot)
+        """
+        count, turn = len(self.robot), self.fit.camera_from_mount[:3, :3]
+        measured = self.camera[:, :3, 3]
+        matrix = np.zeros((count, 3, 8))
+        matrix[:, :, :3] = np.eye(3)
+        matrix[:, :, 3:6] = turn @ self.robot[:, :3, :3]
+        matrix[~after, 2, 6] = -measured[~after, 2]
+        matrix[after, 2, 7] = -measured[after, 2]
+        known = -self.robot[:, :3, 3] @ turn.T
+        known[:, :2] += measured[:, :2]
+        solution = np.linalg.lstsq(matrix.reshape(-1, 8), known.ravel(), rcond=None)[0]
+        return float(solution[6]), float(solution[7])
+
+    def _change(
+        self, kind: str, place: int, moved: tuple[float, float], zoom: float, corrected: Poses
+    ) -> Change:
+        """Return a change with the misfit and the evidence of the corrected closure."""
+        misfit, score = self.misfit_and_score(corrected)
+        size = moved[1] + moved[0] / self.distance
+        parameters = 2 if kind == "zoom" else 6
+        evidence = self._evidence(corrected, parameters)
+        return Change(kind, place, *moved, zoom, misfit, score, size, evidence)
+
+    def _evidence(self, corrected: Poses, parameters: int) -> float:
+        """Return Schwarz's criterion without a change minus with one of so many parameters."""
+        before, after = (
+            host_logarithms(closure).reshape(-1, 2, 3) for closure in (self.fit.closure, corrected)
+        )
+        variances = np.maximum(np.mean(after**2, axis=(0, 2)), MIN_VARIANCE)
+        ratios = np.maximum(np.mean(before**2, axis=(0, 2)), MIN_VARIANCE) / variances
+        count = len(after)
+        scaled = after / np.sqrt(variances)[:, None]
+        correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (6.0 * (count - 1))
+        correlation = min(max(correlation, 0.0), 1.0)
+        effective = max(count * (1.0 - correlation) / (1.0 + correlation), 1.0)
+        # -2 log L = 3 n log variance, for translation and rotation. A change may be at any place.
+        gain = 3.0 * effective * float(np.sum(np.log(ratios)))
+        return gain - parameters * np.log(6.0 * effective) - 2.0 * np.log(self.place_count)
+
+    def misfit_and_score(self, closure: Poses) -> tuple[tuple[float, float], float]:
+        """Return the mean misfit, m and rad, and rotation plus translation over the distance."""
+        translation, rotation = misfits(closure).mean(axis=0).tolist()
+        return (translation, rotation), rotation + translation / self.distance

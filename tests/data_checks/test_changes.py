@@ -69,13 +69,25 @@ def test_the_words_follow_the_mount():
     assert "the target had been moved in the hand" in pushed.sentence("eye_to_hand", IDS)
 
 
-def test_a_zoom_is_a_camera_that_moved_along_its_axis():
-    axis = CAMERA_FROM_MOUNT[2, :3]
-    report = find_change(*motions(camera_knock=transform([0, 0, 0], 0.02 * axis)), EVERY_VIEW)
-    assert "or the lens zoomed" in report.sentence("eye_in_hand", IDS)
-    across = np.cross(axis, [1.0, 0.0, 0.0])
-    report = find_change(*motions(camera_knock=transform([0, 0, 0], 0.02 * across)), EVERY_VIEW)
-    assert "zoomed" not in report.sentence("eye_in_hand", IDS)
+@pytest.mark.parametrize("noise", [(2e-4, 0.02), (5e-3, 0.5)])
+def test_a_zoom_is_named_with_its_size(noise):
+    """The depth is too small by the zoom: the pictures are larger than the focal length says."""
+    robot, camera = motions(noise=noise)
+    seen = host_matrices(camera).copy()
+    seen[FIRST_CHANGED:, 2, 3] /= 1.05
+    report = find_change(robot, as_se3(seen), EVERY_VIEW)
+    zoom = next(change for change in report.changes if change.kind == "zoom")
+    assert zoom.first_view == FIRST_CHANGED
+    assert zoom.zoom == pytest.approx(1.05, abs=0.01)
+    assert f"the lens had zoomed by +{100.0 * zoom.zoom - 100.0:.1f} %" in report.sentence(
+        "eye_in_hand", IDS
+    )
+
+
+def test_a_camera_pushed_along_its_axis_is_no_zoom():
+    push = transform([0, 0, 0], 0.02 * CAMERA_FROM_MOUNT[2, :3])
+    report = find_change(*motions(camera_knock=push), EVERY_VIEW)
+    assert [change.kind for change in report.changes] == ["camera"]
 
 
 @pytest.mark.parametrize("noise", [(1e-5, 1e-3), (2e-4, 0.02), (5e-3, 1.0)])
