@@ -22,6 +22,7 @@ from ..geometry import as_se3, host_exponentials, host_matrices
 from ..robot_errors import DHErrors, RobotError
 from ..robots import SerialArm, six_axes, solve_joints_iteratively
 from ..runtime.array_namespace import to_device
+from ..runtime.padding import over_padded_views
 from .scenes import random_viewpoints, simulate
 
 KINEMATIC_ERROR_SIGMA = {
@@ -110,13 +111,8 @@ def six_axis_scene(
     camera_poses = random_viewpoints(
         rng, views + held_out_views, board.mean(axis=0), DISTANCE_RANGE, MAX_TILT
     )
-    initial_joints = np.tile(HOME_JOINTS, (views + held_out_views, 1))
     # The nominal arm is sent to the wanted views; the real arm misses them by its errors.
-    joints, reached = solve_joints_iteratively(
-        arm, truth.command_for(camera_poses, corrected=False), initial_joints
-    )
-    if not np.all(reached):
-        raise RuntimeError(f"the arm reaches {np.sum(reached)} of {len(reached)} views")
+    joints = joints_near_home(arm, truth.command_for(camera_poses, corrected=False))
 
     # Random noise applies to the views of the data only: held-out views test the repeatable part.
     #     actual_poses = error.actual_pose(command) exp(noise)^-1
@@ -138,6 +134,26 @@ def six_axis_scene(
         )
         joints_by_part.append(part.joints)
     return ArmScene(datasets[0], datasets[1], truth, joints_by_part[0], joints_by_part[1])
+
+
+def joints_near_home(arm: SerialArm, base_from_tool: SE3) -> Float[Array, "views joints"]:
+    """Return joint angles near `HOME_JOINTS` at which the tool of an arm has the wanted poses.
+
+    Args:
+        arm: an arm of six joints.
+        base_from_tool: wanted pose in each view.
+
+    Raises:
+        RuntimeError: the arm does not reach a view.
+    """
+    # The program takes seconds to compile; padded, it is the same for scenes of all usual sizes.
+    near = np.tile(HOME_JOINTS, (len(base_from_tool.wxyz_xyz), 1))
+    joints, reached = over_padded_views(
+        lambda padded: solve_joints_iteratively(arm, *padded), (base_from_tool, near)
+    )
+    if not np.all(reached):
+        raise RuntimeError(f"the arm reaches {np.sum(reached)} of {len(reached)} views")
+    return joints
 
 
 def board_points() -> Float[np.ndarray, "points 3"]:

@@ -10,14 +10,14 @@ from ..calibration import Calibration
 from ..cameras import OpenCV4
 from ..dataset import Rig
 from ..geometry import as_se3, host_exponentials, host_matrices, host_transforms
-from ..robots import six_axes, solve_joints_iteratively
+from ..robots import six_axes
 from ..runtime.array_namespace import to_device
 from .arm_scenes import (
     DISTANCE_RANGE,
-    HOME_JOINTS,
     KINEMATIC_ERROR_SIGMA,
     MAX_TILT,
     board_points,
+    joints_near_home,
     random_kinematic_errors,
     true_calibration,
 )
@@ -80,12 +80,7 @@ def six_axis_rig_scene(
         if not together or reported is None:
             # The nominal arm is sent to the wanted views; the real arm misses them by its errors.
             poses = random_viewpoints(rng, states, board.mean(axis=0), DISTANCE_RANGE, MAX_TILT)
-            joints, reached = solve_joints_iteratively(
-                arm, truth.command_for(poses), np.tile(HOME_JOINTS, (states, 1))
-            )
-            if not np.all(reached):
-                raise RuntimeError(f"the arm reaches {np.sum(reached)} of {len(reached)} views")
-            reported = arm.command(joints)
+            reported = arm.command(joints_near_home(arm, truth.command_for(poses)))
             noise = host_exponentials(-noise_sigma * rng.standard_normal((states, 6)))
             actual = as_se3(host_matrices(error.actual_pose(reported)) @ noise)
         assert actual is not None
