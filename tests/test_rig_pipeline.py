@@ -55,7 +55,7 @@ def squared_error(fit):
 
 def test_a_camera_with_few_views_is_known_as_well_as_said():
     squares, messages = [], []
-    for seed in range(4):
+    for seed in range(3):
         fit = calibrate(
             rig_with_few_views(seed, 1 + seed % 2),
             "radial",
@@ -67,7 +67,7 @@ def test_a_camera_with_few_views_is_known_as_well_as_said():
         assert max(fit.std[path] for path in PATHS[:3]) < 2e-3
         assert float(fit.calibrations["right"].camera.alpha_u) == float(RIGHT.camera.alpha_u)
     assert "right: from the place of its target that left tells" in messages
-    assert chi2.ppf(0.01, 24) < sum(squares) < chi2.ppf(0.99, 24)
+    assert chi2.ppf(0.01, 18) < sum(squares) < chi2.ppf(0.99, 18)
 
 
 def test_the_noise_is_estimated_with_five_points_in_a_view_alone():
