@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 import smartview_jax as sv
-from smartview_jax.evaluation import split_half_difference
+from smartview_jax.evaluation import fit_folds, predicted_error, split_half_difference
 
 from .peers.hand_eye import HAS_VISION_CALIBRATION, opencv_park, vision_calibration
 from .real_sets import LENS, held_out_px, load, present
@@ -50,6 +50,8 @@ def run(smoke: bool = False) -> bool:
         kept.append(errors[ESTIMATED] <= bound)
         row = "".join(f"{error:26.4g}" for error in errors.values())
         print(f"{folder + ' ' + prefix.rstrip('_'):28}{row}{bound:8.4g}", flush=True)
+    if not smoke:
+        _print_predicted(sets)
     if AGREEING in sets:
         kept.append(_halves_agree(load(*AGREEING)[0]))
     return all(kept)
@@ -74,6 +76,18 @@ def _held_out(data: sv.Dataset, method: Callable[[sv.Dataset], sv.Calibration]) 
     # Every method compiles its own programs; all together exhaust a process's memory maps.
     jax.clear_caches()
     return held_out_px(data, method)
+
+
+def _print_predicted(sets: list[tuple[str, str]]) -> None:
+    """Print the RMS error that the fits of the folds predicted for hidden views, and the actual."""
+    print(f"\n{ESTIMATED + ', px':28}{'predicted':>12}{'actual':>12}{'ratio':>8}")
+    for folder, prefix in sets:
+        jax.clear_caches()
+        data, _ = load(folder, prefix)
+        found = predicted_error(fit_folds(data, lambda part: _joint(part, "estimated")), data)
+        predicted, actual = found.predicted.errors.rms, found.actual.errors.rms
+        name = f"{folder} {prefix.rstrip('_')}"
+        print(f"{name:28}{predicted:12.4g}{actual:12.4g}{1 / found.rms_ratio:8.2f}", flush=True)
 
 
 def _joint(data: sv.Dataset, noise: str) -> sv.JointFit:

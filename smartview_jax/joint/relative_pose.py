@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxlie import SE3
@@ -18,6 +18,8 @@ from ..geometry import (
     transform_from_dict,
     transform_to_dict,
 )
+
+_T = TypeVar("_T")
 
 
 class RelativePose(NamedTuple):
@@ -106,10 +108,7 @@ def relative_pose(
     Raises:
         ValueError: no such camera, or cameras that the robot moves against each other.
     """
-    for name in (first, second):
-        if name not in calibrations:
-            raise ValueError(f"expected a camera of {', '.join(calibrations)}, found {name!r}")
-    a, b = calibrations[first], calibrations[second]
+    a, b = _both("a camera", calibrations, first, second)
     if a.mount != b.mount:
         raise ValueError(
             f"relative: camera {first!r} is {a.mount} and {second!r} {b.mount}: their relative "
@@ -143,19 +142,24 @@ def relative_base(
     Raises:
         ValueError: no such arm.
     """
-    for name in (first, second):
-        if name not in bases:
-            raise ValueError(f"expected an arm of {', '.join(bases)}, found {name!r}")
     reference = next(iter(bases))
     first_pose, second_pose = (
-        _Pose(host_matrices(bases[name]), _step_names(base_path(reference, name)))
-        for name in (first, second)
+        _Pose(host_matrices(base), _step_names(base_path(reference, name)))
+        for name, base in zip((first, second), _both("an arm", bases, first, second), strict=True)
     )
     first_inverse = np.linalg.inv(first_pose.matrix)
     # A small motion of B moves A^-1 B by Ad(A^-1) (v, w), and one of A by as much the other way.
     by_motion = host_adjoints(first_inverse)
     twists = [(first_pose, -by_motion), (second_pose, by_motion)]
     return _with_covariance(first_inverse @ second_pose.matrix, twists, parameter_names, covariance)
+
+
+def _both(kind: str, by_name: Mapping[str, _T], first: str, second: str) -> tuple[_T, _T]:
+    """Return what two names stand for; a ValueError names one that is unknown."""
+    for name in (first, second):
+        if name not in by_name:
+            raise ValueError(f"expected {kind} of {', '.join(by_name)}, found {name!r}")
+    return by_name[first], by_name[second]
 
 
 class _Pose(NamedTuple):

@@ -118,9 +118,9 @@ def _linearised(
     jacobian[..., 0, 0] = jacobian[..., 1, 1] = inverse
     jacobian[..., 0, 2], jacobian[..., 1, 2] = -x * inverse, -y * inverse
     jacobian[..., 0, 3] = -x * y
-    jacobian[..., 0, 4] = used + x * x
+    jacobian[..., 0, 4] = np.where(used, 1.0 + x * x, 0.0)
     jacobian[..., 0, 5] = -y
-    jacobian[..., 1, 3] = -(used + y * y)
+    jacobian[..., 1, 3] = np.where(used, -1.0 - y * y, 0.0)
     jacobian[..., 1, 4] = x * y
     jacobian[..., 1, 5] = x
     views = len(poses)

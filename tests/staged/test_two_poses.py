@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -14,7 +15,7 @@ from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
 from smartview_jax.simulation import random_viewpoints, simulate
 from smartview_jax.staged import estimate_view_poses, fit_staged
-from smartview_jax.staged.planar_poses import Sight, mirrored_poses, refined_poses
+from smartview_jax.staged.planar_poses import Sight, _linearised, mirrored_poses, refined_poses
 from smartview_jax.staged.two_poses import choose_poses
 from smartview_jax.targets import TagGrid
 
@@ -104,6 +105,20 @@ def test_a_start_decides():
     _, choice = chosen(scene, start=(as_se3(HAND), None))
     true = host_matrices(scene.calibration.camera_from_world(scene.base_from_tool))
     assert turn_between(host_matrices(choice.camera_from_world), true).max() < 0.3
+
+
+def test_the_derivatives_by_a_pose_are_opencv_s():
+    rng = np.random.default_rng(0)
+    in_camera = rng.uniform((-0.2, -0.2, 0.5), (0.2, 0.2, 1.5), (2, 9, 3))
+    seen = np.ones((2, 9), dtype=bool)
+    seen[1, 4] = False
+    identity = np.tile(np.eye(4), (2, 1, 1))
+    _, jacobian, _ = _linearised(identity, Sight(in_camera, np.zeros((2, 9, 2)), seen))
+    for view in range(2):
+        by_pose = cv2.projectPoints(in_camera[view], np.zeros(3), np.zeros(3), np.eye(3), None)[1]
+        # OpenCV's columns begin with the rotation; a twist with the translation.
+        expected = np.where(np.repeat(seen[view], 2)[:, None], by_pose[:, [3, 4, 5, 0, 1, 2]], 0.0)
+        np.testing.assert_allclose(jacobian[view], expected, atol=1e-12)
 
 
 def test_the_second_pose_is_the_other_minimum():
