@@ -252,7 +252,7 @@ def test_one_more_click_compiles_nothing(poses):
     """No other test has pictures of this size, so that no program is there yet."""
     camera = sv.Camera(2100.0, 2100.0, 320.0, 240.0, sv.cameras.Pinhole(), (632, 480))
     calibration = dataclasses.replace(paper_calibration(), camera=camera)
-    pixels = np.full((5, 7, 2), 250.0) + np.arange(7.0)[:, None]
+    pixels = np.full((5, 40, 2), 250.0) + np.arange(40.0)[:, None]
     with programs_added() as seconds:
         triangulate_points(calibration, poses, pixels)
         first = len(seconds)
