@@ -8,7 +8,8 @@ contradict the others have no weight.
 
     corrected point = measured point (scale z + offset) / z
 
-With the robot's poses, `MeasuredPoses.dataset`, they are what `fit_poses` needs. NumPy code: a few steps for all views at once.
+With the robot's poses (`MeasuredPoses.dataset`) they are what `fit_poses` needs. NumPy code: a few
+steps for all views at once.
 """
 
 import dataclasses
