@@ -400,7 +400,7 @@ ASKS = (
     Ask("Kalibr's AprilGrid is not found", "target: {file: ...}", asks_of_cells.april_grid),
     Ask("My board is bent", "fit.warnings", asks_of_cells.bent_board),
     Ask("A hobby arm", "robot_prior=sv.RobotPrior(...)", asks_of_cells.hobby_arm),
-    Ask("The depth camera is off", "PoseDataset.from_points", asks_of_cells.depth_camera),
+    Ask("The depth camera is off", "sv.depth", asks_of_cells.depth_camera),
     Ask("ROS 2: capture, bags, files", "smartview import; export", asks_of_cells.ros2),
     Ask("A calibrated URDF back", "export --to robot_urdf", asks_of_cells.calibrated_urdf),
 )

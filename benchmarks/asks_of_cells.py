@@ -106,11 +106,12 @@ def depth_camera(material: "Material") -> str:
     poses = host_matrices(scene.calibration.camera_from_world(scene.data.command))
     measured = board @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
     noise = np.random.default_rng(0).normal(0.0, 2e-4, measured.shape)
-    data = PoseDataset.from_points(scene.data.base_from_tool, board, 1.02 * measured + noise)
-    fit = sv.fit_poses(data, scale=True)
-    factor = 1.0 / float(fit.calibration.target_scale)
-    assert abs(factor - 1.02) < 0.004
-    return f"the sensor's lengths are {factor:.4f} of the robot's; {data.notes[0]}"
+    poses = sv.depth.poses_from_points(1.02 * measured + noise, board)
+    fit = sv.fit_poses(poses.dataset(scene.data.base_from_tool))
+    assert abs(poses.sensor.scale - 1.0 / 1.02) < 0.004
+    true = scene.calibration.camera_from_tool.translation()
+    error = np.linalg.norm(fit.calibration.camera_from_tool.translation() - true)
+    return f"{poses.sensor.described}; mount off by {1e3 * error:.2f} mm"
 
 
 def ros2(material: "Material") -> str:
