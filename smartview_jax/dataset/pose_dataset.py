@@ -42,6 +42,8 @@ class PoseDataset(Dataset):
         sensor: the depth sensor that measured the poses; None for other trackers.
         sensor_changes: change of each pose, as in `covariance`, by the sensor's scale and offset
             (m): an error that all poses share.
+        point_rms: RMS distance of the sensor's points from the target at its pose in each view, m,
+            without the points left out; NaN in views that are not used.
         camera: of the depth sensor's pictures, if known.
     """
 
@@ -50,6 +52,7 @@ class PoseDataset(Dataset):
     states_covariance: bool = eqx.field(static=True, default=False)
     sensor: DepthSensor | None = eqx.field(static=True, default=None)
     sensor_changes: Float[Array, "views 6 2"] | None = None
+    point_rms: Float[Array, "views"] | None = None
     camera: Camera | None = None
 
     @classmethod
@@ -147,7 +150,7 @@ class PoseDataset(Dataset):
 
     def _arrays_of(self, index: np.ndarray) -> dict[str, Any]:
         """Return the arrays of the given views, by name."""
-        names = "camera_from_world", "covariance", "sensor_changes"
+        names = "camera_from_world", "covariance", "sensor_changes", "point_rms"
         tracked = of_views(tuple(getattr(self, name) for name in names), index)
         return super()._arrays_of(index) | dict(zip(names, tracked, strict=True))
 

@@ -79,6 +79,13 @@ class MeasuredPoses(NamedTuple):
         changes = self.sensor_changes
         return self.covariance + changes @ self.sensor.covariance @ changes.swapaxes(1, 2)
 
+    @property
+    def point_rms(self) -> Float[np.ndarray, "views"]:
+        """The RMS distance of the used points from the fitted target in each view, m; or NaN."""
+        squares = np.where(self.used, np.sum(np.square(self.residuals), axis=2), 0.0).sum(axis=1)
+        counts = self.used.sum(axis=1)
+        return np.where(counts, np.sqrt(squares / np.maximum(counts, 1)), np.nan)
+
     def dataset(
         self,
         base_from_tool: PoseLike | None,
@@ -119,7 +126,12 @@ class MeasuredPoses(NamedTuple):
             base_from_tool, poses, mount, ids, list(reasons.items()), joints, arm
         ).with_covariance(self.covariance)
         changes = to_device(np.where(measured[:, None, None], self.sensor_changes, 0.0))
-        return dataclasses.replace(data, sensor=self.sensor, sensor_changes=changes)
+        return dataclasses.replace(
+            data,
+            sensor=self.sensor,
+            sensor_changes=changes,
+            point_rms=to_device(self.point_rms),
+        )
 
 
 def poses_from_points(

@@ -82,6 +82,8 @@ def write_pose_page(
     )
     errors = pose_error_rows(fit, held_out)
     sections.append(Section("Errors", "", [figure], ("", "distance", "angle"), errors))
+    if data.point_rms is not None:
+        sections.append(_measured_points(data))
     left_out = rejections(fit, data)
     if left_out:
         sections.append(Section("Pairs left out", header=("pair", "reason"), rows=left_out))
@@ -89,6 +91,22 @@ def write_pose_page(
     sections.append(Section("How this was computed", rows=_facts(fit, data, origin)))
     title = "Calibration" if origin is None else f"Calibration of {origin.source}"
     write_story(path, title, pose_fit_summary(fit, held_out), sections, hand_eye_forms(fit))
+
+
+def _measured_points(data: PoseDataset) -> Section:
+    """Return how far the points of a depth sensor are from the target, by view."""
+    distances = 1e3 * np.asarray(data.point_rms)
+    rows = [
+        (view, f"{distance:.3g} mm")
+        for view, distance in zip(data.view_ids, distances, strict=True)
+        if np.isfinite(distance)
+    ]
+    text = (
+        "Distance of the measured points, with the sensor's bias removed, from the target at the "
+        "pose that fits them best. A view that stands out was measured while something moved, or "
+        "shows the target bent."
+    )
+    return Section("Measured points", text, header=("view", "RMS"), rows=rows)
 
 
 def _facts(fit: PoseFit, data: PoseDataset, origin: Origin | None) -> list[tuple[str, str]]:

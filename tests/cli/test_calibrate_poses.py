@@ -152,4 +152,6 @@ def test_points_of_a_depth_sensor_give_the_transform_and_the_sensor(tmp_path, ca
     found = host_matrices(estimate.calibration.camera_from_tool)
     np.testing.assert_allclose(found[:3, 3], MOUNT[:3, 3], atol=3e-3)
     assert estimate.sensor.scale == pytest.approx(1.02, abs=4.0 * estimate.sensor.scale_std)
-    assert "depth sensor" in (tmp_path / "out" / "report.html").read_text()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "depth sensor" in page
+    assert "Measured points" in page

@@ -116,6 +116,20 @@ def test_an_unknown_offset_is_an_error_that_no_view_reveals(trials):
         assert std[name] == pytest.approx(std_known[name], rel=0.05)
 
 
+def test_the_distance_of_the_points_is_told_by_view(trials):
+    """Of two directions across the ray and one along it, less what a pose takes of few points."""
+    for robot, _, measured, _ in trials[:2]:
+        data = measured.dataset(robot)
+        expected = np.sqrt(2.0 * SENSOR.across_std**2 + SENSOR.along_std**2)
+        whole = np.arange(VIEWS) % 3 > 0
+        np.testing.assert_allclose(data.point_rms[whole], expected, rtol=0.3)
+        assert np.sqrt(np.mean(np.square(data.point_rms[whole]))) == pytest.approx(
+            expected, rel=0.1
+        )
+        part = data.select([2, 5])
+        np.testing.assert_array_equal(part.point_rms, data.point_rms[np.array([2, 5])])
+
+
 def test_the_sensor_is_said_with_the_fit(trials):
     _, _, measured, fit = trials[0]
     assert fit.sensor is measured.sensor
