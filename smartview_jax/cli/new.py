@@ -139,7 +139,7 @@ def _arm_names(text: str, cameras: list[str]) -> dict[str, str]:
     names = [name.strip() for name in text.split(",")]
     if len(names) != len(cameras) or "" in names or set(names) & set(cameras):
         raise ValueError(
-            f"--arms: expected an arm for each camera of --cameras, such as a,a,b for three, and "
-            f"called as none of them; found {text!r} for {','.join(cameras) or 'no --cameras'}"
+            f"--arms: expected an arm for each camera of --cameras, such as a,a,b for three, with "
+            f"names that no camera has; found {text!r} for {','.join(cameras) or 'no --cameras'}"
         )
     return dict(zip(cameras, names, strict=True))

@@ -243,7 +243,7 @@ class _Search(NamedTuple):
         yield self._change("zoom", place, (abs(zoom - 1.0) * self.distance, 0.0), zoom, corrected)
 
     def _depth_factors(self, after: Bool[np.ndarray, "views"]) -> tuple[float, float]:
-        """Return the true over the measured depth before and after a zoom.
+        """Return true depth over measured depth, before and after a zoom.
 
         With the hand-eye rotation R, the translations of the chain camera = X robot W are linear in
         the unknown x, w (of the transforms X and W) and factors f:

@@ -52,8 +52,8 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
 
     Raises:
         FileNotFoundError: the path is missing.
-        ValueError: no file for any camera, two for one, a file that is called as no camera while
-            a camera has none, a camchain of another number of cameras, or a file that cannot be
+        ValueError: no file for any camera, two for one, a file with another name while a camera
+            has none, a camchain of another number of cameras, or a file that cannot be
             read; the message names it.
     """
     path = Path(path)
@@ -90,10 +90,10 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
 
 
 def _refuse_misnamed(others: Sequence[Path], lacking: Sequence[str]) -> None:
-    """Raise a ValueError that names a file of a camera which is called as no camera of the rig.
+    """Raise a ValueError that names a camera's file whose name is no camera of the rig.
 
     Args:
-        others: files that are called as no camera.
+        others: files whose names are no camera's.
         lacking: names of the cameras without a file.
     """
     for file in others:

@@ -249,7 +249,7 @@ def _arms_text(tables: Mapping[str, str], codec: PoseCodec) -> str:
     """Return the entry that describes several arms, each with its table of poses."""
     rows = [
         "# Poses of each arm in its own base. The cameras on the hands must see one target,",
-        "# which tells where the bases are to each other. An arm may have a codec of its own.",
+        "# which tells where the bases are. An arm may have a codec of its own.",
         "arms:",
     ]
     for arm, table in tables.items():

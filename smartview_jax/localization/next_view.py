@@ -22,7 +22,7 @@ from .localization import Localization
 from .view_gains import ViewGains
 
 OF_ONE_CAMERA = "of a rig, give the camera that takes the view, such as fit.calibrations['left']"
-"""The hint for who gives several cameras."""
+"""The hint where the calibrations of several cameras are given."""
 
 DIRECTIONS = 64
 """Number of default view directions, spread over a hemisphere."""

@@ -150,7 +150,7 @@ def test_several_arms_can_be_filled_in_and_read(tmp_path):
     [
         (["--arms", "a,b"], "an arm for each camera of --cameras"),
         (["--cameras", "left,right", "--arms", "a"], "found 'a' for left,right"),
-        (["--cameras", "left,right", "--arms", "left,b"], "called as none of them"),
+        (["--cameras", "left,right", "--arms", "left,b"], "names that no camera has"),
         (["--cameras", "l,r", "--arms", "a,b", "--eye-to-hand"], "see no target in common"),
         (["--cameras", "l,r", "--arms", "a,../b"], "arms"),
     ],

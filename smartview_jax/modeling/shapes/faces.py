@@ -19,7 +19,7 @@ PLANAR_TOLERANCE = 0.01
 """Largest distance of a vertex from the plane of its face, relative to the face's extent."""
 
 SHARP_ANGLE = float(np.deg2rad(20.0))
-"""Smallest bend of a surface or of an edge that is meant as such, rad.
+"""Smallest bend of a surface that counts as an edge, and of its outline as a corner, rad.
 
 The smallest bend commonly meant is 45 degrees (an octagonal prism); round parts are meshed with
 steps of 5 to 15 degrees.
