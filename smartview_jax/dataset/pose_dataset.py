@@ -36,7 +36,7 @@ class PoseDataset(Dataset):
         camera_from_world: poses of the target that the tracker measured.
         covariance: of each tracked pose, for a tracker with noise of one unit: of its translation
             (m) and of its rotation vector (rad), both in the camera's axes, as in ROS's
-            `PoseWithCovariance`.
+            PoseWithCovariance.
         states_covariance: whether the covariances were given; otherwise the ratio of the noises of
             translation and rotation is estimated, and all poses are equal.
         sensor: the depth sensor that measured the poses; None for other trackers.

@@ -7,7 +7,7 @@ from the arm's calibration, LeRobot records for the step number k
     in percent    -100 + 200 k / N,                    with another N in each joint
     in degrees    (k - N / 2) 360 / (resolution - 1),  with the same step in all joints
 
-Reference: `MotorsBus._normalize` in https://github.com/huggingface/lerobot (motors/motors_bus.py).
+Reference: MotorsBus._normalize in https://github.com/huggingface/lerobot (motors/motors_bus.py).
 """
 
 import numpy as np
