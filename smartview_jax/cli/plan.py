@@ -8,19 +8,18 @@ import typer
 
 from . import options
 from .fit_options import StartOption
-from .json_document import print_document
 from .number_lists import parse_numbers
 from .option_groups import with_option_groups
 from .plan_rig import Stop, is_rig_plan, plan_rig
 from .plan_situation import first_views, next_views
-from .plan_words import new_names, plan_entries, plan_words
+from .plan_words import give_no_commands, new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..viewpoints import InformationModel, ViewPlan
+    from ..viewpoints import InformationModel
 
 
 @with_option_groups
@@ -124,7 +123,7 @@ def plan(
             )
         words = (*situation.assumptions, *plan_words(view_plan, 0.01 * gain, goal, bool(start)))
         if len(view_plan.camera_from_world) == 0:
-            _give_nothing(view_plan, words, json)
+            give_no_commands({**plan_entries(view_plan), "words": words}, json)
             return
         wanted = host_transforms(view_plan.camera_from_world)
         commands = viewpoint_commands(
@@ -152,15 +151,6 @@ def _distance_range(text: str | None) -> tuple[float, float] | None:
         return None
     smallest, largest = parse_numbers("--distance", text, 2, "smallest,largest (m)")
     return smallest, largest
-
-
-def _give_nothing(view_plan: "ViewPlan", words: tuple[str, ...], json: bool) -> None:
-    """Print that there is no view to take, and why; no file for the robot is written."""
-    if json:
-        content = {"commands": [], **plan_entries(view_plan), "words": words, "file": None}
-        print_document("plan", content)
-    else:
-        typer.echo("\n".join(words))
 
 
 def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":

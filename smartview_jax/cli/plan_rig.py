@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from .json_document import print_document
-from .plan_words import new_names, plan_entries, plan_words
+from .plan_words import give_no_commands, new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import progress_line
 
@@ -106,10 +105,8 @@ def plan_rig(
     entries = {**plan_entries(plan), "words": words, "seen": found.seen}
     if names:
         sheet.give("plan", robot.out, robot.allow, json, say, **entries)
-    elif json:
-        print_document("plan", {"commands": [], **entries, "file": None})
     else:
-        typer.echo("\n".join(words))
+        give_no_commands(entries, json)
 
 
 def _seen_words(found: "StatePlan", names: Sequence[str]) -> list[str]:

@@ -3,6 +3,10 @@
 import math
 from typing import TYPE_CHECKING, Any
 
+import typer
+
+from .json_document import print_document
+
 if TYPE_CHECKING:
     from ..viewpoints import ViewPlan
 
@@ -45,6 +49,19 @@ def plan_entries(plan: "ViewPlan") -> dict[str, Any]:
         f"std_after_each_{unit}": [factor * value for value in plan.values],
         "point_distance_mm": 1e3 * plan.distance,
     }
+
+
+def give_no_commands(entries: dict[str, Any], json: bool) -> None:
+    """Print that there is no view to take, and why; no file for the robot is written.
+
+    Args:
+        entries: of the plan, with its sentences as `words`.
+        json: print a document instead of the sentences.
+    """
+    if json:
+        print_document("plan", {"commands": [], **entries, "file": None})
+    else:
+        typer.echo("\n".join(entries["words"]))
 
 
 def _quantity(plan: "ViewPlan") -> str:

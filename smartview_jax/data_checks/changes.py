@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
 from ..geometry import host_logarithms, host_matrices, mean_matrix
@@ -206,6 +206,7 @@ class _Search(NamedTuple):
         camera: `camera_from_world` of the views.
         fit: the transforms that fit all views, without any change.
         distance: median distance of the target, m.
+        variances: of the errors without any change, of translation (m^2) and rotation (rad^2).
         place_count: number of places where a change may be.
     """
 
@@ -213,6 +214,7 @@ class _Search(NamedTuple):
     camera: Poses
     fit: TransformFit
     distance: float
+    variances: Float[np.ndarray, "2"]
     place_count: int
 
     @classmethod
@@ -220,7 +222,7 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool))
         distance = float(np.median(np.linalg.norm(camera[:, :3, 3], axis=1)))
-        return cls(robot, camera, fit, distance, place_count)
+        return cls(robot, camera, fit, distance, _variances(_errors(fit.closure)), place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -274,11 +276,9 @@ class _Search(NamedTuple):
 
     def _evidence(self, corrected: Poses, parameters: int) -> float:
         """Return Schwarz's criterion without a change minus with one of so many parameters."""
-        before, after = (
-            host_logarithms(closure).reshape(-1, 2, 3) for closure in (self.fit.closure, corrected)
-        )
-        variances = np.maximum(np.mean(after**2, axis=(0, 2)), MIN_VARIANCE)
-        ratios = np.maximum(np.mean(before**2, axis=(0, 2)), MIN_VARIANCE) / variances
+        after = _errors(corrected)
+        variances = _variances(after)
+        ratios = self.variances / variances
         count = len(after)
         scaled = after / np.sqrt(variances)[:, None]
         correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (6.0 * (count - 1))
@@ -292,3 +292,13 @@ class _Search(NamedTuple):
         """Return the mean misfit, m and rad, and rotation plus translation over the distance."""
         translation, rotation = misfits(closure).mean(axis=0).tolist()
         return (translation, rotation), rotation + translation / self.distance
+
+
+def _errors(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
+    """Return what is left over in each view, of translation (m) and rotation (rad)."""
+    return host_logarithms(closure).reshape(-1, 2, 3)
+
+
+def _variances(errors: Float[np.ndarray, "views 2 3"]) -> Float[np.ndarray, "2"]:
+    """Return the variances of the errors of translation and rotation."""
+    return np.maximum(np.mean(errors**2, axis=(0, 2)), MIN_VARIANCE)

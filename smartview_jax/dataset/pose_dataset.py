@@ -188,7 +188,7 @@ class PoseDataset(Dataset):
             raise ValueError(
                 f"covariance: expected shape ({self.view_count}, 6, 6), found {matrices.shape}"
             )
-        matrices[~self.seen] = np.diag(np.repeat([UNIT_TRANSLATION, UNIT_ROTATION], 3) ** 2)
+        matrices[~self.seen] = _diagonal(UNIT_TRANSLATION, UNIT_ROTATION, 1)[0]
         for view, matrix in zip(self.view_ids, matrices, strict=True):
             scale = np.sqrt(np.abs(np.diagonal(matrix)))
             correlation = (

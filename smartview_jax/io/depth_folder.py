@@ -215,7 +215,7 @@ def depth_dataset(
 
 
 def _refuse_heights(target: AbstractTarget, description_path: Path) -> None:
-    """Raise a ValueError for a board at several heights, of which a view shows one."""
+    """Raise a ValueError for a board at several heights, because each view shows a single one."""
     if isinstance(target, StackedTarget):
         raise ValueError(
             f"{description_path}: target.heights: expected a target at one height for a depth "

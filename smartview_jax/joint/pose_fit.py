@@ -26,8 +26,8 @@ from ..dataset import (
     PoseDataset,
     chain_residuals,
 )
-from ..engine import Prior, solve
-from ..geometry import PoseLike, host_exponentials, host_matrices, host_transforms
+from ..engine import Prior
+from ..geometry import PoseLike, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
@@ -38,6 +38,7 @@ from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
 from .robust_hand_eye import chain_errors, robust_hand_eye
+from .sensor_error import with_sensor_error
 from .undetermined import require_moving_robot
 
 MAX_ROUNDS = 3
@@ -124,7 +125,7 @@ class PoseFit(JointFit):
         translation, rotation = data.typical_noise
         sigma = float(fit.pixel_sigma)
         if data.sensor is not None:
-            values |= _with_sensor_error(fit, data)
+            values |= with_sensor_error(fit, data)
         return cls(
             **values,
             has_camera=has_camera,
@@ -280,35 +281,6 @@ def fit_poses(
         consistent = consistent | again
         used, fit = fit_consistent()
     return PoseFit.of(fit, dataclasses.replace(data, covariance=used.covariance), has_camera)
-
-
-def _with_sensor_error(fit: JointFit, data: PoseDataset) -> dict[str, Any]:
-    """Return covariance and standard deviations with the uncertainty of the sensor's bias.
-
-    An error of the bias moves all tracked poses together. The fit's change is found by fitting
-    poses that are moved by one standard deviation of each independent part of the bias.
-    """
-    assert data.sensor is not None
-    assert data.camera_from_world is not None
-    # Columns: changes of each pose by the independent parts of the bias.
-    changes = np.asarray(data.sensor_changes) @ np.linalg.cholesky(data.sensor.covariance)
-    added, measured = np.zeros_like(fit.covariance), data.tracked_matrices
-    for part in np.moveaxis(changes, 2, 0):
-        moved = measured.copy()
-        turn = np.concatenate([np.zeros_like(part[:, 3:]), part[:, 3:]], axis=1)
-        moved[:, :3, :3] = (host_exponentials(turn) @ measured)[:, :3, :3]
-        moved[:, :3, 3] += part[:, :3]
-        observations = dataclasses.replace(
-            fit.problem.observations, camera_from_world=host_transforms(moved)
-        )
-        problem = dataclasses.replace(fit.problem, observations=observations)
-        solution, _ = solve(problem, start=fit.solution.z)
-        step = np.asarray(solution.z.shared) - np.asarray(fit.solution.z.shared)
-        added += np.outer(step, step)
-    std = dict(fit.std)
-    for name, variance in zip(fit.parameter_names, np.diagonal(added), strict=True):
-        std[name] = float(np.hypot(std[name], np.sqrt(variance)))
-    return {"covariance": fit.covariance + added, "std": std}
 
 
 def tracked_pose_errors(

@@ -4,6 +4,7 @@ Reference: Fedorov, Theory of optimal experiments, 1972 (exchange).
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -158,6 +159,44 @@ def views_needed(
         ):
             return k
     return len(values)
+
+
+class Worth(NamedTuple):
+    """The value of a criterion before and after each view, and how many of them are worth taking.
+
+    Attributes:
+        before: with no view; infinite where undetermined.
+        values: after one view, two views, and so on.
+        needed: number of views after which to stop, from 0.
+    """
+
+    before: float
+    values: tuple[float, ...]
+    needed: int
+
+
+def worth_of_views(
+    criterion: OptimalityCriterion,
+    prior_information: Float[Array, "free free"],
+    values: Float[Array, "views"],
+    least_gain: float,
+    goal: float | None,
+) -> Worth:
+    """Return up to which view another one is worth its time.
+
+    Args:
+        criterion: the criterion.
+        prior_information: before the first view.
+        values: of its `cumulative_criterion`.
+        least_gain: relative decrease by one more view below which to stop.
+        goal: value at which to stop; None for none.
+    """
+    before = float(criterion(prior_information))
+    before = before if np.isfinite(before) else float("inf")
+    after = tuple(np.asarray(values).tolist())
+    # The state before counts too: possibly no view at all is worthwhile.
+    needed = views_needed(to_device([before, *after]), least_gain, goal) - 1
+    return Worth(before, after, needed)
 
 
 def _criterion_values(

@@ -15,7 +15,7 @@ from ..geometry import ViewedRegion, host_matrices
 from ..joint import SavedEstimate
 from ..robots import JointsLike, SerialArm
 from ..runtime.array_namespace import to_device
-from .candidate_selection import views_needed
+from .candidate_selection import worth_of_views
 from .checks import Limits
 from .commands import viewpoint_commands
 from .information_model import InformationModel
@@ -184,13 +184,11 @@ def plan_views(
         refine=False,
         progress=progress,
     )
-    before = float(criterion(model.prior_information))
-    before = before if np.isfinite(before) else float("inf")
-    values = tuple(np.asarray(chosen.cumulative_criterion).tolist())
-    # The state before counts too: possibly no view at all is worthwhile.
-    needed = views_needed(to_device([before, *values]), least_gain, goal) - 1
-    matrices = host_matrices(chosen.camera_from_world)[:needed]
-    return ViewPlan(matrices, before, values, criterion.unit, distance)
+    worth = worth_of_views(
+        criterion, model.prior_information, chosen.cumulative_criterion, least_gain, goal
+    )
+    matrices = host_matrices(chosen.camera_from_world)[: worth.needed]
+    return ViewPlan(matrices, worth.before, worth.values, criterion.unit, distance)
 
 
 def _criterion(

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from ..geometry import host_matrices
 from ..robots import JointsLike, SerialArm
 from ..runtime.array_namespace import to_device
-from .candidate_selection import views_needed
+from .candidate_selection import worth_of_views
 from .commands import ViewCalibration, ViewpointCommands, viewpoint_commands
 from .next_views import ViewPlan
 from .optimality_criteria import a_optimal
@@ -85,15 +85,13 @@ def plan_states(
     chosen = choose_views(
         model, criterion, count, rig, allowed=lambda _: may_be_taken, progress=progress
     )
-    before = float(criterion(model.prior_information))
-    before = before if np.isfinite(before) else float("inf")
-    values = tuple(np.asarray(chosen.cumulative_criterion).tolist())
-    # The state before counts too: possibly no more states are worthwhile.
-    needed = views_needed(to_device([before, *values]), least_gain, goal) - 1
-    rows = np.asarray(chosen.states)[:needed]
+    worth = worth_of_views(
+        criterion, model.prior_information, chosen.cumulative_criterion, least_gain, goal
+    )
+    rows = np.asarray(chosen.states)[: worth.needed]
     taken = _rows(commands, rows)
     poses = host_matrices(taken.predicted_views.camera_from_world)
-    plan = ViewPlan(poses, before, values, criterion.unit, distance, tuple(ranges))
+    plan = ViewPlan(poses, worth.before, worth.values, criterion.unit, distance, tuple(ranges))
     return StatePlan(
         plan,
         taken,

@@ -5,12 +5,12 @@ corners must meet corners, but a vertex of a rim only has to meet the rim, as ne
 are to the circle.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 from ...geometry import host_nearest_rotation
 from .faces import SHARP_ANGLE, Face, face_plane
@@ -61,8 +61,10 @@ def find_symmetry(model: ObjectModel, tolerance: float | None = None) -> Symmetr
         fitted = outline.symmetry_near(rotation, tolerance)
         if fitted is not None:
             accepted.append(fitted)
-    rotations = np.stack(accepted)
-    return Symmetry(rotations, outline.centre, _revolution_axis(rotations))
+    found = Symmetry(np.stack(accepted), outline.centre)
+    axes = found.axes
+    is_round = bool(axes) and axes[0].fold >= AXIS_ORDER
+    return dataclasses.replace(found, axis=axes[0].direction) if is_round else found
 
 
 class _Rims(NamedTuple):
@@ -308,17 +310,3 @@ def _aligning_rotation(
     """Return the rotation that best aligns points with others (Kabsch)."""
     # sum |R s - t|^2 is smallest for the rotation nearest to T^T S.
     return host_nearest_rotation(target.T @ source)
-
-
-def _revolution_axis(rotations: Float[np.ndarray, "K 3 3"]) -> Float[np.ndarray, "3"] | None:
-    """Return the axis with at least `AXIS_ORDER` turns, or None."""
-    vectors = Rotation.from_matrix(rotations).as_rotvec()
-    angles = np.linalg.norm(vectors, axis=1)
-    for vector, angle in zip(vectors, angles, strict=True):
-        if angle < 1e-6:
-            continue
-        axis = vector / angle
-        turns = np.linalg.norm(np.cross(vectors, axis), axis=1) < 1e-3
-        if turns.sum() >= AXIS_ORDER:
-            return axis
-    return None
