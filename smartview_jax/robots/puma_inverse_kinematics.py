@@ -77,17 +77,27 @@ def puma_joints(arm: SerialArm, base_from_tool: PoseLike) -> JointSolution:
     Raises:
         ValueError: the arm is not Puma-like; inside jit an error at run time.
     """
-    return _all_solutions(arm, _checked_poses(arm, base_from_tool))
+    poses = _checked_poses(arm, base_from_tool)
+    return _all_solutions(arm, poses, jnp.zeros((*poses.get_batch_axes(), 6)))
 
 
 @one_program
-def _all_solutions(arm: SerialArm, base_from_tool: SE3) -> JointSolution:
-    """Return all eight solutions; that the arm is Puma-like is not checked."""
+def _all_solutions(
+    arm: SerialArm, base_from_tool: SE3, near: Float[Array, "*views 6"]
+) -> JointSolution:
+    """Return all eight solutions; that the arm is Puma-like is not checked.
+
+    A joint that is arbitrary at a singularity keeps its reading in `near`.
+    """
     signs = jnp.array(BRANCHES, dtype=float)
-    solve = jax.vmap(lambda pose, sign: _solve_branch(arm, SE3(pose), sign), in_axes=(None, 0))
+
+    def solve(pose: Array, near: Array, sign: Array) -> tuple[Array, Array, Array]:
+        return _solve_branch(arm, SE3(pose), sign, arm.theta + near)
+
+    solve = jax.vmap(solve, in_axes=(None, None, 0))
     for _ in base_from_tool.get_batch_axes():
-        solve = jax.vmap(solve, in_axes=(0, None))
-    angles, reached, singular = solve(base_from_tool.wxyz_xyz, signs)
+        solve = jax.vmap(solve, in_axes=(0, 0, None))
+    angles, reached, singular = solve(base_from_tool.wxyz_xyz, near, signs)
     joints = wrap_to_limits(arm, angles - jnp.broadcast_to(arm.theta, angles.shape))
     violated_limits = arm.violated_limits(joints, LIMIT_TOLERANCE) & reached[..., None]
     return JointSolution(
@@ -126,7 +136,7 @@ def branch_joints(
     """
 
     def solve(pose: Float[Array, "7"]) -> Float[Array, "6"]:
-        return _solve_branch(arm, SE3(pose), signs)[0] - arm.theta
+        return _solve_branch(arm, SE3(pose), signs, arm.theta)[0] - arm.theta
 
     poses = base_from_tool.wxyz_xyz
     for _ in poses.shape[:-1]:
@@ -140,7 +150,8 @@ def nearest_puma_joints(
     """Return the solution closest to given joints, `(*views, 6)`.
 
     Solutions within the joint limits are preferred. Closeness is the sum of squared joint
-    differences. A joint whose range exceeds one revolution uses the revolution that is closest.
+    differences. A joint whose range exceeds one revolution uses the revolution that is closest. A
+    joint that is arbitrary at a singularity of wrist or shoulder keeps its reading in `near`.
     """
     return nearest_solution(arm, _checked_poses(arm, base_from_tool), near)
 
@@ -148,10 +159,10 @@ def nearest_puma_joints(
 @one_program
 def nearest_solution(arm: SerialArm, base_from_tool: SE3, near: JointsLike) -> JointSolution:
     """Return what `nearest_puma_joints` does; that the arm is Puma-like is not checked."""
-    solutions = _all_solutions(arm, base_from_tool)
-    shape = solutions.joints.shape
-    near = jnp.broadcast_to(jnp.asarray(near, dtype=float), (*shape[:-2], 6))[..., None, :]
-    near = jnp.broadcast_to(near, shape)
+    views = base_from_tool.get_batch_axes()
+    near = jnp.broadcast_to(jnp.asarray(near, dtype=float), (*views, 6))
+    solutions = _all_solutions(arm, base_from_tool, near)
+    near = jnp.broadcast_to(near[..., None, :], solutions.joints.shape)
     joints = wrap_to_limits(arm, solutions.joints, near)
     distance = jnp.sum((joints - near) ** 2, axis=-1)
     # The penalty exceeds any distance between joints: a solution beyond the limits is selected only
@@ -192,11 +203,15 @@ def _structure_deviation(arm: SerialArm) -> Float[Array, ""]:
 
 
 def _solve_branch(
-    arm: SerialArm, base_from_tool: SE3, signs: Float[Array, "3"]
+    arm: SerialArm,
+    base_from_tool: SE3,
+    signs: Float[Array, "3"],
+    near: Float[Array, "6"],
 ) -> tuple[Float[Array, "6"], Bool[Array, ""], Bool[Array, "3"]]:
     """Return the angles `reading + theta` of one branch, whether it reaches, and its singularities.
 
-    The three singularity flags are for shoulder, elbow and wrist.
+    The three singularity flags are for shoulder, elbow and wrist. An angle that is arbitrary at a
+    singularity is taken from `near`.
     """
     # s_k = sin(alpha_k) is +1 or -1 where the twist is +-90 degrees; t_k is the angle of joint k.
     s = jnp.sin(arm.alpha)
@@ -217,7 +232,7 @@ def _solve_branch(
     forward_distance = signs[0] * jnp.sqrt(
         _floored_square(shoulder_clearance * (axis_distance + jnp.abs(shoulder_offset)))
     )
-    t1 = _atan2_or(y, x, arm.theta[0]) - _atan2_or(-s[0] * shoulder_offset, forward_distance, 0.0)
+    t1 = _atan2_or(y, x, near[0]) - _atan2_or(-s[0] * shoulder_offset, forward_distance, 0.0)
     reach_x, reach_y = forward_distance - arm.a[0], s[0] * (z - arm.d[0])
 
     # Two links in a plane: a2, and from there (a3, -s3 d4), of length `forearm_length`.
@@ -245,7 +260,7 @@ def _solve_branch(
     wrist_angle = jnp.arctan2(
         forearm_length * jnp.sin(bend), upper_arm_length + forearm_length * jnp.cos(bend)
     )
-    t2 = _atan2_or(reach_y, reach_x, arm.theta[1] + wrist_angle) - wrist_angle
+    t2 = _atan2_or(reach_y, reach_x, near[1] + wrist_angle) - wrist_angle
 
     # With the forearm's rotation known, the wrist's remains. It is W = Rz(t4) Ry(-s4 t5) Rz(u)
     # with u = -s4 s5 t6, followed by a rotation by 180 degrees about x if s4 = s5. That rotation is
@@ -258,13 +273,11 @@ def _solve_branch(
     flip = jnp.stack([jnp.ones(()), -sign_product, -sign_product])
     W = (forearm_rotation.inverse() @ first_from_wrist.rotation()).as_matrix() * flip[None]
     # The third column of W is (cos t4 sin b, sin t4 sin b, cos b), with b = -s4 t5. It gives t4 and
-    # t5; for b = 0 only t4 + u is determined, and t4 keeps its value at a zero reading.
+    # t5; for b = 0 only t4 + u is determined, and t4 is arbitrary.
     wrist_sine = jnp.sqrt(_floored_square(W[0, 2] ** 2 + W[1, 2] ** 2))
     wrist_singular = wrist_sine < SINGULARITY_TOLERANCE
     t4 = jnp.where(
-        wrist_singular,
-        arm.theta[3],
-        _atan2_or(signs[2] * W[1, 2], signs[2] * W[0, 2], arm.theta[3]),
+        wrist_singular, near[3], _atan2_or(signs[2] * W[1, 2], signs[2] * W[0, 2], near[3])
     )
     sin4, cos4 = jnp.sin(t4), jnp.cos(t4)
     t5 = -s[3] * jnp.arctan2(cos4 * W[0, 2] + sin4 * W[1, 2], W[2, 2])
