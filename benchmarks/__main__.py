@@ -33,6 +33,7 @@ BENCHMARKS = {
     "single_tags": "a single small tag, two poses in each view: right in how many sets?",
     "rigs": "several cameras on one arm: one fit of all against a fit for each",
     "depth": "a depth sensor with bias: hand-eye errors by closed forms and by sv.depth",
+    "touches": "touches of a stylus correct a calibration: later misses, foretold and actual",
     "kinhec": "poses without pixels: KinHEC's eight tracks, with its eleven reference solvers",
     "defaults": "lenses and noises on the real data sets by held-out error",
     "engine": "the joint fit against Ceres, gtsam, casadi, SciPy: time, memory, cost",

@@ -55,6 +55,7 @@ from .geometry import se3_from_xyzoat as se3_from_xyzoat
 from .geometry import xyzoat as xyzoat
 from .grasping import GraspScene as GraspScene
 from .grasping import Gripper as Gripper
+from .grasping import correct_by_touches as correct_by_touches
 from .grasping import grasps_for as grasps_for
 from .grasping import tool_commands as tool_commands
 from .io import load_dataset as load_dataset

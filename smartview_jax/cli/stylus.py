@@ -1,5 +1,6 @@
 """Define `smartview stylus`, the paper's touch test (Fig. 2) on a real robot."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,9 +17,40 @@ if TYPE_CHECKING:
     import numpy as np
 
     from ..calibration import Calibration
+    from ..grasping import ToolCommands
+    from ..joint import SavedEstimate
 
 SURPRISING_P_VALUE = 0.01
 """P-value below which misses are reported as larger than the calibration predicts."""
+
+LIKELY_CAUSES = (
+    "the tip's position in the tool frame, the target's size, or a target that was moved"
+)
+
+
+@dataclass(frozen=True)
+class CorrectionOptions:
+    """The options of a calibration that is corrected by the misses."""
+
+    corrected: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also write the calibration corrected by the misses, such as corrected.yaml."
+        ),
+    ] = None
+    measurement_std: Annotated[
+        float,
+        typer.Option(
+            min=1e-6,
+            help="Standard deviation of each measured component of a miss, mm, such as 0.05.",
+        ),
+    ] = 0.1
+    tip_std: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="Standard deviation of each component of --tip, mm, such as 0.2."
+        ),
+    ] = 0.0
 
 
 @with_option_groups
@@ -31,9 +63,12 @@ def stylus(
         ),
     ],
     at: Annotated[
-        str,
-        typer.Option(help="Point to touch, x,y,z in m in the world's frame, such as 0.1,0,0.02."),
-    ] = "0,0,0",
+        list[str] | None,
+        typer.Option(
+            help="Point to touch, x,y,z in m in the world's frame, such as 0.1,0,0.02; may be "
+            "repeated.  [default: 0,0,0]"
+        ),
+    ] = None,
     gap: Annotated[
         float,
         typer.Option(
@@ -50,7 +85,7 @@ def stylus(
         float, typer.Option(help="Rotation about the stylus, degrees, such as 45.")
     ] = 0.0,
     five: Annotated[
-        bool, typer.Option("--five", help="Five touches: upright, and tilted to four sides.")
+        bool, typer.Option("--five", help="Touch five times: upright, and tilted to four sides.")
     ] = False,
     below: options.BelowOption = None,
     misses: Annotated[
@@ -61,6 +96,7 @@ def stylus(
         ),
     ] = None,
     *,
+    correction: CorrectionOptions,
     robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
@@ -69,6 +105,7 @@ def stylus(
 
     Touch, measure the vector from the point to the tip, and give these misses by --misses with
     otherwise the same options: they are compared with the errors that the calibration predicts.
+    If they agree, --corrected writes the calibration that pictures and touches give together.
     """
     with errors_reported(debug):
         import numpy as np
@@ -80,17 +117,24 @@ def stylus(
 
         codec = robot.codec()
         tip_position = np.array(parse_numbers("--tip", tip, 3, "x,y,z (m)"))
-        point = np.array(parse_numbers("--at", at, 3, "x,y,z (m)"))
+        points = [np.array(parse_numbers("--at", text, 3, "x,y,z (m)")) for text in at or ["0,0,0"]]
+        if correction.corrected is not None and misses is None:
+            raise ValueError("--corrected needs the measured misses: give --misses")
         loaded_calibration, estimate = load_with_uncertainty(calibration)
         arm, readings = robot.arm_and_readings(loaded_calibration)
-        poses = _touching_poses(
-            loaded_calibration,
-            tip_position,
-            point,
-            1e-3 * gap,
-            (tilt, azimuth, turn),
-            five,
-            below,
+        poses = np.concatenate(
+            [
+                _touching_poses(
+                    loaded_calibration,
+                    tip_position,
+                    point,
+                    1e-3 * gap,
+                    (tilt, azimuth, turn),
+                    five,
+                    below,
+                )
+                for point in points
+            ]
         )
         touches = tool_commands(
             loaded_calibration,
@@ -112,6 +156,15 @@ def stylus(
             unchecked(loaded_calibration, arm is not None),
         )
         judged = _judgement(names, factor, measured) | {"notes": notes}
+        if correction.corrected is not None:
+            sheet.refuse_unsafe(robot.allow or ())
+            if estimate is None or measured is None:
+                raise ValueError(
+                    f"{calibration} has no covariance, so that misses cannot correct it"
+                )
+            judged |= _write_corrected(
+                calibration, estimate, touches, tip_position, measured, judged, correction
+            )
         sheet.give(
             "stylus",
             robot.out,
@@ -146,6 +199,55 @@ def _touching_poses(
     # By NumPy: the tip's place by `touching_pose` would compile a program for each operation.
     poses[:, :3, 3] = points - poses[:, :3, :3] @ tip
     return poses
+
+
+def _write_corrected(
+    path: Path,
+    estimate: "SavedEstimate",
+    touches: "ToolCommands",
+    tip: "np.ndarray",
+    misses: "np.ndarray",
+    judged: dict[str, Any],
+    options: CorrectionOptions,
+) -> dict[str, Any]:
+    """Write the calibration corrected by the misses; return its file and the miss it expects.
+
+    Raises:
+        ValueError: the misses are larger than the calibration predicts.
+    """
+    import numpy as np
+
+    from ..files import read_yaml
+    from ..grasping import correct_by_touches, tip_error_factor, tool_commands
+
+    assert options.corrected is not None
+    if judged["comparison"]["p_value"] < SURPRISING_P_VALUE:
+        raise ValueError(
+            "the misses are larger than the calibration predicts (p "
+            f"{judged['comparison']['p_value']:.2g}), so they do not correct it; find the cause: "
+            f"{LIKELY_CAUSES}"
+        )
+    corrected = correct_by_touches(
+        estimate,
+        touches,
+        tip,
+        misses,
+        measurement_std=1e-3 * options.measurement_std,
+        tip_std=1e-3 * options.tip_std,
+    )
+    # The fitted pictures and the doubts about them are still the first file's.
+    first = read_yaml(path)
+    corrected.save(
+        options.corrected,
+        source=f"{path.name}, corrected by {len(misses)} touches of a stylus",
+        warnings=first.get("warnings") or (),
+        pictures=first.get("pictures") or (),
+    )
+    touches = tool_commands(corrected.calibration, touches.world_from_tool, estimate=corrected)
+    factor = tip_error_factor(touches, tip)
+    assert factor is not None
+    expected = np.sqrt(np.mean(np.sum(factor[:, : misses.shape[1]] ** 2, axis=(1, 2))))
+    return {"corrected": options.corrected, "corrected_expected_rms_m": float(expected)}
 
 
 def _judgement(
@@ -215,6 +317,11 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     typer.echo(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms_m']:.2f} mm RMS")
     if judged["comparison"] is not None:
         typer.echo(_verdict(judged["comparison"]))
+    if "corrected" in judged:
+        typer.echo(
+            f"{judged['corrected']}: corrected; it predicts "
+            f"{1e3 * judged['corrected_expected_rms_m']:.2f} mm RMS for these touches"
+        )
 
 
 def _semi(half_axes: "np.ndarray") -> str:
@@ -239,10 +346,5 @@ def _verdict(comparison: dict[str, Any]) -> str:
         f"predicted: {expected:.2f} mm RMS; {int(inside.sum())} of {len(inside)} are inside their "
         f"ellipse\nall together (chi-square {comparison['chi_square']:.1f}, "
         f"{comparison['degrees_of_freedom']} d.o.f., p {comparison['p_value']:.2g}): {words}"
-        + (
-            "\n  check the tip's position in the tool frame, the target's size, and whether the "
-            "target was moved"
-            if surprising
-            else ""
-        )
+        + (f"\n  likely causes: {LIKELY_CAUSES}" if surprising else "")
     )

@@ -23,4 +23,5 @@ from .tool_commands import TOOL_CHECKS as TOOL_CHECKS
 from .tool_commands import ToolCommands as ToolCommands
 from .tool_commands import gripper_commands as gripper_commands
 from .tool_commands import tool_commands as tool_commands
+from .touch_correction import correct_by_touches as correct_by_touches
 from .uncertainty import camera_covariance as camera_covariance

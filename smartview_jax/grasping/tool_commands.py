@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration
+from ..engine import parameter_names
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_matrices, host_transforms
 from ..robots import Gripper, JointsLike, SerialArm
@@ -45,11 +46,16 @@ class ToolCommands(NamedTuple):
             deviation each, m and rad: `exp(factor @ errors)` times the wanted tool_from_world is
             the actual one. The errors are common to all poses. None if the calibration was taken as
             exact.
+        parameter_names: names of all parameters of the calibration.
+        parameter_factor: derivatives of the true parameters minus these of the calibration by the
+            first of the same errors; the others do not concern the calibration.
     """
 
     world_from_tool: Float[np.ndarray, "n 4 4"]
     commands: ViewpointCommands
     error_factor: Float[np.ndarray, "n 6 errors"] | None = None
+    parameter_names: tuple[str, ...] = ()
+    parameter_factor: Float[np.ndarray, "parameters calibration_errors"] | None = None
 
     @property
     def covariance(self) -> Float[np.ndarray, "n 6 6"] | None:
@@ -118,7 +124,16 @@ def tool_commands(
     noise_factor = np.zeros((count, 6, count * noises))
     for k, pose_errors in enumerate(errors):
         noise_factor[k, :, k * noises : (k + 1) * noises] = pose_errors.own
-    return ToolCommands(world_from_tool, commands, np.concatenate([shared, noise_factor], axis=2))
+    names = parameter_names(calibration)
+    parameter_factor = np.zeros((len(names), errors[0].root.shape[1]))
+    parameter_factor[[names.index(name) for name in errors[0].names]] = errors[0].root
+    return ToolCommands(
+        world_from_tool,
+        commands,
+        np.concatenate([shared, noise_factor], axis=2),
+        names,
+        parameter_factor,
+    )
 
 
 def gripper_commands(

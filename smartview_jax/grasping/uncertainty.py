@@ -37,11 +37,13 @@ class GripperErrors(NamedTuple):
         shared: derivatives of tau by standard deviations of the calibration's numbers.
         own: derivatives of tau by standard deviations of the robot's noise in this motion.
         root: the numbers' steps of one standard deviation each; its rows belong to `shared`.
+        names: names of the calibration's numbers, one for each row of `root`.
     """
 
     shared: Float[np.ndarray, "6 directions"]
     own: Float[np.ndarray, "6 noise"]
     root: Float[np.ndarray, "numbers directions"]
+    names: tuple[str, ...] = ()
 
 
 def gripper_errors(
@@ -74,7 +76,7 @@ def gripper_errors(
         shared = np.zeros((6, directions + others))
         shared[:, :directions] = to_gripper @ (errors.shared[k] * moves_tool) @ errors.root
         shared[:, directions:] = to_gripper @ errors.unknown[k]
-        results.append(GripperErrors(shared, to_gripper @ errors.own[k], root))
+        results.append(GripperErrors(shared, to_gripper @ errors.own[k], root, errors.names))
     return tuple(results)
 
 

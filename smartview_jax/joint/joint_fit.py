@@ -24,7 +24,7 @@ from ..runtime.compilation import is_traced
 from ..variance import NoiseEstimate, p_value
 from .fit_text import fit_html, fit_line, fit_text, noise_text, points_and_residual
 from .influence import Influence, deletion_changes
-from .saved_estimate import uncertainty_to_dict
+from .saved_estimate import SavedEstimate
 
 
 class JointFit(eqx.Module):
@@ -151,14 +151,7 @@ class JointFit(eqx.Module):
                 `smartview evaluate` recognises them.
         """
         doubts = self.warnings if warnings is None else warnings
-        self.calibration.save(
-            path,
-            run,
-            doubts,
-            source=source,
-            uncertainty=uncertainty_to_dict(self),
-            pictures=pictures,
-        )
+        SavedEstimate.of(self).save(path, run, source, doubts, pictures)
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.

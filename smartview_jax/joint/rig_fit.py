@@ -28,7 +28,7 @@ from ..variance import RigNoiseEstimate
 from .joint_fit import half_width
 from .relative_pose import RelativePose, relative_base, relative_pose
 from .rig_estimate import RIG_FILE, save_rig
-from .saved_estimate import SavedEstimate, uncertainty_to_dict
+from .saved_estimate import SavedEstimate
 from .several_arms import own_jacobians
 
 
@@ -278,14 +278,12 @@ class RigFit(eqx.Module):
         """
         with file_transaction(folder, self.file_names) as place:
             for name in self.calibrations:
-                estimate = self.estimate(name)
-                estimate.calibration.save(
+                self.estimate(name).save(
                     place / f"{name}.yaml",
                     run,
-                    warnings=self.warnings,
-                    source=f"rig of {', '.join(self.calibrations)}",
-                    uncertainty=uncertainty_to_dict(estimate),
-                    pictures=(pictures or {}).get(name, ()),
+                    f"rig of {', '.join(self.calibrations)}",
+                    self.warnings,
+                    (pictures or {}).get(name, ()),
                 )
             for name, base in self._named_bases():
                 base.save(place / f"{name}.yaml", run)

@@ -5,6 +5,7 @@ Modelling, localisation and grasping need the covariance of the calibration that
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -53,8 +54,26 @@ class SavedEstimate(NamedTuple):
             fit.sensor,
         )
 
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        run: str | None = None,
+        source: str | None = None,
+        warnings: Sequence[str] = (),
+        pictures: Sequence[str] = (),
+    ) -> None:
+        """Write the calibration with its covariance and noise; arguments as of `JointFit.save`."""
+        self.calibration.save(
+            path,
+            run,
+            warnings,
+            source=source,
+            uncertainty=uncertainty_to_dict(self),
+            pictures=pictures,
+        )
 
-def uncertainty_to_dict(fit: "JointFit | SavedEstimate") -> dict[str, Any] | None:
+
+def uncertainty_to_dict(fit: SavedEstimate) -> dict[str, Any] | None:
     """Return the uncertainty of a fit as plain numbers; None if a parameter is undetermined."""
     if fit.observability.null_directions or not np.isfinite(fit.covariance).all():
         return None

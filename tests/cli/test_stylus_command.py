@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from board_scene import calibrated_board, run
 
+import smartview_jax as sv
+from smartview_jax.files import read_yaml
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import read_viewpoints
 from smartview_jax.simulation import paper_calibration
@@ -85,11 +87,46 @@ def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     assert found["touches"][0]["distance_m"] == found["rms_m"]
 
 
+def test_misses_correct_the_calibration(fitted, tmp_path):
+    words = ("--tip", "0,0,0.15", "--at", "0,0,0", "--at", "0.1,0,0", "--at", "0,0.05,0")
+    touches = json.loads(touched(fitted, *words, "--json").stdout)["touches"]
+    assert [one["name"] for one in touches] == ["v1", "v2", "v3"]
+    shift = 1e3 * touches[0]["expected"]["std_m"][0]
+    misses, corrected = tmp_path / "misses.csv", tmp_path / "corrected.yaml"
+    rows = [f"{one['name']},{shift},0,0" for one in touches]
+    misses.write_text("\n".join(["view,x_mm,y_mm,z_mm", *rows]))
+    words = (*words, "--misses", str(misses))
+    ended = touched(fitted, *words, "--corrected", str(corrected), "--measurement-std", "0.01")
+    assert ended.exit_code == 0, ended.output
+    assert max(map(len, ended.stdout.replace(str(corrected), "corrected.yaml").splitlines())) <= 80
+    assert "corrected; it predicts" in ended.stdout
+    before, after = (sv.load_estimate(path) for path in (fitted, corrected))
+    assert after.calibration.region is not None
+    kept = [read_yaml(path)["pictures"] for path in (fitted, corrected)]
+    assert kept[0] == kept[1]
+    assert (np.diag(after.covariance) <= np.diag(before.covariance) * (1 + 1e-9)).all()
+    # The tip went too far along the world's x: so far is the world from where it was taken to be.
+    moved = np.linalg.inv(host_matrices(before.calibration.base_from_world)) @ host_matrices(
+        after.calibration.base_from_world
+    )
+    assert -shift < 1e3 * moved[0, 3] < -0.3 * shift
+    document = json.loads(touched(fitted, *words, "--corrected", str(corrected), "--json").stdout)
+    assert document["corrected"] == str(corrected)
+    assert document["corrected_expected_rms_m"] < document["comparison"]["expected_rms_m"]
+    corrected.unlink()
+    misses.write_text("\n".join(["view,x_mm,y_mm", *(f"v{k},9,-7" for k in range(1, 4))]))
+    refused = touched(fitted, *words, "--corrected", str(corrected))
+    assert refused.exit_code == 2
+    assert "larger than the calibration predicts" in refused.stderr
+    assert not corrected.exists()
+
+
 def test_what_is_wrong_is_said(fitted, tmp_path):
     (tmp_path / "m.csv").write_text("view,x_mm,y_mm\nv1,1,2\n")
     for words, message in (
         ((*WORDS, "--misses", str(tmp_path / "m.csv")), "expected the touches v1, v2"),
         ((*WORDS, "--at", "9,0,0", "--arm", "puma_560", "--near=0,90,-90,0,60,0"), "refused"),
+        ((*WORDS, "--corrected", "c.yaml"), "--corrected needs the measured misses"),
         ((), "--tip"),
     ):
         ended = touched(fitted, *words)
