@@ -71,6 +71,7 @@ class Measured(NamedTuple):
     world_from_object: np.ndarray
     covariance: np.ndarray
     calibration_jacobian: np.ndarray | None
+    calibration_names: tuple[str, ...]
 
 
 def solids() -> dict:
@@ -157,16 +158,16 @@ def measured(rig: Rig, name: str, scale: float, rng: np.random.Generator) -> Mea
     mean = mean_matrix(np.stack(poses), np.ones(len(poses)))
     covariance = scale**2 * SPREAD
     error = rng.multivariate_normal(np.zeros(6), covariance)
-    jacobian = None
+    jacobian, names = None, ()
     if rig.estimate is not None:
         views = SeenViews.of(rig.calibration, stacked_commands(commands))
         known = CalibrationUncertainty.of(views, rig.calibration, rig.estimate)
         # exp(t) camera_from_world moves the object's tangent by -Ad(object_from_camera) t.
         own = [-host_adjoints(np.linalg.inv(pose)) for pose in camera_from_object]
         by_number = np.mean([a @ known.view_jacobian[k, -6:] for k, a in enumerate(own)], axis=0)
-        jacobian = by_number[:, : known.shared_count]
+        jacobian, names = by_number[:, : known.shared_count], known.shared_names
         covariance = covariance + by_number @ known.covariance @ by_number.T
-    return Measured(model_of(name), mean @ host_exponentials(error), covariance, jacobian)
+    return Measured(model_of(name), mean @ host_exponentials(error), covariance, jacobian, names)
 
 
 def attempt(rig: Rig, name: str, scale: float, seed: int) -> tuple[float, bool] | None:

@@ -18,9 +18,10 @@ class LocalizedObject(Protocol):
         world_from_object: its pose, 4x4, m.
         covariance: covariance of the pose's tangent, translation first, m^2 and rad^2: `true =
             world_from_object @ exp(xi)`.
-        calibration_jacobian: derivatives of xi by the numbers of the calibration, `(6, numbers)`,
-            one for each shared number of `CalibrationUncertainty`; their part of the covariance is
-            common to the object and the gripper. None if nothing is common or it is unknown.
+        calibration_jacobian: derivatives of xi by numbers of the calibration, `(6, numbers)`; their
+            part of the covariance is common to the object and the gripper. None if nothing is
+            common or it is unknown.
+        calibration_names: names of these numbers, as in the fit of the calibration.
     """
 
     @property
@@ -35,6 +36,9 @@ class LocalizedObject(Protocol):
     @property
     def calibration_jacobian(self) -> np.ndarray | None: ...
 
+    @property
+    def calibration_names(self) -> tuple[str, ...]: ...
+
 
 class PlacedObject(NamedTuple):
     """An object whose pose is known from another source, such as a fixture or a drawing.
@@ -45,12 +49,14 @@ class PlacedObject(NamedTuple):
         covariance: covariance of the pose's tangent, translation first; zero if it is exact.
         calibration_jacobian: as in `LocalizedObject`; None if the pose does not depend on the
             calibration, or it is unknown.
+        calibration_names: as in `LocalizedObject`.
     """
 
     model: ObjectModel
     world_from_object: Float[np.ndarray, "4 4"]
     covariance: Float[np.ndarray, "6 6"] = np.zeros((6, 6))
     calibration_jacobian: Float[np.ndarray, "6 numbers"] | None = None
+    calibration_names: tuple[str, ...] = ()
 
 
 def checked_object(

@@ -12,6 +12,7 @@ from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_transformed
 from ..io import to_trimesh
+from ..joint import RigEstimate, RigFit
 from ..robots import BOX_CORNERS, BOX_TRIANGLES, JointsLike, SerialArm
 from .localized import LocalizedObject, checked_object
 
@@ -62,12 +63,12 @@ class GraspScene:
 
     Attributes:
         calibration: its world is the frame of all poses and obstacles; the camera is on the hand.
-            Of a rig, any camera on the hand, such as `fit.calibrations["left"]`.
+            Of a rig, any camera on the hand, such as `rig_fit.calibrations["left"]`.
         obstacles: bin, table, other objects.
         arm: the nominal arm; None if it is commanded by poses and its reach is unknown.
         near: joint readings at which the arm starts; required with an arm.
-        estimate: fit with the calibration's covariance, of a rig `fit.estimate("left")`; None takes
-            the calibration as exact.
+        estimate: fit with the calibration's covariance, of a rig the fit of all cameras; None
+            takes the calibration as exact.
         margin: distance that gripper and arm keep from obstacles, m.
         link_radius: radius of the cylinders about the arm's links, which must not touch obstacles
             between pre-grasp and retreat, m; None leaves the links unchecked.
@@ -85,7 +86,7 @@ class GraspScene:
     obstacles: tuple[Obstacle, ...] = ()
     arm: SerialArm | None = None
     near: JointsLike | None = None
-    estimate: CalibrationEstimate | None = None
+    estimate: CalibrationEstimate | RigFit | RigEstimate | None = None
     margin: float = 1e-3
     link_radius: float | None = None
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)

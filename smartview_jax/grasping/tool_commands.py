@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..engine import parameter_names
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_matrices, host_transforms
+from ..joint import RigEstimate, RigFit
 from ..robots import Gripper, JointsLike, SerialArm
 from ..runtime.padding import repeat_last
 from ..viewpoints import ViewpointCommands, viewpoint_commands
@@ -46,9 +46,9 @@ class ToolCommands(NamedTuple):
             deviation each, m and rad: `exp(factor @ errors)` times the wanted tool_from_world is
             the actual one. The errors are common to all poses. None if the calibration was taken as
             exact.
-        parameter_names: names of all parameters of the calibration.
-        parameter_factor: derivatives of the true parameters minus these of the calibration by the
-            first of the same errors; the others do not concern the calibration.
+        parameter_names: names of the calibration's uncertain parameters.
+        parameter_factor: derivatives of these parameters' errors by the first of the same errors;
+            the others do not concern the calibration.
     """
 
     world_from_tool: Float[np.ndarray, "n 4 4"]
@@ -76,7 +76,7 @@ def tool_commands(
     calibration: Calibration,
     world_from_tool: Float[np.ndarray, "n 4 4"],
     *,
-    estimate: CalibrationEstimate | None = None,
+    estimate: CalibrationEstimate | RigFit | RigEstimate | None = None,
     arm: SerialArm | None = None,
     near: JointsLike | None = None,
 ) -> ToolCommands:
@@ -94,7 +94,8 @@ def tool_commands(
     Args:
         calibration: of a camera on the hand, whose world is fixed in the base's frame.
         world_from_tool: wanted poses, m.
-        estimate: fit with the calibration's covariance; None takes the calibration as exact.
+        estimate: fit with the calibration's covariance, of a rig the fit of all cameras; None
+            takes the calibration as exact.
         arm: the nominal arm, for joint readings.
         near: joint readings near which to solve, rad (m for a prismatic joint).
 
@@ -124,16 +125,8 @@ def tool_commands(
     noise_factor = np.zeros((count, 6, count * noises))
     for k, pose_errors in enumerate(errors):
         noise_factor[k, :, k * noises : (k + 1) * noises] = pose_errors.own
-    names = parameter_names(calibration)
-    parameter_factor = np.zeros((len(names), errors[0].root.shape[1]))
-    parameter_factor[[names.index(name) for name in errors[0].names]] = errors[0].root
-    return ToolCommands(
-        world_from_tool,
-        commands,
-        np.concatenate([shared, noise_factor], axis=2),
-        names,
-        parameter_factor,
-    )
+    factor = np.concatenate([shared, noise_factor], axis=2)
+    return ToolCommands(world_from_tool, commands, factor, errors[0].names, errors[0].root)
 
 
 def gripper_commands(

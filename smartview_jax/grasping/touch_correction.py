@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
-from ..engine import Parameters, Step
+from ..engine import Parameters, Step, parameter_names
 from ..joint import JointFit, SavedEstimate
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
@@ -84,13 +84,17 @@ def correct_by_touches(
     gain = np.linalg.solve(S, by_errors).T
     to_parameters = touches.parameter_factor
     known = to_parameters.shape[1]
-    step = to_parameters @ (gain @ misses.ravel())[:known]
+    start, names = estimate.calibration, parameter_names(estimate.calibration)
+    step = np.zeros(len(names))
+    rows = [names.index(name) for name in touches.parameter_names]
+    step[rows] = to_parameters @ (gain @ misses.ravel())[:known]
+    # Parameters that were not estimated stay exact.
+    covariance = np.zeros((len(names), len(names)))
     remaining = np.eye(known) - (gain @ by_errors)[:known, :known]
-    names = touches.parameter_names
-    rows = [names.index(name) for name in estimate.parameter_names]
-    covariance = (to_parameters @ remaining @ to_parameters.T)[np.ix_(rows, rows)]
+    covariance[np.ix_(rows, rows)] = to_parameters @ remaining @ to_parameters.T
+    kept = [names.index(name) for name in estimate.parameter_names]
+    covariance = covariance[np.ix_(kept, kept)]
     saved = SavedEstimate.of(estimate) if isinstance(estimate, JointFit) else estimate
-    start = estimate.calibration
     calibration = dataclasses.replace(
         _stepped(start, to_device(step)), region=start.region, target_shape=start.target_shape
     )

@@ -14,13 +14,14 @@ as in reality; otherwise xi and tau are taken as independent.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
-from ..engine import ROBOT_ERROR, Noise, covariance_factor
+from ..engine import ROBOT_ERROR, Noise, covariance_factor, parameter_names
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_adjoints, host_matrices
-from ..modeling import CalibrationUncertainty, SeenViews
+from ..joint import RigEstimate, RigFit
+from ..modeling import CalibrationUncertainty, RigViews, SeenViews
 from ..robot_errors import AbstractField
 from ..robots import Command, Gripper
 from .localized import LocalizedObject, checked_object
@@ -37,13 +38,14 @@ class GripperErrors(NamedTuple):
         shared: derivatives of tau by standard deviations of the calibration's numbers.
         own: derivatives of tau by standard deviations of the robot's noise in this motion.
         root: the numbers' steps of one standard deviation each; its rows belong to `shared`.
-        names: names of the calibration's numbers, one for each row of `root`.
+        names: names of the calibration's numbers, one for each row of `root`; of a rig, of the
+            numbers of all its cameras.
     """
 
     shared: Float[np.ndarray, "6 directions"]
     own: Float[np.ndarray, "6 noise"]
     root: Float[np.ndarray, "numbers directions"]
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...]
 
 
 def gripper_errors(
@@ -56,13 +58,11 @@ def gripper_errors(
     """
     count = len(command.base_from_tool.wxyz_xyz)
     if scene.estimate is None:
-        nothing = GripperErrors(np.zeros((6, 0)), np.zeros((6, 0)), np.zeros((0, 0)))
+        nothing = GripperErrors(np.zeros((6, 0)), np.zeros((6, 0)), np.zeros((0, 0)), ())
         # With an exact calibration only the object's own covariance remains.
         return (nothing,) * count
     # The calibration's uncertainty describes the twist of the camera at this command.
     errors = _camera_errors(scene.calibration, scene.estimate, command)
-    # The hand-eye transform moves the camera on the tool, not the tool itself.
-    moves_tool = np.array([not name.startswith(HAND_EYE) for name in errors.names], bool)
     camera_from_gripper = (
         host_matrices(scene.calibration.camera_from_tool) @ gripper.tool_from_gripper
     )
@@ -74,7 +74,7 @@ def gripper_errors(
     results = []
     for k in range(count):
         shared = np.zeros((6, directions + others))
-        shared[:, :directions] = to_gripper @ (errors.shared[k] * moves_tool) @ errors.root
+        shared[:, :directions] = to_gripper @ (errors.shared[k] * errors.moves_tool) @ errors.root
         shared[:, directions:] = to_gripper @ errors.unknown[k]
         results.append(GripperErrors(shared, to_gripper @ errors.own[k], root, errors.names))
     return tuple(results)
@@ -100,7 +100,8 @@ class _CameraErrors(NamedTuple):
     """The uncertainty of the camera's pose for several commands, as twists in its axes.
 
     Attributes:
-        names: names of the calibration's numbers.
+        names: names of the calibration's numbers; of a rig, of the numbers of all its cameras.
+        moves_tool: whether each moves the tool, too; the hand-eye transform moves the camera only.
         shared: derivatives by these numbers.
         root: steps of the numbers of one standard deviation each.
         unknown: twists by one standard deviation each of the robot error's coefficients, as far as
@@ -109,6 +110,7 @@ class _CameraErrors(NamedTuple):
     """
 
     names: tuple[str, ...]
+    moves_tool: Bool[np.ndarray, "numbers"]
     shared: Float[np.ndarray, "n 6 numbers"]
     root: Float[np.ndarray, "numbers directions"]
     unknown: Float[np.ndarray, "n 6 coefficients"]
@@ -116,14 +118,27 @@ class _CameraErrors(NamedTuple):
 
 
 def _camera_errors(
-    calibration: Calibration, estimate: CalibrationEstimate, command: Command
+    calibration: Calibration,
+    estimate: CalibrationEstimate | RigFit | RigEstimate,
+    command: Command,
 ) -> _CameraErrors:
     """Return the uncertainty of the camera's pose at commands `(n)`."""
     noise = getattr(estimate, "noise", None)
-    views = SeenViews.of(calibration, command)
-    known = CalibrationUncertainty.of(views, calibration, estimate, noise)
+    if isinstance(estimate, RigFit | RigEstimate):
+        count = len(command.base_from_tool.wxyz_xyz)
+        camera = _camera_of_rig(calibration, estimate)
+        rig_views = RigViews(estimate, [camera] * count, states=range(count))
+        known = CalibrationUncertainty.of(SeenViews.of(rig_views, command), rig_views, None)
+        rig = rig_views.estimate
+        assert rig is not None
+        local_names = dict(zip(rig.camera_names[camera], parameter_names(calibration), strict=True))
+    else:
+        views = SeenViews.of(calibration, command)
+        known = CalibrationUncertainty.of(views, calibration, estimate, noise)
+        rig, local_names = None, {name: name for name in known.shared_names}
     count, size = len(known.view_jacobian), known.shared_count
-    names, shared = known.names[:size], known.view_jacobian[:, -6:, :size].copy()
+    names, shared = known.shared_names, known.view_jacobian[:, -6:, :size].copy()
+    moves_tool = np.array([not local_names[name].startswith(HAND_EYE) for name in names], bool)
     unknown = np.zeros((count, 6, 0))
     error = calibration.robot_error
     if error is not None and noise is not None:
@@ -133,8 +148,9 @@ def _camera_errors(
         relevance = np.asarray(error.relevance(command))[:, None, None]
         prior = dict(zip(error.field.names, _prior_std(error.field, noise), strict=True))
         prefix = f"{ROBOT_ERROR}."
-        columns = np.flatnonzero([name.startswith(prefix) for name in names])
-        std = np.array([prior[names[k].removeprefix(prefix)] for k in columns])
+        local = [local_names[name] for name in names]
+        columns = np.flatnonzero([name.startswith(prefix) for name in local])
+        std = np.array([prior[local[k].removeprefix(prefix)] for k in columns])
         unknown = np.sqrt(1.0 - relevance**2) * shared[:, :, columns] * std
         shared[:, :, columns] *= relevance
     motion_noise = np.zeros((count, 6, 6 if known.view_jacobian.shape[2] > size else 0))
@@ -143,8 +159,32 @@ def _camera_errors(
         motion_noise[k] = known.view_jacobian[k, -6:, place] @ covariance_factor(
             known.covariance[place, place]
         )
-    root = covariance_factor(known.covariance[:size, :size])
-    return _CameraErrors(names, shared, root, unknown, motion_noise)
+    covariance = known.covariance[:size, :size]
+    if rig is not None:
+        # Other cameras' numbers do not move this camera, but the pose of an object that they saw.
+        others = [k for k, name in enumerate(rig.parameter_names) if name not in names]
+        rows = [rig.parameter_names.index(name) for name in names] + others
+        names = tuple(rig.parameter_names[k] for k in rows)
+        covariance = rig.covariance[np.ix_(rows, rows)]
+        shared = np.concatenate([shared, np.zeros((count, 6, len(others)))], axis=2)
+        moves_tool = np.concatenate([moves_tool, np.zeros(len(others), bool)])
+    root = covariance_factor(covariance)
+    return _CameraErrors(names, moves_tool, shared, root, unknown, motion_noise)
+
+
+def _camera_of_rig(calibration: Calibration, estimate: RigFit | RigEstimate) -> str:
+    """Return the name of the rig's camera that has a calibration.
+
+    Raises:
+        ValueError: no camera of the rig has it.
+    """
+    for name, known in estimate.calibrations.items():
+        if known is calibration:
+            return name
+    raise ValueError(
+        "estimate: the calibration is of none of the rig's cameras, "
+        f"{', '.join(estimate.calibrations)}; give one of the fit's own calibrations"
+    )
 
 
 def _prior_std(field: AbstractField, noise: Noise) -> Float[np.ndarray, "coefficients"]:
@@ -167,12 +207,18 @@ def error_covariance(
     jacobian = found.calibration_jacobian
     shared = np.zeros_like(errors.shared)
     if jacobian is not None and len(errors.root):
-        if jacobian.shape != (6, len(errors.root)):
+        names = found.calibration_names
+        if jacobian.shape != (6, len(names)):
             raise ValueError(
-                f"calibration_jacobian: expected (6, {len(errors.root)}), one column for each "
-                f"number of the scene's calibration, found {jacobian.shape}"
+                f"calibration_jacobian: expected (6, {len(names)}), one column for each of "
+                f"calibration_names, found {jacobian.shape}"
             )
-        shared = jacobian @ errors.root
+        if unknown := [name for name in names if name not in errors.names]:
+            raise ValueError(
+                f"calibration_names: the scene's estimate has no number {unknown[0]!r}; where "
+                "several cameras saw the object, give the scene the fit of the rig"
+            )
+        shared = jacobian @ errors.root[[errors.names.index(name) for name in names]]
         # The rest of the object's covariance is not due to the calibration; rounding may leave
         # slightly negative eigenvalues.
         covariance = covariance - shared @ shared.T

@@ -105,8 +105,13 @@ class Localization(NamedTuple):
         as a gripper. None if the calibration was taken as exact.
         """
         # The robot's noise in these views is not shared with any other motion.
-        shared = self.refined.calibration_jacobian[:, : self.refined.shared_count]
+        shared = self.refined.calibration_jacobian[:, : len(self.refined.shared_names)]
         return shared if shared.size else None
+
+    @property
+    def calibration_names(self) -> tuple[str, ...]:
+        """The names of these numbers, as in the fit; for several cameras, as in the rig's fit."""
+        return self.refined.shared_names
 
     @property
     def accepted(self) -> bool:

@@ -52,8 +52,8 @@ class RefinedPose(NamedTuple):
         calibration_jacobian: derivatives of that tangent by the numbers of the views'
             `CalibrationUncertainty`; everything else that depends on these numbers errs together
             with it.
-        shared_count: the first so many of these numbers belong to the calibration and are common to
-            all views; the others are the robot's noise in these views.
+        shared_names: names of the first of these numbers, which belong to the calibration and are
+            common to all views; the others are the robot's noise in these views.
         calibration_error: likeliest errors of these numbers, estimated from the object's edges.
         absorbed: number of edge measurements that these errors explain.
         edge_sigma: estimated standard deviation of whole edges from the model beyond their points'
@@ -68,7 +68,7 @@ class RefinedPose(NamedTuple):
     calibration: Float[np.ndarray, "6 6"]
     model: Float[np.ndarray, "6 6"]
     calibration_jacobian: Float[np.ndarray, "6 numbers"]
-    shared_count: int
+    shared_names: tuple[str, ...]
     calibration_error: Float[np.ndarray, "numbers"]
     absorbed: float
     edge_sigma: float
@@ -135,7 +135,7 @@ def refine_pose(
             consistent[lines.measured] = squared <= CONSISTENT_SQUARE
             at_pose = solved._replace(residuals=solved.residuals - solved.by_pose @ step.tangent)
             parts = step.pictures, step.calibration, step.model, step.calibration_jacobian
-            parts = *parts, uncertainty.shared_count, step.calibration_error, step.absorbed
+            parts = *parts, uncertainty.shared_names, step.calibration_error, step.absorbed
             return RefinedPose(pose, *parts, edge_sigma, lines, consistent, at_pose)
     raise AssertionError("the last step returns")
 

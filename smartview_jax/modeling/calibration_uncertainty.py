@@ -52,6 +52,11 @@ class CalibrationUncertainty(NamedTuple):
     view_jacobian: Float[np.ndarray, "views local numbers"]
     shared_count: int
 
+    @property
+    def shared_names(self) -> tuple[str, ...]:
+        """The names of the numbers that are common to all views."""
+        return self.names[: self.shared_count]
+
     @classmethod
     def none(cls, views: SeenViews) -> "CalibrationUncertainty":
         """Return the description of a calibration that is taken as exact."""

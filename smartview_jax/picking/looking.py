@@ -13,7 +13,7 @@ from ..engine import Noise
 from ..features import PictureEvidence, picture_evidence
 from ..geometry import host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene
-from ..joint import JointFit, SavedEstimate
+from ..joint import JointFit, RigEstimate, RigFit, SavedEstimate
 from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
 from ..modeling import ObjectModel
 from ..robots import BOX_CORNERS, Command, SerialArm
@@ -143,9 +143,15 @@ def look_for(
         CellError: the robot reaches fewer than two of the first views; the message says why.
         BadPictureError: one of the first two pictures is not taken or is unusable, such as a blank
             one; the message names the view, from 1.
+        TypeError: the scene's estimate is of a rig.
         ValueError: as in `localize`, for invalid models, estimate or noise.
     """
     calibration, estimate, arm = scene.calibration, scene.estimate, scene.arm
+    if isinstance(estimate, RigFit | RigEstimate):
+        raise TypeError(
+            "scene.estimate: expected the estimate of the camera that takes the pictures, such as "
+            f"rig_fit.estimate('left'), found {type(estimate).__name__}"
+        )
     say = progress or (lambda _: None)
     workspace = np.stack([region.corners.min(axis=0), region.corners.max(axis=0)])
     # As in `localize`: these views are taken by the calibrated robot.

@@ -94,6 +94,7 @@ def test_what_object_and_gripper_share_cancels(setup):
         world_from_object=found.world_from_object,
         covariance=found.covariance,
         calibration_jacobian=jacobian,
+        calibration_names=errors.names,
     )
     together = error_covariance(known, gripper_from_object, errors)
     left = together[:6, :6] - errors.own @ errors.own.T
@@ -112,8 +113,12 @@ def test_derivatives_of_another_calibration_are_refused(setup):
         world_from_object=np.eye(4),
         covariance=np.eye(6),
         calibration_jacobian=np.zeros((6, 3)),
+        calibration_names=errors.names[:2],
     )
-    with pytest.raises(ValueError, match=r"calibration_jacobian: expected \(6, \d+\)"):
+    with pytest.raises(ValueError, match=r"calibration_jacobian: expected \(6, 2\)"):
+        error_covariance(known, np.linalg.inv(pose), errors)
+    known.calibration_names = ("right.camera.u0", *errors.names[:2])
+    with pytest.raises(ValueError, match=r"no number 'right.camera.u0'; where several cameras saw"):
         error_covariance(known, np.linalg.inv(pose), errors)
 
 

@@ -54,7 +54,7 @@ class FakeCell:
 def seen(model, decision="accepted", *reasons):
     """A model as it was found at its own place, by a verdict without numbers."""
     unused = dict.fromkeys(RefinedPose._fields[6:])
-    refined = RefinedPose(np.eye(4), *[np.eye(6)] * 3, np.zeros((6, 0)), 0, **unused)
+    refined = RefinedPose(np.eye(4), *[np.eye(6)] * 3, np.zeros((6, 0)), (), **unused)
     return Localization(model, 0, refined, Verdict(decision, reasons, None, -20.0, np.inf), ())
 
 
