@@ -8,7 +8,7 @@ from solids import box
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_matrices, viewing_direction
 from smartview_jax.grasping import GraspScene, Obstacle
-from smartview_jax.joint import SavedEstimate
+from smartview_jax.joint import RigEstimate, SavedEstimate
 from smartview_jax.picking import BadPictureError, FirstViews, LookOptions, Region, look_for
 from smartview_jax.simulation import CellError
 
@@ -165,3 +165,9 @@ def test_too_few_reached_views_say_why(look):
     with pytest.raises(CellError, match=r"1 of 4 views are reached; expected 2: azimuth 0.6 rad: "):
         look(cell)
     assert len(cell.moves) == 4
+
+
+def test_the_estimate_is_of_the_camera_that_takes_the_pictures(look):
+    rig = RigEstimate({"left": CALIBRATION}, np.zeros((0, 0)), (), {}, Noise(0.1, 1e-4, 1e-4))
+    with pytest.raises(TypeError, match=r"rig_fit.estimate\('left'\), found RigEstimate"):
+        look(FakeCell(STRIPED, STRIPED), estimate=rig)
