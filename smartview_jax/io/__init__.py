@@ -1,8 +1,6 @@
 """Read and write data sets and calibrations: folders, importers, exporters."""
 
 from .correspondences import import_correspondences as import_correspondences
-from .dataset_folder import DESCRIPTION_FILE as DESCRIPTION_FILE
-from .dataset_folder import marked_entries as marked_entries
 from .dataset_folder import save_dataset as save_dataset
 from .dataset_folder import write_dataset_folder as write_dataset_folder
 from .easy_handeye import PoseSamples as PoseSamples
@@ -16,7 +14,9 @@ from .export import ros_camera_info as ros_camera_info
 from .export import ros_launch_file as ros_launch_file
 from .export import ros_static_transform as ros_static_transform
 from .export import urdf_origin as urdf_origin
+from .folder_description import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .folder_description import FolderDescription as FolderDescription
+from .folder_description import marked_entries as marked_entries
 from .folder_description import read_folder_description as read_folder_description
 from .growing_dataset import GrowingDataset as GrowingDataset
 from .hand_steps import HandSteps as HandSteps
@@ -41,6 +41,7 @@ from .mrcal_camera import read_mrcal_camera as read_mrcal_camera
 from .new_dataset import TARGETS as TARGETS
 from .new_dataset import FoundPictures as FoundPictures
 from .new_dataset import found_pictures as found_pictures
+from .new_dataset import new_pose_tables as new_pose_tables
 from .new_dataset import write_new_dataset as write_new_dataset
 from .new_description import write_description as write_description
 from .object_models import load_object_model as load_object_model

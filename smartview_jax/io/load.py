@@ -9,7 +9,9 @@ from ..dataset import Dataset
 from ..detection import DetectionLimits
 from ..files import read_yaml
 from ..geometry import PoseLike
-from .dataset_folder import DESCRIPTION_FILE, LoadOptions, load_dataset_folder
+from .dataset_folder import load_dataset_folder
+from .folder_description import DESCRIPTION_FILE
+from .folder_pictures import LoadOptions
 from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
 from .robot_readings import suffix_in_names

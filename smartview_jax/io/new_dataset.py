@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from ..dataset import ONE_ARM
 from ..detection import read_picture
 from ..files import parse_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
-from .dataset_folder import DESCRIPTION_FILE
+from .folder_description import DESCRIPTION_FILE
 from .picture_detections import is_picture_name
 from .poses import POSES_FILE
 
@@ -123,6 +124,16 @@ _POSES = """poses:
   direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse"""
 
 
+def new_pose_tables(arms: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the table of poses of each arm in a new folder, relative to it, by the arm's name.
+
+    Args:
+        arms: as in `write_new_dataset`.
+    """
+    tables = {arm: f"{arm}/{POSES_FILE}" for arm in (arms or {}).values()}
+    return tables or {ONE_ARM: POSES_FILE}
+
+
 def found_pictures(pictures: Path) -> FoundPictures | None:
     """Return the pictures already in a folder such as `images`; None if there are none.
 
@@ -187,9 +198,9 @@ def write_new_dataset(
             "arms: cameras next to several arms see no target in common, which would tell where "
             "the arms are to each other; begin a data set for each arm"
         )
-    tables = {arm: f"{arm}/{POSES_FILE}" for arm in dict.fromkeys((arms or {}).values())}
+    tables = new_pose_tables(arms)
     description = folder / DESCRIPTION_FILE
-    for path in (description, *(folder / table for table in tables.values() or [POSES_FILE])):
+    for path in (description, *(folder / table for table in tables.values())):
         if path.exists():
             raise FileExistsError(f"{path}: exists already; nothing is overwritten")
     codec = pose_codec(ROBOTS[robot].codec)
@@ -199,7 +210,7 @@ def write_new_dataset(
         target=TARGETS[target],
         mount=mount,
         source=ROBOTS[robot].source,
-        poses=_arms_text(tables, codec) if tables else _poses_text(POSES_FILE, codec),
+        poses=_arms_text(tables, codec) if arms else _poses_text(POSES_FILE, codec),
         poses_file=POSES_FILE,
         pattern=f"images/{'{camera}/' if cameras else ''}{{view}}{suffix}",
     )
@@ -207,7 +218,7 @@ def write_new_dataset(
     refuse_unreadable(parse_yaml(text, description), schema, description)
     for camera in cameras or ("",):
         (folder / "images" / camera).mkdir(parents=True, exist_ok=True)
-    for table in tables.values() or [POSES_FILE]:
+    for table in tables.values():
         (folder / table).parent.mkdir(exist_ok=True)
         write_atomically(folder / table, ",".join(("view", *codec.columns)) + "\n")
     # Written last, so that an interrupted run can be repeated.

@@ -5,8 +5,8 @@ from pathlib import Path
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, target_to_dict
 from .csv_tables import write_table
-from .dataset_folder import DESCRIPTION_FILE, FORMAT_VERSION
-from .poses import POSES_FILE
+from .folder_description import DESCRIPTION_FILE, FORMAT_VERSION
+from .poses import POSES_FILE, poses_entry
 from .table_text import VIEW_COLUMN
 
 
@@ -40,19 +40,12 @@ def write_description(
     for path in (description, table):
         if path.exists():
             raise FileExistsError(f"{path}: exists already; nothing is overwritten")
-    length_unit, angle_unit = codec.units
     content = {
         "smartview_dataset": FORMAT_VERSION,
         "camera": {"image_size": [int(size) for size in image_size]},
         "target": target_to_dict(target),
         "mount": mount,
-        "poses": {
-            "file": POSES_FILE,
-            "codec": codec.name,
-            "length_unit": length_unit,
-            "angle_unit": angle_unit,
-            "direction": "base_from_tool",
-        },
+        "poses": poses_entry(None, pose_format),
         "pictures": {"pattern": f"images/{{view}}{suffix}"},
     }
     refuse_unreadable(content, DATASET_SCHEMA, description)
