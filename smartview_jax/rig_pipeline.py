@@ -76,7 +76,7 @@ def calibrate_rig(
     used, rejected = {}, []
     for name, data in rig.cameras.items():
         inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
-        used[name], outliers = remove_gross_errors(inliers, starts[name], (), None, None)
+        used[name], outliers = remove_gross_errors(inliers, starts[name])
         rejected += [(name, entry) for entry in (*staged[name].rejected, *outliers)]
     # In the order of the rig, as are the names of the parameters.
     starts = {name: starts[name] for name in rig.cameras}
