@@ -3,7 +3,6 @@
 from .cameras import OpenCVCamera as OpenCVCamera
 from .cameras import PictureFolder as PictureFolder
 from .cameras import VideoFile as VideoFile
-from .controller_programs import controller_program as controller_program
 from .coverage import Coverage as Coverage
 from .coverage import coverage as coverage
 from .estimation import MIN_FITTED_VIEWS as MIN_FITTED_VIEWS
@@ -26,6 +25,7 @@ from .sources import Reopened as Reopened
 from .sources import Robot as Robot
 from .sources import SourceLostError as SourceLostError
 from .tcp_robot import TcpRobot as TcpRobot
+from .tcp_robot import controller_program as controller_program
 from .typed_robot import TypedRobot as TypedRobot
 from .typed_robot import parse_pose as parse_pose
 from .unattended import CaptureOutcome as CaptureOutcome

@@ -27,6 +27,8 @@ from .known_camera import read_camera as read_camera
 from .known_camera import read_cameras as read_cameras
 from .load import load_dataset as load_dataset
 from .load import load_pose_log as load_pose_log
+from .load import object_sample_folder as object_sample_folder
+from .load import sample_folder as sample_folder
 from .matrix_rows import import_matrix_rows as import_matrix_rows
 from .matrix_rows import read_matrix_rows as read_matrix_rows
 from .matrix_rows import write_matrix_rows as write_matrix_rows
@@ -42,8 +44,8 @@ from .new_dataset import TARGETS as TARGETS
 from .new_dataset import FoundPictures as FoundPictures
 from .new_dataset import found_pictures as found_pictures
 from .new_dataset import new_pose_tables as new_pose_tables
+from .new_dataset import write_description as write_description
 from .new_dataset import write_new_dataset as write_new_dataset
-from .new_description import write_description as write_description
 from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
 from .object_models import object_model_to_dict as object_model_to_dict
@@ -69,8 +71,6 @@ from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_ki
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .robot_urdf import robot_urdf as robot_urdf
 from .rough_pose import parse_rough_pose as parse_rough_pose
-from .sample import object_sample_folder as object_sample_folder
-from .sample import sample_folder as sample_folder
 from .target_file import read_april_grid as read_april_grid
 from .target_file import read_target as read_target
 from .tracked_poses import TRACKED_POSES_FILE as TRACKED_POSES_FILE

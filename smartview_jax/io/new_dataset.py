@@ -1,4 +1,4 @@
-"""Begin a data-set folder: a commented description and an empty table, to be filled in."""
+"""Begin a data-set folder: a description, commented or written by a program, and empty tables."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -9,9 +9,12 @@ from ..dataset import ONE_ARM
 from ..detection import read_picture
 from ..files import parse_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
-from .folder_description import DESCRIPTION_FILE
+from ..targets import AbstractTarget, target_to_dict
+from .csv_tables import write_table
+from .folder_description import DESCRIPTION_FILE, FORMAT_VERSION
 from .picture_detections import is_picture_name
-from .poses import POSES_FILE
+from .poses import POSES_FILE, poses_entry
+from .table_text import VIEW_COLUMN
 
 
 class RobotFormat(NamedTuple):
@@ -267,3 +270,48 @@ def _arms_text(tables: Mapping[str, str], codec: PoseCodec) -> str:
         rows.append(f"  {arm}:")
         rows += [f"    {line}" for line in _poses_text(table, codec).splitlines()]
     return "\n".join(rows)
+
+
+def write_description(
+    folder: Path,
+    target: AbstractTarget,
+    mount: str,
+    image_size: tuple[int, int],
+    pose_format: str = "matrix",
+    suffix: str = ".png",
+) -> None:
+    """Write `dataset.yaml` and a table of poses without rows, to be filled by `GrowingDataset`.
+
+    Args:
+        folder: folder to create.
+        target: the calibration target.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        image_size: width and height of the pictures, px.
+        pose_format: one of `POSE_CODECS`.
+        suffix: of the pictures' names, with its full stop.
+
+    Raises:
+        ValueError: an unknown format or mount, or a target that could not be read back.
+        FileExistsError: the folder has a description or a table already.
+    """
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import refuse_unreadable, write_validated
+
+    codec = pose_codec(pose_format)
+    description, table = folder / DESCRIPTION_FILE, folder / POSES_FILE
+    for path in (description, table):
+        if path.exists():
+            raise FileExistsError(f"{path}: exists already; nothing is overwritten")
+    content = {
+        "smartview_dataset": FORMAT_VERSION,
+        "camera": {"image_size": [int(size) for size in image_size]},
+        "target": target_to_dict(target),
+        "mount": mount,
+        "poses": poses_entry(None, pose_format),
+        "pictures": {"pattern": f"images/{{view}}{suffix}"},
+    }
+    refuse_unreadable(content, DATASET_SCHEMA, description)
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    write_table(table, (VIEW_COLUMN, *codec.columns), [])
+    # Written last, so that an interrupted run can be repeated.
+    write_validated(description, content, DATASET_SCHEMA)

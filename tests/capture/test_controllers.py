@@ -18,7 +18,7 @@ from smartview_jax.capture import (
     controller_program,
     tcp_robot,
 )
-from smartview_jax.capture.controller_programs import PROGRAMS
+from smartview_jax.capture.tcp_robot import PROGRAMS
 from smartview_jax.geometry import host_matrices, pose_codec
 
 HOST, PATIENCE = "127.0.0.1", 30.0
