@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import require_one_of
 from ..geometry import PoseCodec, host_matrices, host_transforms, pose_codec
 from .motion import refuse_if_stopped, straight_steps
 from .sources import MoveRefusedError, SourceLostError
@@ -43,8 +44,7 @@ def controller_program(name: str) -> str:
     Raises:
         ValueError: an unknown name.
     """
-    if name not in PROGRAMS:
-        raise ValueError(f"program: expected one of {', '.join(PROGRAMS)}, found {name!r}")
+    require_one_of("program", name, PROGRAMS)
     path = Path(__file__).parent / "programs" / PROGRAMS[name]
     return path.read_text(encoding="utf-8")
 

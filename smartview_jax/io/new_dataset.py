@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from ..argument_checks import require_one_of
 from ..dataset import ONE_ARM
 from ..detection import read_picture
 from ..files import parse_yaml, write_atomically
@@ -189,13 +190,9 @@ def write_new_dataset(
     from ..schemas.rig import RIG_SCHEMA
     from ..schemas.validation import refuse_unreadable
 
-    for name, value, known in (
-        ("robot", robot, ROBOTS),
-        ("target", target, TARGETS),
-        ("mount", mount, ("eye_in_hand", "eye_to_hand")),
-    ):
-        if value not in known:
-            raise ValueError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+    require_one_of("robot", robot, ROBOTS)
+    require_one_of("target", target, TARGETS)
+    require_one_of("mount", mount, ("eye_in_hand", "eye_to_hand"))
     if arms and mount == "eye_to_hand":
         raise ValueError(
             "arms: cameras next to several arms see no target in common, which would tell where "

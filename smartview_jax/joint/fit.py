@@ -10,7 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool
 
-from ..argument_checks import require_instance
+from ..argument_checks import require_instance, require_one_of
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..dataset import Dataset, PoseDataset, chain_residuals, repeated_views
@@ -133,10 +133,7 @@ def fit_joint(
         >>> print(joint.result.message, len(joint.parameter_names))
         converged in 3 steps 12
     """
-    if gross_errors not in GROSS_ERRORS_OPTIONS:
-        raise ValueError(
-            f"gross_errors is one of {', '.join(GROSS_ERRORS_OPTIONS)}; found {gross_errors!r}"
-        )
+    require_one_of("gross_errors", gross_errors, GROSS_ERRORS_OPTIONS)
     refuse_traced("fit_joint", data, start)
     require_instance("data", data, Dataset)
     if isinstance(data, PoseDataset) and "camera" not in fixed:
