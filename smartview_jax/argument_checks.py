@@ -29,7 +29,7 @@ def require_one_of(name: str, value: object, known: Collection[str], others: str
         name: name of the argument.
         value: the argument.
         known: the values that are accepted.
-        others: what else is accepted, such as `, or an AbstractLens`.
+        others: words on what else is accepted, such as `, or an AbstractLens`.
     """
     if value not in known:
         raise ValueError(

@@ -130,10 +130,8 @@ def test_what_is_no_text_is_no_name():
 
 def test_a_choice_that_is_none_names_the_nearest():
     require_one_of("lens", "radial", ("pinhole", "radial"))
-    for value, hint in (("radail", "; did you mean 'radial'?"), (7, "")):
-        with pytest.raises(ValueError) as refused:
-            require_one_of("lens", value, ("pinhole", "radial"), ", or a lens")
-        assert (
-            str(refused.value)
-            == f"lens is one of pinhole, radial, or a lens; found {value!r}{hint}"
-        )
+    for value, found in (("radail", r"'radail'; did you mean 'radial'\?$"), (7, "7$")):
+        with pytest.raises(
+            ValueError, match=f"lens is one of pinhole, radial, or 1; found {found}"
+        ):
+            require_one_of("lens", value, ("pinhole", "radial"), ", or 1")

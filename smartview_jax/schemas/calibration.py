@@ -11,9 +11,6 @@ from .covariances import check_covariance
 from .entry import Entry, Expected, FiniteNumber, FocalLength, PrintableText, check_pixel_shape
 from .validation import validate_content
 
-SUPPORTED_VERSIONS = (1, 2)
-"""Versions of the format that can be read; version 2 has an end mark."""
-
 END_MARK = "smartview_calibration"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
 
