@@ -6,12 +6,12 @@ from .cameras import VideoFile as VideoFile
 from .coverage import Coverage as Coverage
 from .coverage import coverage as coverage
 from .estimation import MIN_FITTED_VIEWS as MIN_FITTED_VIEWS
+from .estimation import CaptureOptions as CaptureOptions
 from .estimation import Estimate as Estimate
 from .estimation import Proposal as Proposal
 from .motion import MotionLimits as MotionLimits
 from .motion import straight_steps as straight_steps
 from .server import serve_capture as serve_capture
-from .session import CaptureOptions as CaptureOptions
 from .session import CaptureSession as CaptureSession
 from .session import Look as Look
 from .session import NotTakenError as NotTakenError
