@@ -131,11 +131,10 @@ def fit_many(
         2
     """
     starts = [start] * len(data) if isinstance(start, Calibration) else list(start)
-    choice = ParameterChoice.of(fixed, free, priors)
     _require_same_structure(data, starts)
     if noise == "estimated":
         raise ValueError("fit_many takes the noise as given; calibrate_many estimates it")
-    field = checked_field_choice(field)
+    field, choice = checked_field_choice(field), ParameterChoice.of(fixed, free, priors)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
     checked, held, warnings, errors = _with_checked_poses(data, starts, fixed, priors)
     options = _Options(noise, loss, choice.holding(*held), field)
