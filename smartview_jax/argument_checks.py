@@ -6,6 +6,9 @@ import reprlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 
+NUMBER_PATTERN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+"""A finite decimal number in a text, as a regular expression without groups of its own."""
+
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 60
 _REPR.maxlevel = 2

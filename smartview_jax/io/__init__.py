@@ -76,6 +76,7 @@ from .target_file import read_target as read_target
 from .tracked_poses import TRACKED_POSES_FILE as TRACKED_POSES_FILE
 from .urdf import load_urdf as load_urdf
 from .urdf import urdf_joint_names as urdf_joint_names
+from .view_names import is_picture_name as is_picture_name
 from .view_pictures import ViewPictures as ViewPictures
 from .view_pictures import load_view_pictures as load_view_pictures
 from .viewpoints import Viewpoints as Viewpoints

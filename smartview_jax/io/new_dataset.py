@@ -13,9 +13,9 @@ from ..geometry import PoseCodec, pose_codec
 from ..targets import AbstractTarget, target_to_dict
 from .csv_tables import write_table
 from .folder_description import DESCRIPTION_FILE, FORMAT_VERSION
-from .picture_detections import is_picture_name
 from .poses import POSES_FILE, poses_entry
 from .table_text import VIEW_COLUMN
+from .view_names import is_picture_name
 
 
 class RobotFormat(NamedTuple):
