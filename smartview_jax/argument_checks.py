@@ -1,8 +1,44 @@
 """Refuse wrong arguments, with a message that states what was expected."""
 
+import difflib
 import re
+import reprlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+
+NUMBER_PATTERN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+"""A finite decimal number in a text, as a regular expression without groups of its own."""
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = 60
+_REPR.maxlevel = 2
+
+
+def shortened_repr(value: object) -> str:
+    """Return a shortened representation of a value, which may be of any type and length."""
+    return _REPR.repr(value)
+
+
+def spelling_suggestion(word: object, known: Iterable[str]) -> str:
+    """Return a suggestion of the most similar known name; empty if none is similar."""
+    close = difflib.get_close_matches(str(word)[:100], list(known), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def require_one_of(name: str, value: object, known: Collection[str], others: str = "") -> None:
+    """Raise a ValueError unless a value is one of those known; the nearest one is suggested.
+
+    Args:
+        name: name of the argument.
+        value: the argument.
+        known: the values that are accepted.
+        others: words on what else is accepted, such as `, or an AbstractLens`.
+    """
+    if value not in known:
+        raise ValueError(
+            f"{name} is one of {', '.join(known)}{others}; found {shortened_repr(value)}"
+            f"{spelling_suggestion(value, known)}"
+        )
 
 
 def require_instance(name: str, value: object, kind: type, hint: str = "") -> None:

@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
-from .argument_checks import require_instance
+from .argument_checks import require_instance, require_one_of
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
 from .dataset import Dataset, PoseDataset, Rig, chain_residuals, given_places, repetition_warnings
@@ -196,8 +196,7 @@ def calibrate(
         require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
         assert isinstance(camera, Camera)
         require_picture_size("the known camera", camera, data.image_size)
-    if step2 not in STEP2_METHODS:
-        raise ValueError(f"step2 is one of {', '.join(STEP2_METHODS)}; found {step2!r}")
+    require_one_of("step2", step2, STEP2_METHODS)
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
     # A start from other data would otherwise show only as a fit that goes astray.

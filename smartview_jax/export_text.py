@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .argument_checks import require_readable
+from .argument_checks import require_readable, shortened_repr
 from .files import dump_yaml
-from .schemas.messages import shortened_repr
 
 Pose = Float[np.ndarray, "7"]
 

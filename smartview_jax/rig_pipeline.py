@@ -64,7 +64,8 @@ def calibrate_rig(
     starts: dict[str, Calibration] = {}
     for arm in rig.arm_names:
         part = rig.of_arm(arm)
-        few = {name: count for name, count in _usable_views(part, known).items() if count < 3}
+        counts = usable_view_counts(part, known)
+        few = {name: count for name, count in counts.items() if count < 3}
         _require_known(few, known)
         many = [name for name in part.cameras if name not in few]
         of_arm = _staged_fits(part, many, lens, known, report)
@@ -75,7 +76,7 @@ def calibrate_rig(
     used, rejected = {}, []
     for name, data in rig.cameras.items():
         inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
-        used[name], outliers = remove_gross_errors(inliers, starts[name], (), None, None)
+        used[name], outliers = remove_gross_errors(inliers, starts[name])
         rejected += [(name, entry) for entry in (*staged[name].rejected, *outliers)]
     # In the order of the rig, as are the names of the parameters.
     starts = {name: starts[name] for name in rig.cameras}
@@ -91,7 +92,7 @@ def calibrate_rig(
     return dataclasses.replace(fit, warnings=_warnings(staged, fit))
 
 
-def _usable_views(rig: Rig, known: Mapping[str, Camera]) -> dict[str, int]:
+def usable_view_counts(rig: Rig, known: Mapping[str, Camera]) -> dict[str, int]:
     """Return the number of usable views of each camera."""
     return {
         name: data.view_count - len(unusable_views(data, minimum_points(known.get(name))))
@@ -127,7 +128,7 @@ def _placed_by_target(
     Raises:
         ValueError: no other camera sees this target in enough views; the message names the camera.
     """
-    reference = _best_of_target(rig, rig.targets[name], staged)
+    reference = _reference(rig, name, staged)
     if reference is None:
         raise ValueError(
             f"camera {name!r}: one or two views tell where it is only if another camera on the "
@@ -141,10 +142,27 @@ def _placed_by_target(
         raise ValueError(f"camera {name!r}: {error}") from error
 
 
-def _best_of_target(rig: Rig, target: str, staged: Mapping[str, StagedFit]) -> str | None:
-    """Return the camera that sees a target in most views; None if there is none."""
-    seeing = [name for name in staged if rig.targets[name] == target]
-    return max(seeing, key=lambda name: len(staged[name].views), default=None)
+def reference_camera(rig: Rig, camera: str, view_counts: Mapping[str, int]) -> str | None:
+    """Return which camera of the same arm tells where a camera's target is, or None.
+
+    It is the camera that sees the target in most views, which may be the camera itself.
+
+    Args:
+        rig: data sets of the cameras.
+        camera: name of the camera.
+        view_counts: number of usable views of each camera that has enough to be calibrated alone.
+    """
+    seeing = [
+        name
+        for name in view_counts
+        if rig.targets[name] == rig.targets[camera] and rig.arms[name] == rig.arms[camera]
+    ]
+    return max(seeing, key=lambda name: view_counts[name], default=None)
+
+
+def _reference(rig: Rig, camera: str, staged: Mapping[str, StagedFit]) -> str | None:
+    """Return which camera with a staged fit tells where a camera's target is, or None."""
+    return reference_camera(rig, camera, {name: len(fit.views) for name, fit in staged.items()})
 
 
 def _staged_fits(
@@ -184,7 +202,7 @@ def _staged_fits(
     for name in cameras:
         fit(name, None)
     for name in list(errors):
-        most = _best_of_target(rig, rig.targets[name], staged)
+        most = _reference(rig, name, staged)
         if most is not None:
             report(f"{name}: again, from the place of its target that {most} tells")
             place = staged[most].calibration.holder_from_world
@@ -198,7 +216,7 @@ def _consistent_starts(rig: Rig, staged: Mapping[str, StagedFit]) -> dict[str, C
     """Return the calibrations of the staged fits, with one pose for each target."""
     starts = {name: fit.calibration for name, fit in staged.items()}
     for name in staged:
-        first = _best_of_target(rig, rig.targets[name], staged)
+        first = _reference(rig, name, staged)
         if first is not None and name != first:
             starts[name] = _with_target_at(starts[first], rig.cameras[name], staged[name])
     return starts

@@ -14,6 +14,7 @@ from smartview_jax.argument_checks import (
     nearest_name,
     require_instance,
     require_names,
+    require_one_of,
     require_readable,
     require_readable_or_empty,
 )
@@ -125,3 +126,12 @@ def test_the_nearest_name_is_one(text, name):
 def test_what_is_no_text_is_no_name():
     with pytest.raises(ValueError, match=r"^face: 7 is no name: a name is a text, not 7 \(int\)$"):
         require_readable_or_empty("face", 7)
+
+
+def test_a_choice_that_is_none_names_the_nearest():
+    require_one_of("lens", "radial", ("pinhole", "radial"))
+    for value, found in (("radail", r"'radail'; did you mean 'radial'\?$"), (7, "7$")):
+        with pytest.raises(
+            ValueError, match=f"lens is one of pinhole, radial, or 1; found {found}"
+        ):
+            require_one_of("lens", value, ("pinhole", "radial"), ", or 1")

@@ -7,6 +7,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..argument_checks import require_one_of
 from ..geometry import host_matrices, host_transforms
 from ..robot_errors import RobotError
 from ..robots import Command
@@ -25,8 +26,7 @@ def mount_frames(mount: str) -> tuple[str, str]:
     Raises:
         ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
     """
-    if mount not in _FRAMES:
-        raise ValueError(f"mount is one of {', '.join(_FRAMES)}; found {mount!r}")
+    require_one_of("mount", mount, _FRAMES)
     return _FRAMES[mount]
 
 

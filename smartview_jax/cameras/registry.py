@@ -5,8 +5,8 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from ..argument_checks import require_one_of
 from ..runtime.array_namespace import as_float_array
-from ..schemas.messages import spelling_suggestion
 from .camera import Camera
 from .fisheye import Fisheye
 from .lens import AbstractLens, Pinhole
@@ -37,11 +37,7 @@ def lens_by_name(name: str | AbstractLens) -> AbstractLens:
     """
     if isinstance(name, AbstractLens):
         return name
-    if name not in LENSES:
-        raise ValueError(
-            f"lens is one of {', '.join(LENSES)}, or an AbstractLens; found {name!r}"
-            f"{spelling_suggestion(name, LENSES)}"
-        )
+    require_one_of("lens", name, LENSES, ", or an AbstractLens")
     return LENSES[name]()
 
 

@@ -3,16 +3,15 @@
 from .cameras import OpenCVCamera as OpenCVCamera
 from .cameras import PictureFolder as PictureFolder
 from .cameras import VideoFile as VideoFile
-from .controller_programs import controller_program as controller_program
 from .coverage import Coverage as Coverage
 from .coverage import coverage as coverage
 from .estimation import MIN_FITTED_VIEWS as MIN_FITTED_VIEWS
+from .estimation import CaptureOptions as CaptureOptions
 from .estimation import Estimate as Estimate
 from .estimation import Proposal as Proposal
 from .motion import MotionLimits as MotionLimits
 from .motion import straight_steps as straight_steps
 from .server import serve_capture as serve_capture
-from .session import CaptureOptions as CaptureOptions
 from .session import CaptureSession as CaptureSession
 from .session import Look as Look
 from .session import NotTakenError as NotTakenError
@@ -26,6 +25,7 @@ from .sources import Reopened as Reopened
 from .sources import Robot as Robot
 from .sources import SourceLostError as SourceLostError
 from .tcp_robot import TcpRobot as TcpRobot
+from .tcp_robot import controller_program as controller_program
 from .typed_robot import TypedRobot as TypedRobot
 from .typed_robot import parse_pose as parse_pose
 from .unattended import CaptureOutcome as CaptureOutcome

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..detection import read_picture
+from ..io import is_picture_name
 from .sources import SourceLostError
 
 BUFFERED_FRAMES = 4
@@ -16,9 +17,6 @@ BUFFERED_FRAMES = 4
 
 STABLE_SECONDS = 0.3
 """Time for which the size of a file must not change to count as written completely, s."""
-
-PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
-"""Suffixes of pictures in a folder that fills up, in lower case."""
 
 
 class OpenCVCamera:
@@ -117,9 +115,7 @@ class PictureFolder:
     def _newest(self) -> Path:
         """Return the newest picture that is complete."""
         found = [
-            (path.stat().st_mtime, path)
-            for path in self._folder.iterdir()
-            if path.suffix.lower() in PICTURE_SUFFIXES and not path.name.startswith(".")
+            (path.stat().st_mtime, path) for path in self._folder.iterdir() if is_picture_name(path)
         ]
         # A file that is still being written has just been changed.
         complete = [entry for entry in found if time.time() - entry[0] >= STABLE_SECONDS]

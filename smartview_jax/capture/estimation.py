@@ -1,6 +1,7 @@
 """Fit the views taken so far, state the expected error, and propose the views to take next."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,30 @@ NEXT_VIEWS = 4
 
 MIN_FITTED_VIEWS = 4
 """Smallest number of views to which the calibration is fitted."""
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """The choices of a person who captures.
+
+    Attributes:
+        goal: expected error at which to stop, m.
+        limits: limits of the views.
+        start: rough poses of camera and target, by name; without them nothing is proposed before
+            the first fit.
+        camera: a known camera; None to estimate it.
+        lens: the lens model.
+        motion: limits of the robot's motions; None if it is not to move.
+        first_fit: number of views from which on they are fitted.
+    """
+
+    goal: float = 4e-4
+    limits: ViewLimits = field(default_factory=ViewLimits)
+    start: Mapping[str, SE3] | None = None
+    camera: Camera | None = None
+    lens: str = DEFAULT_LENS
+    motion: MotionLimits | None = None
+    first_fit: int = MIN_FITTED_VIEWS
 
 
 class Proposal(NamedTuple):
@@ -75,62 +100,38 @@ class Estimate(NamedTuple):
         return self.is_reliable and self.error <= goal
 
 
-def first_proposals(
-    described: FolderDescription,
-    transforms: Mapping[str, SE3],
-    camera: Camera | None,
-    limits: ViewLimits,
-    motion: MotionLimits | None,
-    progress: Callable[[str], None] | None = None,
-) -> tuple[Proposal, ...]:
-    """Return the first views, planned from rough transforms.
+def first_proposals(described: FolderDescription, options: CaptureOptions) -> tuple[Proposal, ...]:
+    """Return the first views, planned from the rough transforms of the options.
 
     Args:
         described: target, mount and size of the pictures.
-        transforms: rough poses of camera and target, by name.
-        camera: a known camera; None for one that is assumed.
-        limits: limits of the views.
-        motion: limits of the robot; None for none.
-        progress: called with a line of text for each stage.
+        options: the transforms, and the limits of views and robot.
 
     Raises:
         ValueError: a missing transform, or too few views within the limits.
     """
     situation = situation_of_drawing(
-        transforms,
+        options.start or {},
         described.mount,
         np.asarray(described.target.points),
         described.image_size,
-        camera,
-        limits,
+        options.camera,
+        options.limits,
     )
-    return _proposals(situation, FIRST_VIEWS, motion, True, 0, None, progress)[0]
+    return _proposals(situation, FIRST_VIEWS, options.motion, True, 0, None)[0]
 
 
-def estimate(
-    data: Dataset,
-    camera: Camera | None,
-    limits: ViewLimits,
-    motion: MotionLimits | None,
-    goal: float | None,
-    lens: str = DEFAULT_LENS,
-    progress: Callable[[str], None] | None = None,
-) -> Estimate:
+def estimate(data: Dataset, options: CaptureOptions) -> Estimate:
     """Fit the views, and plan the next ones.
 
     A fit that fails is no error here: more views will help.
 
     Args:
         data: the views so far.
-        camera: a known camera; None to estimate it.
-        limits: limits of the views.
-        motion: limits of the robot; None for none.
-        goal: error at which no more views are needed, m; None for none.
-        lens: the lens model.
-        progress: called with a line of text for each stage.
+        options: a known camera, the lens, the goal, and the limits of views and robot.
     """
     try:
-        fit = calibrate(data, lens, camera=camera, progress=progress)
+        fit = calibrate(data, options.lens, camera=options.camera)
     except ValueError as error:
         views = data.view_count - len(data.masked_views)
         return Estimate(views, float("inf"), float("nan"), None, (str(error),), ())
@@ -141,10 +142,10 @@ def estimate(
         return Estimate(used, float("inf"), float("nan"), fit, words, ())
     try:
         saved, points = SavedEstimate.of(fit.joint), np.asarray(data.points[0])
-        situation = situation_of_estimate(saved, points, limits)
+        situation = situation_of_estimate(saved, points, options.limits)
         # Another seed for every number of views: no two plans choose among the same candidates.
         proposals, error, distance = _proposals(
-            situation, NEXT_VIEWS, motion, False, used, goal, progress
+            situation, NEXT_VIEWS, options.motion, False, used, options.goal
         )
     except ValueError as error:
         return Estimate(used, float("inf"), float("nan"), fit, (str(error),), ())
@@ -158,7 +159,6 @@ def _proposals(
     is_rough: bool,
     seed: int,
     goal: float | None,
-    progress: Callable[[str], None] | None,
 ) -> tuple[tuple[Proposal, ...], float, float]:
     """Return proposals, the error before them, and the distance of the point it is about, m."""
 
@@ -177,7 +177,6 @@ def _proposals(
         border_margin=situation.border_margin,
         allowed=allowed,
         seed=seed,
-        progress=progress,
     )
     if not len(plan.camera_from_world):
         return (), plan.before, plan.distance

@@ -3,27 +3,22 @@
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Float, UInt8
 
-from ..calibration_pipeline import DEFAULT_LENS
-from ..cameras import Camera as CameraModel
 from ..dataset import Dataset
 from ..detection import Detection, detect
 from ..editor import OwnerLock
 from ..geometry import host_matrices, host_rotation_angles, host_transforms
 from ..io import GrowingDataset, load_dataset
 from ..targets import StackedTarget
-from ..viewpoints import ViewLimits
 from .coverage import Coverage, coverage
-from .estimation import MIN_FITTED_VIEWS, Estimate, Proposal, estimate, first_proposals
-from .motion import MotionLimits, refuse_if_stopped
+from .estimation import CaptureOptions, Estimate, Proposal, estimate, first_proposals
+from .motion import refuse_if_stopped
 from .settling import SettleTest, settle_test
 from .sources import Camera, MoveRefusedError, MovingRobot, Reopened, Robot, SourceLostError
 from .typed_robot import TypedRobot
@@ -55,30 +50,6 @@ class Look(NamedTuple):
     detection: Detection
     pose: Float[np.ndarray, "4 4"] | None
     time: float
-
-
-@dataclass(frozen=True)
-class CaptureOptions:
-    """The choices of a person who captures.
-
-    Attributes:
-        goal: expected error at which to stop, m.
-        limits: limits of the views.
-        start: rough poses of camera and target, by name; without them nothing is proposed before
-            the first fit.
-        camera: a known camera; None to estimate it.
-        lens: the lens model.
-        motion: limits of the robot's motions; None if it is not to move.
-        first_fit: number of views from which on they are fitted.
-    """
-
-    goal: float = 4e-4
-    limits: ViewLimits = field(default_factory=ViewLimits)
-    start: Mapping[str, SE3] | None = None
-    camera: CameraModel | None = None
-    lens: str = DEFAULT_LENS
-    motion: MotionLimits | None = None
-    first_fit: int = MIN_FITTED_VIEWS
 
 
 class _View(NamedTuple):
@@ -264,13 +235,7 @@ class CaptureSession:
         """
         if self.options.start is None:
             return
-        planned = first_proposals(
-            self.folder.description,
-            self.options.start,
-            self.options.camera,
-            self.options.limits,
-            self.options.motion,
-        )
+        planned = first_proposals(self.folder.description, self.options)
         with self._state:
             if self._estimate is None or not self._estimate.proposals:
                 # Where a process was killed, the next one goes on after the views that it took.
@@ -432,12 +397,9 @@ class CaptureSession:
 
     def _fit(self) -> None:
         """Fit the views in the folder, and take over the proposals."""
-        options = self.options
         with self.folder.lock:
             data = load_dataset(self.folder.folder, "mask")
-        found = estimate(
-            data, options.camera, options.limits, options.motion, options.goal, options.lens
-        )
+        found = estimate(data, self.options)
         with self._state:
             self._estimate = found
             # A calibration from few views may be far off: until then the drawing is safer.

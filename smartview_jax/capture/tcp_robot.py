@@ -14,13 +14,40 @@ or that is stopped, stands after at most one step.
 
 import socket
 import threading
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import require_one_of
 from ..geometry import PoseCodec, host_matrices, host_transforms, pose_codec
 from .motion import refuse_if_stopped, straight_steps
 from .sources import MoveRefusedError, SourceLostError
+
+PROGRAMS = {
+    "krl": "kuka.src",
+    "rapid": "abb.mod",
+    "urscript": "universal_robots.script",
+    "val3": "staubli.pgx",
+    "ros2": "ros2_node.py.txt",
+}
+"""The file of each program in the folder `programs`; the node is a text, as its modules are the
+user's."""
+
+
+def controller_program(name: str) -> str:
+    """Return the text of a program.
+
+    Args:
+        name: one of `PROGRAMS`.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    require_one_of("program", name, PROGRAMS)
+    path = Path(__file__).parent / "programs" / PROGRAMS[name]
+    return path.read_text(encoding="utf-8")
+
 
 TIMEOUT = 3.0
 """Longest time for the answer to `pose`, s."""

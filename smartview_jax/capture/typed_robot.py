@@ -6,11 +6,11 @@ import threading
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import NUMBER_PATTERN
 from ..geometry import PoseCodec, host_matrices, pose_codec
 from .sources import SourceLostError
 
 _SEPARATORS = re.compile(r"[\s,;=:()\[\]{}]+")
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
 def parse_pose(text: str, codec: PoseCodec) -> Float[np.ndarray, "4 4"]:
@@ -26,7 +26,7 @@ def parse_pose(text: str, codec: PoseCodec) -> Float[np.ndarray, "4 4"]:
     Raises:
         ValueError: another count of numbers, or numbers that are no pose.
     """
-    words = [word for word in _SEPARATORS.split(text) if _NUMBER.fullmatch(word)]
+    words = [word for word in _SEPARATORS.split(text) if re.fullmatch(NUMBER_PATTERN, word)]
     count = len(codec.columns)
     # Further numbers, such as the configuration in ABB's robtarget, come after the pose.
     if len(words) != count and not (codec.name == "abb" and len(words) > count):

@@ -1,5 +1,6 @@
 """Define `smartview capture`, which takes calibration views live, with a page or unattended."""
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +11,8 @@ from .capture_sources import open_sources
 from .fit_options import parse_transforms
 from .json_document import print_document
 from .number_lists import parse_numbers
-from .options import BelowOption, DebugOption, JsonOption, PoseFormatOption
+from .option_groups import with_option_groups
+from .options import BelowOption, DebugOption, JsonOption, PageOptions, PoseFormatOption
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
@@ -29,6 +31,79 @@ class Program(StrEnum):
     ROS2 = "ros2"
 
 
+@dataclass(frozen=True)
+class WantedViews:
+    """The options that say which views are wanted, and how many."""
+
+    goal: Annotated[
+        float,
+        typer.Option(
+            min=0.001, help="Stop when the expected error is this small, mm, such as 0.4."
+        ),
+    ] = 0.4
+    views: Annotated[
+        int, typer.Option(min=4, max=1000, help="Most views, a number such as 30.")
+    ] = 40
+    known_camera: Annotated[
+        Path | None,
+        typer.Option(help="A known camera, which is held, such as calibration.yaml."),
+    ] = None
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Rough pose of camera or target, from which the first views are planned: "
+            "x,y,z,yaw,pitch,roll in m and degrees, such as camera_from_tool=0,0.05,0.06,90,0,0 "
+            "(or its inverse, tool_from_camera). May be repeated."
+        ),
+    ] = None
+    below: BelowOption = None
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """The options that let the program move the robot."""
+
+    move: Annotated[
+        bool,
+        typer.Option(
+            "--move",
+            help="Let this program move the robot, within --box and at --speed. Keep the "
+            "emergency stop at hand.",
+        ),
+    ] = False
+    box: Annotated[
+        str | None,
+        typer.Option(
+            help="With --move: opposite corners of the box that the tool never leaves, in the base "
+            "frame, x,y,z,x,y,z in m, such as 0.3,-0.4,0.2,0.9,0.4,0.8."
+        ),
+    ] = None
+    speed: Annotated[
+        float,
+        typer.Option(
+            min=1.0, max=250.0, help="With --move: largest speed of the tool, mm/s, such as 50."
+        ),
+    ] = 100.0
+
+    def limits(self, sources: "Sources") -> "MotionLimits | None":
+        """Return the limits of motions; None if the robot is not to move."""
+        from ..capture import MotionLimits
+
+        if not self.move:
+            if self.box is not None:
+                raise ValueError("--box: only with --move")
+            return None
+        if self.box is None:
+            if sources.simulated is None:
+                raise ValueError("--move: needs --box x,y,z,x,y,z (m), which the tool never leaves")
+            return sources.simulated.limits
+        numbers = parse_numbers("--box", self.box, 6, "x,y,z,x,y,z (m)")
+        corners = list(zip(numbers[:3], numbers[3:], strict=True))
+        lowest, highest = zip(*map(sorted, corners), strict=True)
+        return MotionLimits(tuple(lowest), tuple(highest), 1e-3 * self.speed)
+
+
+@with_option_groups
 def capture(
     folder: Annotated[
         Path | None,
@@ -50,49 +125,9 @@ def capture(
         ),
     ] = "typed",
     pose_format: PoseFormatOption = "",
-    goal: Annotated[
-        float,
-        typer.Option(
-            min=0.001, help="Stop when the expected error is this small, mm, such as 0.4."
-        ),
-    ] = 0.4,
-    views: Annotated[
-        int, typer.Option(min=4, max=1000, help="Most views, a number such as 30.")
-    ] = 40,
-    known_camera: Annotated[
-        Path | None,
-        typer.Option(help="A known camera, which is held, such as calibration.yaml."),
-    ] = None,
-    start: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Rough pose of camera or target, from which the first views are planned: "
-            "x,y,z,yaw,pitch,roll in m and degrees, such as camera_from_tool=0,0.05,0.06,90,0,0 "
-            "(or its inverse, tool_from_camera). May be repeated."
-        ),
-    ] = None,
-    below: BelowOption = None,
-    move: Annotated[
-        bool,
-        typer.Option(
-            "--move",
-            help="Let this program move the robot, within --box and at --speed. Keep the "
-            "emergency stop at hand.",
-        ),
-    ] = False,
-    box: Annotated[
-        str | None,
-        typer.Option(
-            help="With --move: opposite corners of the box that the tool never leaves, in the base "
-            "frame, x,y,z,x,y,z in m, such as 0.3,-0.4,0.2,0.9,0.4,0.8."
-        ),
-    ] = None,
-    speed: Annotated[
-        float,
-        typer.Option(
-            min=1.0, max=250.0, help="With --move: largest speed of the tool, mm/s, such as 50."
-        ),
-    ] = 100.0,
+    *,
+    wanted: WantedViews,
+    motion: MotionOptions,
     auto: Annotated[
         bool,
         typer.Option(
@@ -109,12 +144,7 @@ def capture(
             "seconds such as 60.",
         ),
     ] = 60.0,
-    port: Annotated[
-        int, typer.Option(help="Port of the page, such as 8765; 0 takes a free one.")
-    ] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
-    ] = True,
+    page: PageOptions,
     seed: Annotated[
         int, typer.Option(help="Random seed of the simulated cell, a number such as 3.")
     ] = 0,
@@ -150,21 +180,21 @@ def capture(
         from ..capture import CaptureSession, capture_unattended
         from ..io import GrowingDataset
 
-        motion = _motion(move, box, speed, sources)
+        limits = motion.limits(sources)
         with GrowingDataset(folder) as data:
             if auto and robot == "typed":
                 raise ValueError("--auto: needs a robot that reports its poses, found typed")
-            options = _options(data, start, known_camera, goal, below, motion, sources, auto)
-            _refuse_unplanned(auto and move, options, len(data.names))
+            options = _options(data, wanted, limits, sources, auto)
+            _refuse_unplanned(auto and motion.move, options, len(data.names))
             say = _say if auto else (lambda _: None)
             with CaptureSession(data, sources.camera, sources.robot, options, say) as session:
                 if auto:
-                    outcome = capture_unattended(session, views, patience)
-                    _give(outcome, goal, folder, json)
+                    outcome = capture_unattended(session, wanted.views, patience)
+                    _give(outcome, wanted.goal, folder, json)
                     if not outcome.is_reached:
                         raise typer.Exit(1)
                     return
-                _serve(session, port, folder, browser, views)
+                _serve(session, page, folder, wanted.views)
 
 
 def _say(text: str) -> None:
@@ -172,30 +202,9 @@ def _say(text: str) -> None:
     typer.echo(text, err=True)
 
 
-def _motion(move: bool, box: str | None, speed: float, sources: "Sources") -> "MotionLimits | None":
-    """Return the limits of motions; None if the robot is not to move."""
-    from ..capture import MotionLimits
-
-    if not move:
-        if box is not None:
-            raise ValueError("--box: only with --move")
-        return None
-    if box is None:
-        if sources.simulated is None:
-            raise ValueError("--move: needs --box x,y,z,x,y,z (m), which the tool never leaves")
-        return sources.simulated.limits
-    numbers = parse_numbers("--box", box, 6, "x,y,z,x,y,z (m)")
-    corners = list(zip(numbers[:3], numbers[3:], strict=True))
-    lowest, highest = zip(*map(sorted, corners), strict=True)
-    return MotionLimits(tuple(lowest), tuple(highest), 1e-3 * speed)
-
-
 def _options(
     data: "GrowingDataset",
-    start: list[str] | None,
-    known_camera: Path | None,
-    goal: float,
-    below: bool | None,
+    wanted: WantedViews,
     motion: "MotionLimits | None",
     sources: "Sources",
     auto: bool,
@@ -208,7 +217,7 @@ def _options(
     from ..viewpoints import ViewLimits
 
     described = data.description
-    rough = parse_transforms(start, described.mount) if start else {}
+    rough = parse_transforms(wanted.start, described.mount) if wanted.start else {}
     mount_name, holder_name = transform_names(described.mount)
     if not rough and sources.simulated is not None:
         drawing = sources.simulated.drawing
@@ -216,10 +225,10 @@ def _options(
     # dataset.yaml may state the target's pose; the option takes precedence.
     if rough and described.holder_from_world is not None:
         rough.setdefault(holder_name, described.holder_from_world)
-    camera = None if known_camera is None else read_camera(known_camera)
+    camera = None if wanted.known_camera is None else read_camera(wanted.known_camera)
     return CaptureOptions(
-        goal=1e-3 * goal,
-        limits=ViewLimits(below=below),
+        goal=1e-3 * wanted.goal,
+        limits=ViewLimits(below=wanted.below),
         start=rough or None,
         camera=camera,
         motion=motion,
@@ -258,20 +267,12 @@ def _give(outcome: "CaptureOutcome", goal: float, folder: Path, json: bool) -> N
     typer.echo(f"next: smartview calibrate {folder}")
 
 
-def _serve(session: "CaptureSession", port: int, folder: Path, browser: bool, views: int) -> None:
+def _serve(session: "CaptureSession", page: PageOptions, folder: Path, views: int) -> None:
     """Serve the page until the process is interrupted."""
     from ..capture import serve_capture
 
+    announce = page.announcement(f"capture into {folder}", "all views are stored")
     try:
-        serve_capture(session, port, lambda address: _announce(address, folder, browser), views)
+        serve_capture(session, page.port, announce, views)
     except ImportError as error:
         raise ValueError(str(error)) from error
-
-
-def _announce(address: str, folder: Path, browser: bool) -> None:
-    """Print the page's address, and open it if requested."""
-    import webbrowser
-
-    typer.echo(f"capture into {folder} is at\n{address}\nCtrl-C stops it; all views are stored")
-    if browser:
-        webbrowser.open(address)

@@ -108,7 +108,7 @@ class CheckedData(NamedTuple):
 
 
 def _checked(
-    given: "Dataset", name: str, camera: "Camera | None", neighbour: str | None = None
+    given: "Dataset", name: str, camera: "Camera | None", reference: str | None = None
 ) -> CheckedData:
     """Check the data of one camera.
 
@@ -116,17 +116,17 @@ def _checked(
         given: the data set.
         name: name of the data set or of the camera.
         camera: the known camera; None for one to be estimated.
-        neighbour: another camera of a rig, which tells where the target is; one or two views of a
+        reference: another camera of a rig, which tells where the target is; one or two views of a
             known camera suffice then.
     """
     data = _without_repetitions(given)
     figures = _figures(data)
     first = f"{name}: {data.view_count} views, {data.mount}"
     lines = [first, *data.notes, *_seen(figures, data)]
-    if camera is not None and neighbour is not None and 0 < figures.usable_views < 3:
+    if camera is not None and reference is not None and 0 < figures.usable_views < 3:
         lines.append(
             f"usable views: {figures.usable_views}; its place follows from the target that "
-            f"{neighbour} sees"
+            f"{reference} sees"
         )
         problems, doubts = (), ()
     else:
@@ -149,8 +149,11 @@ def _print_lines(checked: CheckedData) -> None:
 
 def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]") -> bool:
     """Check the data of several cameras, and return whether all can be calibrated."""
+    from ..rig_pipeline import reference_camera, usable_view_counts
+
+    counts = {c: n for c, n in usable_view_counts(rig, known).items() if n >= 3}
     checked = {
-        camera: _checked(data, camera, known.get(camera), _neighbour(rig, camera))
+        camera: _checked(data, camera, known.get(camera), reference_camera(rig, camera, counts))
         for camera, data in rig.cameras.items()
     }
     shared = sum(len(cameras) > 1 for cameras in rig.seeing)
@@ -181,19 +184,6 @@ def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]")
         except_for = ", apart from these doubts" if any_doubt else ""
         typer.echo(f"cameras and robot agree{except_for}: ready for smartview calibrate")
     return ready
-
-
-def _neighbour(rig: "Rig", camera: str) -> str | None:
-    """Return another camera of the same arm that tells where this one's target is, or None."""
-    seeing = [
-        other
-        for other, data in rig.cameras.items()
-        if rig.targets[other] == rig.targets[camera]
-        and rig.arms[other] == rig.arms[camera]
-        and other != camera
-        and len(data.usable_views()) >= 3
-    ]
-    return seeing[0] if seeing else None
 
 
 def _lonely_cameras(rig: "Rig") -> list[str]:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from ..argument_checks import NUMBER_PATTERN
+
 if TYPE_CHECKING:
     from jaxlie import SE3
 
@@ -60,8 +62,7 @@ _ANGLES = {"deg": math.radians(1.0), "rad": 1.0}
 _UNITS = {"mm": _LENGTHS, "deg": _ANGLES, "px": {"px": 1.0}, "": {"": 1.0}}
 """Factors to the library's units, by the unit in which a parameter is printed."""
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_PRIOR = re.compile(rf"\s*({_NUMBER})?\s*(?:\+-|±)\s*({_NUMBER})\s*([a-z]*)\s*")
+_PRIOR = re.compile(rf"\s*({NUMBER_PATTERN})?\s*(?:\+-|±)\s*({NUMBER_PATTERN})\s*([a-z]*)\s*")
 """A value, which may be missing, its standard deviation, and their unit."""
 
 

@@ -7,7 +7,8 @@ import typer
 
 from .calibrated_views import CameraOption, FrameOption, load_calibrated_views
 from .load import NamedViews, load_views
-from .options import DebugOption
+from .option_groups import with_option_groups
+from .options import DebugOption, PageOptions
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from ..modeling import AnyCalibration
 
 
+@with_option_groups
 def model(
     dataset: Annotated[Path, typer.Argument(help="Data-set folder with pictures of the object.")],
     out: Annotated[
@@ -32,12 +34,8 @@ def model(
     ] = None,
     camera: CameraOption = None,
     frame: FrameOption = "world",
-    port: Annotated[
-        int, typer.Option(help="Port of the page, such as 8765; 0 takes a free one.")
-    ] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
-    ] = True,
+    *,
+    page: PageOptions,
     debug: DebugOption = False,
 ) -> None:
     """Model an object by clicking its features in several calibrated pictures.
@@ -57,7 +55,8 @@ def model(
             ) as session:
                 for note in session.notes:
                     typer.echo(note)
-                serve(session, port, lambda address: _announce(address, target, browser))
+                announce = page.announcement(f"the editor of {target}", "all clicks are saved")
+                serve(session, page.port, announce)
         except ImportError as error:
             # The user can install a missing extra: one line, no traceback.
             raise ValueError(str(error)) from error
@@ -88,12 +87,3 @@ def load_calibration(
     if is_exact:
         typer.echo(f"{path_found} has no covariance: taken as exact", err=True)
     return loaded, estimate
-
-
-def _announce(address: str, target: Path, browser: bool) -> None:
-    """Print the page's address, and open it if requested."""
-    import webbrowser
-
-    typer.echo(f"the editor of {target} is at\n{address}\nCtrl-C stops it; all clicks are saved")
-    if browser:
-        webbrowser.open(address)

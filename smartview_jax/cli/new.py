@@ -88,7 +88,7 @@ def new(
             "error in every distance",
             f"take 15 pictures or more into {each}, with the target filling half of each, "
             "tilted by up to 40 degrees to all sides and turned about the optical axis",
-            *_steps_of_poses(folder, bool(names), arm_of),
+            _step_of_poses(folder, bool(names), arm_of),
             f"smartview check {folder}",
             f"smartview calibrate {folder}",
         ]
@@ -96,13 +96,14 @@ def new(
             typer.echo(f"  {number}. {step}")
 
 
-def _steps_of_poses(folder: Path, several: bool, arm_of: dict[str, str] | None) -> list[str]:
+def _step_of_poses(folder: Path, several: bool, arm_of: dict[str, str] | None) -> str:
     """Return where the poses of the robot, or of each arm, are to be written."""
+    from ..io import new_pose_tables
+
+    tables = " and ".join(str(folder / table) for table in new_pose_tables(arm_of).values())
+    what = "the robot's pose for each picture" if arm_of is None else "each arm's poses"
     each = ": one row for all cameras' pictures of the same name" if several else ""
-    if arm_of is None:
-        return [f"write the robot's pose for each picture into {folder / 'poses.csv'}{each}"]
-    tables = " and ".join(str(folder / arm / "poses.csv") for arm in dict.fromkeys(arm_of.values()))
-    return [f"write each arm's poses into {tables}{each}"]
+    return f"write {what} into {tables}{each}"
 
 
 def _print_pictures(folder: Path, found: "FoundPictures") -> None:

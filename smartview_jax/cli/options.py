@@ -1,5 +1,7 @@
 """Define the arguments and options that several subcommands share."""
 
+import dataclasses
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -133,3 +135,32 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON document for programs, instead of tables.")
 ]
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+@dataclasses.dataclass(frozen=True)
+class PageOptions:
+    """The options of a subcommand that serves a page to this machine."""
+
+    port: Annotated[
+        int, typer.Option(help="Port of the page, such as 8765; 0 takes a free one.")
+    ] = 0
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True
+
+    def announcement(self, page: str, kept: str) -> Callable[[str], None]:
+        """Return a function that prints a page's address, and opens it if requested.
+
+        Args:
+            page: what the page is, for the message.
+            kept: what a stop of the program does not lose.
+        """
+
+        def announce(address: str) -> None:
+            import webbrowser
+
+            typer.echo(f"{page} is at\n{address}\nCtrl-C stops it; {kept}")
+            if self.browser:
+                webbrowser.open(address)
+
+        return announce

@@ -11,12 +11,12 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+from ..argument_checks import spelling_suggestion
 from ..calibration import mount_frames
 from ..geometry import PoseLike, as_se3, check_rigid
 from ..robots import Command, SerialArm
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import is_traced, refuse_traced
-from ..schemas.messages import spelling_suggestion
 from .dataset_text import dataset_text
 from .input_checks import (
     check_forward_kinematics,

@@ -14,6 +14,11 @@ from ..cameras import Camera
 from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
 from ..robots import SerialArm
 from ..runtime.array_namespace import to_device
+from ..schemas.covariances import (
+    MAX_ASYMMETRY,
+    SMALLEST_EIGENVALUE,
+    smallest_correlation_eigenvalue,
+)
 from .dataset import Dataset, of_views
 from .depth_sensor import DepthSensor
 from .input_checks import checked_view_ids, finite_views, forward_kinematics, pose_matrices
@@ -24,9 +29,6 @@ UNIT_TRANSLATION = 1e-3
 
 UNIT_ROTATION = 1e-2
 """Unit of the noise of tracked orientations, rad: of a marker of 0.1 m with corners off by 1 mm."""
-
-MIN_CORRELATION_EIGENVALUE = 1e-12
-"""Smallest eigenvalue of a covariance's correlations, so that it has an inverse."""
 
 
 class PoseDataset(Dataset):
@@ -189,20 +191,17 @@ class PoseDataset(Dataset):
                 f"covariance: expected shape ({self.view_count}, 6, 6), found {matrices.shape}"
             )
         matrices[~self.seen] = _diagonal(UNIT_TRANSLATION, UNIT_ROTATION, 1)[0]
-        for view, matrix in zip(self.view_ids, matrices, strict=True):
-            scale = np.sqrt(np.abs(np.diagonal(matrix)))
-            correlation = (
-                matrix / np.outer(scale, scale) if scale.all() else np.full((6, 6), np.nan)
+        valid = smallest_correlation_eigenvalue(matrices) > SMALLEST_EIGENVALUE
+        stds = np.sqrt(np.diagonal(matrices[valid], axis1=1, axis2=2))
+        asymmetry = np.abs(matrices[valid] - matrices[valid].mT) / stds[:, :, None] / stds[:, None]
+        valid[valid] = asymmetry.max(axis=(1, 2), initial=0.0) < MAX_ASYMMETRY
+        if len(wrong := np.flatnonzero(~valid)):
+            view = wrong[0]
+            raise ValueError(
+                f"covariance: view {self.view_ids[view]}: expected a symmetric, positive definite "
+                f"matrix of translation (m) and rotation (rad), found diagonal "
+                f"{np.diagonal(matrices[view])}"
             )
-            if not (
-                np.isfinite(correlation).all()
-                and np.allclose(correlation, correlation.T, atol=1e-9)
-                and np.linalg.eigvalsh(correlation).min() > MIN_CORRELATION_EIGENVALUE
-            ):
-                raise ValueError(
-                    f"covariance: view {view}: expected a symmetric, positive definite matrix of "
-                    f"translation (m) and rotation (rad), found diagonal {np.diagonal(matrix)}"
-                )
         return dataclasses.replace(self, covariance=to_device(matrices), states_covariance=True)
 
     def times_covariance(self, factor: float) -> "PoseDataset":

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from numbers import Real
 from typing import Any
 
-from ..argument_checks import require_readable_or_empty
+from ..argument_checks import require_one_of, require_readable_or_empty
 from .drawn_parts import DrawnConstraint as DrawnConstraint
 from .drawn_parts import DrawnFace as DrawnFace
 from .drawn_parts import PlacedGrasp as PlacedGrasp
@@ -148,8 +148,7 @@ def _remove_click(document: Document, point: int, view: str) -> Document:
 
 def _delete(document: Document, kind: str, id: int) -> Document:
     """Delete a part, and every other part that depends on it."""
-    if kind not in KINDS:
-        raise ValueError(f"expected one of {', '.join(KINDS)}; found {kind!r}")
+    require_one_of("kind", kind, KINDS)
     document.existing(kind, id)
     kept = {name: dict(getattr(document, name)) for name in KINDS}
     del kept[kind][id]

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,8 +12,10 @@ from .click_checks import PictureSizes, check_clicks, checked_pixel
 from .document import Document, apply_change
 from .edit_history import EditHistory
 from .model_building import checked_loop, problems_of
-from .part_names import check_names
 from .view_geometry import PointEstimate, ViewGeometry
+
+NAMED_KINDS = ("faces", "grasps")
+"""The parts that have names of their own; points and edges have numbers."""
 
 
 class AbstractDrawing(abc.ABC):
@@ -55,7 +58,7 @@ class AbstractDrawing(abc.ABC):
         # The document itself knows neither the views nor the size of their pictures.
         check_clicks(change, self.picture_sizes)
         changed = apply_change(self.document, change)
-        check_names(self.document, changed)
+        _check_names(self.document, changed)
         # Everything that a page shows is computed for the new document before the change is
         # journalled: a change that fails later would fail again whenever the file is opened.
         try:
@@ -183,3 +186,22 @@ class AbstractDrawing(abc.ABC):
     def is_saved(self) -> bool:
         """Whether the model's file has all changes; the journal has them in any case."""
         return self._journal.is_saved
+
+
+def _check_names(before: Document, after: Document) -> None:
+    """Raise a ValueError for a name that a change gives to a second part of its kind.
+
+    A file may have two parts of one name from earlier, but a program that asks for one by its name
+    would not know which is meant.
+    """
+    for kind in NAMED_KINDS:
+        earlier = Counter(part.name for part in getattr(before, kind).values())
+        parts = getattr(after, kind)
+        named = Counter(part.name for part in parts.values() if part.name)
+        for name, count in named.items():
+            if count > max(earlier[name], 1):
+                holders = [str(k) for k, part in parts.items() if part.name == name]
+                word = kind.removesuffix("s")
+                raise ValueError(
+                    f"{word}: the name {name!r} belongs to {kind} {', '.join(holders)}"
+                )

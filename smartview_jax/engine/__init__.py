@@ -4,11 +4,10 @@ from .abstract_problem import AbstractBuiltProblem as AbstractBuiltProblem
 from .abstract_problem import AbstractProblem as AbstractProblem
 from .abstract_problem import NormalEquations as NormalEquations
 from .arms_builder import STEP_NAMES as STEP_NAMES
-from .arms_builder import ArmPaths as ArmPaths
 from .arms_builder import BuiltArms as BuiltArms
 from .arms_builder import base_path as base_path
 from .arms_builder import build_arms as build_arms
-from .arms_builder import paths_of_arms as paths_of_arms
+from .arms_builder import choices_of_arms as choices_of_arms
 from .arms_problem import ArmInRig as ArmInRig
 from .arms_problem import ArmsProblem as ArmsProblem
 from .covariance import RANK_TOLERANCE as RANK_TOLERANCE
@@ -51,6 +50,7 @@ from .pixel_sigma import updated_sigma as updated_sigma
 from .pixel_sigma import with_pixel_sigma as with_pixel_sigma
 from .pose_jacobians import linearise_poses as linearise_poses
 from .prepared_poses import PreparedPoses as PreparedPoses
+from .priors import ParameterChoice as ParameterChoice
 from .priors import Prior as Prior
 from .problem import FittedChain as FittedChain
 from .problem import JointProblem as JointProblem

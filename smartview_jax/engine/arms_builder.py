@@ -16,7 +16,7 @@ from ..runtime.array_namespace import to_device
 from .abstract_problem import AbstractBuiltProblem
 from .arms_problem import ArmInRig, ArmsProblem
 from .parameters import POSE_CORRECTIONS, Step, host_retract_transform, parameter_mask
-from .priors import Prior
+from .priors import ParameterChoice, Prior
 from .problem_builder import prior_means_and_weights
 from .rig_builder import BuiltRig, rig_parameter_names
 from .rig_problem import RigProblem
@@ -44,56 +44,41 @@ class BuiltArms(AbstractBuiltProblem):
     arms: dict[str, BuiltRig]
 
 
-class ArmPaths(NamedTuple):
-    """The paths of one arm's parameters, in the names of its rig alone.
-
-    Attributes:
-        fixed, free: paths of parameters to hold and to free.
-        priors: priors by path.
-    """
-
-    fixed: tuple[str, ...]
-    free: tuple[str, ...]
-    priors: dict[str, Prior]
-
-
 def base_path(first: str, other: str) -> str:
     """Return the name of the transform from another arm's base to the first arm's."""
     return f"base_{first}_from_base_{other}"
 
 
-def paths_of_arms(
+def choices_of_arms(
     rig: Rig,
     starts: Mapping[str, Calibration],
-    fixed: Sequence[str],
-    free: Sequence[str],
-    priors: Mapping[str, Prior],
-) -> dict[str, ArmPaths]:
-    """Return the paths of each arm's parameters, of those that were given for a rig.
+    choice: ParameterChoice,
+) -> dict[str, ParameterChoice]:
+    """Return the choice of each arm's parameters, in the names of its rig alone.
 
     The pose of a target that several arms see is a parameter of the first arm alone.
 
     Args:
         rig: data sets of all arms.
         starts: calibration of each camera.
-        fixed, free, priors: as for `build_rig`; with several arms in the names of `build_arms`.
+        choice: as for `build_rig`; with several arms in the names of `build_arms`.
 
     Raises:
         ValueError: a path that selects nothing, or a base that is held, or has a prior without a
             mean.
     """
     if len(rig.arm_names) == 1:
-        return {rig.arm_names[0]: ArmPaths(tuple(fixed), tuple(free), dict(priors))}
+        return {rig.arm_names[0]: choice}
     names = {arm: _names_of_arm(rig, arm, starts) for arm in rig.arm_names}
     for arm in rig.arm_names[1:]:
         moved = {name for own in _common_poses(rig, arm, starts).values() for name in own}
         names[arm] = {own: name for own, name in names[arm].items() if own not in moved}
     bases = [base_path(rig.arm_names[0], arm) for arm in rig.arm_names[1:]]
     of_bases = (f"{base}.{name}" for base in bases for name in STEP_NAMES)
-    for path in fixed:
+    for path in choice.fixed:
         if path.partition(".")[0] in bases:
             raise ValueError(f"fixed: {path!r}: a base has no start; give a prior with a mean")
-    for path, prior in priors.items():
+    for path, prior in choice.priors.items():
         if path.partition(".")[0] in bases and prior.mean is None:
             raise ValueError(f"prior on {path!r}: a base has no start; give the mean")
     everything = [*of_bases, *(name for own in names.values() for name in own.values())]
@@ -108,10 +93,10 @@ def paths_of_arms(
         return [own for own, name in names[arm].items() if f"{name}.".startswith(f"{path}.")]
 
     return {
-        arm: ArmPaths(
-            tuple(own for path in fixed for own in own_paths(arm, path)),
-            tuple(own for path in free for own in own_paths(arm, path)),
-            {own: prior for path, prior in priors.items() for own in own_paths(arm, path)},
+        arm: ParameterChoice(
+            tuple(own for path in choice.fixed for own in own_paths(arm, path)),
+            tuple(own for path in choice.free for own in own_paths(arm, path)),
+            {own: prior for path, prior in choice.priors.items() for own in own_paths(arm, path)},
         )
         for arm in rig.arm_names
     }

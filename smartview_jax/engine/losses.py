@@ -11,6 +11,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..argument_checks import require_one_of
+
 
 class AbstractLoss(eqx.Module):
     """A loss function of the squared whitened residual of a point.
@@ -96,6 +98,5 @@ def loss_by_name(name: str | AbstractLoss | None) -> AbstractLoss | None:
     """
     if name is None or isinstance(name, AbstractLoss):
         return name
-    if name not in LOSSES:
-        raise ValueError(f"loss is one of {', '.join(LOSSES)}, or an AbstractLoss; found {name!r}")
+    require_one_of("loss", name, LOSSES, ", or an AbstractLoss")
     return LOSSES[name]()

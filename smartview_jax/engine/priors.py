@@ -1,6 +1,10 @@
-"""Define Gaussian priors on single parameters."""
+"""Define Gaussian priors on single parameters, and what a fit holds, frees and assumes."""
 
 import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from ..argument_checks import require_instance, require_names
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -28,3 +32,45 @@ class Prior:
     def __post_init__(self) -> None:
         if not 0.0 < self.std < float("inf"):
             raise ValueError(f"Prior.std: expected a positive number, found {self.std}")
+
+
+class ParameterChoice(NamedTuple):
+    """The parameters that a fit holds, frees, and has prior knowledge of.
+
+    Attributes:
+        fixed: paths of parameters that keep the start's values.
+        free: paths to free that are held by default.
+        priors: priors by path.
+    """
+
+    fixed: tuple[str, ...]
+    free: tuple[str, ...]
+    priors: dict[str, Prior]
+
+    @classmethod
+    def of(
+        cls, fixed: Sequence[str], free: Sequence[str], priors: Mapping[str, Prior] | None
+    ) -> "ParameterChoice":
+        """Return the choice that a user made by the arguments of a fit.
+
+        Raises:
+            TypeError: a prior that is not a `Prior`.
+            ValueError: a single text in place of a list of paths.
+        """
+        require_names("fixed", fixed)
+        require_names("free", free)
+        for path, prior in (priors or {}).items():
+            require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
+        return cls(tuple(fixed), tuple(free), dict(priors or {}))
+
+    def states(self, path: str) -> bool:
+        """Return whether the user made any choice of this very path."""
+        return path in (*self.fixed, *self.free, *self.priors)
+
+    def holding(self, *paths: str) -> "ParameterChoice":
+        """Return the choice with further parameters held."""
+        return self._replace(fixed=(*self.fixed, *paths))
+
+    def freeing(self, *paths: str) -> "ParameterChoice":
+        """Return the choice with further parameters freed."""
+        return self._replace(free=(*self.free, *paths))

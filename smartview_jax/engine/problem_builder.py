@@ -12,7 +12,6 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
 from ..dataset import Dataset, chain_residuals
@@ -25,7 +24,7 @@ from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, TARGET_SCALE, Parameters, Step, parameter_mask, parameter_names
 from .prepared_poses import prepare_poses
-from .priors import Prior
+from .priors import ParameterChoice, Prior
 from .problem import JointProblem
 
 
@@ -101,17 +100,13 @@ def build_problem(
             'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), where '
             f'"estimated" is for fit_joint only; found {noise!r}'
         )
-    require_names("fixed", fixed)
-    require_names("free", free)
+    choice = ParameterChoice.of(fixed, free, priors)
     if start.mount != data.mount:
         raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
     field = checked_field_choice(field)
     start = with_field(with_lens(start, lens), field)
-    priors = dict(priors or {})
-    for path, prior in priors.items():
-        require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
     views = data.usable_views()
-    if len(views) < 3 and not priors:
+    if len(views) < 3 and not choice.priors:
         raise ValueError(
             f"a joint fit needs at least 3 views with 4 points each, or priors; found {len(views)}"
         )
@@ -124,11 +119,16 @@ def build_problem(
     if field == "auto" and start.robot_error is not None:
         default_fixed.append(ROBOT_ERROR)
     # `free` overrides what is held by default; `fixed` overrides both.
-    is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, free)
-    is_free &= ~parameter_mask(names, fixed)
+    is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, choice.free)
+    is_free &= ~parameter_mask(names, choice.fixed)
     fitted_field = None if field == "auto" else field
     mean, weight = prior_means_and_weights(
-        names, shared_size, priors, noise_model, fitted_field, float(np.asarray(start.target_scale))
+        names,
+        shared_size,
+        choice.priors,
+        noise_model,
+        fitted_field,
+        float(np.asarray(start.target_scale)),
     )
     about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
     if prior_centre is not None and about_start.any():

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ..argument_checks import require_names
 from ..calibration import Calibration
 from ..dataset import Rig
 from ..robot_errors import FieldChoice, checked_field_choice
@@ -24,7 +23,7 @@ from .parameters import (
     parameter_names,
 )
 from .prepared_poses import PreparedPoses, prepare_poses
-from .priors import Prior
+from .priors import ParameterChoice, Prior
 from .problem import JointProblem
 from .problem_builder import (
     prior_means_and_weights,
@@ -99,8 +98,7 @@ def build_rig(
         ValueError: starts that do not belong to the rig or hold different errors of the robot, an
             unknown path, or a start at which no point of a view can be projected.
     """
-    require_names("fixed", fixed)
-    require_names("free", free)
+    choice = ParameterChoice.of(fixed, free, priors)
     rig.require_one_arm("build_rig")
     field = checked_field_choice(field)
     if field == "auto":
@@ -119,15 +117,13 @@ def build_rig(
     held = [name for name in names if name.split(".")[-1] == TARGET_SCALE]
     if field == "auto" and error is not None:
         held.append(ROBOT_ERROR)
-    is_free = ~parameter_mask(whole, held) | parameter_mask(whole, free)
-    is_free &= ~parameter_mask(whole, fixed)
+    is_free = ~parameter_mask(whole, held) | parameter_mask(whole, choice.free)
+    is_free &= ~parameter_mask(whole, choice.fixed)
     # A state that no camera saw well enough keeps its reported pose.
     placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
     is_free[size:] &= placed.repeat(6)
     fitted_field = None if field == "auto" else field
-    mean, weight = prior_means_and_weights(
-        whole, size, dict(priors or {}), noise, fitted_field, 1.0
-    )
+    mean, weight = prior_means_and_weights(whole, size, choice.priors, noise, fitted_field, 1.0)
     is_camera = np.array([".camera." in name for name in names])
     states = len(rig.view_ids)
     problem = RigProblem(

@@ -46,8 +46,8 @@ from .serialization import transform_from_dict as transform_from_dict
 from .serialization import transform_to_dict as transform_to_dict
 from .transform_forms import TransformForm as TransformForm
 from .transform_forms import transform_forms as transform_forms
-from .transform_text import transform_text as transform_text
-from .transform_text import vector_text as vector_text
+from .transform_forms import transform_text as transform_text
+from .transform_forms import vector_text as vector_text
 from .viewed_region import ViewedRegion as ViewedRegion
 from .viewed_region import region_from_dict as region_from_dict
 from .viewed_region import region_to_dict as region_to_dict

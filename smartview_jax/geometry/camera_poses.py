@@ -16,6 +16,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..argument_checks import require_one_of
 from ..runtime.array_namespace import AnyArray, as_float_array, to_device
 from ..runtime.compilation import compiled, is_traced
 
@@ -196,9 +197,7 @@ def five_viewpoints(
          [  0  33 197]
          [  0 -33 197]]
     """
-    if pattern not in FIVE_VIEWPOINT_PATTERNS:
-        known = ", ".join(FIVE_VIEWPOINT_PATTERNS)
-        raise ValueError(f"pattern: expected one of {known}, found {pattern!r}")
+    require_one_of("pattern", pattern, FIVE_VIEWPOINT_PATTERNS)
     x, y = np.array(FIVE_VIEWPOINT_PATTERNS[pattern]).T
     tilt, azimuth = step * np.hypot(x, y), np.arctan2(y, x)
     return look_at(point, viewing_direction(tilt, azimuth, above), distance, roll)

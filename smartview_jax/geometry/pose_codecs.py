@@ -43,6 +43,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
+from ..argument_checks import require_one_of
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .euler import EULER_CONVENTIONS
@@ -162,12 +163,8 @@ class PoseCodec:
         Raises:
             ValueError: an unknown unit.
         """
-        for unit, known, option in (
-            (length_unit, LENGTH_UNITS, "length_unit"),
-            (angle_unit, ANGLE_UNITS, "angle_unit"),
-        ):
-            if unit not in known:
-                raise ValueError(f"{option} is one of {', '.join(known)}; found {unit!r}")
+        require_one_of("length_unit", length_unit, LENGTH_UNITS)
+        require_one_of("angle_unit", angle_unit, ANGLE_UNITS)
         factors = np.ones(len(self.columns))
         factors[list(self.length_columns)] = LENGTH_UNITS[length_unit]
         factors[list(self.angle_columns)] = ANGLE_UNITS[angle_unit]
@@ -352,9 +349,8 @@ def pose_codec(name: str) -> PoseCodec:
     Raises:
         ValueError: an unknown name; the message lists the known ones.
     """
-    if name not in POSE_CODECS and name not in EULER_CODECS:
-        raise ValueError(
-            f"pose format is one of {', '.join(POSE_CODECS)}, or one of euler_XYZ_fixed, "
-            f"euler_XYZ_moving, ..., euler_ZYZ_moving; found {name!r}"
-        )
-    return POSE_CODECS.get(name) or EULER_CODECS[name]
+    if name in EULER_CODECS:
+        return EULER_CODECS[name]
+    others = ", or one of euler_XYZ_fixed, euler_XYZ_moving, ..., euler_ZYZ_moving"
+    require_one_of("pose format", name, POSE_CODECS, others)
+    return POSE_CODECS[name]

@@ -1,14 +1,14 @@
-"""Write a rigid transform in the forms that other programs take, as text to be copied."""
+"""Write a rigid transform as text: for people, and in the forms that other programs take."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ..export_text import roll_pitch_yaw
-from .host import host_transforms
+from .host import host_logarithms, host_transforms
 from .pose_codecs import pose_codec
-from .transform_text import vector_text
 
 DECIMALS = 9
 """Digits after the point: a nanometre, less than any calibration is known to."""
@@ -74,3 +74,20 @@ def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
         for row in matrix
     ]
     return "[" + ",\n ".join(f"[{row}]" for row in rows) + "]"
+
+
+def transform_text(matrix: Float[np.ndarray, "4 4"]) -> str:
+    """Return the translation (mm) and the rotation vector (degrees) of a transform."""
+    translation = vector_text(1e3 * matrix[:3, 3], 2)
+    rotation = vector_text(np.rad2deg(host_logarithms(matrix)[3:]), 3)
+    return f"{translation} mm, rotated by {rotation} deg"
+
+
+def vector_text(numbers: Iterable[float], decimals: int) -> str:
+    """Return a vector as `(x, y, z)`, the form of all vectors that are printed.
+
+    Args:
+        numbers: its components.
+        decimals: digits after the point.
+    """
+    return f"({', '.join(f'{number:.{decimals}f}' for number in numbers)})"

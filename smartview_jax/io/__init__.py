@@ -1,8 +1,6 @@
 """Read and write data sets and calibrations: folders, importers, exporters."""
 
 from .correspondences import import_correspondences as import_correspondences
-from .dataset_folder import DESCRIPTION_FILE as DESCRIPTION_FILE
-from .dataset_folder import marked_entries as marked_entries
 from .dataset_folder import save_dataset as save_dataset
 from .dataset_folder import write_dataset_folder as write_dataset_folder
 from .easy_handeye import PoseSamples as PoseSamples
@@ -16,7 +14,9 @@ from .export import ros_camera_info as ros_camera_info
 from .export import ros_launch_file as ros_launch_file
 from .export import ros_static_transform as ros_static_transform
 from .export import urdf_origin as urdf_origin
+from .folder_description import DESCRIPTION_FILE as DESCRIPTION_FILE
 from .folder_description import FolderDescription as FolderDescription
+from .folder_description import marked_entries as marked_entries
 from .folder_description import read_folder_description as read_folder_description
 from .growing_dataset import GrowingDataset as GrowingDataset
 from .hand_steps import HandSteps as HandSteps
@@ -27,6 +27,8 @@ from .known_camera import read_camera as read_camera
 from .known_camera import read_cameras as read_cameras
 from .load import load_dataset as load_dataset
 from .load import load_pose_log as load_pose_log
+from .load import object_sample_folder as object_sample_folder
+from .load import sample_folder as sample_folder
 from .matrix_rows import import_matrix_rows as import_matrix_rows
 from .matrix_rows import read_matrix_rows as read_matrix_rows
 from .matrix_rows import write_matrix_rows as write_matrix_rows
@@ -41,8 +43,9 @@ from .mrcal_camera import read_mrcal_camera as read_mrcal_camera
 from .new_dataset import TARGETS as TARGETS
 from .new_dataset import FoundPictures as FoundPictures
 from .new_dataset import found_pictures as found_pictures
+from .new_dataset import new_pose_tables as new_pose_tables
+from .new_dataset import write_description as write_description
 from .new_dataset import write_new_dataset as write_new_dataset
-from .new_description import write_description as write_description
 from .object_models import load_object_model as load_object_model
 from .object_models import object_model_from_dict as object_model_from_dict
 from .object_models import object_model_to_dict as object_model_to_dict
@@ -68,13 +71,12 @@ from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_ki
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
 from .robot_urdf import robot_urdf as robot_urdf
 from .rough_pose import parse_rough_pose as parse_rough_pose
-from .sample import object_sample_folder as object_sample_folder
-from .sample import sample_folder as sample_folder
 from .target_file import read_april_grid as read_april_grid
 from .target_file import read_target as read_target
 from .tracked_poses import TRACKED_POSES_FILE as TRACKED_POSES_FILE
 from .urdf import load_urdf as load_urdf
 from .urdf import urdf_joint_names as urdf_joint_names
+from .view_names import is_picture_name as is_picture_name
 from .view_pictures import ViewPictures as ViewPictures
 from .view_pictures import load_view_pictures as load_view_pictures
 from .viewpoints import Viewpoints as Viewpoints

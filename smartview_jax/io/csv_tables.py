@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..argument_checks import name_problem, no_name, require_readable
+from ..argument_checks import name_problem, no_name, require_readable, shortened_repr
 from ..files import write_atomically
-from ..schemas.messages import shortened_repr
 from .table_text import VIEW_COLUMN, TableText, is_number, named_unit, read_table_text
 from .table_text import duplicates as duplicates
 

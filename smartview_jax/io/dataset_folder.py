@@ -27,73 +27,35 @@ A file written by hand needs neither.
 """
 
 import dataclasses
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxlie import SE3
 
 from ..dataset import Dataset, PoseDataset, Rig
-from ..detection import DetectionLimits, checked_pixels
+from ..detection import checked_pixels
 from ..files import read_yaml
-from ..geometry import PoseLike, pose_codec
-from ..targets import AbstractTarget, StackedTarget, target_to_dict
+from ..geometry import PoseLike, as_se3, pose_codec
+from ..targets import AbstractTarget, target_to_dict
 from .board_heights import read_board_heights
-from .depth_folder import depth_dataset, points_dataset
+from .depth_folder import read_depth_pictures, read_points_folder
 from .detections import DETECTIONS_FILE, read_detections, write_detections
+from .folder_description import (
+    DESCRIPTION_FILE,
+    FolderDescription,
+    described_camera,
+    is_rig_description,
+    marked_entries,
+    without_nulls,
+)
+from .folder_pictures import LoadOptions, picture_files
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
-from .known_camera import read_camera
-from .pending_pictures import standing_path
-from .pictures import dataset_from_pictures, refuse_unmatched_pictures
+from .pictures import dataset_from_pictures
 from .poses import POSES_FILE, poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
-from .rough_pose import rough_pose
-from .target_file import read_target
 from .tracked_poses import read_tracked_folder, write_tracked_poses
-
-FORMAT_VERSION = 1
-"""Version of the format of `dataset.yaml`."""
-
-DESCRIPTION_FILE = "dataset.yaml"
-"""The name of the file that describes the folder."""
-
-
-class LoadOptions(NamedTuple):
-    """The options of reading a folder, as in `load_dataset`.
-
-    Attributes:
-        bad_views: `"raise"` or `"mask"`.
-        progress: called with a line of text for each step of the work.
-        keep_detections: whether to write detections to the folder.
-        detection_limits: limits of the check of detected points.
-    """
-
-    bad_views: str = "raise"
-    progress: Callable[[str], None] | None = None
-    keep_detections: bool = True
-    detection_limits: DetectionLimits | None = None
-
-
-class CameraDescription(NamedTuple):
-    """The description of one camera and its target.
-
-    Attributes:
-        target: the target in its pictures.
-        mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        image_size: width and height of its pictures, px.
-        holder_from_world: approximate pose of the target; None if it is not known.
-        detections: path of the table of detected points.
-        detection_rows: stated number of rows of this table; None if it is not stated.
-    """
-
-    target: AbstractTarget
-    mount: str
-    image_size: tuple[int, int]
-    holder_from_world: PoseLike | None
-    detections: Path
-    detection_rows: int | None
 
 
 def load_dataset_folder(
@@ -116,29 +78,17 @@ def load_dataset_folder(
     if description.tracked_poses is not None:
         return read_tracked_folder(folder, content, description_path, options.bad_views)
     if description.measured_points is not None:
-        return _points_folder(folder, content, description_path, options)
-    assert description.camera is not None
-    width, height = description.camera.image_size
-    try:
-        target = read_target(folder, content["target"])
-        rough_holder_from_world = rough_pose(description)
-    except ValueError as error:
-        raise ValueError(f"{description_path}: {error}") from error
-    camera = CameraDescription(
-        target,
-        description.mount,
-        (width, height),
-        rough_holder_from_world if holder_from_world is None else holder_from_world,
-        folder / DETECTIONS_FILE,
-        None if description.detections is None else description.detections.rows,
-    )
+        return read_points_folder(folder, content, description_path, options)
+    camera = described_camera(folder, content, description, description_path)
+    if holder_from_world is not None:
+        camera = camera._replace(holder_from_world=as_se3(holder_from_world))
     readings = read_robot_readings(folder, content, description_path, options.bad_views)
     if "pictures" in content:
         files = picture_files(
             folder,
             content["pictures"],
             readings.view_ids,
-            target,
+            camera.target,
             table_of_views(folder, content),
             description_path,
             camera_board_heights(camera, readings),
@@ -146,12 +96,7 @@ def load_dataset_folder(
         data = camera_dataset(camera, readings, files, options, description_path)
         if description.depth_pictures is None:
             return data
-        entry, table = content["depth_pictures"], table_of_views(folder, content)
-        depths = picture_files(folder, entry, readings.view_ids, target, table, description_path)
-        sensor = read_camera(folder / entry["camera"])
-        return depth_dataset(
-            data, readings, depths, entry["unit"], sensor, description_path, options
-        )
+        return read_depth_pictures(data, readings, folder, content, description_path, options)
     if not camera.detections.is_file():
         raise ValueError(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
@@ -159,33 +104,8 @@ def load_dataset_folder(
     return detected_dataset(camera, readings, options, description_path)
 
 
-def _points_folder(
-    folder: Path, content: dict[str, Any], description_path: Path, options: LoadOptions
-) -> PoseDataset:
-    """Return the data set of a folder with the points that a depth sensor measured."""
-    try:
-        target = read_target(folder, content["target"])
-    except ValueError as error:
-        raise ValueError(f"{description_path}: {error}") from error
-    readings = read_robot_readings(folder, content, description_path, options.bad_views)
-    entry, table = content["measured_points"], table_of_views(folder, content)
-    files = picture_files(folder, entry, readings.view_ids, target, table, description_path)
-    mount = content.get("mount", "eye_in_hand")
-    return points_dataset(readings, target, mount, files, entry["unit"], description_path, options)
-
-
-def is_rig_description(content: Mapping[str, Any]) -> bool:
-    """Return whether the content of a `dataset.yaml` has several cameras."""
-    return content.get("cameras") is not None
-
-
-def without_nulls(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a description without the entries that are null, which count as absent."""
-    return {key: value for key, value in content.items() if value is not None}
-
-
 def camera_board_heights(
-    camera: CameraDescription, readings: RobotReadings
+    camera: FolderDescription, readings: RobotReadings
 ) -> Mapping[str, int] | None:
     """Return the height of the target in each view, if every picture has its own pose."""
     return read_board_heights(
@@ -194,7 +114,7 @@ def camera_board_heights(
 
 
 def camera_dataset(
-    camera: CameraDescription,
+    camera: FolderDescription,
     readings: RobotReadings,
     files: Mapping[str, Sequence[Path]],
     options: LoadOptions,
@@ -227,7 +147,7 @@ def camera_dataset(
 
 
 def detected_dataset(
-    camera: CameraDescription,
+    camera: FolderDescription,
     readings: RobotReadings,
     options: LoadOptions,
     description_path: Path,
@@ -439,63 +359,3 @@ def write_described_folder(
         write_poses(folder, view_ids, base_from_tool, pose_format, file)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
     write_validated(folder / DESCRIPTION_FILE, description, schema)
-
-
-def marked_entries(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entries of a description with the version of its format and the mark of its end.
-
-    The mark at the beginning declares the one on the last line, so that a truncated file is an
-    error.
-    """
-    from ..schemas.dataset import END_MARK
-
-    return {"smartview_dataset": FORMAT_VERSION, "end_mark": True, **entries, "end": END_MARK}
-
-
-def picture_files(
-    folder: Path,
-    content: dict[str, Any],
-    view_ids: Sequence[str],
-    target: AbstractTarget,
-    poses_path: Path,
-    description_path: Path,
-    board_heights: Mapping[str, int] | None = None,
-) -> dict[str, list[Path]]:
-    """Return the picture files of each view: one, or one for each height of a `StackedTarget`.
-
-    Args:
-        folder: of the data set.
-        content: the entry `pictures`, as `schemas.dataset` defines it.
-        view_ids: ids of the views.
-        target: the calibration target in the pictures.
-        poses_path: table of the poses, for error messages.
-        description_path: path of the description, for error messages.
-        board_heights: index of the height in the only picture of a view; see `board_heights.py`.
-
-    Raises:
-        ValueError: a pattern without the height, or pictures without a pose.
-    """
-    pattern = content["pattern"]
-    heights = range(len(target.heights)) if isinstance(target, StackedTarget) else range(1)
-    if board_heights is None and len(heights) > 1 and "{height}" not in pattern:
-        raise ValueError(
-            f"{description_path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "
-            f"or a column height in {poses_path.name} if every picture has its own pose"
-        )
-    files = {
-        view: [
-            standing_path(folder / pattern.format(view=view, height=k))
-            for k in (heights if board_heights is None else [board_heights[view]])
-        ]
-        for view in view_ids
-    }
-    # A glob over the same names finds pictures without a pose. Adjacent placeholders become one
-    # "*", because "**" has a meaning of its own in a glob.
-    glob_pattern = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escape_glob(pattern)))
-    refuse_unmatched_pictures(files, folder / glob_pattern, poses_path)
-    return files
-
-
-def _escape_glob(pattern: str) -> str:
-    """Return the pattern with `*`, `?` and `[` escaped, so that a glob takes them literally."""
-    return re.sub(r"([*?[])", r"[\1]", pattern)

@@ -26,24 +26,23 @@ target is detected:
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ..cameras import Camera
 from ..dataset import Dataset, PoseDataset
 from ..depth import cloud_from_depth, points_at_pixels, poses_from_points, read_depth_picture
 from ..extras import import_extra
 from ..geometry import LENGTH_UNITS
 from ..targets import AbstractTarget, StackedTarget
 from .csv_tables import parse_numbers, read_table
-from .robot_readings import RobotReadings
-
-if TYPE_CHECKING:
-    from .dataset_folder import LoadOptions
+from .folder_pictures import LoadOptions, picture_files
+from .known_camera import read_camera
+from .robot_readings import RobotReadings, read_robot_readings, table_of_views
+from .target_file import read_target
 
 POINT_FORMATS = (".csv", ".npy", ".npz", ".ply")
 """Endings of the files of measured points."""
@@ -129,72 +128,71 @@ def _points_from_array(path: Path) -> np.ndarray:
         raise ValueError(f"{path}: no readable points: {error}") from error
 
 
-def points_dataset(
-    readings: RobotReadings,
-    target: AbstractTarget,
-    mount: str,
-    files: Mapping[str, Sequence[Path]],
-    unit: str | float,
-    description_path: Path,
-    options: "LoadOptions",
+def read_points_folder(
+    folder: Path, content: dict[str, Any], description_path: Path, options: LoadOptions
 ) -> PoseDataset:
-    """Return the data set of points that a depth sensor measured.
+    """Read a folder with the points of a target that a depth sensor measured.
 
     Args:
-        readings: what the robot reported.
-        target: whose points they are.
-        mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        files: of each view, one.
-        unit: of the coordinates.
+        folder: of the data set.
+        content: content of its description, with an entry `measured_points`.
         description_path: path of the description, for error messages.
         options: how the folder is read.
 
     Raises:
-        ValueError: a wrong file, or points that do not belong to the target.
+        ValueError: a wrong entry or file, or points that do not belong to the target.
         FileNotFoundError: a file is missing.
     """
+    try:
+        target = read_target(folder, content["target"])
+    except ValueError as error:
+        raise ValueError(f"{description_path}: {error}") from error
+    readings = read_robot_readings(folder, content, description_path, options.bad_views)
+    entry, table = content["measured_points"], table_of_views(folder, content)
+    files = picture_files(folder, entry, readings.view_ids, target, table, description_path)
     _refuse_heights(target, description_path)
     count = len(target.points)
     points, reasons = _of_views(
         {view: paths[0] for view, paths in files.items()},
-        lambda view, path: read_measured_points(path, count, unit),
+        lambda view, path: read_measured_points(path, count, entry["unit"]),
         count,
         readings.masked_views,
         options.bad_views,
     )
+    mount = content.get("mount", "eye_in_hand")
     data = _measured(points, target, readings, mount, reasons, description_path)
     return dataclasses.replace(data, notes=readings.notes, pose_format=readings.pose_format)
 
 
-def depth_dataset(
+def read_depth_pictures(
     data: Dataset,
     readings: RobotReadings,
-    files: Mapping[str, Sequence[Path]],
-    unit: str | float,
-    camera: Camera,
+    folder: Path,
+    content: dict[str, Any],
     description_path: Path,
-    options: "LoadOptions",
+    options: LoadOptions,
 ) -> PoseDataset:
-    """Return the data set of depth pictures, at the target's points detected in other pictures.
+    """Read the depth pictures of a folder at the target's points, detected in its other pictures.
 
     Args:
         data: the detected points.
         readings: what the robot reported.
-        files: depth picture of each view, one.
-        unit: of the depths.
-        camera: of both kinds of pictures, with its lens.
-        description_path, options: as in `points_dataset`.
+        folder, description_path, options: as in `read_points_folder`.
+        content: content of the description, with an entry `depth_pictures`.
 
     Raises:
         ValueError: a wrong picture, or depths that do not belong to the target.
         FileNotFoundError: a picture is missing.
     """
+    entry, table = content["depth_pictures"], table_of_views(folder, content)
+    files = picture_files(folder, entry, readings.view_ids, data.target, table, description_path)
+    camera = read_camera(folder / entry["camera"])
     _refuse_heights(data.target, description_path)
     pixels = dict(zip(data.view_ids, np.asarray(data.pixels), strict=True))
 
     def points_of(view: str, path: Path) -> Float[np.ndarray, "points 3"]:
         """Return the target's points in a depth picture."""
-        depth = read_depth_picture(path, unit)
+        depth = read_depth_picture(path, entry["unit"])
         try:
             return points_at_pixels(cloud_from_depth(depth, camera), pixels[view])
         except ValueError as error:

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import shortened_repr
 from ..detection import Detection
-from ..schemas.messages import shortened_repr
 from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
 from .view_names import with_names_of
 

@@ -24,9 +24,8 @@ from ..argument_checks import require_readable
 from ..files import read_yaml, write_atomically
 from ..geometry import as_se3, host_matrices
 from .csv_tables import read_table, refuse_out_of_range, row_text
-from .dataset_folder import DESCRIPTION_FILE
-from .folder_description import FolderDescription, read_folder_description
-from .pending_pictures import PENDING_SUFFIX, pending_path, pending_pictures
+from .folder_description import DESCRIPTION_FILE, FolderDescription, read_folder_description
+from .folder_pictures import PENDING_SUFFIX, pending_path, pending_pictures
 from .pose_format import COMMANDED_DIRECTION, FORMAT_COLUMN, PoseFormat, table_format
 from .table_text import VIEW_COLUMN
 

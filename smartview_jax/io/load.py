@@ -1,20 +1,30 @@
-"""Load a data set from any kind of folder that the package can read."""
+"""Load a data set from any kind of folder that the package can read, such as its own samples."""
 
 import logging
 import os
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 
 from ..dataset import Dataset
 from ..detection import DetectionLimits
 from ..files import read_yaml
 from ..geometry import PoseLike
-from .dataset_folder import DESCRIPTION_FILE, LoadOptions, load_dataset_folder
+from .dataset_folder import load_dataset_folder
+from .folder_description import DESCRIPTION_FILE
+from .folder_pictures import LoadOptions
 from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
 from .robot_readings import suffix_in_names
 
 _log = logging.getLogger(__name__)
+
+
+SAMPLE_NAME = "rct_circle10x10"
+"""The name of the folder of the sample data set."""
+
+OBJECT_SAMPLE_NAME = "stepped_block"
+"""The name of the folder of the object sample."""
 
 
 def load_dataset(
@@ -95,3 +105,18 @@ def load_pose_log(folder: str | os.PathLike[str]) -> PoseLog | None:
     log = read_pose_log(Path(folder), content["poses"])
     suffix = suffix_in_names(Path(folder), content, log.view_ids)
     return log._replace(view_ids=tuple(view.removesuffix(suffix) for view in log.view_ids))
+
+
+def sample_folder() -> Path:
+    """Return the sample's folder: 15 pictures of a 10 x 10 circle grid by a camera on a robot."""
+    return Path(str(files("smartview_jax") / "samples" / SAMPLE_NAME))
+
+
+def object_sample_folder() -> Path:
+    """Return the folder of the object sample: pictures of a board, and of a block with a step.
+
+    The pictures are rendered (`simulation.write_object_example`). The folder itself is the data set
+    that calibrates the rig (`load_dataset`), its folder `object` has the pictures of the object
+    from five viewpoints (`load_object_views`), and `truth.json` the object's vertices and faces.
+    """
+    return Path(str(files("smartview_jax") / "samples" / OBJECT_SAMPLE_NAME))

@@ -12,7 +12,8 @@ from ..files import write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
 from .csv_tables import refuse_out_of_range
-from .pictures import dataset_from_pictures, numbered_pictures
+from .folder_pictures import numbered_pictures
+from .pictures import dataset_from_pictures
 from .table_text import is_number, read_number_rows
 
 

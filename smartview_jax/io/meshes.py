@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..argument_checks import nearest_name
+from ..argument_checks import nearest_name, require_one_of
 from ..extras import import_extra
 from ..files import write_atomically
 from ..geometry import LENGTH_UNITS
@@ -56,8 +56,7 @@ def read_mesh(
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
-    if unit not in LENGTH_UNITS:
-        raise ValueError(f"unit: expected one of {', '.join(LENGTH_UNITS)}, found {unit!r}")
+    require_one_of("unit", unit, LENGTH_UNITS)
     kind = _format_of(path)
     trimesh = import_extra("trimesh", "objects", "a mesh")
     refuse_broken_text(path, kind)

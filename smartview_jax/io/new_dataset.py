@@ -1,16 +1,21 @@
-"""Begin a data-set folder: a commented description and an empty table, to be filled in."""
+"""Begin a data-set folder: a description, commented or written by a program, and empty tables."""
 
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from ..argument_checks import require_one_of
+from ..dataset import ONE_ARM
 from ..detection import read_picture
 from ..files import parse_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
-from .dataset_folder import DESCRIPTION_FILE
-from .picture_detections import is_picture_name
-from .poses import POSES_FILE
+from ..targets import AbstractTarget, target_to_dict
+from .csv_tables import write_table
+from .folder_description import DESCRIPTION_FILE, FORMAT_VERSION
+from .poses import POSES_FILE, poses_entry
+from .table_text import VIEW_COLUMN
+from .view_names import is_picture_name
 
 
 class RobotFormat(NamedTuple):
@@ -123,6 +128,16 @@ _POSES = """poses:
   direction: base_from_tool  # of the tool in the base frame; tool_from_base is the inverse"""
 
 
+def new_pose_tables(arms: Mapping[str, str] | None) -> dict[str, str]:
+    """Return the table of poses of each arm in a new folder, relative to it, by the arm's name.
+
+    Args:
+        arms: as in `write_new_dataset`.
+    """
+    tables = {arm: f"{arm}/{POSES_FILE}" for arm in (arms or {}).values()}
+    return tables or {ONE_ARM: POSES_FILE}
+
+
 def found_pictures(pictures: Path) -> FoundPictures | None:
     """Return the pictures already in a folder such as `images`; None if there are none.
 
@@ -175,21 +190,17 @@ def write_new_dataset(
     from ..schemas.rig import RIG_SCHEMA
     from ..schemas.validation import refuse_unreadable
 
-    for name, value, known in (
-        ("robot", robot, ROBOTS),
-        ("target", target, TARGETS),
-        ("mount", mount, ("eye_in_hand", "eye_to_hand")),
-    ):
-        if value not in known:
-            raise ValueError(f"{name}: expected one of {', '.join(known)}, found {value!r}")
+    require_one_of("robot", robot, ROBOTS)
+    require_one_of("target", target, TARGETS)
+    require_one_of("mount", mount, ("eye_in_hand", "eye_to_hand"))
     if arms and mount == "eye_to_hand":
         raise ValueError(
             "arms: cameras next to several arms see no target in common, which would tell where "
             "the arms are to each other; begin a data set for each arm"
         )
-    tables = {arm: f"{arm}/{POSES_FILE}" for arm in dict.fromkeys((arms or {}).values())}
+    tables = new_pose_tables(arms)
     description = folder / DESCRIPTION_FILE
-    for path in (description, *(folder / table for table in tables.values() or [POSES_FILE])):
+    for path in (description, *(folder / table for table in tables.values())):
         if path.exists():
             raise FileExistsError(f"{path}: exists already; nothing is overwritten")
     codec = pose_codec(ROBOTS[robot].codec)
@@ -199,7 +210,7 @@ def write_new_dataset(
         target=TARGETS[target],
         mount=mount,
         source=ROBOTS[robot].source,
-        poses=_arms_text(tables, codec) if tables else _poses_text(POSES_FILE, codec),
+        poses=_arms_text(tables, codec) if arms else _poses_text(POSES_FILE, codec),
         poses_file=POSES_FILE,
         pattern=f"images/{'{camera}/' if cameras else ''}{{view}}{suffix}",
     )
@@ -207,7 +218,7 @@ def write_new_dataset(
     refuse_unreadable(parse_yaml(text, description), schema, description)
     for camera in cameras or ("",):
         (folder / "images" / camera).mkdir(parents=True, exist_ok=True)
-    for table in tables.values() or [POSES_FILE]:
+    for table in tables.values():
         (folder / table).parent.mkdir(exist_ok=True)
         write_atomically(folder / table, ",".join(("view", *codec.columns)) + "\n")
     # Written last, so that an interrupted run can be repeated.
@@ -256,3 +267,48 @@ def _arms_text(tables: Mapping[str, str], codec: PoseCodec) -> str:
         rows.append(f"  {arm}:")
         rows += [f"    {line}" for line in _poses_text(table, codec).splitlines()]
     return "\n".join(rows)
+
+
+def write_description(
+    folder: Path,
+    target: AbstractTarget,
+    mount: str,
+    image_size: tuple[int, int],
+    pose_format: str = "matrix",
+    suffix: str = ".png",
+) -> None:
+    """Write `dataset.yaml` and a table of poses without rows, to be filled by `GrowingDataset`.
+
+    Args:
+        folder: folder to create.
+        target: the calibration target.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        image_size: width and height of the pictures, px.
+        pose_format: one of `POSE_CODECS`.
+        suffix: of the pictures' names, with its full stop.
+
+    Raises:
+        ValueError: an unknown format or mount, or a target that could not be read back.
+        FileExistsError: the folder has a description or a table already.
+    """
+    from ..schemas.dataset import DATASET_SCHEMA
+    from ..schemas.validation import refuse_unreadable, write_validated
+
+    codec = pose_codec(pose_format)
+    description, table = folder / DESCRIPTION_FILE, folder / POSES_FILE
+    for path in (description, table):
+        if path.exists():
+            raise FileExistsError(f"{path}: exists already; nothing is overwritten")
+    content = {
+        "smartview_dataset": FORMAT_VERSION,
+        "camera": {"image_size": [int(size) for size in image_size]},
+        "target": target_to_dict(target),
+        "mount": mount,
+        "poses": poses_entry(None, pose_format),
+        "pictures": {"pattern": f"images/{{view}}{suffix}"},
+    }
+    refuse_unreadable(content, DATASET_SCHEMA, description)
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    write_table(table, (VIEW_COLUMN, *codec.columns), [])
+    # Written last, so that an interrupted run can be repeated.
+    write_validated(description, content, DATASET_SCHEMA)

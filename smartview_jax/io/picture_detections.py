@@ -20,7 +20,7 @@ from ..detection import (
 )
 from ..targets import AbstractTarget, StackedTarget
 from .detections import KeptDetection, read_kept_detections, write_kept_detections
-from .view_names import PICTURE_SUFFIXES
+from .view_names import is_picture_name
 
 _DECIDING_PICTURES = 3
 """Number of pictures of one wrong size after which no more pictures are checked."""
@@ -155,11 +155,6 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
         f"{f'{len(others)} others, ' if others else ''}{content}: does the pattern have the right "
         "folder and suffix?"
     )
-
-
-def is_picture_name(path: Path) -> bool:
-    """Return whether a file has the suffix of a picture and is not hidden."""
-    return path.suffix.lower() in PICTURE_SUFFIXES and not path.name.startswith(".")
 
 
 def _checked_size(

@@ -1,6 +1,5 @@
 """Make a data set from picture files and robot poses, for all importers of pictures."""
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -92,41 +91,6 @@ def dataset_from_pictures(
         target=target,
         notes=notes,
     )
-
-
-def numbered_pictures(
-    folder: Path, pattern: str, numbers: Sequence[int], poses_path: Path
-) -> dict[str, list[Path]]:
-    """Return the picture of each numbered view, by view id.
-
-    Args:
-        folder: folder to which the pattern is relative.
-        pattern: file name with `{view}`, formatted by the number.
-        numbers: numbers of the views.
-        poses_path: file of the poses, for the error message.
-
-    Raises:
-        ValueError: a pattern without `{view}`, or pictures without a pose.
-    """
-    if "{view" not in pattern:
-        raise ValueError(f"pictures: expected a name with {{view}} in it, found {pattern!r}")
-    files = {str(number): [folder / pattern.format(view=number)] for number in numbers}
-    refuse_unmatched_pictures(files, folder / re.sub(r"{view[^}]*}", "*", pattern), poses_path)
-    return files
-
-
-def refuse_unmatched_pictures(
-    pictures: Mapping[str, Sequence[Path]], pattern: Path, poses_path: Path
-) -> None:
-    """Raise a ValueError that names the pictures that match a pattern but have no pose."""
-    matched = {path for paths in pictures.values() for path in paths}
-    parent = pattern.parent
-    unmatched = sorted(p.name for p in parent.glob(pattern.name) if p not in matched)
-    if unmatched:
-        raise ValueError(
-            f"{poses_path}: no pose for the picture {', '.join(unmatched[:5])} of {parent}: "
-            f"a missing row, or an extra picture"
-        )
 
 
 def _shown_picture(paths: Sequence[Path], visible: Bool[np.ndarray, " points"]) -> Path:

@@ -138,8 +138,12 @@ def refuse_unreadable_poses(
     refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
 
 
-def poses_entry(count: int, pose_format: str = "matrix") -> dict[str, Any]:
-    """Return the entry `poses` of a description, for a table with a number of rows.
+def poses_entry(count: int | None, pose_format: str = "matrix") -> dict[str, Any]:
+    """Return the entry `poses` of a description.
+
+    Args:
+        count: number of the table's rows; None for a table that will grow.
+        pose_format: one of `POSE_CODECS`.
 
     Raises:
         ValueError: an unknown format.
@@ -151,7 +155,7 @@ def poses_entry(count: int, pose_format: str = "matrix") -> dict[str, Any]:
         "length_unit": codec.units[0],
         "angle_unit": codec.units[1],
         "direction": "base_from_tool",
-        "rows": count,
+        **({} if count is None else {"rows": count}),
     }
 
 

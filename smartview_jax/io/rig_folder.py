@@ -47,21 +47,22 @@ from ..files import read_yaml
 from ..targets import AbstractTarget, target_to_dict
 from .csv_tables import read_table
 from .dataset_folder import (
-    DESCRIPTION_FILE,
-    CameraDescription,
-    LoadOptions,
     camera_board_heights,
     camera_dataset,
     detected_dataset,
     is_described,
-    is_rig_description,
-    picture_files,
     refuse_unreadable_robot,
-    without_nulls,
     write_described_folder,
     write_visible_points,
     written_joints,
 )
+from .folder_description import (
+    DESCRIPTION_FILE,
+    FolderDescription,
+    is_rig_description,
+    without_nulls,
+)
+from .folder_pictures import LoadOptions, picture_files
 from .poses import poses_entry
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose_of
@@ -173,7 +174,7 @@ def load_rig(
 
 def _cameras(
     folder: Path, description: "RigFile", content: dict[str, Any], path: Path
-) -> dict[str, CameraDescription]:
+) -> dict[str, FolderDescription]:
     """Return the description of each camera."""
     try:
         named = content.get("targets") or {"": content["target"]}
@@ -191,7 +192,7 @@ def _cameras(
     for name, entry in description.cameras.items():
         mount = entry.mount or description.mount
         width, height = entry.image_size
-        cameras[name] = CameraDescription(
+        cameras[name] = FolderDescription(
             targets[entry.target or ""],
             mount,
             (width, height),
@@ -207,7 +208,7 @@ def _named(progress: Callable[[str], None], camera: str) -> Callable[[str], None
     return lambda text: progress(f"{camera}: {text}")
 
 
-def _detected_views(camera: CameraDescription, readings: RobotReadings) -> list[str]:
+def _detected_views(camera: FolderDescription, readings: RobotReadings) -> list[str]:
     """Return the views that a camera's table of detected points has."""
     table = read_table(camera.detections, (VIEW_COLUMN,), ())
     detected = {row[VIEW_COLUMN] for row in table.rows}

@@ -13,6 +13,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ..argument_checks import NUMBER_PATTERN
+
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 """The separators that are recognised, with their names; the first is the default."""
 
@@ -45,9 +47,7 @@ _MINUS_SIGNS = {0x2212: "-", 0x2013: "-"}
 _WITH_MINUS_SIGN = re.compile(
     "[-+\u2212\u2013]?[0-9.,\u00a0\u2009\u202f'\u2019]+(?:[eE][-+\u2212\u2013]?[0-9]+)?"
 )
-_NUMBER = re.compile(
-    r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|nan|inf|infinity)", re.IGNORECASE
-)
+_NUMBER = re.compile(rf"{NUMBER_PATTERN}|[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 _SEPARATOR_LINE = re.compile(r"sep=[,;\t]?", re.IGNORECASE)
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _OPENING, _CLOSING = ("[", "("), ("]", ")")

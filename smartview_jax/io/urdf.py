@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ..argument_checks import shortened_repr
 from ..extras import import_extra
 from ..files import read_text
 from ..robots import SerialArm, arm_from_axes
-from ..schemas.messages import shortened_repr
 
 MAX_MAGNITUDE = 100.0
 """Largest magnitude of an offset (m), an angle (rad) or a component of an axis."""

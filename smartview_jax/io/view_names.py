@@ -1,16 +1,22 @@
-"""Match the names of views in several tables of one folder.
+"""Tell pictures by their names, and match the names of views in several tables of one folder.
 
 Some programs name a view by its picture file, `0001.png`, others by the file name without suffix.
 If two tables differ only by this, their views are matched, and the user gets a note.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from .csv_tables import Table
 from .table_text import VIEW_COLUMN
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".webp")
 """Suffixes of files that are counted as pictures, in lower case."""
+
+
+def is_picture_name(path: Path) -> bool:
+    """Return whether a file has the suffix of a picture and is not hidden."""
+    return path.suffix.lower() in PICTURE_SUFFIXES and not path.name.startswith(".")
 
 
 def without_picture_suffix(name: str) -> str:

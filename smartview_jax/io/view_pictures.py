@@ -11,7 +11,8 @@ from ..files import read_yaml
 from ..geometry import host_matrices
 from ..robots import Command
 from .board_heights import read_board_heights
-from .dataset_folder import DESCRIPTION_FILE, picture_files
+from .folder_description import DESCRIPTION_FILE, without_nulls
+from .folder_pictures import picture_files
 from .robot_readings import read_robot_readings, table_of_views
 from .target_file import read_target
 
@@ -53,7 +54,7 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
     path = folder / DESCRIPTION_FILE
     raw = read_yaml(path)
     validate_content(raw, DATASET_SCHEMA, path)
-    content = {key: value for key, value in raw.items() if value is not None}
+    content = without_nulls(raw)
     if "pictures" not in content:
         raise ValueError(
             f"{path}: entry 'pictures' is missing: a model needs pictures of the object"

@@ -15,7 +15,8 @@ from ..detection import DetectionLimits
 from ..files import parse_yaml, read_text, read_yaml, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
-from .pictures import dataset_from_pictures, numbered_pictures
+from .folder_pictures import numbered_pictures
+from .pictures import dataset_from_pictures
 
 
 def import_visp(

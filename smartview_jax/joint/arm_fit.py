@@ -8,11 +8,11 @@ import numpy as np
 from ..calibration import Calibration
 from ..dataset import Rig
 from ..engine import (
-    ArmPaths,
     BlockArrow,
     BuiltRig,
     Noise,
     NormalEquations,
+    ParameterChoice,
     Solution,
     Step,
     build_rig,
@@ -57,13 +57,13 @@ class ArmOptions(NamedTuple):
     Attributes:
         noise: `"estimated"`, or the noise.
         field: robot error field.
-        paths: paths of parameters to hold and to free, and priors.
+        choice: parameters to hold and to free, and priors.
         robot_prior: prior on the sizes of the robot's errors.
     """
 
     noise: str | Noise
     field: FieldChoice
-    paths: ArmPaths
+    choice: ParameterChoice
     robot_prior: RobotPrior
 
 
@@ -123,9 +123,9 @@ def _built(
     progress: Callable[[str], None] | None,
 ) -> tuple[BuiltRig, Step, RigNoiseEstimate | None]:
     """Build the problem, with estimated noise unless it is given; return the first step too."""
-    noise, field, paths, robot_prior = options
+    noise, field, choice, robot_prior = options
     if isinstance(noise, Noise):
-        built = build_rig(rig, starts, noise=noise, field=field, **paths._asdict())
+        built = build_rig(rig, starts, noise=noise, field=field, **choice._asdict())
         return built, built.problem.zero_step(), None
     estimate = estimate_rig_noise(
         rig,
@@ -133,7 +133,7 @@ def _built(
         field=field,
         progress=progress,
         robot_prior=robot_prior,
-        **paths._asdict(),
+        **choice._asdict(),
     )
     return estimate.built, estimate.step, estimate
 

@@ -10,7 +10,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool
 
-from ..argument_checks import require_instance, require_names
+from ..argument_checks import require_instance, require_one_of
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..dataset import Dataset, PoseDataset, chain_residuals, repeated_views
@@ -22,6 +22,7 @@ from ..engine import (
     JointProblem,
     Noise,
     NormalEquations,
+    ParameterChoice,
     Prior,
     ScaledJacobian,
     Solution,
@@ -132,10 +133,7 @@ def fit_joint(
         >>> print(joint.result.message, len(joint.parameter_names))
         converged in 3 steps 12
     """
-    if gross_errors not in GROSS_ERRORS_OPTIONS:
-        raise ValueError(
-            f"gross_errors is one of {', '.join(GROSS_ERRORS_OPTIONS)}; found {gross_errors!r}"
-        )
+    require_one_of("gross_errors", gross_errors, GROSS_ERRORS_OPTIONS)
     refuse_traced("fit_joint", data, start)
     require_instance("data", data, Dataset)
     if isinstance(data, PoseDataset) and "camera" not in fixed:
@@ -145,10 +143,7 @@ def fit_joint(
         hint = "such as optimistix.LevenbergMarquardt(rtol, atol)"
         require_instance("solver", solver, optx.AbstractLeastSquaresSolver, hint)
     field, all_data = checked_field_choice(field), data
-    require_names("fixed", fixed)
-    require_names("free", free)
-    for path, prior in (priors or {}).items():
-        require_instance(f"priors[{path!r}]", prior, Prior, "a Prior has a mean and a std")
+    choice = ParameterChoice.of(fixed, free, priors)
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     require_moving_robot(data, start, fixed, priors)
@@ -164,26 +159,23 @@ def fit_joint(
         data: Dataset, rejected_points: tuple[Rejection, ...]
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
-        noise_estimate, free_paths, held_paths, all_priors = None, tuple(free), (), priors
-        open_motion = undetermined_motion(data, start, fixed, priors)
-        fixed_paths = (*fixed, *open_motion.held)
+        open_motion, noise_estimate = undetermined_motion(data, start, fixed, priors), None
+        chosen = choice.holding(*open_motion.held)
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
                 initial,
                 field=field,
-                fixed=fixed_paths,
-                free=free,
-                priors=priors,
+                **chosen._asdict(),
                 progress=progress,
                 robot_prior=robot_prior,
             )
-            initial, noise_model, error_field, held_paths = _embedded(noise_estimate)
+            initial, noise_model, error_field, unused = _embedded(noise_estimate)
             if noise_estimate.target_shape is not None:
                 shape = noise_estimate.target_shape.shape
             # The target's size is averaged over models if the views may contradict the stated size.
-            free_paths += noise_estimate.free
-            all_priors = {**(priors or {}), **noise_estimate.priors(start)}
+            chosen = chosen.holding(*unused).freeing(*noise_estimate.free)
+            chosen = chosen._replace(priors=chosen.priors | noise_estimate.priors(start))
         if shape is not None:
             data = dataclasses.replace(data, points=shape.displaced(data.points))
         built = build_problem(
@@ -191,9 +183,7 @@ def fit_joint(
             initial,
             noise=noise_model,
             loss=loss,
-            fixed=(*fixed_paths, *held_paths),
-            free=free_paths,
-            priors=all_priors,
+            **chosen._asdict(),
             field=error_field,
             # The estimate of the noise moves the start, but not the centre of the priors.
             prior_centre=start,

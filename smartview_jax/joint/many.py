@@ -21,6 +21,7 @@ from ..engine import (
     AbstractLoss,
     BuiltProblem,
     Noise,
+    ParameterChoice,
     Prior,
     build_problem,
     unprojectable_views_message,
@@ -133,10 +134,10 @@ def fit_many(
     _require_same_structure(data, starts)
     if noise == "estimated":
         raise ValueError("fit_many takes the noise as given; calibrate_many estimates it")
-    field = checked_field_choice(field)
+    field, choice = checked_field_choice(field), ParameterChoice.of(fixed, free, priors)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
     checked, held, warnings, errors = _with_checked_poses(data, starts, fixed, priors)
-    options = _Options(noise, loss, (*fixed, *held), free, priors, field)
+    options = _Options(noise, loss, choice.holding(*held), field)
     mesh = None if devices is None else Mesh(np.array(devices), (FITS_AXIS,))
     results: dict[int, _Result] = {}
     shared_names: tuple[str, ...] = ()
@@ -179,9 +180,7 @@ class _Options(NamedTuple):
 
     noise: str | Noise
     loss: str | AbstractLoss | None
-    fixed: tuple[str, ...]
-    free: Sequence[str]
-    priors: Mapping[str, Prior] | None
+    choice: ParameterChoice
     field: FieldChoice
 
 
@@ -245,9 +244,7 @@ def _built_by_views(
                     starts[k],
                     noise=options.noise,
                     loss=options.loss,
-                    fixed=options.fixed,
-                    free=options.free,
-                    priors=options.priors,
+                    **options.choice._asdict(),
                     field=options.field,
                 )
             except ValueError as error:

@@ -18,12 +18,12 @@ from ..dataset import (
     distinct_poses,
     repetition_warnings,
 )
-from ..engine import TARGET_SCALE, Direction
+from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction
 from ..geometry import host_matrices, vector_text
+from ..robot_errors import nominal_arm
 from ..staged import mistaken_unit
 from ..variance import TargetScaleEvidence
 from .joint_fit import JointFit, half_width
-from .last_joint import half_widths_with_last_joint_held
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
 """The largest plausible smooth correction of a reported pose, m and rad."""
@@ -287,7 +287,7 @@ def _mount_warnings(fit: JointFit) -> list[str]:
         name for direction in fit.observability.null_directions for name, _ in direction.components
     }
     stds, freedoms = fit.std, fit.degrees_of_freedom
-    last_joint_held = half_widths_with_last_joint_held(fit)
+    last_joint_held = _half_widths_with_last_joint_held(fit)
     for part, limit, unit, scale in (
         ("translation", MAX_TRANSLATION_HALF_WIDTH, "mm", 1e3),
         ("rotation", MAX_ROTATION_HALF_WIDTH, "degrees", float(np.rad2deg(1.0))),
@@ -343,3 +343,35 @@ def _mount_warnings(fit: JointFit) -> list[str]:
                 f"{shift_in_stds.max():.0f} standard deviations"
             )
     return warnings
+
+
+def _half_widths_with_last_joint_held(fit: JointFit) -> dict[str, float]:
+    """Return the half widths of the mount's 95 % intervals if the last joint's errors were known.
+
+    An error of the last joint's zero rotates everything after it, as the hand-eye transform does:
+    no view can separate the two. Only their combination moves the camera. Empty without free errors
+    of an arm's last joint.
+    """
+    arm = nominal_arm(fit.calibration.field)
+    if arm is None:
+        return {}
+    names, last = fit.parameter_names, str(arm.joint_count)
+    mount = f"{fit.calibration.transform_names[0]}."
+    known = [
+        k
+        for k, name in enumerate(names)
+        if name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[-1] == last
+    ]
+    wanted = [k for k, name in enumerate(names) if name.startswith(mount)]
+    if not known or not wanted:
+        return {}
+    covariance = np.asarray(fit.covariance)
+    # Cov(a | b) = P_aa - P_ab P_bb^-1 P_ba
+    across = covariance[np.ix_(wanted, known)]
+    explained = across @ np.linalg.pinv(covariance[np.ix_(known, known)], hermitian=True) @ across.T
+    conditional = np.diagonal(covariance[np.ix_(wanted, wanted)] - explained).clip(0.0)
+    freedom = fit.degrees_of_freedom
+    return {
+        names[k]: half_width(float(np.sqrt(variance)), freedom[names[k]])
+        for k, variance in zip(wanted, conditional, strict=True)
+    }

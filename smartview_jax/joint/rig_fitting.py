@@ -8,17 +8,18 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import require_instance, require_names
+from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..dataset import Dataset, Rig, chain_residuals, view_residuals
 from ..engine import (
     BuiltRig,
     FittedChain,
     Noise,
+    ParameterChoice,
     Prior,
     ScaledJacobian,
+    choices_of_arms,
     covariance,
-    paths_of_arms,
     per_view_std,
     reduced_equations,
 )
@@ -81,11 +82,9 @@ def fit_rig(
         0.9 mm along the optical axis
     """
     require_instance("rig", rig, Rig)
-    require_names("fixed", fixed)
-    require_names("free", free)
-    known, prior = dict(priors or {}), robot_prior or RobotPrior()
+    choice, prior = ParameterChoice.of(fixed, free, priors), robot_prior or RobotPrior()
     several, arms = len(rig.arm_names) > 1, {}
-    paths = paths_of_arms(rig, starts, fixed, free, known)
+    choices = choices_of_arms(rig, starts, choice)
     for arm in rig.arm_names:
         own_noise = _option_of(arm, "noise", noise)
         if own_noise != "estimated" and not isinstance(own_noise, Noise):
@@ -94,10 +93,10 @@ def fit_rig(
         arms[arm] = fit_arm(
             rig.of_arm(arm),
             {name: start for name, start in starts.items() if rig.arms.get(name, arm) == arm},
-            ArmOptions(own_noise, own_field, paths[arm], prior),
+            ArmOptions(own_noise, own_field, choices[arm], prior),
             _named(progress, arm) if several else progress,
         )
-    joined = join_arms(rig, arms, known) if several else None
+    joined = join_arms(rig, arms, choice.priors) if several else None
     fit = _assembled(rig, arms, joined, tuple(rejected))
     disagreement = () if joined is None else joined.disagreement
     return dataclasses.replace(fit, warnings=(*rig_warnings(fit, prior), *disagreement))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..argument_checks import require_names
+from ..argument_checks import require_names, require_one_of
 from ..calibration import Calibration
 from ..cameras import AnyCamera, ViewCameras
 from ..dataset import SAME_POSE_TOLERANCE
@@ -123,8 +123,7 @@ class RigViews:
                 f"states: expected one for each of {len(self.cameras)} views, found "
                 f"{len(self.states)}"
             )
-        if self.frame not in FRAMES:
-            raise ValueError(f"frame: expected one of {', '.join(FRAMES)}, found {self.frame!r}")
+        require_one_of("frame", self.frame, FRAMES)
         if self.frame == "world":
             self._check_common_world()
 

@@ -6,6 +6,7 @@ from .diagrams import frames_diagram as frames_diagram
 from .diagrams import steps_diagram as steps_diagram
 from .errors import error_by_views as error_by_views
 from .errors import error_histogram as error_histogram
+from .errors import pose_errors as pose_errors
 from .errors import residual_vectors as residual_vectors
 from .errors import view_errors as view_errors
 from .errors import view_influence as view_influence
@@ -16,7 +17,6 @@ from .object_pictures import cropped as cropped
 from .object_pictures import edge_map as edge_map
 from .object_pictures import object_model_3d as object_model_3d
 from .object_pictures import with_wireframes as with_wireframes
-from .pose_errors import pose_errors as pose_errors
 from .rigs import camera_mounts as camera_mounts
 from .rigs import pose_uncertainties as pose_uncertainties
 from .uncertainty import parameter_intervals as parameter_intervals

@@ -1,4 +1,4 @@
-"""Draw reprojection errors: how large, in which views, in which direction, after how many views."""
+"""Draw errors of pixels and tracked poses: how large, in which views and directions."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +8,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ..dataset import Dataset, Rig
 from ..evaluation import ReprojectionErrors
-from ..joint import Influence
+from ..joint import Influence, PoseFit
 from .figures import BLUE, GREY, PlotFigure, method_colour, picture_axes, single_plot
 
 MAX_VIEW_LABELS = 60
@@ -175,4 +175,29 @@ def error_by_views(
     axes.set_xlabel("views")
     axes.set_ylabel(f"expected error ({unit})")
     axes.legend(frameon=False)
+    return figure
+
+
+def pose_errors(fit: PoseFit) -> PlotFigure:
+    """Draw the distance and the angle of each tracked pose from its prediction as bars.
+
+    Pairs that the fit left out are grey. The axes are logarithmic, since a wrong pair may be a
+    thousand times as far away as a right one.
+    """
+    figure = PlotFigure(figsize=(9.6, 4.4), layout="constrained")
+    used = fit.used_views
+    positions = np.arange(len(fit.view_ids))
+    axes = figure.subplots(2, 1, sharex=True)
+    units = (("distance (mm)", 1e3), ("angle (degrees)", np.rad2deg(1.0)))
+    for row, (label, unit), errors in zip(axes, units, fit.pose_errors.T, strict=True):
+        for views, colour, name in ((used, BLUE, "used"), (~used, GREY, "left out")):
+            if views.any():
+                row.bar(positions[views], unit * errors[views], 0.8, color=colour, label=name)
+        row.set_yscale("log")
+        row.set_ylabel(label)
+    name_views(axes[-1], fit.view_ids)
+    axes[-1].set_xlabel("pair")
+    if not used.all():
+        handles, labels = axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False)
     return figure

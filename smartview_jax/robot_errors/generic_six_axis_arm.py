@@ -15,6 +15,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
+from ..argument_checks import require_one_of
 from ..robots import Command, SerialArm, branch_joints
 from .arm_errors import DHErrors
 from .field import AbstractPreparedField
@@ -73,10 +74,7 @@ class GenericSixAxisArm(AbstractPreparedField):
         Raises:
             ValueError: no axis has the name `approach`.
         """
-        if approach not in _APPROACH_ROTATIONS:
-            raise ValueError(
-                f"approach is one of {', '.join(_APPROACH_ROTATIONS)}; found {approach!r}"
-            )
+        require_one_of("approach", approach, _APPROACH_ROTATIONS)
         if arm is None:
             positions = np.asarray(base_from_tool.wxyz_xyz)[:, 4:]
             farthest = np.max(np.linalg.norm(positions, axis=1))

@@ -1,6 +1,6 @@
 """Look up robot error fields by the names that files and options use."""
 
-from ..schemas.messages import spelling_suggestion
+from ..argument_checks import require_one_of
 from .arm_errors import DHErrors, JointOffsets, JointRatios
 from .combined import CombinedField
 from .field import AbstractField
@@ -30,11 +30,7 @@ def field_by_name(name: str) -> type[AbstractField]:
         ValueError: no field has that name.
     """
     name = OLD_NAMES.get(name, name)
-    if name not in FIELDS:
-        raise ValueError(
-            f"field is one of {', '.join(FIELDS)}; "
-            f"found {name!r}{spelling_suggestion(name, FIELDS)}"
-        )
+    require_one_of("field", name, FIELDS)
     return FIELDS[name]
 
 

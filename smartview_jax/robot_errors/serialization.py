@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ..argument_checks import shortened_repr, spelling_suggestion
 from ..robots import SerialArm, arm_from_dict, arm_to_dict
 from ..runtime.array_namespace import as_float_array
-from ..schemas.messages import shortened_repr, spelling_suggestion
 from .field import AbstractField
 from .registry import field_by_name, field_name
 from .robot_error import RobotError

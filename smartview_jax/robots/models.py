@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ..argument_checks import require_one_of
 from ..geometry import transform_from_dict, transform_to_dict
-from ..schemas.messages import spelling_suggestion
 from .serial_arm import SerialArm
 
 _RIGHT_ANGLE = 0.5 * np.pi
@@ -118,11 +118,7 @@ def arm_by_name(name: str) -> SerialArm:
     Raises:
         ValueError: no arm has that name.
     """
-    if name not in ARMS:
-        raise ValueError(
-            f"arm is one of {', '.join(ARMS)}, or its parameters; found {name!r}"
-            f"{spelling_suggestion(name, ARMS)}"
-        )
+    require_one_of("arm", name, ARMS, ", or its parameters")
     return ARMS[name]()
 
 

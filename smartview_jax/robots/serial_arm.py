@@ -16,6 +16,7 @@ from jax.core import Tracer
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
+from ..argument_checks import require_one_of
 from ..geometry import PoseLike, as_se3
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, one_program
@@ -69,10 +70,7 @@ class SerialArm(eqx.Module):
         limits: Sequence[Sequence[float]] | np.ndarray | Array | None = None,
         base_from_first: PoseLike | None = None,
     ):
-        if convention not in DH_CONVENTIONS:
-            raise ValueError(
-                f"convention is one of {', '.join(DH_CONVENTIONS)}; found {convention!r}"
-            )
+        require_one_of("convention", convention, DH_CONVENTIONS)
         self.theta, self.d, self.a, self.alpha = (
             _as_jax_array(row) for row in (theta, d, a, alpha)
         )

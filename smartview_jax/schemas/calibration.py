@@ -1,28 +1,18 @@
 """Define the schema of `calibration.yaml`, the file that `Calibration.save` writes."""
 
 import os
-from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from ..files import read_yaml
 from .arm import ArmEntry, TransformEntry
+from .covariances import check_covariance
 from .entry import Entry, Expected, FiniteNumber, FocalLength, PrintableText, check_pixel_shape
 from .validation import validate_content
 
-SUPPORTED_VERSIONS = (1, 2)
-"""Versions of the format that can be read; version 2 has an end mark."""
-
 END_MARK = "smartview_calibration"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
-
-ROUNDING = 1e-9
-"""Largest negative eigenvalue of a correlation matrix for each parameter, by rounding alone.
-
-Covariances are written with all digits; the solver's rounding is below the 1e-9 for symmetry.
-"""
 
 _PrincipalPoint = Annotated[
     float, Field(ge=-1e6, le=1e6), Expected("a principal point in px, from -1e6 to 1e6")
@@ -228,30 +218,6 @@ class UncertaintyEntry(Entry):
             twice = next(name for name in self.parameters if self.parameters.count(name) > 1)
             raise ValueError(f"parameters: {twice} occurs twice")
         return self
-
-
-def check_covariance(covariance: Sequence[Sequence[float]], names: Sequence[str]) -> None:
-    """Raise a ValueError for a matrix that is not a covariance of the named numbers."""
-    count = len(names)
-    if len(covariance) != count or any(len(row) != count for row in covariance):
-        raise ValueError(f"covariance: expected {count} rows of {count} numbers")
-    for i, name in enumerate(names):
-        if not covariance[i][i] > 0.0:
-            raise ValueError(f"covariance: the variance of {name} is not positive")
-        for j in range(i):
-            scale = (covariance[i][i] * covariance[j][j]) ** 0.5
-            if abs(covariance[i][j] - covariance[j][i]) > 1e-9 * scale:
-                raise ValueError(f"covariance: not symmetric in row {i + 1}, column {j + 1}")
-    # As correlations, because variances in m and px differ by many powers of ten.
-    matrix = np.array(covariance, float).reshape(count, count)
-    sigmas = np.sqrt(np.diag(matrix))
-    smallest = np.linalg.eigvalsh(matrix / sigmas / sigmas[:, None]).min(initial=0.0)
-    # The rounding error of a computed covariance's eigenvalues scales with the largest.
-    if smallest < -ROUNDING * count:
-        raise ValueError(
-            "covariance: not positive semidefinite: some combination of the parameters has a "
-            "negative variance"
-        )
 
 
 class _CalibrationFile(Entry):

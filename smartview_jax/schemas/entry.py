@@ -16,8 +16,13 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError, core_schema
 
-from ..argument_checks import MAX_NAME_LENGTH, name_problem, no_name
-from .messages import shortened_repr, spelling_suggestion
+from ..argument_checks import (
+    MAX_NAME_LENGTH,
+    name_problem,
+    no_name,
+    shortened_repr,
+    spelling_suggestion,
+)
 
 
 class Entry(BaseModel):

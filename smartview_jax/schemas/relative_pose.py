@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter, model_validator
 
 from .arm import TransformEntry
-from .calibration import NumberRow, check_covariance
+from .calibration import NumberRow
+from .covariances import check_covariance
 from .entry import Entry, Expected, PrintableText
 
 AXES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")

@@ -7,8 +7,8 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from pydantic import ValidationError
 
+from ..argument_checks import shortened_repr, spelling_suggestion
 from ..files import dump_json, dump_yaml, write_atomically
-from .messages import shortened_repr, spelling_suggestion
 
 _MAX_REPORTED_ERRORS = 5
 """Largest number of wrong entries that an error message names."""

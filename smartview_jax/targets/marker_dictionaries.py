@@ -1,5 +1,7 @@
 """List the marker dictionaries by name, with the number of markers in each."""
 
+from ..argument_checks import require_one_of
+
 MARKER_COUNTS: dict[str, int] = {
     **{
         f"DICT_{bits}X{bits}_{count}": count
@@ -21,8 +23,7 @@ OpenCV also has the pictures of the markers.
 
 def require_markers(dictionary: str, last_id: int) -> None:
     """Raise a ValueError unless the dictionary exists and contains the marker with this number."""
-    if dictionary not in MARKER_COUNTS:
-        raise ValueError(f"dictionary is one of {', '.join(MARKER_COUNTS)}; found {dictionary!r}")
+    require_one_of("dictionary", dictionary, MARKER_COUNTS)
     count = MARKER_COUNTS[dictionary]
     if last_id >= count:
         raise ValueError(

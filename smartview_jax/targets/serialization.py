@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+from ..argument_checks import require_one_of
 from .april_grid import AprilGrid
 from .charuco import Charuco
 from .chessboard import Chessboard
@@ -33,8 +34,7 @@ def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
     """
     attributes = dict(content)
     kind = attributes.pop("kind", None)
-    if kind not in TARGET_CLASSES:
-        raise ValueError(f"target.kind is one of {', '.join(TARGET_CLASSES)}; found {kind!r}")
+    require_one_of("target.kind", kind, TARGET_CLASSES)
     heights = attributes.pop("heights", None)
     fields = {field.name: field for field in dataclasses.fields(TARGET_CLASSES[kind])}
     unknown = sorted(set(attributes) - set(fields))

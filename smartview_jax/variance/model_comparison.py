@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..calibration import Calibration, flat_shape
-from ..dataset import Dataset
+from ..dataset import Dataset, Rig
 from ..engine import (
     ROBOT_ERROR,
     TARGET_SCALE,
     AbstractBuiltProblem,
     Noise,
+    ParameterChoice,
     Prior,
     Step,
     build_problem,
@@ -89,6 +90,38 @@ class ModelComparison(NamedTuple):
         )
 
 
+class RequestedModels(NamedTuple):
+    """The models of the robot error that are to be compared.
+
+    Attributes:
+        field: the requested field, `"auto"`, or None for white noise alone.
+        basis: field that contains all models; None without a field.
+        models: the models, by the name of their field.
+    """
+
+    field: FieldChoice
+    basis: AbstractField | None
+    models: Mapping[str, Candidate]
+
+    @classmethod
+    def of(
+        cls, field: FieldChoice, data: Dataset | Rig, view_count: int, prior: RobotPrior
+    ) -> "RequestedModels":
+        """Return the models for a data set with a number of usable views."""
+        basis = encompassing_field(data, view_count) if field == "auto" else field
+        return cls(field, basis, candidate_models(field, basis, prior.model_odds))
+
+    @property
+    def unit_noise(self) -> Noise:
+        """Noise with standard deviations of one, whose values are set later."""
+        return Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(self.basis.groups) if self.basis else 0))
+
+
+def tests_target_scale(choice: ParameterChoice, prior: RobotPrior) -> bool:
+    """Return whether the size of the target is compared with the stated size."""
+    return prior.wrong_target_probability > 0.0 and not choice.states(TARGET_SCALE)
+
+
 @on_one_blas_thread
 def compare_models(
     data: Dataset,
@@ -114,23 +147,18 @@ def compare_models(
     Raises:
         ValueError: no model can be linearised.
     """
+    choice = ParameterChoice.of(fixed, free, priors)
     if ROBOT_ERROR in fixed:
-        basis, field = start.field, None
-        models = candidate_models(None, None)
+        requested = RequestedModels(None, start.field, candidate_models(None, None))
     else:
-        basis = encompassing_field(data, len(data.usable_views())) if field == "auto" else field
-        models = candidate_models(field, basis, prior.model_odds)
-    stated = (*fixed, *free, *(priors or ()))
-    test_scale = prior.wrong_target_probability > 0.0 and TARGET_SCALE not in stated
+        requested = RequestedModels.of(field, data, len(data.usable_views()), prior)
+    basis, test_scale = requested.basis, tests_target_scale(choice, prior)
     built = build_problem(
         data,
         start,
-        # All standard deviations are one; their values are set later.
-        noise=Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0)),
+        noise=requested.unit_noise,
         field=basis,
-        fixed=fixed,
-        free=(*free, *((TARGET_SCALE,) if test_scale else ())),
-        priors=priors,
+        **(choice.freeing(TARGET_SCALE) if test_scale else choice)._asdict(),
     )
     shape = None
     if not prior.target_is_flat:
@@ -158,9 +186,7 @@ def compare_models(
         start_of_free, shape = z, views.shape
     return compared_at(
         Linearisation(built, views, z, linearised),
-        basis,
-        models,
-        field,
+        requested,
         initial,
         sigma_prior,
         prior.wrong_target_probability,
@@ -185,9 +211,7 @@ class Linearisation(NamedTuple):
 
 def compared_at(
     linearisation: Linearisation,
-    basis: AbstractField | None,
-    models: Mapping[str, Candidate],
-    field: FieldChoice,
+    requested: RequestedModels,
     initial: StandardDeviations,
     sigma_prior: StandardDeviationPrior,
     wrong_target_probability: float,
@@ -196,9 +220,7 @@ def compared_at(
 
     Args:
         linearisation: the linearised views.
-        basis: field that contains all models; None without a field.
-        models: the models, by the name of their field.
-        field: the requested field, `"auto"`, or None for white noise alone.
+        requested: the models.
         initial: standard deviations from which the search begins.
         sigma_prior: prior of the standard deviations.
         wrong_target_probability: prior probability that the target does not have its stated size.
@@ -209,7 +231,7 @@ def compared_at(
     built, views, z, linearised = linearisation
     fitted = fit_candidates(
         linearised,
-        models,
+        requested.models,
         views.group_names,
         initial,
         sigma_prior,
@@ -221,13 +243,13 @@ def compared_at(
             "to the solution (fit_staged), or check the poses"
         )
     # A requested field is used whatever the probability of white noise.
-    requested = list(models)[-1] if isinstance(field, AbstractField) else None
+    only = list(requested.models)[-1] if isinstance(requested.field, AbstractField) else None
     probabilities = posterior_probabilities(
-        {model: fit for model, fit in fitted.items() if requested in (None, model.field)}
+        {model: fit for model, fit in fitted.items() if only in (None, model.field)}
     )
     return ModelComparison(
-        basis,
-        models,
+        requested.basis,
+        requested.models,
         built,
         views,
         z,

@@ -13,6 +13,7 @@ from ..engine import (
     TARGET_SCALE,
     BuiltRig,
     Noise,
+    ParameterChoice,
     Prior,
     Step,
     build_problem,
@@ -30,13 +31,14 @@ from .model_average import between_models_covariance
 from .model_comparison import (
     Linearisation,
     ModelComparison,
+    RequestedModels,
     compared_at,
     likeliest_white_noise,
     linearised_at_mode,
     target_scale_evidence,
+    tests_target_scale,
 )
 from .model_selection import (
-    candidate_models,
     encompassing_field,
     initial_standard_deviations,
     standard_deviation_prior,
@@ -115,7 +117,8 @@ def estimate_rig_noise(
     """
     report, prior = progress or (lambda _: None), robot_prior or RobotPrior()
     cameras = {name: _camera_noise(rig, name, start) for name, start in starts.items()}
-    first, relative = _compare(rig, starts, cameras, field, fixed, free, priors, prior)
+    choice = ParameterChoice.of(fixed, free, priors)
+    first, relative = _compare(rig, starts, cameras, field, choice, prior)
     poses = sum(camera.pose_parameters for camera in cameras.values())
     second = average_over_models(first, fixed, prior, poses, report)
     average, built = second.average, second.built
@@ -182,9 +185,7 @@ def _compare(
     starts: Mapping[str, Calibration],
     cameras: Mapping[str, CameraNoise],
     field: FieldChoice,
-    fixed: Sequence[str],
-    free: Sequence[str],
-    priors: Mapping[str, Prior] | None,
+    choice: ParameterChoice,
     prior: RobotPrior,
 ) -> tuple[ModelComparison, dict[str, float]]:
     """Compare the models of the robot error, as `compare_models` does for one camera.
@@ -192,12 +193,9 @@ def _compare(
     Returns:
         The comparison, and the factor on the pixel sigma of each camera.
     """
-    states = len(rig.view_ids)
-    basis = encompassing_field(rig, states) if field == "auto" else field
-    models = candidate_models(field, basis, prior.model_odds)
-    one_target = len(set(rig.targets.values())) == 1
-    stated = TARGET_SCALE in (*fixed, *free, *(priors or ()))
-    test_scale = one_target and prior.wrong_target_probability > 0.0 and not stated
+    requested = RequestedModels.of(field, rig, len(rig.view_ids), prior)
+    one_target, basis = len(set(rig.targets.values())) == 1, requested.basis
+    test_scale = one_target and tests_target_scale(choice, prior)
     # In units of each camera's own noise, so that none outweighs the others.
     reference = float(np.sqrt(np.mean([camera.pixel_sigma**2 for camera in cameras.values()])))
     relative = {name: camera.pixel_sigma / reference for name, camera in cameras.items()}
@@ -205,13 +203,10 @@ def _compare(
     built = build_rig(
         rig,
         starts,
-        # All standard deviations are one; their values are set later.
-        noise=Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(basis.groups) if basis else 0)),
+        noise=requested.unit_noise,
         field=basis,
         relative_sigmas=relative,
-        fixed=fixed,
-        free=(*free, *((TARGET_SCALE,) if test_scale else ())),
-        priors=priors,
+        **(choice.freeing(TARGET_SCALE) if test_scale else choice)._asdict(),
     )
     poses = sum(camera.pose_parameters for camera in cameras.values())
     views = ViewStatistics(built, poses, within, test_scale)
@@ -219,13 +214,7 @@ def _compare(
     initial = initial_standard_deviations(sigma_prior, views.initial_sigma)
     linearisation = _linearised(built, views, initial, sigma_prior, prior)
     comparison = compared_at(
-        linearisation,
-        basis,
-        models,
-        field,
-        initial,
-        sigma_prior,
-        prior.wrong_target_probability,
+        linearisation, requested, initial, sigma_prior, prior.wrong_target_probability
     )
     return comparison, relative
 

@@ -116,7 +116,7 @@ def everywhere():
 def quick_fit(rig, goal_at=9):
     """An `estimate` that takes no time: 1 mm over the views, and the sample's own next views."""
 
-    def estimate(data, camera, limits, motion, goal, lens):
+    def estimate(data, options):
         count = data.view_count
         near = [
             np.linalg.norm(rig.poses[:, :3, 3] - pose[:3, 3], axis=1).argmin()

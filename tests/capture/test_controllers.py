@@ -18,7 +18,7 @@ from smartview_jax.capture import (
     controller_program,
     tcp_robot,
 )
-from smartview_jax.capture.controller_programs import PROGRAMS
+from smartview_jax.capture.tcp_robot import PROGRAMS
 from smartview_jax.geometry import host_matrices, pose_codec
 
 HOST, PATIENCE = "127.0.0.1", 30.0
@@ -296,7 +296,7 @@ def test_a_program_says_how_it_is_started_and_what_it_answers(name):
     text = controller_program(name)
     for words in ("smartview capture FOLDER --robot", "pose", "step", "done"):
         assert words in text
-    with pytest.raises(ValueError, match="expected one of krl"):
+    with pytest.raises(ValueError, match="program is one of krl"):
         controller_program("ouija")
 
 

@@ -14,6 +14,7 @@ from capture_scene import PATIENCE, Rig, everywhere, new_folder, quick_fit, wait
 from fit_scenes import scene_of
 
 from smartview_jax.capture import (
+    CaptureOptions,
     MoveRefusedError,
     NotTakenError,
     Proposal,
@@ -23,7 +24,6 @@ from smartview_jax.capture import (
 from smartview_jax.capture.estimation import estimate
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_dataset
-from smartview_jax.viewpoints import ViewLimits
 
 
 @pytest.fixture
@@ -266,7 +266,7 @@ def test_nothing_that_was_taken_is_lost_with_the_process(tmp_path, rig):
 def test_an_estimate_states_the_error_and_proposes_views():
     noise = {"pixel_noise": 0.15, "translation_noise": 1e-4, "rotation_noise": 2e-4}
     data = scene_of(1, **noise).data
-    found = estimate(data, None, ViewLimits(), everywhere(), None)
+    found = estimate(data, CaptureOptions(goal=1e-6, motion=everywhere()))
     assert found.is_reliable
     assert found.reaches(1.01 * found.error)
     assert not found.reaches(0.99 * found.error)
@@ -278,7 +278,7 @@ def test_an_estimate_states_the_error_and_proposes_views():
 def test_a_fit_that_fails_waits_for_more_views():
     data = scene_of(1).data
     unusable = dataclasses.replace(data, visible=data.visible & False)
-    found = estimate(unusable, None, ViewLimits(), None, None)
+    found = estimate(unusable, CaptureOptions())
     assert (found.fit, found.proposals, found.error) == (None, (), float("inf"))
     assert found.warnings
     assert not found.reaches(1.0)

@@ -10,8 +10,9 @@ from board_scene import BOARD, VIEWS, board_folder, run
 from fit_scenes import scene_of
 
 from smartview_jax import Rig
-from smartview_jax.cli.check import _checked, _neighbour
+from smartview_jax.cli.check import _checked
 from smartview_jax.io import save_dataset
+from smartview_jax.rig_pipeline import reference_camera, usable_view_counts
 from smartview_jax.simulation import random_scene
 
 
@@ -100,16 +101,18 @@ def test_a_single_tag_can_begin_with_a_known_camera(tmp_path):
     assert "camera and robot agree" in told.output
 
 
-def test_few_views_of_a_known_camera_need_a_neighbour():
+def test_few_views_of_a_known_camera_need_another_camera():
     scene = scene_of(0)
     few = scene.data.select([0, 1])
     rig = Rig({"left": scene.data, "right": few}, {"left": "table", "right": "table"})
-    assert [_neighbour(rig, name) for name in rig.cameras] == [None, "left"]
+    counts = usable_view_counts(rig, {"right": scene.calibration.camera})
+    assert counts.pop("right") == 2
+    assert reference_camera(rig, "right", counts) == "left"
     apart = Rig(rig.cameras, {"left": "table", "right": "wall"})
-    assert _neighbour(apart, "right") is None
+    assert reference_camera(apart, "right", counts) is None
     with_help = _checked(few, "right", scene.calibration.camera, "left")
     assert with_help.problems == ()
     assert with_help.lines[-1].endswith("from the target that left sees")
-    for camera, neighbour in ((None, "left"), (scene.calibration.camera, None)):
-        (problem,) = _checked(few, "right", camera, neighbour).problems
+    for camera, reference in ((None, "left"), (scene.calibration.camera, None)):
+        (problem,) = _checked(few, "right", camera, reference).problems
         assert "needs at least 3 views" in problem

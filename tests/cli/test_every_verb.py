@@ -73,7 +73,7 @@ CASES = (
     Case("model", "object --no-browser", 0, "the editor of object/object.json is at"),
     Case("model", "data --no-browser", 2, "entry 'pictures' is missing"),
     Case("new", "mine --robot ur", 0, "smartview check mine"),
-    Case("new", "mine --robot ouija", 2, "expected one of abb"),
+    Case("new", "mine --robot ouija", 2, "robot is one of abb"),
     Case("plan", f"data --below --views 3 {ROUGH}", 0, "three views will determine a point"),
     Case("plan", "data", 2, "expected calibration.yaml and its data-set folder"),
     Case("schema", "dataset", 0, '"$schema"'),

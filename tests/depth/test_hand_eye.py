@@ -142,10 +142,13 @@ def test_wrong_covariances_are_named(trials):
     data = PoseDataset.from_poses(robot, measured.camera_from_world)
     wrong = measured.covariance.copy()
     wrong[3, 0, 0] *= -1.0
+    skew = measured.covariance.copy()
+    skew[2, 0, 1] += 1e-6 * np.sqrt(skew[2, 0, 0] * skew[2, 1, 1])
     for covariance, message in (
         (wrong[:2], r"covariance: expected shape \(12, 6, 6\), found \(2, 6, 6\)"),
         (wrong, "covariance: view 3: expected a symmetric, positive definite matrix"),
         (0.0 * wrong, "covariance: view 0: expected a symmetric, positive definite"),
+        (skew, "covariance: view 2: expected a symmetric, positive definite"),
     ):
         with pytest.raises(ValueError, match=message):
             data.with_covariance(covariance)

@@ -117,7 +117,7 @@ def test_what_is_wrong_is_said_and_changes_nothing(session, scene):
             "rename: missing a required argument|unexpected",
         ),
         (lambda: session.add_grasp(0), "no face 0"),
-        (lambda: session.delete("walls", 1), "expected one of points, edges"),
+        (lambda: session.delete("walls", 1), "kind is one of points, edges"),
     ]
     for call, said in wrong:
         with pytest.raises(ValueError, match=said):

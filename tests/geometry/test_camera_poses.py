@@ -79,7 +79,7 @@ def test_the_papers_five_viewpoints_are_a_cross(above):
 
 
 def test_a_pattern_that_is_not_known_is_named():
-    with pytest.raises(ValueError, match="pattern: expected one of cross, L, found 'T'"):
+    with pytest.raises(ValueError, match="pattern is one of cross, L; found 'T'"):
         five_viewpoints(POINT, 0.2, pattern="T")
 
 

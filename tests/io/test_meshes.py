@@ -115,7 +115,7 @@ def test_what_is_not_a_mesh_is_refused(tmp_path):
         path.write_text("this is no mesh")
         with pytest.raises(ValueError, match=f"broken.{kind}: "):
             read_mesh(path)
-    with pytest.raises(ValueError, match="unit: expected one of m, cm, mm"):
+    with pytest.raises(ValueError, match="unit is one of m, cm, mm"):
         read_mesh(path, unit="inch")
 
 

@@ -35,7 +35,7 @@ from smartview_jax.io import (
 from smartview_jax.io.csv_tables import write_table
 from smartview_jax.io.detections import KeptDetection, read_kept_detections, write_kept_detections
 from smartview_jax.io.growing_dataset import GrowingDataset
-from smartview_jax.io.new_description import write_description
+from smartview_jax.io.new_dataset import write_description
 from smartview_jax.io.poses import read_poses
 from smartview_jax.modeling import Face, Grasp, ObjectModel
 from smartview_jax.robots import kuka_lwr4
@@ -266,7 +266,7 @@ WRITERS = {
     "io/detections.py write_kept_detections": "kept detections",
     "io/easy_handeye.py write_easy_handeye": "(poses only)",
     "io/growing_dataset.py add": "growing data set",
-    "io/new_description.py write_description": "(a table without rows)",
+    "io/new_dataset.py write_description": "(a table without rows)",
     "io/joints.py write_joints": "data set",
     "io/matrix_rows.py write_matrix_rows": "(poses only)",
     "io/meshes.py write_mesh": "(triangles only)",

@@ -291,7 +291,7 @@ def test_bad_input_is_named(rig):
         ((rig, []), "cameras: expected the name of the camera of each view, found none"),
         ((rig, "left"), "cameras: expected a list of names"),
         ((rig, PAIR, [0]), "states: expected one for each of 2 views, found 1"),
-        ((rig, PAIR, None, "tool"), "frame: expected one of world, base, found 'tool'"),
+        ((rig, PAIR, None, "tool"), "frame is one of world, base; found 'tool'"),
         (({**pair, "right": moved}, PAIR), "cameras: 'left' and 'right' saw different targets"),
         ((mixed(), ["hand", "side"]), "cameras: 'hand' and 'side' saw different targets"),
     ):

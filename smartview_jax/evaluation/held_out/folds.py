@@ -7,6 +7,7 @@ With a hidden region, the fit has to extrapolate.
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...argument_checks import require_one_of
 from ...dataset import Dataset, Rig
 
 LEAVE_ONE_OUT_BELOW = 8
@@ -35,8 +36,7 @@ def split_views(data: Dataset | Rig, folds: int, by: str = "view") -> tuple[tupl
     Raises:
         ValueError: fewer than two folds, too few usable views, or an unknown `by`.
     """
-    if by not in FOLD_KINDS:
-        raise ValueError(f"by is one of {', '.join(FOLD_KINDS)}; found {by!r}")
+    require_one_of("by", by, FOLD_KINDS)
     if folds < 2:
         raise ValueError(f"folds: expected at least 2, found {folds}")
     views = data.usable_views()

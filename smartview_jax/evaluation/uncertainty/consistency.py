@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtri, ndtri, stdtrit
 
+from ...schemas.covariances import SMALLEST_EIGENVALUE, smallest_correlation_eigenvalue
+
 CONFIDENCE_LEVEL = 0.95
 """The probability of intervals and bands."""
 
@@ -47,17 +49,13 @@ def nees(
     Raises:
         ValueError: a covariance is not positive definite; the message names the run.
     """
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
-    valid = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
-    valid &= np.asarray((variances > 0.0).all(axis=1))
-    # Correlations instead of covariances, because units may differ by many orders of magnitude.
-    stds = np.sqrt(np.where(valid[:, None], variances, 1.0))
-    correlations = covariances / (stds[:, :, None] * stds[:, None])
-    correlations = np.where(valid[:, None, None], correlations, np.eye(variances.shape[1]))
-    valid &= np.linalg.eigvalsh(correlations)[:, 0] > 0.0
-    if not valid.all():
-        run = int(np.argmin(valid))
+    definite = smallest_correlation_eigenvalue(covariances) > SMALLEST_EIGENVALUE
+    if not definite.all():
+        run = int(np.argmin(definite))
         raise ValueError(f"covariances: run {run}: not finite and positive definite")
+    # Correlations instead of covariances, because units may differ by many orders of magnitude.
+    stds = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    correlations = covariances / (stds[:, :, None] * stds[:, None])
     # e^T P^-1 e = (L^-1 e)^T C^-1 (L^-1 e), with P = L C L, L the stds and C the correlations.
     standardised_errors = errors / stds
     return np.einsum(

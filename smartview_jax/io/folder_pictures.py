@@ -1,0 +1,136 @@
+"""Find the picture of each view in a folder, by a pattern of their names.
+
+A picture of a view that is being added (see `growing_dataset`) has a hidden name until the view is
+complete.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..detection import DetectionLimits
+from ..targets import AbstractTarget, StackedTarget
+
+PENDING_SUFFIX = ".pending"
+"""The suffix of a picture that has no final name yet; its name also begins with a full stop."""
+
+
+class LoadOptions(NamedTuple):
+    """The options of reading a folder, as in `load_dataset`.
+
+    Attributes:
+        bad_views: `"raise"` or `"mask"`.
+        progress: called with a line of text for each step of the work.
+        keep_detections: whether to write detections to the folder.
+        detection_limits: limits of the check of detected points.
+    """
+
+    bad_views: str = "raise"
+    progress: Callable[[str], None] | None = None
+    keep_detections: bool = True
+    detection_limits: DetectionLimits | None = None
+
+
+def picture_files(
+    folder: Path,
+    content: dict[str, Any],
+    view_ids: Sequence[str],
+    target: AbstractTarget,
+    poses_path: Path,
+    description_path: Path,
+    board_heights: Mapping[str, int] | None = None,
+) -> dict[str, list[Path]]:
+    """Return the picture files of each view: one, or one for each height of a `StackedTarget`.
+
+    Args:
+        folder: of the data set.
+        content: the entry `pictures`, as `schemas.dataset` defines it.
+        view_ids: ids of the views.
+        target: the calibration target in the pictures.
+        poses_path: table of the poses, for error messages.
+        description_path: path of the description, for error messages.
+        board_heights: index of the height in the only picture of a view; see `board_heights.py`.
+
+    Raises:
+        ValueError: a pattern without the height, or pictures without a pose.
+    """
+    pattern = content["pattern"]
+    heights = range(len(target.heights)) if isinstance(target, StackedTarget) else range(1)
+    if board_heights is None and len(heights) > 1 and "{height}" not in pattern:
+        raise ValueError(
+            f"{description_path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "
+            f"or a column height in {poses_path.name} if every picture has its own pose"
+        )
+    files = {
+        view: [
+            standing_path(folder / pattern.format(view=view, height=k))
+            for k in (heights if board_heights is None else [board_heights[view]])
+        ]
+        for view in view_ids
+    }
+    # A glob over the same names finds pictures without a pose. Adjacent placeholders become one
+    # "*", because "**" has a meaning of its own in a glob.
+    glob_pattern = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escape_glob(pattern)))
+    refuse_unmatched_pictures(files, folder / glob_pattern, poses_path)
+    return files
+
+
+def _escape_glob(pattern: str) -> str:
+    """Return the pattern with `*`, `?` and `[` escaped, so that a glob takes them literally."""
+    return re.sub(r"([*?[])", r"[\1]", pattern)
+
+
+def numbered_pictures(
+    folder: Path, pattern: str, numbers: Sequence[int], poses_path: Path
+) -> dict[str, list[Path]]:
+    """Return the picture of each numbered view, by view id.
+
+    Args:
+        folder: folder to which the pattern is relative.
+        pattern: file name with `{view}`, formatted by the number.
+        numbers: numbers of the views.
+        poses_path: file of the poses, for the error message.
+
+    Raises:
+        ValueError: a pattern without `{view}`, or pictures without a pose.
+    """
+    if "{view" not in pattern:
+        raise ValueError(f"pictures: expected a name with {{view}} in it, found {pattern!r}")
+    files = {str(number): [folder / pattern.format(view=number)] for number in numbers}
+    refuse_unmatched_pictures(files, folder / re.sub(r"{view[^}]*}", "*", pattern), poses_path)
+    return files
+
+
+def refuse_unmatched_pictures(
+    pictures: Mapping[str, Sequence[Path]], pattern: Path, poses_path: Path
+) -> None:
+    """Raise a ValueError that names the pictures that match a pattern but have no pose."""
+    matched = {path for paths in pictures.values() for path in paths}
+    parent = pattern.parent
+    unmatched = sorted(p.name for p in parent.glob(pattern.name) if p not in matched)
+    if unmatched:
+        raise ValueError(
+            f"{poses_path}: no pose for the picture {', '.join(unmatched[:5])} of {parent}: "
+            f"a missing row, or an extra picture"
+        )
+
+
+def pending_path(path: Path) -> Path:
+    """Return the hidden path of a picture until its view is complete."""
+    return path.with_name(f".{path.name}{PENDING_SUFFIX}")
+
+
+def standing_path(path: Path) -> Path:
+    """Return where a picture is: at its path, or at its hidden one."""
+    # A process that was killed after it had added the row leaves the picture there.
+    hidden = pending_path(path)
+    return hidden if not path.exists() and hidden.exists() else path
+
+
+def pending_pictures(folder: Path) -> list[Path]:
+    """Return the final paths of all pictures under a folder that have a hidden one."""
+    return [
+        path.with_name(path.name[1 : -len(PENDING_SUFFIX)])
+        for path in sorted(folder.rglob(f".*{PENDING_SUFFIX}"))
+    ]
