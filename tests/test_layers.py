@@ -248,9 +248,3 @@ def test_importing_starts_no_device():
     look = "from jax._src.xla_bridge import backends_are_initialized as started"
     code = f"import smartview_jax\n{look}\nraise SystemExit(started())"
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_the_validation_library_is_imported_where_a_file_is_read():
-    """It takes a tenth of a second, which `smartview --help` and a notebook's import do not owe."""
-    code = "import sys, smartview_jax.cli\nraise SystemExit('pydantic' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)

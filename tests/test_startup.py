@@ -26,10 +26,11 @@ COMMANDS = {
 
 START = """
 import sys
-slow = set(sys.argv[1].split())
+slow, finders = set(sys.argv[1].split()), [*sys.meta_path]
 import smartview_jax
-print(slow & set(sys.modules))
+print(slow & set(sys.modules), "finders as before:", sys.meta_path == finders)
 from smartview_jax.cli import app
+print("pydantic:", "pydantic" in sys.modules)
 for words in sys.argv[2:]:
     print("next:", words)
     try:
@@ -40,18 +41,24 @@ for words in sys.argv[2:]:
 
 
 def run(code, *arguments):
-    words = [sys.executable, "-c", code, *arguments]
-    return subprocess.run(words, text=True, env=user_environment(), capture_output=True)
+    """What a process writes to stdout and stderr, in order."""
+    words = [sys.executable, "-u", "-c", code, *arguments]
+    return subprocess.run(
+        words, text=True, env=user_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+
+
+def said_by(commands):
+    """What each of several commands of one process says, and what the package's import does."""
+    package, *said = run(START, " ".join(SLOW), *commands).stdout.split("next: ")
+    assert len(said) == len(commands), (package, *said)
+    return package, said
 
 
 def test_the_package_and_what_needs_no_data_load_nothing_slow():
-    words = [sys.executable, "-u", "-c", START, " ".join(SLOW), *COMMANDS]
-    done = subprocess.run(
-        words, text=True, env=user_environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
-    package, *commands = done.stdout.split("next: ")
-    assert package == "set()\n"
-    assert len(commands) == len(COMMANDS)
+    """Nor does pydantic load before a file is read, or how Python imports change."""
+    package, commands = said_by(COMMANDS)
+    assert package == "set() finders as before: True\npydantic: False\n"
     for text, (words, (code, said)) in zip(commands, COMMANDS.items(), strict=True):
         assert text.startswith(f"{words}\n")
         assert said in text.partition("\n")[2]
@@ -81,7 +88,7 @@ def test_importing_configures_no_logger():
         'own = logging.getLogger("smartview_jax")\n'
         "assert (own.handlers, own.level, logging.getLogger().handlers) == ([], 0, [])"
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout
 
 
 def test_a_default_calibration_has_few_programs_to_compile(tmp_path_factory):
@@ -96,14 +103,13 @@ def test_a_default_calibration_has_few_programs_to_compile(tmp_path_factory):
     assert 10 < programs["all"] <= 22, programs
 
 
-@pytest.mark.parametrize("to", ["ros", "ros_launch", "urdf", "camera_info", "opencv"])
-def test_a_calibration_is_exported_without_anything_slow(tmp_path, to):
+def test_a_calibration_is_exported_without_anything_slow(tmp_path):
     """A line of numbers must not cost the seconds that JAX takes to import."""
     path = tmp_path / "calibration.yaml"
     calibration = paper_calibration()
     lens = lens_by_name("opencv5")
     camera = dataclasses.replace(calibration.camera, lens=lens)
     dataclasses.replace(calibration, camera=camera).save(path)
-    words = [sys.executable, "-u", "-c", START, " ".join(SLOW), f"export {path} --to {to}"]
-    done = subprocess.run(words, text=True, env=user_environment(), capture_output=True)
-    assert done.stdout.endswith("code 0 set()\n"), done.stdout + done.stderr
+    forms = "ros", "ros_launch", "urdf", "camera_info", "opencv"
+    for text in said_by([f"export {path} --to {form}" for form in forms])[1]:
+        assert text.endswith("code 0 set()\n"), text

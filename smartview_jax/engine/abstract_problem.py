@@ -96,10 +96,6 @@ class AbstractProblem(eqx.Module):
     def normal_equations_without_priors(self, z: Step) -> NormalEquations:
         """Return the normal equations of the observations alone, without priors."""
 
-    @abc.abstractmethod
-    def blocks_by_view(self, z: Step) -> ViewBlocks:
-        """Return what each view adds to the matrix of the normal equations, without priors."""
-
     @property
     @abc.abstractmethod
     def visible_count(self) -> int:
@@ -163,16 +159,15 @@ class AbstractProblem(eqx.Module):
         """Return the normal equations at a step; robust losses by iterative reweighting."""
         return self._with_priors(self.unscaled_step(z), self.normal_equations_without_priors(z))
 
-    def information_by_view(self, z: Step) -> Float[Array, "views free free"]:
-        """Compute every view's information matrix of the shared parameters.
+    def without_corrections(self, blocks: ViewBlocks) -> Float[Array, "views free free"]:
+        """Return every view's information matrix of the shared parameters.
 
         The view's own correction is marginalised. The matrices add up to the normal equations with
         the views' own parameters eliminated, except for the priors of the shared parameters.
-        """
-        return self.without_corrections(self.blocks_by_view(z))
 
-    def without_corrections(self, blocks: ViewBlocks) -> Float[Array, "views free free"]:
-        """Return the information matrices of `information_by_view` from the views' blocks."""
+        Args:
+            blocks: what each view adds to the matrix of the normal equations, without priors.
+        """
         if not len(self.per_view_free):
             return blocks.shared
         # I_v = A_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the prior of

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry import host_adjoints, host_logarithms, host_matrices
 from ..robot_errors import RobotError
-from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
+from .abstract_problem import AbstractRigProblem, NormalEquations
 from .parameters import (
     Step,
     host_retract_transform,
@@ -215,20 +215,6 @@ class ArmsProblem(AbstractRigProblem):
             border = border.at[rows].set(found.matrix.border @ by_all)
         matrix = BlockArrow(shared, border, per_view)
         return self.of_free_parameters(NormalEquations(cost, gradient, matrix))
-
-    def blocks_by_view(self, z: Step) -> ViewBlocks:
-        """Return what each state of each arm adds to the matrix."""
-        size, states = self.parameter_count, len(self.per_view_free)
-        shared, per_view = jnp.zeros((states, size, size)), jnp.zeros((states, 6, 6))
-        border = jnp.zeros((states, 6, size))
-        step = self.unscaled_step(z)
-        for (arm, own), rows in zip(self._own_steps(z), self.states_of_arms, strict=True):
-            found = arm.problem.blocks_by_view(own)
-            by_all = jax.jacfwd(arm.own_step)(step.shared)
-            shared = shared.at[rows].set(by_all.T[None] @ found.shared @ by_all[None])
-            per_view = per_view.at[rows].set(found.per_view)
-            border = border.at[rows].set(found.border @ by_all[None])
-        return ViewBlocks(*self.by_free_parameters(shared, border, per_view))
 
     def _own_steps(self, z: Step) -> list[tuple[ArmInRig, Step]]:
         """Return each arm with the step of its own parameters at a scaled step."""

@@ -82,25 +82,29 @@ def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
     return without_padding(program(padded), views)
 
 
-def in_batches(program: Callable[[Any], Any], rows: np.ndarray, size: int) -> Any:
+def in_batches(program: Callable[[Any], Any], rows: Any, size: int) -> Any:
     """Return what a program makes of rows, on the host, run with a fixed number of rows at a time.
 
     So one program serves any number of rows, with bounded memory.
 
     Args:
-        program: from an array of so many rows to a pytree of arrays with as many.
-        rows: the last batch of them is padded by zeros.
+        program: from arrays of so many rows to a pytree of arrays with as many.
+        rows: pytree of arrays with one length; the last batch is padded by copies of its last row,
+            or by zeros without any.
         size: number of rows in a batch.
     """
+    host = jax.tree.map(np.asarray, rows)
+    count = len(jax.tree.leaves(host)[0])
 
-    def of_batch(batch: np.ndarray) -> Any:
-        padded = np.zeros((size, *rows.shape[1:]))
-        padded[: len(batch)] = batch
-        return jax.tree.map(lambda x: np.asarray(x)[: len(batch)], program(to_device(padded)))
+    def of_batch(start: int) -> Any:
+        batch = jax.tree.map(lambda x: x[start : start + size], host)
+        if count == 0:
+            batch = jax.tree.map(lambda x: np.zeros((size, *x.shape[1:]), x.dtype), host)
+        results = program(jax.device_put(repeat_last(batch, size)))
+        return jax.tree.map(lambda x: np.asarray(x)[: count - start], results)
 
     # One batch at least, which tells the shapes of the results.
-    starts = range(0, max(len(rows), 1), size)
-    results = [of_batch(rows[start : start + size]) for start in starts]
+    results = [of_batch(start) for start in range(0, max(count, 1), size)]
     return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
 
 

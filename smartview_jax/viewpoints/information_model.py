@@ -8,9 +8,11 @@ the sum is the Cramer-Rao bound, as computed by `cramer_rao`.
 """
 
 import dataclasses
+import operator
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
@@ -18,12 +20,13 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..dataset import Dataset, Observations
-from ..engine import JointProblem, Noise, Prior, Step, build_problem
+from ..engine import JointProblem, Noise, Prior, Step, build_problem, padded
 from ..geometry import look_at, transform_points
 from ..robot_errors import FieldChoice, nominal_arm
 from ..robots import Command, JointsLike
 from ..runtime.array_namespace import as_float_array, to_device
-from ..runtime.compilation import compiled_optimised
+from ..runtime.compilation import compiled_optimised, is_traced, one_program
+from ..runtime.padding import MIN_PADDED_VIEWS, in_batches, padded_counts, repeat_last
 from .checks import border_distance
 
 
@@ -121,24 +124,14 @@ class InformationModel(eqx.Module):
         """The calibration at which views are linearised."""
         return self.problem.parameters.start
 
-    @compiled_optimised
     def information(self, camera_from_world: SE3) -> Float[Array, "views free free"]:
         """Return the information matrix of every view `(views)`, at the robot's commanded pose."""
-        # Per view, the Schur complement of its own pose correction in the normal equations:
-        #     F = S^T S - S^T O (O^T O + P)^-1 O^T S
-        # for residual Jacobians S by shared parameters and O by the correction, with prior
-        # precision P.
-        return self._with_observations(
-            self.expected_observations(camera_from_world)
-        ).information_by_view(self._zero_step(len(camera_from_world.wxyz_xyz)))
+        return self._matrices(self.expected_observations(camera_from_world))[1]
 
-    @compiled_optimised
     def dataset_information(self, data: Dataset) -> Float[Array, "views free free"]:
         """Return the information matrix of every view of a data set."""
-        problem = self._with_observations(data.observations)
-        return problem.information_by_view(self._zero_step(len(data.visible)))
+        return self._matrices(data.observations)[1]
 
-    @compiled_optimised
     def pixel_moment_matrix(self, camera_from_world: SE3) -> Float[Array, "free free"]:
         """Return the mean squared displacement of pixels by the parameters, as a matrix.
 
@@ -148,43 +141,58 @@ class InformationModel(eqx.Module):
         observations = self.expected_observations(camera_from_world)
         # With a pixel sigma of 1 px the information J^T J of the pixels is the sum of squared
         # displacements; it is divided by the number of visible points.
-        problem = eqx.tree_at(
-            lambda p: p.pixel_sigma, self._with_observations(observations), jnp.ones(())
-        )
-        _, information_by_view = problem.normal_equations_by_view(
-            self._zero_step(len(observations.visible))
-        )
-        return jnp.sum(information_by_view, axis=0) / jnp.maximum(
-            jnp.sum(observations.visible.astype(float)), 1.0
-        )
+        model = eqx.tree_at(lambda m: m.problem.pixel_sigma, self, to_device(np.ones(())))
+        return _mean_by_point(model._matrices(observations)[0], observations.visible)
 
     def expected_observations(self, camera_from_world: SE3) -> Observations:
         """Return the observations that views would have; their pixel values are unused."""
-        command, reached = self._command(camera_from_world)
-        views, count = len(camera_from_world.wxyz_xyz), len(self.points)
-        return Observations(
-            jnp.broadcast_to(self.points[None], (views, count, 3)),
-            jnp.zeros((views, count, 2)),
-            reached[:, None] & (self._border_distance(camera_from_world) >= 0.0),
-            command.base_from_tool,
-            command.joints,
-        )
+        return self._expected(camera_from_world)[0]
 
     def border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
         """Return the distance of every point from the picture's border, px.
 
         It is minus infinity where the arm does not reach the view.
         """
-        distance = self._border_distance(camera_from_world)
-        if self.near is None:
-            return distance
-        _, reached = self._command(camera_from_world)
-        return jnp.where(reached[:, None], distance, -jnp.inf)
+        return self._expected(camera_from_world)[1]
 
-    def _border_distance(self, camera_from_world: SE3) -> Float[Array, "views points"]:
-        """Return the distance of every point from the picture's border, px, for any robot."""
-        points = self.calibration.target_scale * self.points
-        return border_distance(self.calibration, transform_points(camera_from_world, points))
+    def _expected(
+        self, camera_from_world: SE3
+    ) -> tuple[Observations, Float[Array, "views points"]]:
+        """Return what views would show, and the distance of every point from the border, px."""
+        if is_traced(self, camera_from_world):
+            return _expected(self, camera_from_world)
+        model, count = self._for_programs(), len(self.points)
+        observations, distance = in_batches(
+            lambda batch: _expected(model, batch), camera_from_world, MIN_PADDED_VIEWS
+        )
+        by_point = operator.attrgetter("points", "pixels", "visible")
+        seen = eqx.tree_at(by_point, observations, [x[:, :count] for x in by_point(observations)])
+        return jax.device_put((seen, distance[:, :count]))
+
+    def _matrices(
+        self, observations: Observations
+    ) -> tuple[Float[Array, "views free free"], Float[Array, "views free free"]]:
+        """Return the matrix of the shared parameters of every view, and its information matrix."""
+        if is_traced(self, observations):
+            return _matrices(self.problem, observations)
+        problem, free = self._for_programs().problem, len(self.parameter_names)
+        views, points = observations.visible.shape
+        seen = observations.padded_to(views, _padded_points(points))
+        matrices = in_batches(lambda batch: _matrices(problem, batch), seen, MIN_PADDED_VIEWS)
+        return jax.device_put(tuple(matrix[:, :free, :free] for matrix in matrices))
+
+    def _for_programs(self) -> "InformationModel":
+        """Return the model with padding, and without what the programs do not use.
+
+        Models of other targets and free parameters then use the same programs.
+        """
+        return dataclasses.replace(
+            self,
+            problem=padded(self.problem),
+            points=repeat_last(self.points, _padded_points(len(self.points))),
+            prior_information=to_device(np.zeros((0, 0))),
+            parameter_names=(),
+        )
 
     def _command(self, camera_from_world: SE3) -> tuple[Command, Bool[Array, "views"]]:
         """Return the robot command, and whether the robot reaches it.
@@ -203,31 +211,75 @@ class InformationModel(eqx.Module):
         assert arm is not None
         return arm.command(jnp.where(reached[:, None], joints, near)), reached
 
-    def _with_observations(self, observations: Observations) -> JointProblem:
-        """Return the problem with other views, which have corrections if the problem has any."""
-        views = len(observations.visible)
 
-        # The priors of corrections are the same for all views; the first is repeated.
-        def repeat_first(per_view: Array) -> Array:
-            return jnp.broadcast_to(per_view[:1], (views, 6)) if len(per_view) else per_view
+def _padded_points(points: int) -> int:
+    """Return the number of points to which a target is padded."""
+    return padded_counts(1, points)[1]
 
-        problem = self.problem.with_observations(observations)
-        mean, weight, scale = (
-            Step(step.shared, repeat_first(step.per_view))
-            for step in (problem.prior_mean, problem.prior_weight, problem.scale)
-        )
-        return dataclasses.replace(
-            problem,
-            per_view_free=repeat_first(problem.per_view_free),
-            prior_mean=mean,
-            prior_weight=weight,
-            scale=scale,
-        )
 
-    def _zero_step(self, views: int) -> Step:
-        """Return a step of zero, for the given number of views."""
-        corrected_views = views if len(self.problem.per_view_free) else 0
-        return Step(jnp.zeros(len(self.parameter_names)), jnp.zeros((corrected_views, 6)))
+@compiled_optimised
+def _expected(
+    model: InformationModel, camera_from_world: SE3
+) -> tuple[Observations, Float[Array, "views points"]]:
+    """Return what views would show, and the distance of every point from the border, px."""
+    command, reached = model._command(camera_from_world)
+    points = model.calibration.target_scale * model.points
+    distance = border_distance(model.calibration, transform_points(camera_from_world, points))
+    distance = jnp.where(reached[:, None], distance, -jnp.inf)
+    views, count = distance.shape
+    observations = Observations(
+        jnp.broadcast_to(model.points[None], (views, count, 3)),
+        jnp.zeros((views, count, 2)),
+        distance >= 0.0,
+        command.base_from_tool,
+        command.joints,
+    )
+    return observations, distance
+
+
+@compiled_optimised
+def _matrices(
+    problem: JointProblem, observations: Observations
+) -> tuple[Float[Array, "views free free"], Float[Array, "views free free"]]:
+    """Return the matrix of the shared parameters of every view, and its information matrix."""
+    # Per view, the Schur complement of its own pose correction in the normal equations:
+    #     F = S^T S - S^T O (O^T O + P)^-1 O^T S
+    # for residual Jacobians S by shared parameters and O by the correction, with prior
+    # precision P.
+    problem = _with_observations(problem, observations)
+    corrected_views = len(problem.per_view_free)
+    zero = Step(jnp.zeros(len(problem.free)), jnp.zeros((corrected_views, 6)))
+    blocks = problem.blocks_by_view(zero)
+    return blocks.shared, problem.without_corrections(blocks)
+
+
+def _with_observations(problem: JointProblem, observations: Observations) -> JointProblem:
+    """Return a problem with other views, which have corrections if the problem has any."""
+    views = len(observations.visible)
+
+    # The priors of corrections are the same for all views; the first is repeated.
+    def repeat_first(per_view: Array) -> Array:
+        return jnp.broadcast_to(per_view[:1], (views, 6)) if len(per_view) else per_view
+
+    mean, weight, scale = (
+        Step(step.shared, repeat_first(step.per_view))
+        for step in (problem.prior_mean, problem.prior_weight, problem.scale)
+    )
+    return dataclasses.replace(
+        problem.with_observations(observations),
+        per_view_free=repeat_first(problem.per_view_free),
+        prior_mean=mean,
+        prior_weight=weight,
+        scale=scale,
+    )
+
+
+@one_program
+def _mean_by_point(
+    by_view: Float[Array, "views free free"], visible: Bool[Array, "views points"]
+) -> Float[Array, "free free"]:
+    """Return the sum over views, divided by the number of visible points."""
+    return jnp.sum(by_view, axis=0) / jnp.maximum(jnp.sum(visible.astype(float)), 1.0)
 
 
 def _placeholder_commands(calibration: Calibration, points: Float[Array, "points 3"]) -> SE3:

@@ -158,7 +158,7 @@ def choose_views(
     say = progress or (lambda _: None)
 
     def is_admissible(poses: SE3) -> Bool[Array, "views"]:
-        visible = np.asarray(visible_fraction(information_model, poses, border_margin))
+        visible = visible_fraction(information_model, poses, border_margin)
         enough_visible = visible >= min_visible_fraction - 1e-9
         allowed_views = True if allowed is None else np.asarray(allowed(poses))
         return to_device(enough_visible & allowed_views)
@@ -221,13 +221,12 @@ def _rows(arrays: Any, index: Int[Array, "count"]) -> Any:
     return jax.tree.map(lambda array: array[index], arrays)
 
 
-@compiled_optimised
 def visible_fraction(
     information_model: InformationModel, camera_from_world: SE3, border_margin: float
-) -> Float[Array, "views"]:
+) -> Float[np.ndarray, "views"]:
     """Return the fraction of the target's points visible at least a margin inside the border."""
-    inside = information_model.border_distance(camera_from_world) >= border_margin
-    return jnp.mean(inside.astype(float), axis=-1)
+    inside = np.asarray(information_model.border_distance(camera_from_world)) >= border_margin
+    return inside.mean(axis=-1)
 
 
 def refine_views(

@@ -1,4 +1,3 @@
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +8,7 @@ from scipy_optimum import residuals_and_jacobian, scipy_optimum
 from starts import nudged
 
 from smartview_jax import Noise, Rig
-from smartview_jax.engine import build_rig, solve, with_lens
+from smartview_jax.engine import StructuredLM, build_rig, solve, with_lens
 from smartview_jax.simulation import paper_calibration
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
@@ -39,7 +38,8 @@ def test_the_gradient_is_the_derivative_of_the_cost(pair):
     """The cost is half the sum of squared residuals, so its derivative is that of the residuals."""
     z = jax.tree.map(lambda x: x + 1e-5, pair.zero_step())
     residuals, jacobian = map(np.asarray, residuals_and_jacobian(pair, ravel_pytree(z)[0]))
-    found = eqx.filter_jit(lambda problem, z: problem.normal_equations(z))(pair, z)
+    # With an infinite tolerance the solver ends where it begins.
+    _, found = solve(pair, StructuredLM(atol=np.inf), start=z)
     gradient = ravel_pytree(found.gradient)[0]
     np.testing.assert_allclose(gradient, jacobian.T @ residuals, rtol=1e-7, atol=1e-4)
     np.testing.assert_allclose(found.cost, 0.5 * residuals @ residuals, rtol=1e-12)

@@ -49,14 +49,6 @@ def test_every_array_of_the_user_has_64_bits(first, settings):
     assert done.returncode == 0, done.stderr
 
 
-def test_the_package_adds_nothing_to_how_python_imports():
-    done = run(
-        "import sys; before = [*sys.meta_path]\nimport smartview_jax\n"
-        "assert sys.meta_path == before"
-    )
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
     scene = random_scene(0, views=8)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from programs import programs_added
 
 from smartview_jax import Dataset, Noise, Prior, cramer_rao, look_at, std_of
 from smartview_jax.robot_errors import JointOffsets, RobotError
@@ -109,6 +110,19 @@ def test_priors_past_views_and_an_exact_robot_count_as_in_the_bound(candidates):
     told = survey.prior_information + jnp.sum(survey.information(rest), axis=0)
     std = np.sqrt(np.diagonal(np.linalg.inv(told)))
     np.testing.assert_allclose(std, [bound.std[name] for name in survey.parameter_names], rtol=1e-5)
+
+
+def test_other_numbers_of_views_and_points_need_no_other_programs(survey, candidates):
+    poses, information = candidates
+    few, data = SE3(poses.wxyz_xyz[:5]), taken(poses)
+    cramer_rao(TRUTH, data, NOISE)
+    fewer_points = dataclasses.replace(survey, points=survey.points[:-1])
+    with programs_added() as added:
+        told = survey.information(few)
+        fewer_points.information(few)
+        cramer_rao(TRUTH, data.select(range(9)), NOISE)
+    assert not added
+    np.testing.assert_allclose(told, information[:5], rtol=1e-12)
 
 
 def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import overload
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -24,9 +25,11 @@ from ...engine import (
     covariance,
     eliminate,
     observability,
+    padded,
 )
 from ...joint import RelativePose, relative_pose
 from ...robot_errors import FieldChoice
+from ...runtime.array_namespace import to_device
 from ...runtime.compilation import compiled
 
 
@@ -150,7 +153,7 @@ def cramer_rao(
     )
     # Without a noise model the pixel sigma is set in the problem.
     if not isinstance(noise, Noise):
-        sigma = np.asarray(float(noise))
+        sigma = to_device(float(noise))
         built = eqx.tree_at(lambda b: b.problem.pixel_sigma, built, sigma)
     scaled_jacobian, bound_covariance, std = _bound(built)
     truth = built.problem.parameters.start
@@ -185,8 +188,9 @@ def _bound(
 ) -> tuple[ScaledJacobian, Float[np.ndarray, "free free"], dict[str, float]]:
     """Return the scaled Jacobian, the smallest covariance and the standard deviations by name."""
     # Bound: covariance >= I^-1, with I = J^T S^-1 J + priors the Fisher information matrix.
-    reduced, column_norms = _information_matrix(built.problem)
-    scaled_jacobian = ScaledJacobian(np.asarray(reduced), np.asarray(column_norms))
+    free = len(built.problem.free)
+    reduced, column_norms = jax.tree.map(np.asarray, _information_matrix(padded(built.problem)))
+    scaled_jacobian = ScaledJacobian(reduced[:free, :free], column_norms[:free])
     bound_covariance, std = covariance(scaled_jacobian, 1.0)
     by_name = dict(zip(built.shared_names, map(float, std), strict=True))
     return scaled_jacobian, bound_covariance, by_name
