@@ -1,5 +1,7 @@
 """Measure the edges of a model in a picture: one fitted line for each predicted edge.
 
+An arc of a round rim, or a piece of the outline of a smooth surface, is measured as an edge is.
+
 For samples along each predicted edge the nearest edge point along the edge's normal is taken, with
 the right orientation and either polarity. A line is fitted to the distances of these points from
 the prediction. Two numbers hold all information of an edge on the pose: the distance of the line at
@@ -23,7 +25,8 @@ from ..features import CLEARANCE
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled_optimised
 from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
-from .prediction import predict_view, within_picture
+from .outlines import with_outline
+from .prediction import centre_in_object, predict_view, within_picture
 from .wireframe import Wireframe
 
 EXPLAINED_DISTANCE = 2.0
@@ -97,6 +100,8 @@ class EdgeLines(NamedTuple):
         points: index of the edge point of each sample.
         in_picture: share of the vertices within the picture, hidden or not.
         behind_px: length of the edges hidden by a known surface, px.
+        outline: places in the object's frame, m, and edges of the samples of a model whose outline
+            depends on the viewpoint; None for all others, whose samples are the wireframe's.
     """
 
     offsets: Float[AnyArray, "*views E 2"]
@@ -117,6 +122,7 @@ class EdgeLines(NamedTuple):
     points: Int[AnyArray, "*views S"]
     in_picture: Float[AnyArray, "*views"]
     behind_px: Float[AnyArray, "*views"]
+    outline: tuple[Float[AnyArray, "*views S 3"], Int[AnyArray, "*views S"]] | None = None
 
 
 def edge_lines(
@@ -135,6 +141,7 @@ def edge_lines(
         camera_from_object: pose of the object in the camera's frame.
         radius: largest distance of an edge point from its predicted edge, px.
     """
+    wireframe = with_outline(wireframe, centre_in_object(camera_from_object))
     view = predict_view(wireframe, camera, camera_from_object)
     in_sight = view.sample_visible & lookup.valid
     behind = in_sight & _is_behind(wireframe, lookup, camera_from_object, view.samples)
@@ -146,9 +153,9 @@ def edge_lines(
     has_point = visible & jnp.isfinite(r)
     r = jnp.where(has_point, r, 0.0)
     J = _across_by_pose(wireframe, camera, camera_from_object, n, visible)
-    edges, px = wireframe.sample_edges, jnp.where(visible, view.sample_px, 0.0)
+    edges, px = wireframe.sample_curves, jnp.where(visible, view.sample_px, 0.0)
     # A product with a 0/1 matrix compiles in a fraction of a scatter's time.
-    membership = (edges[None] == jnp.arange(len(wireframe.edges))[:, None]).astype(r.dtype)
+    membership = (edges[None] == jnp.arange(wireframe.curve_count)[:, None]).astype(r.dtype)
 
     def over_edges(values: Float[Array, "S *k"]) -> Float[Array, "E *k"]:
         return membership @ values
@@ -211,6 +218,7 @@ def edge_lines(
         point,
         in_picture / wireframe.vertex_mask.sum(),
         jnp.where(behind, view.sample_px, 0.0).sum(),
+        None if wireframe.smooth is None else (wireframe.samples, wireframe.sample_curves),
     )
 
 
@@ -266,7 +274,7 @@ def _is_clear(
     edge_px: Float[Array, "E"],
     p: Float[Array, "S 2"],
 ) -> Bool[Array, "S"]:
-    """Return which samples are far enough from all visible edges but their own edge."""
+    """Return which samples are far enough from all visible edges but their own edge or rim."""
     a, b = (vertices[wireframe.edges[:, k]] for k in (0, 1))
     is_visible = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
     a, b = (jnp.where(is_visible[:, None], x, 0.0) for x in (a, b))
@@ -274,7 +282,7 @@ def _is_clear(
     gap = p[:, None] - a[None]
     s = jnp.clip((gap * along[None]).sum(axis=2), 0.0, 1.0)
     squared = ((gap - s[..., None] * (b - a)[None]) ** 2).sum(axis=2)
-    is_own_edge = wireframe.sample_edges[:, None] == jnp.arange(len(a))[None]
+    is_own_edge = wireframe.sample_chains[:, None] == wireframe.edge_chains[None]
     return (is_own_edge | ~is_visible[None] | (squared > CLEARANCE**2)).all(axis=1)
 
 
