@@ -152,7 +152,7 @@ class Wireframe(eqx.Module):
             np.array(model.tolerance),
         )
         count = _rounded(len(curves.lengths) + patches, MIN_EDGES)
-        return cls(*map(to_device, arrays), smooth, count)
+        return cls(*map(to_device, arrays), smooth=smooth, curve_count=count)
 
     @property
     @one_program
@@ -249,7 +249,7 @@ def _smooth_edges(
         _padded(fans, padded, H),
     )
     slots = _rounded(found.slots, MIN_EDGES)
-    return SmoothEdges(*map(to_device, arrays), slots), int(found.patches.max()) + 1
+    return SmoothEdges(*map(to_device, arrays), slots=slots), int(found.patches.max()) + 1
 
 
 def _vertices_on_faces(model: ObjectModel) -> Bool[np.ndarray, "V F"]:

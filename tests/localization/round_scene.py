@@ -37,7 +37,7 @@ def models():
 
 
 def pictures():
-    return [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in PICTURES]
+    return [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)) for path in PICTURES]
 
 
 def render():
