@@ -99,12 +99,9 @@ def _best_of_trials(
     if not len(conics):
         return None
     counts = [_on_ellipse(conic, p, normals, NEAR / size).sum() for conic in conics]
-    best = int(np.argmax(counts))
-    if counts[best] < MIN_POINTS // 2:
-        return None
     to_unit = np.diag([1.0 / size, 1.0 / size, 1.0])
     to_unit[:2, 2] = -middle / size
-    return to_unit.T @ conics[best] @ to_unit
+    return to_unit.T @ conics[int(np.argmax(counts))] @ to_unit
 
 
 def _on_ellipse(

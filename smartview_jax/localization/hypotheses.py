@@ -141,8 +141,9 @@ def _round_hypotheses(
     inside = _are_within(model, poses, box)
     poses, (visible, supported) = poses[inside], lengths[inside].T
     scores = supported - CHANCE_SUPPORT * visible
-    order = np.argsort(-scores, kind="stable")
-    kept = order[distinct_poses(model, poses[order], min(count, MAX_HYPOTHESES))]
+    # The others have less on edges than chance would put there.
+    order = np.argsort(-scores, kind="stable")[: int((scores > 0.0).sum())]
+    kept = order[distinct_poses(model, poses[order], count)]
     return [
         Hypothesis(index, poses[k], float(scores[k]), float(supported[k] / max(visible[k], 1e-9)))
         for k in kept

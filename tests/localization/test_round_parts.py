@@ -16,7 +16,7 @@ from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization import Wireframe, localize, pose_jacobians
 from smartview_jax.localization.circle_poses import circle_poses, circles_of
 from smartview_jax.localization.curves import Curves, is_round
-from smartview_jax.localization.outlines import with_outline
+from smartview_jax.localization.outlines import smooth_edges, with_outline
 from smartview_jax.runtime.compilation import compiled
 
 RADIUS = SIZES["pipe"][0]
@@ -25,7 +25,7 @@ RADIUS = SIZES["pipe"][0]
 def test_a_washer_and_a_pipe_are_found(monkeypatch):
     """Rendered with four times as many sides as the models have."""
     # Two parts need no more.
-    monkeypatch.setattr("smartview_jax.localization.hypotheses.MAX_HYPOTHESES", 8)
+    monkeypatch.setattr("smartview_jax.localization.search_rounds.MAX_HYPOTHESES", 8)
     found = localize(pictures(), base_from_tool(), CALIBRATION, models())
     assert sorted(obj.model_index for obj in found.accepted) == [0, 1]
     for obj in found.accepted:
@@ -115,6 +115,8 @@ def test_rims_are_measured_in_arcs_and_straight_edges_as_they_are():
     # On the circle, not on its chords, which are 190 um off.
     assert gap.max() < 2e-6
     assert np.abs((points[:, :2] * tangents[:, :2]).sum(axis=1) / radii).max() < 2e-3
+    # The hollow side of the wall never is an outline.
+    assert len(smooth_edges(model)[0]) == SIDES
     assert is_round(model)
     assert not any(map(is_round, (box(), drilled(6, 32))))
     # A hexagonal nut: its hole is round.
