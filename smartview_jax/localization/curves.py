@@ -80,27 +80,33 @@ def closed_rims(model: ObjectModel) -> list[Int[np.ndarray, "_"]]:
 
 def on_arcs(
     model: ObjectModel, edges: Int[np.ndarray, "S"], places: Float[np.ndarray, "S"]
-) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
-    """Return the points at places of edges, from 0 to 1, m, and the unit tangents there.
+) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, "S 3"], Float[np.ndarray, "S 3"] | None]:
+    """Return the points at places of edges, from 0 to 1, m, the tangents, and the curvatures.
 
     On rims they are on the arc that the edge stands for, a cubic whose tangent at a vertex is
     across the bisector of both edges, as a circle's is.
+
+    Returns:
+        points, m; unit tangents; and the vectors to the centre of curvature over the squared
+        radius, 1/m, or None for a model without rims.
     """
-    starts, ends = model.vertices[model.edges[edges]].transpose(1, 0, 2)
+    pairs = model.edges[edges]
+    starts, ends = model.vertices[pairs].transpose(1, 0, 2)
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1, keepdims=True)
     t, tangents = places[:, None], along / lengths
     points = starts + t * along
     rims = rim_vertices(model)
     if not rims:
-        return points, tangents
-    pairs = model.edges[edges]
+        return points, tangents, None
     first, last = (_rim_tangents(model, rims, pairs, tangents, end) for end in (0, 1))
     # How far the tangents are from the chord: Hermite's cubic, over the chord.
     u, v = lengths * (first - tangents), lengths * (last - tangents)
     points = points + t * (1.0 - t) ** 2 * u - t**2 * (1.0 - t) * v
     slopes = along + (1.0 - t) * (1.0 - 3.0 * t) * u - t * (2.0 - 3.0 * t) * v
-    return points, slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
+    bends = (6.0 * t - 4.0) * u + (6.0 * t - 2.0) * v
+    speed = np.linalg.norm(slopes, axis=1, keepdims=True)
+    return points, slopes / speed, bends / speed**2
 
 
 def _rim_tangents(

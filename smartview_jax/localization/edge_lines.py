@@ -18,10 +18,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cameras import AnyCamera, camera_axes
-from ..features import CLEARANCE
+from ..features import CLEARANCE, SMOOTHING, STANDARD_WIDTH
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled_optimised
 from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
@@ -31,6 +32,13 @@ from .wireframe import Wireframe
 
 EXPLAINED_DISTANCE = 2.0
 """Largest distance, px, of an edge point from the predicted edge that it explains."""
+
+EDGE_BLUR = float(np.hypot(STANDARD_WIDTH, SMOOTHING))
+"""Blur of the edges with the smoothing of the gradient, standard deviation, px.
+
+The gradient of a blurred disc of radius R peaks s^2 / 2R within its border: around a circle there
+is less of what is within.
+"""
 
 MAX_RADIUS = 12
 """Largest distance, px, of an edge point from the predicted edge."""
@@ -146,7 +154,10 @@ def edge_lines(
     in_sight = view.sample_visible & lookup.valid
     behind = in_sight & _is_behind(wireframe, lookup, camera_from_object, view.samples)
     visible = in_sight & ~behind
-    p = jnp.where(visible[:, None], view.samples, 0.0)
+    places = view.samples
+    if view.bends is not None:
+        places = places + 0.5 * EDGE_BLUR**2 * view.bends
+    p = jnp.where(visible[:, None], places, 0.0)
     d = jnp.where(visible[:, None], view.directions, 0.0)
     n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
     r, point = _nearest_along_normals(lookup, p, n, d, radius)

@@ -29,6 +29,8 @@ class PredictedView(NamedTuple):
         sample_px: length in the picture of each sample's part of its edge, px, visible or not; zero
             for padded samples.
         edge_px: visible length of each edge, px, without outlines of smooth surfaces.
+        bends: curvatures of the edges in the picture, 1/px, towards their centres; None where all
+            edges are straight.
     """
 
     vertices: Float[Array, "V 2"]
@@ -38,6 +40,7 @@ class PredictedView(NamedTuple):
     sample_visible: Bool[Array, "S"]
     sample_px: Float[Array, "S"]
     edge_px: Float[Array, "E"]
+    bends: Float[Array, "S 2"] | None = None
 
 
 def predict_view(
@@ -56,11 +59,11 @@ def predict_view(
     centre = centre_in_object(camera_from_object)
     wireframe = with_outline(wireframe, centre)
     vertices = camera.project(_moved(wireframe.vertices, R, t))[0]
-    samples, slopes = jax.jvp(
-        lambda points: camera.project(_moved(points, R, t))[0],
-        (wireframe.samples,),
-        (wireframe.sample_tangents,),
-    )
+
+    def project(points: Float[Array, "S 3"]) -> Float[Array, "S 2"]:
+        return camera.project(_moved(points, R, t))[0]
+
+    samples, slopes = jax.jvp(project, (wireframe.samples,), (wireframe.sample_tangents,))
     # Pixels per metre along the edge; derivatives of invalid pixels are undefined.
     usable = jnp.isfinite(samples).all(axis=1) & jnp.isfinite(slopes).all(axis=1)
     slopes = jnp.where(usable[:, None], slopes, 0.0)
@@ -73,6 +76,13 @@ def predict_view(
     # First order in the part's length, which is short compared with the distance.
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
+    bends = None
+    if wireframe.sample_bends is not None:
+        # That depth changes along an arc adds a share of its size over its distance only.
+        bends = jax.jvp(project, (wireframe.samples,), (wireframe.sample_bends,))[1]
+        bends = jnp.where(usable[:, None], bends, 0.0)
+        bends = bends - (bends * directions).sum(axis=1, keepdims=True) * directions
+        bends = bends / jnp.where(scale > 0.0, scale, 1.0)[:, None] ** 2
     return PredictedView(
         vertices,
         vertex_visible & within_picture(vertices, camera),
@@ -81,6 +91,7 @@ def predict_view(
         sample_visible,
         sample_px,
         edge_px.add(jnp.where(sample_visible & (wireframe.sample_chains >= 0), sample_px, 0.0)),
+        bends,
     )
 
 

@@ -67,6 +67,8 @@ class Wireframe(eqx.Module):
         face_normals: outward unit normals; 0 for padded faces.
         margin: distance in front of a point within which no face hides it, m.
         tolerance: standard deviation of the object's edges from the model, m.
+        sample_bends: curvatures of the rims, 1/m, towards their centres; zero on straight edges and
+            outlines. None in models without rims.
         smooth: smooth surfaces, whose outline depends on the viewpoint (`with_outline`); the last
             samples are kept for it. None in models without.
         curve_count: padded number of curves.
@@ -91,6 +93,7 @@ class Wireframe(eqx.Module):
     face_normals: Float[Array, "F 3"]
     margin: Float[Array, ""]
     tolerance: Float[Array, ""]
+    sample_bends: Float[Array, "S 3"] | None
     smooth: SmoothEdges | None
     curve_count: int = eqx.field(static=True)
 
@@ -120,7 +123,7 @@ class Wireframe(eqx.Module):
         curves = Curves.of(model)
         S, curve, lengths, places = _sampled_curves(model, curves, samples, per_edge)
         owners, parts = curves.places(curve, places)
-        points, tangents = on_arcs(model, owners, parts)
+        points, tangents, bends = on_arcs(model, owners, parts)
         corners, triangle_faces = _fans(model)
         V = _rounded(len(model.vertices), MIN_VERTICES)
         E = _rounded(len(model.edges), MIN_EDGES)
@@ -152,7 +155,8 @@ class Wireframe(eqx.Module):
             np.array(model.tolerance),
         )
         count = _rounded(len(curves.lengths) + patches, MIN_EDGES)
-        return cls(*map(to_device, arrays), smooth=smooth, curve_count=count)
+        bends = None if bends is None else to_device(_padded(bends, S, 3))
+        return cls(*map(to_device, arrays), sample_bends=bends, smooth=smooth, curve_count=count)
 
     @property
     @one_program

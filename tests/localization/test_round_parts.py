@@ -98,6 +98,25 @@ def test_the_outline_of_a_cylinder_is_where_planes_through_the_camera_touch_it()
         assert total == is_outline.sum() > 20
 
 
+def test_a_circle_bends_in_the_picture_by_one_over_its_radius():
+    """A washer that faces the camera: its top rim is a circle of f r / z px."""
+    wireframe, pose = Wireframe.of(models()[0], 256), np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[2, 3] = 0.4
+    view = predicted(wireframe, pinhole(1500.0, 1500.0), jnp.asarray(pose))
+    radius, height = SIZES["washer"]
+    on_top = np.asarray(wireframe.samples)[:, 2] > 0.5 * radius * height
+    size = np.linalg.norm(np.asarray(wireframe.samples)[:, :2], axis=1)
+    is_rim = on_top & (np.abs(size - radius) < 1e-5) & np.asarray(view.sample_visible)
+    assert is_rim.sum() > 20
+    expected = 1500.0 * radius / (0.4 - radius * height)
+    gap = np.asarray(view.samples)[is_rim] - [325.0, 236.0]
+    # Towards the centre, and nothing along the rim.
+    np.testing.assert_allclose(
+        np.asarray(view.bends)[is_rim], -gap / expected**2, atol=0.02 / expected
+    )
+    assert predicted(Wireframe.of(box(), 256), pinhole(), jnp.asarray(pose)).bends is None
+
+
 def test_rims_are_measured_in_arcs_and_straight_edges_as_they_are():
     model = part("washer")
     curves = Curves.of(model)
