@@ -12,21 +12,26 @@ from scipy.spatial.transform import Rotation
 from seen_scene import CALIBRATION, base_from_tool
 from solids import box, drilled
 
+from smartview_jax.features import picture_evidence
 from smartview_jax.geometry import host_exponentials
-from smartview_jax.localization import Wireframe, localize, pose_jacobians
+from smartview_jax.localization import Wireframe, find_hypotheses, localize, pose_jacobians
 from smartview_jax.localization.circle_poses import circle_poses, circles_of
 from smartview_jax.localization.curves import Curves, is_round
 from smartview_jax.localization.outlines import smooth_edges, with_outline
+from smartview_jax.modeling import SeenViews
 from smartview_jax.runtime.compilation import compiled
 
 RADIUS = SIZES["pipe"][0]
 
 
-def test_a_washer_and_a_pipe_are_found(monkeypatch):
+def test_a_washer_and_a_pipe_are_found():
     """Rendered with four times as many sides as the models have."""
-    # Two parts need no more.
-    monkeypatch.setattr("smartview_jax.localization.search_rounds.MAX_HYPOTHESES", 8)
-    found = localize(pictures(), base_from_tool(), CALIBRATION, models())
+    views = SeenViews.of(CALIBRATION, base_from_tool())
+    evidence = [picture_evidence(*view) for view in zip(pictures(), views.cameras, strict=True)]
+    searched = find_hypotheses(evidence, views, models())
+    # As the search does, but with few of each: the true poses are among the first.
+    few = [h for k in (0, 1) for h in [h for h in searched if h.model == k][:4]]
+    found = localize(evidence, base_from_tool(), CALIBRATION, models(), hypotheses=few)
     assert sorted(obj.model_index for obj in found.accepted) == [0, 1]
     for obj in found.accepted:
         truth, middle = POSES[obj.model_index], obj.model.vertices.mean(axis=0)
