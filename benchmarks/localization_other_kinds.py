@@ -162,7 +162,8 @@ def _round_scene(kind: str, seed: int, rng: np.random.Generator, seen_by: sv.Cam
     """Return a scene of a round part that stands on the table."""
     model = dataclasses.replace(tube(*ROUND[kind], MODEL_SIDES)[0], name=kind)
     real, triangles = tube(*ROUND[kind], REAL_SIDES)
-    pose = _on_table(*rng.uniform(-0.02, 0.02, 2), rng.uniform(0.0, 6.28))
+    x, y, angle = rng.uniform([-0.02, -0.02, 0.0], [0.02, 0.02, 6.28]).tolist()
+    pose = _on_table(x, y, angle)
     placed = real.vertices @ pose[:3, :3].T + pose[:3, 3]
     cameras = viewpoints(placed.mean(axis=0), rng, 2)
     calibration = sv.Calibration.eye_in_hand(seen_by, np.eye(4), np.eye(4))
