@@ -1,11 +1,12 @@
-"""Known objects of other kinds: long bars, thin plates, channels, neighbours, and many of a kind.
+"""Known objects of other kinds: bars, plates, channels, round parts, neighbours, many of a kind.
 
 The scenes of `localization` have compact solids of 50 to 70 mm, one of each. Here are solids with
-edges of very different lengths, two equal bars side by side, and sixteen equal wedges, in two
-pictures each. Run alone by `python -m benchmarks.localization_other_kinds`.
+edges of very different lengths, washers and pipes, two equal bars side by side, and sixteen equal
+wedges, in two pictures each. Run alone by `python -m benchmarks.localization_other_kinds`.
 """
 
 import argparse
+import dataclasses
 import sys
 import time
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import smartview_jax as sv
 from smartview_jax.geometry import host_logarithms
 from smartview_jax.localization import localize
-from smartview_jax.modeling import ObjectModel
+from smartview_jax.modeling import Face, ObjectModel, find_symmetry
 from smartview_jax.simulation import (
     Polyhedron,
     SolidScene,
@@ -33,6 +34,7 @@ from .localization_trials import is_right
 
 SCENES = {
     "bar150": 6, "bar50": 6, "plate": 6, "channel": 6, "apart25": 6, "apart50": 6, "wedges": 2,
+    "washer": 6, "pipe": 6,
 }  # fmt: skip
 """Number of scenes of each kind; "apart" are two long bars side by side, so many mm apart."""
 
@@ -84,6 +86,40 @@ def wedge() -> Polyhedron:
     return flat._replace(vertices=np.column_stack([x, 0.009 - y, z]))
 
 
+ROUND = {"washer": (0.02, 0.01, 0.006), "pipe": (0.015, 0.01, 0.05)}
+"""Outer and inner radius, and height, of the round parts, m."""
+
+MODEL_SIDES, REAL_SIDES = 64, 240
+"""Sides of a round part's model, whose turns are within `RIGHT`; and of the real part."""
+
+
+def tube(outer: float, inner: float, height: float, sides: int) -> tuple[ObjectModel, np.ndarray]:
+    """Return a model of a tube along z whose rims are its edges, and its triangles."""
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vertices = np.concatenate(
+        [
+            np.column_stack([r * circle, np.full(sides, z)])
+            for z in (0, height)
+            for r in (outer, inner)
+        ]
+    )
+    k = np.arange(sides)
+    # Outer and inner rim, at the bottom and at the top.
+    rings = [k + sides * number for number in range(4)]
+    quads = []
+    for a, b in ((0, 2), (3, 1), (2, 3), (1, 0)):
+        first, last = np.roll(rings[a], -1), np.roll(rings[b], -1)
+        quads.append(np.stack([rings[a], first, last, rings[b]], axis=1))
+    walls = [Face(tuple(quad)) for quad in np.concatenate(quads[:2]).tolist()]
+    loops = [tuple(ring.tolist()) for ring in rings]
+    ends = [Face(loops[0][::-1], (loops[1],)), Face(loops[2], (loops[3][::-1],))]
+    edges = np.concatenate([np.column_stack([ring, np.roll(ring, -1)]) for ring in rings])
+    triangles = np.concatenate(quads)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    model = ObjectModel(vertices, np.sort(edges, axis=1), (*walls, *ends))
+    return dataclasses.replace(model, symmetry=find_symmetry(model)), triangles
+
+
 SOLIDS = {
     "bar150": box(0.15, 0.01, 0.014),
     "bar50": box(0.05, 0.01, 0.014),
@@ -97,6 +133,8 @@ def kind_scene(kind: str, seed: int, seen_by: sv.Camera | None = None) -> KindSc
     """Return a scene of a kind; the same seed gives the same one."""
     # By the name, so that further kinds leave the scenes of these as they are.
     rng = np.random.default_rng((seed, sum(kind.encode())))
+    if kind in ROUND:
+        return _round_scene(kind, seed, rng, seen_by or camera())
     solid = SOLIDS["bar150" if kind.startswith("apart") else kind]
     if kind.startswith("apart"):
         poses = _side_by_side(1e-3 * float(kind.removeprefix("apart")), rng)
@@ -118,6 +156,25 @@ def kind_scene(kind: str, seed: int, seen_by: sv.Camera | None = None) -> KindSc
         for k, pose in enumerate(cameras)
     ]
     return KindScene(solid.exact_model(kind), poses, pictures, cameras, calibration)
+
+
+def _round_scene(kind: str, seed: int, rng: np.random.Generator, seen_by: sv.Camera) -> KindScene:
+    """Return a scene of a round part that stands on the table."""
+    model = dataclasses.replace(tube(*ROUND[kind], MODEL_SIDES)[0], name=kind)
+    real, triangles = tube(*ROUND[kind], REAL_SIDES)
+    x, y, angle = rng.uniform([-0.02, -0.02, 0.0], [0.02, 0.02, 6.28]).tolist()
+    pose = _on_table(x, y, angle)
+    placed = real.vertices @ pose[:3, :3].T + pose[:3, 3]
+    cameras = viewpoints(placed.mean(axis=0), rng, 2)
+    calibration = sv.Calibration.eye_in_hand(seen_by, np.eye(4), np.eye(4))
+    grain = speckled(rng.uniform(0.55, 0.8), rng.uniform(0.0, 0.03), 0.003, seed=seed)
+    table = Surface.of_plane(0.5, printed_table(12, seed, rng))
+    scene = SolidScene([table, Surface(placed, triangles, grain)])
+    pictures = [
+        render_solids(calibration, camera_pose, scene, exposure=1.2, seed=seed + k, samples=8)
+        for k, camera_pose in enumerate(cameras)
+    ]
+    return KindScene(model, [pose], pictures, cameras, calibration)
 
 
 def _side_by_side(distance: float, rng: np.random.Generator) -> list[np.ndarray]:

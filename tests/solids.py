@@ -1,5 +1,7 @@
 """Solids that several tests model, made by trimesh or written out by hand."""
 
+import itertools
+
 import numpy as np
 
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
@@ -29,3 +31,34 @@ def prism(sides, radius=0.03, height=0.05):
     ends = [tuple(range(sides))[::-1], tuple(range(sides, 2 * sides))]
     faces = tuple(Face(loop) for loop in [*walls, *ends])
     return ObjectModel(vertices, edges_of_faces(faces), faces)
+
+
+def ring(sides, radius, height, turn=0.0):
+    """The vertices of a regular polygon across z."""
+    angles = turn + 2.0 * np.pi * np.arange(sides) / sides
+    circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.column_stack([circle, np.full(sides, height)])
+
+
+def drilled(outside, hole, radius=0.01, height=0.8):
+    """A prism whose hole through the middle is a polygon too, as a mesh of a round one.
+
+    The hole is half as wide; the height is over the radius. The walls show no edges from 18 on.
+    """
+    rings = [
+        ring(sides, r, z)
+        for sides, r in ((outside, radius), (hole, 0.5 * radius))
+        for z in (0.0, height * radius)
+    ]
+    first = np.cumsum([0, *map(len, rings)])
+    loops = [tuple(range(a, b)) for a, b in itertools.pairwise(first)]
+    walls = [
+        Face((low[k], low[k - len(low) + 1], high[k - len(low) + 1], high[k]))
+        for low, high in (loops[:2], loops[:1:-1])
+        for k in range(len(low))
+    ]
+    ends = [Face(loops[0][::-1], (loops[2],)), Face(loops[1], (loops[3][::-1],))]
+    rims = [tuple(sorted(side)) for face in ends for side in face.directed_edges]
+    upright = [(k, outside + k) for k in range(outside)] if outside < 18 else []
+    vertices = np.concatenate(rings)
+    return ObjectModel(vertices, np.array(sorted({*rims, *upright})), (*walls, *ends))

@@ -5,8 +5,10 @@ from .appearance import describe as describe
 from .appearance import similarities as similarities
 from .edge_points import EdgePoints as EdgePoints
 from .edge_points import edge_map as edge_map
+from .ellipses import find_ellipses as find_ellipses
 from .features import Features as Features
 from .features import find as find
+from .gradient import SMOOTHING as SMOOTHING
 from .ideal_plane import IdealPlane as IdealPlane
 from .ideal_plane import resampled as resampled
 from .lone_edges import CLEARANCE as CLEARANCE
@@ -20,5 +22,6 @@ from .picture_evidence import PictureEvidence as PictureEvidence
 from .picture_evidence import edge_maps as edge_maps
 from .picture_evidence import evidence_of_points as evidence_of_points
 from .picture_evidence import picture_evidence as picture_evidence
+from .picture_scale import STANDARD_WIDTH as STANDARD_WIDTH
 from .picture_scale import edge_width as edge_width
 from .picture_scale import scaled_camera as scaled_camera

@@ -1,5 +1,7 @@
 """Measure the edges of a model in a picture: one fitted line for each predicted edge.
 
+An arc of a round rim, or a piece of the outline of a smooth surface, is measured as an edge is.
+
 For samples along each predicted edge the nearest edge point along the edge's normal is taken, with
 the right orientation and either polarity. A line is fitted to the distances of these points from
 the prediction. Two numbers hold all information of an edge on the pose: the distance of the line at
@@ -16,18 +18,27 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cameras import AnyCamera, camera_axes
-from ..features import CLEARANCE
+from ..features import CLEARANCE, SMOOTHING, STANDARD_WIDTH
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled_optimised
 from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
-from .prediction import predict_view, within_picture
+from .outlines import with_outline
+from .prediction import centre_in_object, predict_view, within_picture
 from .wireframe import Wireframe
 
 EXPLAINED_DISTANCE = 2.0
 """Largest distance, px, of an edge point from the predicted edge that it explains."""
+
+EDGE_BLUR = float(np.hypot(STANDARD_WIDTH, SMOOTHING))
+"""Blur of the edges with the smoothing of the gradient, standard deviation, px.
+
+The gradient of a blurred disc of radius R peaks s^2 / 2R within its border: around a circle there
+is less of what is within.
+"""
 
 MAX_RADIUS = 12
 """Largest distance, px, of an edge point from the predicted edge."""
@@ -97,6 +108,8 @@ class EdgeLines(NamedTuple):
         points: index of the edge point of each sample.
         in_picture: share of the vertices within the picture, hidden or not.
         behind_px: length of the edges hidden by a known surface, px.
+        outline: places in the object's frame, m, and edges of the samples of a model whose outline
+            depends on the viewpoint; None for all others, whose samples are the wireframe's.
     """
 
     offsets: Float[AnyArray, "*views E 2"]
@@ -117,6 +130,7 @@ class EdgeLines(NamedTuple):
     points: Int[AnyArray, "*views S"]
     in_picture: Float[AnyArray, "*views"]
     behind_px: Float[AnyArray, "*views"]
+    outline: tuple[Float[AnyArray, "*views S 3"], Int[AnyArray, "*views S"]] | None = None
 
 
 def edge_lines(
@@ -135,20 +149,24 @@ def edge_lines(
         camera_from_object: pose of the object in the camera's frame.
         radius: largest distance of an edge point from its predicted edge, px.
     """
+    wireframe = with_outline(wireframe, centre_in_object(camera_from_object))
     view = predict_view(wireframe, camera, camera_from_object)
     in_sight = view.sample_visible & lookup.valid
     behind = in_sight & _is_behind(wireframe, lookup, camera_from_object, view.samples)
     visible = in_sight & ~behind
-    p = jnp.where(visible[:, None], view.samples, 0.0)
+    places = view.samples
+    if view.bends is not None:
+        places = places + 0.5 * EDGE_BLUR**2 * view.bends
+    p = jnp.where(visible[:, None], places, 0.0)
     d = jnp.where(visible[:, None], view.directions, 0.0)
     n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
     r, point = _nearest_along_normals(lookup, p, n, d, radius)
     has_point = visible & jnp.isfinite(r)
     r = jnp.where(has_point, r, 0.0)
     J = _across_by_pose(wireframe, camera, camera_from_object, n, visible)
-    edges, px = wireframe.sample_edges, jnp.where(visible, view.sample_px, 0.0)
+    edges, px = wireframe.sample_curves, jnp.where(visible, view.sample_px, 0.0)
     # A product with a 0/1 matrix compiles in a fraction of a scatter's time.
-    membership = (edges[None] == jnp.arange(len(wireframe.edges))[:, None]).astype(r.dtype)
+    membership = (edges[None] == jnp.arange(wireframe.curve_count)[:, None]).astype(r.dtype)
 
     def over_edges(values: Float[Array, "S *k"]) -> Float[Array, "E *k"]:
         return membership @ values
@@ -211,6 +229,7 @@ def edge_lines(
         point,
         in_picture / wireframe.vertex_mask.sum(),
         jnp.where(behind, view.sample_px, 0.0).sum(),
+        None if wireframe.smooth is None else (wireframe.samples, wireframe.sample_curves),
     )
 
 
@@ -266,7 +285,7 @@ def _is_clear(
     edge_px: Float[Array, "E"],
     p: Float[Array, "S 2"],
 ) -> Bool[Array, "S"]:
-    """Return which samples are far enough from all visible edges but their own edge."""
+    """Return which samples are far enough from all visible edges but their own edge or rim."""
     a, b = (vertices[wireframe.edges[:, k]] for k in (0, 1))
     is_visible = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
     a, b = (jnp.where(is_visible[:, None], x, 0.0) for x in (a, b))
@@ -274,7 +293,7 @@ def _is_clear(
     gap = p[:, None] - a[None]
     s = jnp.clip((gap * along[None]).sum(axis=2), 0.0, 1.0)
     squared = ((gap - s[..., None] * (b - a)[None]) ** 2).sum(axis=2)
-    is_own_edge = wireframe.sample_edges[:, None] == jnp.arange(len(a))[None]
+    is_own_edge = wireframe.sample_chains[:, None] == wireframe.edge_chains[None]
     return (is_own_edge | ~is_visible[None] | (squared > CLEARANCE**2)).all(axis=1)
 
 

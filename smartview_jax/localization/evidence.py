@@ -45,8 +45,8 @@ class Evidence(NamedTuple):
         visible_px: visible edge length of all views, px.
         is_alone: whether only one picture shows it, or several from one direction (`MIN_PARALLAX`).
         edges: number of measured edges, counted in each view.
-        has_faces: whether the model has edges between two faces; only then its size can be tested
-            (`moved`).
+        has_faces: whether the model has edges between two faces, and all of them show; only then
+            its size can be tested (`moved`).
         edge_rms: RMS distance of measured edges from the model, px.
         in_picture: share of the vertices within the picture, in the view that shows most of them.
         in_front: share of its edges that no known object hides, all views together.
@@ -105,7 +105,8 @@ def evidence_of(
         total,
         is_alone,
         int(lines.measured.sum()),
-        bool((np.asarray(wireframe.edge_faces).sum(axis=1) >= 2).any()),
+        wireframe.smooth is None
+        and bool((np.asarray(wireframe.edge_faces).sum(axis=1) >= 2).any()),
         float(np.sqrt((distances**2).mean())) if len(distances) else np.inf,
         float(lines.in_picture.max()),
         total / max(total + float(lines.behind_px.sum()), 1.0),

@@ -105,7 +105,7 @@ class _Unknowns(NamedTuple):
     Attributes:
         residuals: measured minus predicted, px.
         derivatives: by the tangent of the pose, and by the common errors in standard deviations.
-        prior: prior information on the unknowns; none on the pose.
+        prior: prior information on the unknowns; on the pose only about the axis of a round object.
     """
 
     residuals: Float[np.ndarray, "n"]
@@ -121,13 +121,14 @@ class _Unknowns(NamedTuple):
         """
         J = equations.by_pose
         # Raises where the pose is undetermined, whatever the weights.
-        whitening(J.T @ J)
+        whitening(J.T @ J + errors.turns)
         common = [
             equations.by_calibration @ covariance_factor(errors.calibration),
             equations.by_vertices @ covariance_factor(errors.vertices),
         ]
         derivatives = np.concatenate([J, *common], axis=1)
         prior = np.diag(np.repeat([0.0, 1.0], [6, derivatives.shape[1] - 6]))
+        prior[:6, :6] = errors.turns
         return cls(equations.residuals, derivatives, prior)
 
 

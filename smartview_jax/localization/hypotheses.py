@@ -3,7 +3,8 @@
 Poses are proposed from corners and segments, scored on the edges of all pictures, reduced to
 distinct ones, refined on the edges, and scored again. In a single picture the proposals come from
 paths of corners, a small part of a large object: near the best of them, junctions far apart give
-further proposals. Nothing is accepted here: every hypothesis is still to be fitted and judged.
+further proposals. Round parts have no corners; the ellipses of their rims propose their poses.
+Nothing is accepted here: every hypothesis is still to be fitted and judged.
 """
 
 from collections.abc import Sequence
@@ -15,12 +16,14 @@ from jaxtyping import Bool, Float
 
 from ..features import IdealPlane, PictureEvidence
 from ..modeling import ObjectModel, SeenViews
+from .circle_poses import SeenEllipses, poses_from_circles, seen_ellipses
 from .corner_paths import PicturePaths, picture_paths, poses_from_paths
 from .corner_triples import Junctions, poses_from_triples
+from .curves import is_round
 from .distinct_poses import distinct_poses
 from .picture_scales import at_one_scale
 from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
-from .scoring import PoseScores, SceneMaps, score_poses
+from .scoring import CHANCE_SUPPORT, PoseScores, SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe
 
@@ -97,12 +100,18 @@ def find_hypotheses(
         raise ValueError("models: expected at least one, found none")
     box = None if workspace is None else checked_box(workspace)
     evidence, views = at_one_scale(evidence, views)
-    maps = SceneMaps.of(evidence, views)
+    have_corners = not all(is_round(model) for model in models)
     # The proposals of the pictures are the same for all models.
-    paths, edges = _picture_proposals(evidence, views)
-    junctions = _junctions_alone(evidence, views)
+    maps = SceneMaps.of(evidence, views)
+    paths, edges = _picture_proposals(evidence, views) if have_corners else ([], [])
+    junctions = _junctions_alone(evidence, views) if have_corners else None
     hypotheses: list[Hypothesis] = []
+    ellipses: list[SeenEllipses] = []
     for index, model in enumerate(models):
+        if is_round(model):
+            ellipses = ellipses or seen_ellipses(evidence, views)
+            hypotheses += _round_hypotheses(ellipses, model, index, count, box)
+            continue
         proposed = [
             poses_from_paths(view_paths, model, camera_from_world)
             for view_paths, camera_from_world in zip(paths, views.camera_from_world, strict=True)
@@ -115,6 +124,30 @@ def find_hypotheses(
             for pose, score, share in zip(best, scores.surplus_px, scores.explained, strict=True)
         ]
     return sorted(hypotheses, key=lambda h: -h.score)
+
+
+def _round_hypotheses(
+    ellipses: Sequence[SeenEllipses],
+    model: ObjectModel,
+    index: int,
+    count: int,
+    box: Float[np.ndarray, "2 3"] | None,
+) -> list[Hypothesis]:
+    """Return the best hypotheses of a model without corners: ellipses are near enough as they are.
+
+    The arguments are as in `find_hypotheses`, with the index of the model.
+    """
+    poses, lengths = poses_from_circles(ellipses, model)
+    inside = _are_within(model, poses, box)
+    poses, (visible, supported) = poses[inside], lengths[inside].T
+    scores = supported - CHANCE_SUPPORT * visible
+    # The others have less on edges than chance would put there.
+    order = np.argsort(-scores, kind="stable")[: int((scores > 0.0).sum())]
+    kept = order[distinct_poses(model, poses[order], count)]
+    return [
+        Hypothesis(index, poses[k], float(scores[k]), float(supported[k] / max(visible[k], 1e-9)))
+        for k in kept
+    ]
 
 
 def checked_box(workspace: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:

@@ -126,7 +126,7 @@ def _residuals(
     along = -(normal * samples.ideal).sum(axis=1) / f
     covector = jnp.concatenate([normal, along[:, None]], axis=1) * (f / z)[:, None]
     by_shift = covector @ R
-    by_turn = jnp.cross(wireframe.samples, by_shift)
+    by_turn = jnp.cross(samples.in_object, by_shift)
     usable = (weight > 0.0)[:, None]
     J = jnp.where(usable, jnp.concatenate([by_shift, by_turn], axis=1), 0.0)
     return jnp.where(usable[:, 0], (offset * normal).sum(axis=1), 0.0), J, weight

@@ -23,6 +23,10 @@ MIN_OWN_INFORMATION = 1e-14
 """Smallest share of a parameter's information that may be left when earlier ones are unknown."""
 
 
+NO_TURNS = np.zeros((6, 6))
+"""No prior information on a pose."""
+
+
 class UndeterminedPoseError(ValueError):
     """Too few features, or all on one line: they do not determine a pose."""
 
@@ -64,10 +68,13 @@ class CommonErrors(NamedTuple):
     Attributes:
         calibration: of the numbers of a `CalibrationUncertainty`.
         vertices: of the coordinates of the model's vertices, m^2.
+        turns: prior information on the tangent of each pose, 1/rad^2: on the turn about the axis of
+            a round object, which no picture shows; zero for others.
     """
 
     calibration: Float[np.ndarray, "numbers numbers"]
     vertices: Float[np.ndarray, "coordinates coordinates"]
+    turns: Float[np.ndarray, "tangents tangents"] = NO_TURNS
 
     @classmethod
     def of(cls, uncertainty: CalibrationUncertainty, model: ObjectModel) -> "CommonErrors":
@@ -84,7 +91,7 @@ class CommonErrors(NamedTuple):
             vertices = blocks if blocks.ndim == 2 else np.asarray(block_diag(*blocks))
         if factor is not None:
             vertices = vertices + factor @ factor.T
-        return cls(uncertainty.covariance, vertices)
+        return cls(uncertainty.covariance, vertices, turn_information(model))
 
     def covariances(
         self, equations: PoseEquations
@@ -92,6 +99,20 @@ class CommonErrors(NamedTuple):
         """Return the covariances of equations due to the calibration and due to the model, px^2."""
         B, V = equations.by_calibration, equations.by_vertices
         return B @ self.calibration @ B.T, V @ self.vertices @ V.T
+
+
+def turn_information(model: ObjectModel) -> Float[np.ndarray, "6 6"]:
+    """Return the information on a pose's tangent that makes up for the axis of a round object.
+
+    All turns about the axis are equal; the model lists `fold` of them, and the nearest one is off
+    by up to half a step, equally probably either way.
+    """
+    information = np.zeros((6, 6))
+    symmetry = model.symmetry
+    if symmetry is not None and symmetry.axis is not None:
+        variance = (2.0 * np.pi / symmetry.axes[0].fold) ** 2 / 12.0
+        information[3:, 3:] = np.outer(symmetry.axis, symmetry.axis) / variance
+    return information
 
 
 class PoseStep(NamedTuple):
@@ -138,7 +159,7 @@ def solve_pose(
     # = C J^T W to the covariance of the solution.
     factor = cho_factor(equations.noise + by_calibration + by_model)
     WJ = cho_solve(factor, equations.by_pose)
-    information = equations.by_pose.T @ WJ
+    information = equations.by_pose.T @ WJ + errors.turns
     right = WJ.T @ equations.residuals
     whitened = whitening(information)
     covariance = whitened.T @ whitened

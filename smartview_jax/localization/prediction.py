@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import AnyCamera
+from .outlines import with_outline
 from .wireframe import Wireframe
 
 
@@ -27,7 +28,9 @@ class PredictedView(NamedTuple):
         sample_visible: see `vertex_visible`.
         sample_px: length in the picture of each sample's part of its edge, px, visible or not; zero
             for padded samples.
-        edge_px: visible length of each edge, px.
+        edge_px: visible length of each edge, px, without outlines of smooth surfaces.
+        bends: curvatures of the edges in the picture, 1/px, towards their centres; None where all
+            edges are straight.
     """
 
     vertices: Float[Array, "V 2"]
@@ -37,6 +40,7 @@ class PredictedView(NamedTuple):
     sample_visible: Bool[Array, "S"]
     sample_px: Float[Array, "S"]
     edge_px: Float[Array, "E"]
+    bends: Float[Array, "S 2"] | None = None
 
 
 def predict_view(
@@ -52,14 +56,14 @@ def predict_view(
         camera_from_object: pose of the object in the camera's frame.
     """
     R, t = camera_from_object[:3, :3], camera_from_object[:3, 3]
-    # The camera's centre in the object's frame: c = -R^T t.
-    centre = -R.T @ t
+    centre = centre_in_object(camera_from_object)
+    wireframe = with_outline(wireframe, centre)
     vertices = camera.project(_moved(wireframe.vertices, R, t))[0]
-    samples, slopes = jax.jvp(
-        lambda points: camera.project(_moved(points, R, t))[0],
-        (wireframe.samples,),
-        (wireframe.sample_tangents,),
-    )
+
+    def project(points: Float[Array, "S 3"]) -> Float[Array, "S 2"]:
+        return camera.project(_moved(points, R, t))[0]
+
+    samples, slopes = jax.jvp(project, (wireframe.samples,), (wireframe.sample_tangents,))
     # Pixels per metre along the edge; derivatives of invalid pixels are undefined.
     usable = jnp.isfinite(samples).all(axis=1) & jnp.isfinite(slopes).all(axis=1)
     slopes = jnp.where(usable[:, None], slopes, 0.0)
@@ -72,6 +76,13 @@ def predict_view(
     # First order in the part's length, which is short compared with the distance.
     sample_px = scale * wireframe.sample_lengths
     edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges]
+    bends = None
+    if wireframe.sample_bends is not None:
+        # That depth changes along an arc adds a share of its size over its distance only.
+        bends = jax.jvp(project, (wireframe.samples,), (wireframe.sample_bends,))[1]
+        bends = jnp.where(usable[:, None], bends, 0.0)
+        bends = bends - (bends * directions).sum(axis=1, keepdims=True) * directions
+        bends = bends / jnp.where(scale > 0.0, scale, 1.0)[:, None] ** 2
     return PredictedView(
         vertices,
         vertex_visible & within_picture(vertices, camera),
@@ -79,8 +90,15 @@ def predict_view(
         directions,
         sample_visible,
         sample_px,
-        edge_px.add(jnp.where(sample_visible, sample_px, 0.0)),
+        edge_px.add(jnp.where(sample_visible & (wireframe.sample_chains >= 0), sample_px, 0.0)),
+        bends,
     )
+
+
+def centre_in_object(camera_from_object: Float[Array, "4 4"]) -> Float[Array, "3"]:
+    """Return the camera's centre in the object's frame, m."""
+    # c = -R^T t
+    return -camera_from_object[:3, :3].T @ camera_from_object[:3, 3]
 
 
 def hidden_samples(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "S"]:
@@ -90,36 +108,47 @@ def hidden_samples(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Arra
         wireframe: of the model.
         centre: the camera's centre in the object's frame, m.
     """
+    away = samples_turned_away(wireframe, centre)
     own_faces = wireframe.edge_faces[wireframe.sample_edges]
-    return _hidden(wireframe, centre, wireframe.samples, own_faces)
+    return away | _covered(wireframe, centre, wireframe.samples, own_faces)
+
+
+def samples_turned_away(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "S"]:
+    """Return which samples are only between faces that face away; as `hidden_samples`.
+
+    For a convex object these are all hidden samples, at a tenth of the time.
+    """
+    edges = _turned_away(wireframe, centre, wireframe.edge_faces)
+    # An outline is where it starts to turn away.
+    return edges[wireframe.sample_edges] & (wireframe.sample_chains >= 0)
 
 
 def hidden_vertices(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "V"]:
     """Return which vertices the model's own faces hide from a viewpoint; as `hidden_samples`."""
-    return _hidden(wireframe, centre, wireframe.vertices, wireframe.vertex_faces)
+    covered = _covered(wireframe, centre, wireframe.vertices, wireframe.vertex_faces)
+    return covered | _turned_away(wireframe, centre, wireframe.vertex_faces)
 
 
-def _hidden(
+def _covered(
     wireframe: Wireframe,
     centre: Float[Array, "3"],
     points: Float[Array, "n 3"],
     own_faces: Bool[Array, "n F"],
 ) -> Bool[Array, "n"]:
-    """Return which points are hidden, given the faces that each belongs to."""
+    """Return which points are behind faces, given the faces that each belongs to."""
     # The point is at 1 on its ray; faces within the margin before it do not count.
     reach = _norm(points - centre[None])
     last = 1.0 - wireframe.margin / jnp.maximum(reach, wireframe.margin)
-    before = faces_before(wireframe.triangles, wireframe.triangle_faces, centre, points, last)
-    covered = (before & ~own_faces).any(axis=1)
-    return covered | _turned_away(wireframe, centre, own_faces)
-
-
-def edges_turned_away(wireframe: Wireframe, centre: Float[Array, "3"]) -> Bool[Array, "E"]:
-    """Return which edges are only between faces that face away from a point; as `hidden_samples`.
-
-    For a convex object these are all hidden edges, at a tenth of the time.
-    """
-    return _turned_away(wireframe, centre, wireframe.edge_faces)
+    smooth = wireframe.smooth
+    if smooth is None:
+        before = faces_before(wireframe.triangles, wireframe.triangle_faces, centre, points, last)
+        return (before & ~own_faces).any(axis=1)
+    # With hundreds of faces it takes too long to ask for each. Within the margin a point's own
+    # faces do not count anyway.
+    crossings = triangle_crossings(wireframe.triangles, centre, points, last)
+    covered = jnp.abs(crossings) @ smooth.lone_triangles.astype(crossings.dtype) > 0.5
+    windings = crossings @ smooth.fan_faces.astype(crossings.dtype)
+    return covered | (jnp.abs(windings) > 0.5).any(axis=1)
 
 
 def _turned_away(

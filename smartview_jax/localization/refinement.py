@@ -8,6 +8,7 @@ the model, so that an inaccurate robot does not make one view contradict another
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
@@ -165,7 +166,8 @@ def measured_lines(
         to_device(world_from_object),
         to_device(float(radius)),
     )
-    return EdgeLines(*(np.asarray(part)[: len(views.camera_from_world)] for part in lines))
+    count = len(views.camera_from_world)
+    return jax.tree.map(lambda part: np.asarray(part)[:count], lines)
 
 
 def line_equations(
@@ -192,27 +194,35 @@ def line_equations(
     # An exact model has no columns for errors of its vertices.
     by_vertices = np.zeros((2 * count, 0 if model.is_exact else 3 * len(model.vertices)))
     if by_calibration.size or by_vertices.size:
-        samples = np.asarray(wireframe.samples)
         R, t = world_from_object[:3, :3], world_from_object[:3, 3]
-        projected = pixel_jacobians(views, samples @ R.T + t)
-        owners = np.asarray(wireframe.sample_edges)
-        places = places_on_edges(model, samples, owners)
+        samples, curves = samples_in_views(lines, wireframe)
+        # The wireframe's samples are the same in all views, an outline's are not.
+        of_view = np.arange(len(samples)) if len(samples) > 1 else np.zeros(len(lines.points), int)
+        projected = [pixel_jacobians(views, points @ R.T + t) for points in samples]
+        owners, chains = np.asarray(wireframe.sample_edges), np.asarray(wireframe.sample_chains)
         # The samples of an edge differ in number, hence a loop.
         for k, (v, e) in enumerate(zip(view, edge, strict=True)):
-            on_edge = np.flatnonzero((owners == e) & (lines.combination[v, 0] != 0.0))
+            seen = of_view[v]
+            is_used = (curves[seen] == e) & (lines.combination[v, 0] != 0.0)
+            on_edge = np.flatnonzero(is_used)
             normals, mix = lines.normals[v, on_edge], lines.combination[v][:, on_edge]
             rows = slice(2 * k, 2 * k + 2)
-            by_view = np.einsum("si,sil->sl", normals, projected.by_view[v, on_edge])
+            by_view = np.einsum("si,sil->sl", normals, projected[seen].by_view[v, on_edge])
             by_calibration[rows] = mix @ by_view @ uncertainty.view_jacobian[v]
-            if by_vertices.size:
-                # A sample between two vertices moves with both, in proportion to its nearness to
-                # each.
-                gradient = np.einsum("si,sij->sj", normals, projected.by_point[v, on_edge] @ R)
-                for vertex, share in zip(
-                    model.edges[e], (1.0 - places[on_edge], places[on_edge]), strict=True
-                ):
+            if not by_vertices.size:
+                continue
+            # A sample between two vertices moves with both, in proportion to its nearness to
+            # each. The vertices of a smooth surface count as exact where it has an outline.
+            for own in np.unique(owners[is_used & (chains >= 0)]):
+                part = np.flatnonzero(is_used & (owners == own))
+                places = places_on_edges(model, samples[seen][part], owners[part])
+                gradient = np.einsum(
+                    "si,sij->sj", lines.normals[v, part], projected[seen].by_point[v, part] @ R
+                )
+                mixed = lines.combination[v][:, part]
+                for vertex, share in zip(model.edges[own], (1.0 - places, places), strict=True):
                     columns = slice(3 * vertex, 3 * vertex + 3)
-                    by_vertices[rows, columns] = mix @ (share[:, None] * gradient)
+                    by_vertices[rows, columns] += mixed @ (share[:, None] * gradient)
     return PoseEquations(
         np.ravel(lines.offsets[view, edge]),
         np.reshape(lines.by_pose[view, edge], (-1, 6)),
@@ -221,6 +231,16 @@ def line_equations(
         by_vertices,
         np.repeat(np.arange(count), 2),
     )
+
+
+def samples_in_views(
+    lines: EdgeLines, wireframe: Wireframe
+) -> tuple[Float[np.ndarray, "_ S 3"], Int[np.ndarray, "_ S"]]:
+    """Return the samples in the object's frame, m, and their curves: of all views or of each."""
+    if lines.outline is None:
+        return np.asarray(wireframe.samples)[None], np.asarray(wireframe.sample_curves)[None]
+    points, curves = lines.outline
+    return np.asarray(points), np.asarray(curves)
 
 
 def places_on_edges(

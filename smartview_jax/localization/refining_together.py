@@ -115,7 +115,8 @@ def _solved_together(
         np.repeat(np.arange(sum(len(part.block) for part in equations) // NUMBERS), NUMBERS),
     )
     vertices = np.asarray(block_diag(*(part.vertices for part in errors.values())))
-    step = solve_pose(all_equations, CommonErrors(uncertainty.covariance, vertices))
+    turns = np.asarray(block_diag(*(errors[obj.model_index].turns for obj in objects)))
+    step = solve_pose(all_equations, CommonErrors(uncertainty.covariance, vertices, turns))
     return [_part(step, k, pose) for k, pose in enumerate(refined)]
 
 

@@ -18,7 +18,8 @@ from ..features import DISTANCE_STEP, FAR, ORIENTATIONS, UNSEEN, PictureEvidence
 from ..modeling import SeenViews
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
-from .prediction import edges_turned_away, hidden_samples
+from .outlines import with_outline
+from .prediction import centre_in_object, hidden_samples, samples_turned_away
 from .wireframe import Wireframe
 
 POSES_PER_CALL = 1024
@@ -219,7 +220,7 @@ class SeenSamples(NamedTuple):
     """The samples of a wireframe in one view.
 
     Attributes:
-        in_camera: in the camera's frame, m.
+        in_object, in_camera: in the object's and in the camera's frame, m.
         ideal: in ideal coordinates, px.
         px: lengths of the samples' parts of the edges, px.
         visible: whether they are in front of the camera and not hidden.
@@ -227,6 +228,7 @@ class SeenSamples(NamedTuple):
         cell: flat index into the maps of one view, in the map of the sample's direction.
     """
 
+    in_object: Float[Array, "S 3"]
     in_camera: Float[Array, "S 3"]
     ideal: Float[Array, "S 2"]
     px: Float[Array, "S"]
@@ -245,6 +247,8 @@ def seen_samples(
     """Return the samples of a wireframe in one view, with their cells in the maps."""
     pose = maps.camera_from_world[view] @ world_from_object
     R, t = pose[:3, :3], pose[:3, 3]
+    centre = centre_in_object(pose)
+    wireframe = with_outline(wireframe, centre)
     points, tangents = wireframe.samples @ R.T + t[None], wireframe.sample_tangents @ R.T
     x, y, z = points.T
     # Near the camera's plane an edge would be infinitely long in the picture.
@@ -263,16 +267,13 @@ def seen_samples(
     inside = in_front & (cell >= 0.0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
     # Samples outside have zero weight, so that any cell will do.
     column, row = jnp.where(inside[:, None], cell, 0.0).astype(jnp.int32).T
-    centre = -R.T @ t
-    if convex:
-        hidden = edges_turned_away(wireframe, centre)[wireframe.sample_edges]
-    else:
-        hidden = hidden_samples(wireframe, centre)
+    is_hidden = samples_turned_away if convex else hidden_samples
     return SeenSamples(
+        wireframe.samples,
         points,
         ideal,
         scale * wireframe.sample_lengths,
-        in_front & ~hidden,
+        in_front & ~is_hidden(wireframe, centre),
         inside,
         (orientation * rows + row) * columns + column,
     )

@@ -16,6 +16,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from ..geometry import host_transformed
 from ..modeling import Face, ObjectModel, face_plane, open_edges
+from .curves import is_round
 from .wireframe import HIDING_MARGIN
 
 EXACT_MARGIN = 1e-4
@@ -25,8 +26,8 @@ rounding; for a measured model it is `HIDING_MARGIN`."""
 MAX_CUT_FACES = 100
 """Largest number of faces of a model that is cut into parts, which takes up to some seconds.
 
-The convex hull stands for other solids. It is larger, so that an object in a hollow of such a solid
-counts as its rival.
+The convex hull stands for other solids, and for round ones. It is larger, so that an object in a
+hollow of such a solid counts as its rival.
 """
 
 
@@ -75,6 +76,8 @@ def convex_parts(model: ObjectModel) -> tuple[ConvexPart, ...]:
     planes = [_plane(model, face) for face in model.faces]
     is_convex = all((model.vertices @ p[:3] + p[3] <= tolerance).all() for p in planes)
     can_be_cut = 3 < len(model.faces) <= MAX_CUT_FACES and not len(open_edges(model.faces))
+    # Each facet of a round wall would be a cut of its own.
+    can_be_cut = can_be_cut and not is_round(model)
     if is_convex or not can_be_cut:
         cells = [whole]
     else:

@@ -27,7 +27,8 @@ from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization
 from .occluders import Occluder, hidden_in_views, leading, occluders_around
-from .prediction import pose_jacobians, predict_view
+from .outlines import with_outline
+from .prediction import centre_in_object, pose_jacobians, predict_view
 from .verdict import DEFAULT_OPTIONS
 from .wireframe import Wireframe
 
@@ -290,18 +291,19 @@ def _predict_edges(
     def in_view(
         matrix: Float[Array, "4 4"], behind: Bool[Array, "S"]
     ) -> tuple[Array, Array, Array, Array]:
-        view = predict_view(wireframe, camera, matrix)
+        seen = with_outline(wireframe, centre_in_object(matrix))
+        view = predict_view(seen, camera, matrix)
         visible = view.sample_visible & ~behind
         px = jnp.where(visible, view.sample_px, 0.0)
         samples = jnp.where(visible[:, None], view.samples, 0.0)
         d = view.directions
         n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
-        J = pose_jacobians(wireframe.samples, camera, matrix)[1]
+        J = pose_jacobians(seen.samples, camera, matrix)[1]
         J = jnp.einsum("si,sij->sj", n, jnp.where(visible[:, None, None], J, 0.0))
         # An edge of length l has the variance c s^2 / l + s_edge^2; each sample has its share of
         # weight.
-        edge_px = jnp.zeros(len(wireframe.edges)).at[wireframe.sample_edges].add(px)
-        length = jnp.maximum(edge_px[wireframe.sample_edges], 1.0)
+        curve_px = jnp.zeros(seen.curve_count).at[seen.sample_curves].add(px)
+        length = jnp.maximum(curve_px[seen.sample_curves], 1.0)
         variance = CORRELATED_LENGTH * sigmas[0] ** 2 / length + sigmas[1] ** 2
         weights = px / length / variance
         return samples, d, px, jnp.einsum("s,si,sj->ij", weights, J, J)

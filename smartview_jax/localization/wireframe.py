@@ -11,6 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 from ..modeling import Face, ObjectModel
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
+from .curves import Curves, on_arcs
+from .outlines import OutlineSamples, SmoothEdges
 
 EDGE_SAMPLES = 128
 """Default for the smallest number of samples along all edges together."""
@@ -25,7 +27,7 @@ MIN_DENSITY = 0.5
 Where short edges would take more of the samples, the number of all samples is doubled.
 """
 
-MIN_VERTICES, MIN_EDGES, MIN_TRIANGLES, MIN_FACES = 16, 32, 32, 16
+MIN_VERTICES, MIN_EDGES, MIN_TRIANGLES, MIN_FACES, MIN_SMOOTH = 16, 32, 32, 16, 128
 """Smallest sizes of the arrays; larger ones are rounded up to this times a power of two."""
 
 HIDING_MARGIN = 2e-3
@@ -53,6 +55,10 @@ class Wireframe(eqx.Module):
         edge_faces: whether an edge is on a face's border.
         samples: points along the edges, each in the middle of an equal part of its edge, m.
         sample_edges: edge of each sample; 0 for padded ones.
+        sample_curves: straight edge, arc of a rim or patch of a smooth surface that each sample is
+            measured with; the edge itself in models without round parts.
+        sample_chains: rim or edge of each sample; -1 on an outline.
+        edge_chains: rim that each edge belongs to; the edge itself where it belongs to none.
         sample_tangents: unit directions of the edges, from the first vertex to the second.
         sample_lengths: lengths of the parts, m; 0 for padded samples.
         triangle_vertices: corners of the faces' triangles; zeros for padded triangles.
@@ -61,6 +67,11 @@ class Wireframe(eqx.Module):
         face_normals: outward unit normals; 0 for padded faces.
         margin: distance in front of a point within which no face hides it, m.
         tolerance: standard deviation of the object's edges from the model, m.
+        sample_bends: curvatures of the rims, 1/m, towards their centres; zero on straight edges and
+            outlines. None in models without rims.
+        smooth: smooth surfaces, whose outline depends on the viewpoint (`with_outline`); the last
+            samples are kept for it. None in models without.
+        curve_count: padded number of curves.
     """
 
     vertices: Float[Array, "V 3"]
@@ -71,6 +82,9 @@ class Wireframe(eqx.Module):
     edge_faces: Bool[Array, "E F"]
     samples: Float[Array, "S 3"]
     sample_edges: Int[Array, "S"]
+    sample_curves: Int[Array, "S"]
+    sample_chains: Int[Array, "S"]
+    edge_chains: Int[Array, "E"]
     sample_tangents: Float[Array, "S 3"]
     sample_lengths: Float[Array, "S"]
     triangle_vertices: Int[Array, "T 3"]
@@ -79,6 +93,9 @@ class Wireframe(eqx.Module):
     face_normals: Float[Array, "F 3"]
     margin: Float[Array, ""]
     tolerance: Float[Array, ""]
+    sample_bends: Float[Array, "S 3"] | None
+    smooth: SmoothEdges | None
+    curve_count: int = eqx.field(static=True)
 
     @classmethod
     def of(
@@ -103,14 +120,19 @@ class Wireframe(eqx.Module):
                 raise ValueError(f"{name}: expected a positive number, found {number}")
         # All on the host, so that preparing a model compiles nothing.
         faces = model.faces
-        S, owners, lengths, parts = _sampled_edges(model, samples, per_edge)
-        starts, ends = model.vertices[model.edges[owners]].transpose(1, 0, 2)
-        tangents = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
+        curves = Curves.of(model)
+        S, curve, lengths, places = _sampled_curves(model, curves, samples, per_edge)
+        owners, parts = curves.places(curve, places)
+        points, tangents, bends = on_arcs(model, owners, parts)
         corners, triangle_faces = _fans(model)
         V = _rounded(len(model.vertices), MIN_VERTICES)
         E = _rounded(len(model.edges), MIN_EDGES)
         T, F = _rounded(len(corners), MIN_TRIANGLES), _rounded(len(faces), MIN_FACES)
         planes = [model.plane(k) for k in range(len(faces))]
+        face_normals = np.array([plane.normal for plane in planes]).reshape(-1, 3)
+        triangles = corners, triangle_faces, face_normals
+        smooth, patches = _smooth_edges(model, triangles, T, curves, len(owners))
+        S += 0 if smooth is None else smooth.slots
         arrays = (
             _padded(model.vertices, V, 3),
             np.arange(V) < len(model.vertices),
@@ -118,18 +140,23 @@ class Wireframe(eqx.Module):
             _padded(model.edges, E, 2),
             np.arange(E) < len(model.edges),
             _padded(_edges_on_faces(model), E, F),
-            _padded(starts + parts[:, None] * (ends - starts), S, 3),
+            _padded(points, S, 3),
             _padded(owners, S),
+            _padded(curve, S),
+            np.pad(curves.chain[owners], (0, S - len(owners)), constant_values=-1),
+            _padded(curves.chain, E),
             _padded(tangents, S, 3),
             _padded(lengths, S),
             _padded(corners, T, 3),
             _padded(triangle_faces, T, F),
             _padded(np.array([plane.origin for plane in planes]).reshape(-1, 3), F, 3),
-            _padded(np.array([plane.normal for plane in planes]).reshape(-1, 3), F, 3),
+            _padded(face_normals, F, 3),
             np.array(HIDING_MARGIN * model.extent),
             np.array(model.tolerance),
         )
-        return cls(*map(to_device, arrays))
+        count = _rounded(len(curves.lengths) + patches, MIN_EDGES)
+        bends = None if bends is None else to_device(_padded(bends, S, 3))
+        return cls(*map(to_device, arrays), sample_bends=bends, smooth=smooth, curve_count=count)
 
     @property
     @one_program
@@ -151,31 +178,32 @@ def _padded(array: np.ndarray, *shape: int) -> np.ndarray:
     return np.pad(array, [(0, n - k) for n, k in zip(shape, array.shape, strict=True)])
 
 
-def _sampled_edges(
-    model: ObjectModel, samples: int, per_edge: int
+def _sampled_curves(
+    model: ObjectModel, curves: Curves, samples: int, per_edge: int
 ) -> tuple[int, Int[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S"]]:
-    """Return the padded number of samples; and the edge, part and position of each sample.
+    """Return the padded number of samples; and the curve, part and position of each sample.
 
-    A part is a length in m, a position runs from 0 to 1 along the edge.
+    A part is a length in m, a position runs from 0 to 1 along the curve.
     """
     starts, ends = model.vertices[model.edges].transpose(1, 0, 2)
-    lengths = np.linalg.norm(ends - starts, axis=1)
-    if not (lengths > 0.0).all():
-        raise ValueError(f"edge {int(np.argmin(lengths))} of model {model.name!r} has no length")
+    of_edges = np.linalg.norm(ends - starts, axis=1)
+    if not (of_edges > 0.0).all():
+        raise ValueError(f"edge {int(np.argmin(of_edges))} of model {model.name!r} has no length")
+    lengths = curves.lengths
     size, counts = samples, _counts(lengths, samples, per_edge)
     while counts is None:
         size *= 2
         counts = _counts(lengths, size, per_edge)
     owners = np.repeat(np.arange(len(lengths)), counts)
-    # The rank of each sample on its edge.
+    # The rank of each sample on its curve.
     order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
     return size, owners, (lengths / counts)[owners], (order + 0.5) / counts[owners]
 
 
 def _counts(
-    lengths: Float[np.ndarray, "E"], samples: int, per_edge: int
-) -> Int[np.ndarray, "E"] | None:
-    """Return the number of samples of each edge, or None where long edges would get too few."""
+    lengths: Float[np.ndarray, "C"], samples: int, per_edge: int
+) -> Int[np.ndarray, "C"] | None:
+    """Return the number of samples of each curve, or None where long ones would get too few."""
     share = lengths / lengths.sum()
     least = np.maximum(per_edge, np.floor(MIN_DENSITY * samples * share).astype(int))
     if least.sum() > samples:
@@ -184,6 +212,48 @@ def _counts(
     densities = np.linspace(1.0, MIN_DENSITY, 65) * samples
     counts = np.maximum(per_edge, np.floor(densities[:, None] * share).astype(int))
     return counts[np.argmax(counts.sum(axis=1) <= samples)]
+
+
+def _smooth_edges(
+    model: ObjectModel,
+    triangles: tuple[Int[np.ndarray, "_ 3"], Bool[np.ndarray, "_ F"], Float[np.ndarray, "F 3"]],
+    padded: int,
+    curves: Curves,
+    samples: int,
+) -> tuple[SmoothEdges | None, int]:
+    """Return the smooth edges of a model and their number of patches; None and 0 without any.
+
+    Args:
+        model: of the object.
+        triangles: corners and faces of the faces' triangles, and the faces' normals.
+        padded: number of triangles with padding.
+        curves: of the model.
+        samples: number of samples on them; smooth edges have as many to a metre.
+    """
+    found = OutlineSamples.of(model, samples / curves.lengths.sum())
+    if found is None:
+        return None, 0
+    M = _rounded(len(found.points) + 1, MIN_SMOOTH)
+    corners, triangle_faces, face_normals = triangles
+    # Where all triangles of a face have one orientation, none of them cancels another.
+    a, b, c = model.vertices[corners].transpose(1, 0, 2)
+    of_face = triangle_faces.argmax(axis=1)
+    outward = (np.cross(b - a, c - a) * face_normals[of_face]).sum(axis=1) >= 0.0
+    is_fan = (triangle_faces & ~outward[:, None]).any(axis=0)
+    is_lone = ~is_fan[of_face]
+    fans = triangle_faces[:, is_fan]
+    H = _rounded(fans.shape[1], 2)
+    arrays = (
+        _padded(found.points, M, 3),
+        _padded(found.parts, M, 3),
+        _padded(found.normals, M, 2, 3),
+        _padded(found.radii, M),
+        _padded(len(curves.lengths) + found.patches, M),
+        _padded(is_lone, padded),
+        _padded(fans, padded, H),
+    )
+    slots = _rounded(found.slots, MIN_EDGES)
+    return SmoothEdges(*map(to_device, arrays), slots=slots), int(found.patches.max()) + 1
 
 
 def _vertices_on_faces(model: ObjectModel) -> Bool[np.ndarray, "V F"]:

@@ -58,6 +58,7 @@ from .shapes import grasp_on_face as grasp_on_face
 from .shapes import open_edges as open_edges
 from .shapes import oriented_outward as oriented_outward
 from .shapes import points_in_loops as points_in_loops
+from .shapes import rim_vertices as rim_vertices
 from .shapes import signed_volume as signed_volume
 from .shapes import turned as turned
 from .shapes import width_between_fingers as width_between_fingers

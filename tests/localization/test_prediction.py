@@ -224,7 +224,8 @@ def test_poses_are_batched_and_differentiated():
     (_, batch), slopes = program(jnp.zeros((3, 6)), jnp.asarray(poses))
     step = 1e-6 * np.ones(6)
     for k, pose in enumerate(poses):
-        for one, many in zip(predicted(wireframe, CAMERA, pose), batch, strict=True):
+        alone = predicted(wireframe, CAMERA, pose)
+        for one, many in zip(jax.tree.leaves(alone), jax.tree.leaves(batch), strict=True):
             np.testing.assert_allclose(np.asarray(many[k]), np.asarray(one), atol=1e-9)
         after, before = (
             float(predicted(wireframe, CAMERA, pose @ host_exponentials(x)).edge_px.sum())

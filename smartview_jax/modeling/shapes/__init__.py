@@ -24,3 +24,4 @@ from .object_model import edges_of_faces as edges_of_faces
 from .symmetry import Symmetry as Symmetry
 from .symmetry import SymmetryAxis as SymmetryAxis
 from .symmetry_search import find_symmetry as find_symmetry
+from .symmetry_search import rim_vertices as rim_vertices

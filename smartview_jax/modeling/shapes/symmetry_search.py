@@ -125,7 +125,7 @@ class _Outline(NamedTuple):
         Raises:
             ValueError: its vertices are on one line.
         """
-        rims = _rims_of(model)
+        rims = rim_vertices(model)
         is_rim = np.isin(np.arange(len(model.vertices)), list(rims))
         # Without a wireframe nothing tells smooth surfaces from flat faces.
         on_edge = np.isin(np.arange(len(is_rim)), model.edges) | (len(model.edges) == 0)
@@ -237,8 +237,11 @@ class _FlatFace(NamedTuple):
         )
 
 
-def _rims_of(model: ObjectModel) -> dict[int, list[int]]:
-    """Return the vertices of round rims, in their order, with the two neighbours of each."""
+def rim_vertices(model: ObjectModel) -> dict[int, list[int]]:
+    """Return the vertices of round rims, in their order, with the two neighbours of each.
+
+    At such a vertex exactly two edges of the wireframe meet, with a bend below `SHARP_ANGLE`.
+    """
     neighbours: dict[int, list[int]] = {}
     for a, b in model.edges.tolist():
         neighbours.setdefault(a, []).append(b)

@@ -1,10 +1,9 @@
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from solids import box, prism
+from solids import box, drilled, prism
 
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces, find_symmetry
 
@@ -41,34 +40,6 @@ def test_a_cylinder_has_an_axis_and_a_box_has_none():
     axis = find_symmetry(prism(24)).axis
     np.testing.assert_allclose(np.abs(axis), [0, 0, 1], atol=1e-9)
     assert find_symmetry(prism(8)).axis is None
-
-
-def ring(sides, radius, height, turn=0.0):
-    """The vertices of a regular polygon across z."""
-    angles = turn + 2.0 * np.pi * np.arange(sides) / sides
-    circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    return np.column_stack([circle, np.full(sides, height)])
-
-
-def drilled(outside, hole, radius=0.01):
-    """A prism whose hole through the middle is a polygon too, as a mesh of a round one."""
-    rings = [
-        ring(sides, r, height)
-        for sides, r in ((outside, radius), (hole, 0.5 * radius))
-        for height in (0.0, 0.8 * radius)
-    ]
-    first = np.cumsum([0, *map(len, rings)])
-    loops = [tuple(range(a, b)) for a, b in itertools.pairwise(first)]
-    walls = [
-        Face((low[k], low[k - len(low) + 1], high[k - len(low) + 1], high[k]))
-        for low, high in (loops[:2], loops[:1:-1])
-        for k in range(len(low))
-    ]
-    ends = [Face(loops[0][::-1], (loops[2],)), Face(loops[1], (loops[3][::-1],))]
-    rims = [tuple(sorted(side)) for face in ends for side in face.directed_edges]
-    upright = [(k, outside + k) for k in range(outside)] if outside < 18 else []
-    vertices = np.concatenate(rings)
-    return ObjectModel(vertices, np.array(sorted({*rims, *upright})), (*walls, *ends))
 
 
 @pytest.mark.parametrize("hole", [30, 32, 41])

@@ -1,0 +1,204 @@
+"""Propose poses of round parts from the ellipses in the pictures.
+
+A circle of known radius that is seen as an ellipse is at one of two poses, except for turns about
+its axis, which do not matter to a round part. Every rim of the model is tried on every ellipse; the
+poses are scored by how much of the rims lies on edge points of all pictures.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from ..features import IdealPlane, PictureEvidence, find_ellipses
+from ..geometry import host_exponentials
+from ..modeling import ObjectModel, SeenViews
+from .curves import closed_rims
+from .wireframe import Wireframe
+
+MAX_ELLIPSES = 24
+"""Largest number of ellipses of a picture, those with the most edge points."""
+
+ROUNDNESS = 0.02
+"""Largest distance of a rim's vertices from a circle, over its radius."""
+
+SCORE_SAMPLES, GATE = 64, 6.0
+"""Samples of the wireframe for the scores; and distance from an edge, px, at which it is none."""
+
+MIN_ALIGNMENT = 0.9
+"""Smallest cosine between an edge point's gradient and the rim's normal."""
+
+
+class SeenEllipses(NamedTuple):
+    """The ellipses and the edge points of a picture, in its ideal plane.
+
+    Attributes:
+        plane: of the camera.
+        points: edge points, px.
+        normals: directions of their gradients.
+        conics: of the ellipses.
+        camera_from_world: extrinsics.
+    """
+
+    plane: IdealPlane
+    points: Float[np.ndarray, "n 2"]
+    normals: Float[np.ndarray, "n 2"]
+    conics: Float[np.ndarray, "ellipses 3 3"]
+    camera_from_world: Float[np.ndarray, "4 4"]
+
+
+class Circle(NamedTuple):
+    """A circle in space: its centre, m, a unit normal of its plane, and its radius, m."""
+
+    centre: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+    radius: float
+
+
+def circles_of(model: ObjectModel) -> list[Circle]:
+    """Return the rims of a model that are circles."""
+    circles = []
+    for loop in closed_rims(model):
+        points = model.vertices[loop]
+        middle = points.mean(axis=0)
+        axes = np.linalg.svd(points - middle)[2]
+        flat = (points - middle) @ axes[:2].T
+        # |p|^2 = 2 c . p + r^2 - |c|^2
+        system = np.column_stack([2.0 * flat, np.ones(len(flat))])
+        solution = np.linalg.lstsq(system, (flat**2).sum(axis=1))[0]
+        centre = middle + solution[:2] @ axes[:2]
+        distances = np.linalg.norm(points - centre, axis=1)
+        radius = float(distances.mean())
+        if np.abs(distances - radius).max() < ROUNDNESS * radius:
+            circles.append(Circle(centre, axes[2], radius))
+    return circles
+
+
+def circle_poses(
+    conic: Float[np.ndarray, "3 3"], focal_length: float, radius: float
+) -> list[Circle]:
+    """Return the two circles of a radius that are seen as an ellipse, in the camera's frame.
+
+    Reference: Chen, Wu and Wada, Camera calibration with two arbitrary coplanar circles, 2004.
+
+    Args:
+        conic: of the ellipse, in the ideal plane.
+        focal_length: of the ideal plane, px.
+        radius: of the circle, m.
+    """
+    # The cone of rays (x, y, 1): the ellipse is where f times it meets the plane.
+    to_plane = np.diag([focal_length, focal_length, 1.0])
+    values, vectors = np.linalg.eigh(to_plane.T @ conic @ to_plane)
+    # One eigenvalue has the other sign: make it the negative one, in the order a >= b > 0 > c.
+    if (values > 0.0).sum() == 1:
+        values = -values
+    order = np.argsort(-values)
+    (a, b, c), axes = values[order], vectors[:, order]
+    if not (b > 0.0 > c):
+        return []
+    across, along = np.sqrt((a - b) / (a - c)), np.sqrt((b - c) / (a - c))
+    distance = b * radius / np.sqrt(-a * c)
+    circles = []
+    for sign in (1.0, -1.0):
+        centre = distance * (sign * c / b * across * axes[:, 0] - a / b * along * axes[:, 2])
+        normal = sign * across * axes[:, 0] - along * axes[:, 2]
+        centre, normal = (centre, normal) if centre[2] > 0.0 else (-centre, -normal)
+        circles.append(Circle(centre, normal, radius))
+    return circles
+
+
+def seen_ellipses(evidence: Sequence[PictureEvidence], views: SeenViews) -> list[SeenEllipses]:
+    """Return the ellipses in pictures."""
+    seen = []
+    for picture, camera, camera_from_world in zip(
+        evidence, views.cameras, views.camera_from_world, strict=True
+    ):
+        plane, edge_points = IdealPlane(camera), picture.edge_points
+        points = plane.from_pixels(edge_points.pixels)
+        usable = np.isfinite(points).all(axis=1)
+        by_pixels = plane.derivatives(edge_points.pixels)[usable]
+        # A gradient g by pixels p is g dp/dq by ideal coordinates q.
+        normals = np.linalg.solve(by_pixels.swapaxes(1, 2), edge_points.normals[usable, :, None])
+        normals = normals[:, :, 0] / np.linalg.norm(normals, axis=1)
+        points = points[usable]
+        conics = find_ellipses(points, normals)[:MAX_ELLIPSES]
+        seen.append(SeenEllipses(plane, points, normals, conics, camera_from_world))
+    return seen
+
+
+def poses_from_circles(
+    seen: Sequence[SeenEllipses], model: ObjectModel
+) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses 2"]]:
+    """Return world_from_object of a round model at all ellipses, and the lengths on edge points.
+
+    The lengths are of its rims, px: visible, and supported by edge points of all pictures, nearer
+    ones counting more.
+    """
+    rims, poses = circles_of(model), [np.zeros((0, 4, 4))]
+    for picture in seen:
+        world_from_camera = np.linalg.inv(picture.camera_from_world)
+        for conic in picture.conics:
+            for rim in rims:
+                for circle in circle_poses(conic, picture.plane.focal_length, rim.radius):
+                    poses.append(world_from_camera @ _poses_of(rim, circle))
+    proposed, wireframe = np.concatenate(poses), Wireframe.of(model, SCORE_SAMPLES)
+    lengths = [_supported(wireframe, picture, proposed) for picture in seen]
+    return proposed, np.sum(lengths, axis=0)
+
+
+def _poses_of(rim: Circle, circle: Circle) -> Float[np.ndarray, "2 4 4"]:
+    """Return the two poses that put a rim of a model onto a circle, either side up."""
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    for pose, normal in zip(poses, (circle.normal, -circle.normal), strict=True):
+        turn = np.cross(rim.normal, normal)
+        sine, cosine = float(np.linalg.norm(turn)), float(rim.normal @ normal)
+        # Any axis across serves for half a turn.
+        across = np.linalg.svd(rim.normal[None])[2][1]
+        axis = turn / sine if sine > 1e-9 else across
+        tangent = np.concatenate([np.zeros(3), np.arctan2(sine, cosine) * axis])
+        pose[:3, :3] = host_exponentials(tangent)[:3, :3]
+        pose[:3, 3] = circle.centre - pose[:3, :3] @ rim.centre
+    return poses
+
+
+def _supported(
+    wireframe: Wireframe, picture: SeenEllipses, poses: Float[np.ndarray, "poses 4 4"]
+) -> Float[np.ndarray, "poses 2"]:
+    """Return the visible and the supported length of the rims at poses in a picture, px."""
+    # On the host: the programs of `scoring` are for thousands of poses.
+    real = np.asarray(wireframe.sample_lengths) > 0.0
+    points, tangents, lengths, edges = (
+        np.asarray(part)[real]
+        for part in (
+            wireframe.samples,
+            wireframe.sample_tangents,
+            wireframe.sample_lengths,
+            wireframe.sample_edges,
+        )
+    )
+    faces = np.asarray(wireframe.edge_faces)[edges]
+    origins, face_normals = np.asarray(wireframe.face_points), np.asarray(wireframe.face_normals)
+    tree, f = KDTree(picture.points), picture.plane.focal_length
+    totals = np.zeros((len(poses), 2))
+    for k, pose in enumerate(picture.camera_from_world @ poses):
+        R, t = pose[:3, :3], pose[:3, 3]
+        # n . (c - p) > 0 for the camera's centre c = -R^T t
+        towards = ((-R.T @ t - origins) * face_normals).sum(axis=1) > 0.0
+        shown = (faces & towards).any(axis=1)
+        p, d = points[shown] @ R.T + t, tangents[shown] @ R.T
+        if not len(p) or p[:, 2].min() <= 0.0:
+            continue
+        ideal = f * p[:, :2] / p[:, 2:]
+        # d(x / z) = (dx - x / z dz) / z
+        slope = (f * d[:, :2] - ideal * d[:, 2:]) / p[:, 2:]
+        scale = np.linalg.norm(slope, axis=1)
+        gap, nearest = tree.query(ideal, distance_upper_bound=GATE)
+        found = np.isfinite(gap)
+        n = picture.normals[np.where(found, nearest, 0)]
+        across = np.abs(n[:, 0] * slope[:, 1] - n[:, 1] * slope[:, 0])
+        found &= across > MIN_ALIGNMENT * scale
+        px = scale * lengths[shown]
+        totals[k] = px.sum(), (px * found * (1.0 - np.minimum(gap / GATE, 1.0) ** 2)).sum()
+    return totals

@@ -1,0 +1,213 @@
+"""Find the outline of a smooth surface: where it turns away from the camera.
+
+The side of a cylinder has no sharp edge, and yet its outline is an edge of the picture as good as
+any. Where it lies on the surface depends on the viewpoint. On a mesh it runs along the edges
+between a triangle that faces the camera and one that faces away; there the smooth surface's normal,
+between the two triangles' normals, is across the ray.
+
+When the object moves, its outline slides on the surface, but along the rays: to first order a point
+of the surface moves in the picture across the outline as the outline does (Cipolla and Giblin,
+"Visual motion of curves and surfaces", 2000, chapter 4). So a step of a fit may hold the points.
+"""
+
+import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..modeling import ObjectModel
+
+if TYPE_CHECKING:
+    from .wireframe import Wireframe
+
+MIN_BEND = 1e-3
+"""Smallest angle between two faces, rad, for the edge between them to be an outline: less is a flat
+face in two parts."""
+
+PATCH = 1.0 / 6.0
+"""Size of the patches in which an outline is measured as one edge, over the object's extent."""
+
+DIRECTIONS = 256
+"""Number of viewpoints from which the longest outline is looked for."""
+
+ROOM = 1.25
+"""Room for outline samples, over the largest number seen from these viewpoints."""
+
+
+class SmoothEdges(eqx.Module):
+    """Samples along the edges of a mesh that do not show, but may be outlines.
+
+    Attributes:
+        points: m.
+        parts: the part of its edge that each sample stands for, as a vector, m.
+        normals: outward unit normals of the two faces; zero for padded samples.
+        radii: of the surface across each edge, m.
+        curves: patch of the surface that each belongs to; its outline is measured as one edge.
+        lone_triangles: triangles of the wireframe that cover a point alone.
+        fan_faces: triangles of the faces that are covered only by all their triangles together.
+        slots: largest number of samples on an outline.
+    """
+
+    points: Float[Array, "M 3"]
+    parts: Float[Array, "M 3"]
+    normals: Float[Array, "M 2 3"]
+    radii: Float[Array, "M"]
+    curves: Int[Array, "M"]
+    lone_triangles: Bool[Array, "T"]
+    fan_faces: Bool[Array, "T H"]
+    slots: int = eqx.field(static=True)
+
+
+def smooth_edges(
+    model: ObjectModel,
+) -> tuple[Int[np.ndarray, "N 2"], Float[np.ndarray, "N 2 3"], Float[np.ndarray, "N"]]:
+    """Return the edges of a model's mesh that may be outlines.
+
+    They do not show, and the surface is convex across them: a hollow never is an outline.
+
+    Returns:
+        pairs of vertices; the outward normals of both faces; and the radius of the surface across
+        each edge, m, from the widths of the faces and the angle between them.
+    """
+    sharp = {frozenset(pair) for pair in model.edges.tolist()}
+    sides: dict[frozenset[int], list[int]] = {}
+    for k, face in enumerate(model.faces):
+        for pair in face.directed_edges:
+            sides.setdefault(frozenset(pair), []).append(k)
+    pairs, normals, radii = [], [], []
+    planes = [model.plane(k) for k in range(len(model.faces))]
+    for pair, owners in sides.items():
+        if len(owners) != 2 or pair in sharp:
+            continue
+        a, b = sorted(pair)
+        n = np.array([planes[k].normal for k in owners])
+        along = model.vertices[b] - model.vertices[a]
+        # From the edge to the farthest vertex of each face, across the edge.
+        ways = [
+            np.cross(model.vertices[model.faces[k].indices] - model.vertices[a], along)
+            for k in owners
+        ]
+        widths = [np.linalg.norm(w, axis=1).max() / np.linalg.norm(along) for w in ways]
+        inner = model.vertices[model.faces[owners[1]].indices].mean(axis=0) - model.vertices[a]
+        bend = np.linalg.norm(np.cross(n[0], n[1]))
+        if bend > MIN_BEND and n[0] @ inner < 0.0:
+            pairs.append((a, b))
+            normals.append(n)
+            # A chord of the width w turns by the angle w / r.
+            radii.append(min(widths) / bend)
+    shape = len(pairs)
+    return (
+        np.array(pairs, int).reshape(shape, 2),
+        np.array(normals).reshape(shape, 2, 3),
+        np.array(radii),
+    )
+
+
+class OutlineSamples(NamedTuple):
+    """The arrays of `SmoothEdges` without padding, and its number of slots."""
+
+    points: Float[np.ndarray, "M 3"]
+    parts: Float[np.ndarray, "M 3"]
+    normals: Float[np.ndarray, "M 2 3"]
+    radii: Float[np.ndarray, "M"]
+    patches: Int[np.ndarray, "M"]
+    slots: int
+
+    @classmethod
+    def of(cls, model: ObjectModel, density: float) -> "OutlineSamples | None":
+        """Return samples along the smooth edges of a model; None if there are none.
+
+        Args:
+            model: with faces.
+            density: samples to a metre; each edge has at least one.
+        """
+        pairs, normals, radii = smooth_edges(model)
+        if not len(pairs):
+            return None
+        starts, ends = model.vertices[pairs].transpose(1, 0, 2)
+        lengths = np.linalg.norm(ends - starts, axis=1)
+        counts = np.maximum(1, np.rint(density * lengths).astype(int))
+        owners = np.repeat(np.arange(len(pairs)), counts)
+        order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+        along = (ends - starts)[owners] / counts[owners, None]
+        points = starts[owners] + (order + 0.5)[:, None] * along
+        # Patches by the place of the edge, and by where it looks: the sides of a tube are apart.
+        middles = 0.5 * (starts + ends)
+        mean = normals.sum(axis=1)
+        largest = np.abs(mean).argmax(axis=1)
+        side = 2 * largest + (mean[np.arange(len(mean)), largest] > 0.0)
+        cells = np.floor(middles / (PATCH * model.extent)).astype(int)
+        keys = np.column_stack([cells, side])
+        patches = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+        most = _most_on_outline(middles, normals, counts, model)
+        slots = int(np.ceil(ROOM * most))
+        return cls(points, along, normals[owners], radii[owners], patches[owners], slots)
+
+
+def _most_on_outline(
+    middles: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 2 3"],
+    counts: Int[np.ndarray, "N"],
+    model: ObjectModel,
+) -> int:
+    """Return the largest number of samples that are on the outline from any viewpoint."""
+    # Directions on a Fibonacci spiral, from near and from afar.
+    k = np.arange(DIRECTIONS) + 0.5
+    height, angle = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
+    across = np.sqrt(1.0 - height**2)
+    directions = np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+    most, middle = 0, model.vertices.mean(axis=0)
+    offsets = (normals * middles[:, None]).sum(axis=2)
+    for distance in (2.0 * model.extent, 20.0 * model.extent):
+        towards = normals @ (middle + distance * directions).T > offsets[:, :, None]
+        most = max(most, int((counts @ (towards[:, 0] != towards[:, 1])).max()))
+    return most
+
+
+def with_outline(wireframe: "Wireframe", centre: Float[Array, "3"]) -> "Wireframe":
+    """Return a wireframe with the outline of its smooth surfaces among its samples.
+
+    Args:
+        wireframe: of a model; unchanged if it has no smooth surfaces.
+        centre: the camera's centre in the object's frame, m.
+    """
+    smooth = wireframe.smooth
+    if smooth is None:
+        return wireframe
+    ray = centre[None] - smooth.points
+    towards = (smooth.normals * ray[:, None]).sum(axis=2)
+    is_outline = (towards[:, 0] > 0.0) != (towards[:, 1] > 0.0)
+    # The last sample is a padded one, of no length.
+    last = len(smooth.points) - 1
+    (chosen,) = jnp.nonzero(is_outline, size=smooth.slots, fill_value=last)
+    weights = jnp.abs(towards[chosen])
+    # The normal between the two that is across the ray: t1 n0 + t0 n1 for t = n . ray.
+    n0, n1 = smooth.normals[chosen, 0], smooth.normals[chosen, 1]
+    normal = weights[:, 1:] * n0 + weights[:, :1] * n1
+    normal = normal / _size(normal)
+    # An edge is on the round surface, whose normal there is between both; the outline is where
+    # its normal is this one, as far on as the radius times the difference.
+    middle = n0 + n1
+    turned = normal - middle / _size(middle)
+    points = smooth.points[chosen] + smooth.radii[chosen][:, None] * turned
+    tangents = jnp.cross(normal, ray[chosen])
+    tangents = tangents / _size(tangents)
+    # The edges of a mesh run to and fro across its outline: only their part along it counts.
+    lengths = jnp.abs((smooth.parts[chosen] * tangents).sum(axis=1))
+    slots = smooth.slots
+    return dataclasses.replace(
+        wireframe,
+        samples=jnp.concatenate([wireframe.samples[:-slots], points]),
+        sample_tangents=jnp.concatenate([wireframe.sample_tangents[:-slots], tangents]),
+        sample_lengths=jnp.concatenate([wireframe.sample_lengths[:-slots], lengths]),
+        sample_curves=jnp.concatenate([wireframe.sample_curves[:-slots], smooth.curves[chosen]]),
+    )
+
+
+def _size(vectors: Float[Array, "n 3"]) -> Float[Array, "n 1"]:
+    """Return the lengths of vectors to divide by; one for zero."""
+    size = jnp.sqrt((vectors**2).sum(axis=1, keepdims=True))
+    return jnp.where(size > 0.0, size, 1.0)
