@@ -244,8 +244,7 @@ def fit_poses(
         raise ValueError("tracker_prior: the data set states the covariance of each pose already")
     camera = data.camera if camera is None else camera
     has_camera = camera is not None
-    identity = host_transforms(np.eye(4))
-    blank = Calibration(camera or NO_CAMERA, identity, identity, data.mount)
+    blank = _blank(data, camera)
     check_start(start, data)
     require_moving_robot(data, blank, fixed, priors)
     calibration, consistent = _start(data, blank, start, scale)
@@ -283,6 +282,17 @@ def fit_poses(
     return PoseFit.of(fit, dataclasses.replace(data, covariance=used.covariance), has_camera)
 
 
+def start_from_poses(data: PoseDataset) -> tuple[Calibration, Bool[np.ndarray, "views"]]:
+    """Return a calibration near the solution, by closed forms, and the pairs that agree with it.
+
+    Raises:
+        ValueError: as `fit_poses`.
+    """
+    blank = _blank(data, None)
+    require_moving_robot(data, blank, (), None)
+    return _start(data, blank, None, False)
+
+
 def tracked_pose_errors(
     data: PoseDataset, calibration: Calibration
 ) -> Float[np.ndarray, "views 2"]:
@@ -297,6 +307,12 @@ def pose_rms(errors: Float[np.ndarray, "views 2"]) -> tuple[float, float]:
     """Return the RMS distance (m) and angle (rad) of some errors."""
     distance, angle = np.sqrt(np.mean(errors**2, axis=0))
     return float(distance), float(angle)
+
+
+def _blank(data: PoseDataset, camera: Camera | None) -> Calibration:
+    """Return a calibration whose transforms are not known yet."""
+    identity = host_transforms(np.eye(4))
+    return Calibration(camera or NO_CAMERA, identity, identity, data.mount)
 
 
 def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
