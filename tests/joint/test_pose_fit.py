@@ -50,7 +50,8 @@ def test_the_optimum_is_scipys(fit):
         host_matrices(fit.calibration.holder_from_world),
     )
     sigmas = np.repeat([fit.noise.translation, fit.noise.rotation], 3)
-    tracker = np.repeat(fit.tracker_noise, 3)
+    by_noise = np.asarray(fit.problem.observations.whitening)[:VIEWS] / float(fit.pixel_sigma)
+    tracker = np.linalg.inv(by_noise.swapaxes(1, 2) @ by_noise)
 
     def residuals(x):
         predicted = (
@@ -71,7 +72,7 @@ def test_the_optimum_is_scipys(fit):
         levers[:, :, k] = np.cross(axis, place)
     moved = by_robot.copy()
     moved[:, :3] += levers @ by_robot[:, 3:]
-    total = (moved * sigmas**2) @ moved.swapaxes(1, 2) + np.diag(tracker**2)
+    total = (moved * sigmas**2) @ moved.swapaxes(1, 2) + tracker
     whitening = np.linalg.inv(np.linalg.cholesky(total))
     best = least_squares(residuals, np.zeros(12), xtol=1e-14, ftol=1e-14)
     std = np.sqrt(np.diagonal(np.linalg.inv(best.jac.T @ best.jac)))
@@ -97,6 +98,14 @@ def test_both_noises_are_found(fit):
     assert text.startswith(f"joint fit of {VIEWS} pairs of poses, ")
     assert "tracked poses +- " in text
     assert "camera," not in text
+
+
+def test_noise_along_the_line_of_sight_is_found(fit):
+    """It was simulated as large as across, and 16 pairs tell it within half."""
+    by_noise = np.asarray(fit.problem.observations.whitening)[:VIEWS]
+    covariance = np.linalg.inv(by_noise.swapaxes(1, 2) @ by_noise)[:, :3, :3]
+    along_and_across = np.sqrt(np.linalg.eigvalsh(covariance)[:, [2, 0]])
+    assert (along_and_across[:, 0] < 1.5 * along_and_across[:, 1]).all()
 
 
 def test_the_covariance_is_true():
