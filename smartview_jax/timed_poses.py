@@ -15,7 +15,15 @@ from scipy.special import chdtri
 from .dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
 from .geometry import host_exponentials
 from .robots import Trajectory
-from .variance import LinearPairs, Poses, likeliest_variances, linear_pairs, pose_differences
+from .variance import (
+    DEPTH_AXES,
+    DepthAxis,
+    LinearPairs,
+    Poses,
+    likeliest_variances,
+    linear_pairs,
+    pose_differences,
+)
 
 UNIT_JITTER = 1e-3
 """Unit of the jitter of time stamps, s."""
@@ -53,6 +61,7 @@ class TimedFit(NamedTuple):
         jitter: standard deviation of the time stamps, s.
         robot_noise: standard deviations of the robot's poses by axis, m and rad.
         used: mask of the pairs that were used.
+        deviance: -2 log of the likelihood of the noises.
     """
 
     chain: TimedChain
@@ -60,6 +69,7 @@ class TimedFit(NamedTuple):
     jitter: float
     robot_noise: tuple[float, float]
     used: Bool[np.ndarray, "views"]
+    deviance: float
 
 
 def fit_timed_poses(
@@ -83,12 +93,31 @@ def fit_timed_poses(
     Raises:
         ValueError: a robot that hardly moved, so that every offset is as good.
     """
-    chain, std, variances = start, np.inf, None
+    fits = [
+        _fit_along(axis, data, trajectory, times, start, used, bounds)
+        for axis in DEPTH_AXES[: 1 if data.states_covariance else None]
+    ]
+    # Of as many pairs as the other the likelier one, else the one that explains more of them.
+    return min(fits, key=lambda fit: (-int(fit.used.sum()), fit.deviance))
+
+
+def _fit_along(
+    axis: DepthAxis,
+    data: PoseDataset,
+    trajectory: Trajectory,
+    times: Float[np.ndarray, "views"],
+    start: TimedChain,
+    used: Bool[np.ndarray, "views"],
+    bounds: tuple[float, float],
+) -> TimedFit:
+    """Return the fit with a tracker's depth axis; see `fit_timed_poses`."""
+    chain, std, likeliest = start, np.inf, None
     limit = chdtri(6, WRONG_PROBABILITY)
     for _ in range(MAX_ROUNDS):
-        linear = _linearised(data, trajectory, times, chain)
-        begin = np.ones(len(linear.parts)) if variances is None else variances
-        variances = likeliest_variances(linear.of(used), begin).variances
+        linear = _linearised(axis, data, trajectory, times, chain)
+        begin = np.ones(len(linear.parts)) if likeliest is None else likeliest.variances
+        likeliest = likeliest_variances(linear.of(used), begin)
+        variances = likeliest.variances
         covariance = np.einsum("k,kvij->vij", variances, linear.parts)
         step, std = _solution(linear.of(used), variances, bounds[1] - bounds[0])
         left = linear.errors - linear.by_unknowns @ step
@@ -98,13 +127,14 @@ def fit_timed_poses(
         is_same, used = np.array_equal(agree, used), agree
         if is_same and abs(step[-1]) < TOLERANCE * std:
             break
-    assert variances is not None
-    sizes = np.sqrt(variances)
+    assert likeliest is not None
+    sizes = np.sqrt(likeliest.variances)
     robot = float(sizes[-3] * UNIT_TRANSLATION), float(sizes[-2] * UNIT_ROTATION)
-    return TimedFit(chain, std, float(sizes[-1] * UNIT_JITTER), robot, used)
+    return TimedFit(chain, std, float(sizes[-1] * UNIT_JITTER), robot, used, likeliest.deviance)
 
 
 def _linearised(
+    axis: DepthAxis,
     data: PoseDataset,
     trajectory: Trajectory,
     times: Float[np.ndarray, "views"],
@@ -118,7 +148,7 @@ def _linearised(
         return np.linalg.inv(robot) if data.mount == "eye_in_hand" else robot
 
     transforms = chain.camera_from_mount, chain.holder_from_world
-    pairs = linear_pairs(data, transforms[0], mount_from_holder(0.0), transforms[1])
+    pairs = linear_pairs(data, transforms[0], mount_from_holder(0.0), transforms[1], axis)
     before, after = (
         transforms[0] @ mount_from_holder(change) @ transforms[1]
         for change in (-SPEED_STEP, SPEED_STEP)

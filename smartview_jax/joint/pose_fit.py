@@ -2,13 +2,13 @@
 
 The measured poses enter the joint fit in the place of the points of the pictures: the same engine,
 the same errors of the robot and the same likelihood. The tracker has a noise of its own. Its size
-is estimated with the robot's; the ratios of its noise in rotation and along the line of sight to
-its noise across it are the likeliest ones.
+is estimated with the robot's; the ratios of its noise in rotation and in depth to its noise across
+the line of sight (or the optical axis, if that is likelier) are the likeliest ones.
 """
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -31,7 +31,15 @@ from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import check_start, known_transforms
-from ..variance import LinearPairs, LogNormalPriors, likeliest_variances, linear_pairs
+from ..variance import (
+    DEPTH_AXES,
+    DepthAxis,
+    LikeliestVariances,
+    LinearPairs,
+    LogNormalPriors,
+    likeliest_variances,
+    linear_pairs,
+)
 from .fit import fit_joint
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
@@ -416,36 +424,23 @@ def _with_likeliest_units(
     """Return the data with the likeliest ratios of the tracker's noises in their covariances.
 
     They are found with white noise of the robot alone: its systematic errors are smooth, and hardly
-    change with the ratios.
+    change with the ratios. The axis of the noise in depth is the likelier one.
 
     Args:
         data: the pairs.
         calibration: near the solution.
-        scale: whether the tracker's unit is unknown; it then has no line of sight either.
+        scale: whether the tracker's unit is unknown; it then has no noise in depth either.
         robot_prior, tracker_prior: on the sizes of the robot's noise, and on the ratios.
     """
     factor = float(calibration.target_scale)
     measured = data.tracked_matrices.copy()
     measured[:, :3, 3] *= factor
     in_metres = dataclasses.replace(data, camera_from_world=host_transforms(measured))
-    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
-    camera_from_mount = host_matrices(calibration.camera_from_mount)
-    holder_from_world = host_matrices(calibration.holder_from_world)
-    variances, tracker = np.ones(4 if scale else 5), np.zeros(0)
-    for _ in range(UNIT_ROUNDS):
-        pairs = linear_pairs(in_metres, camera_from_mount, robot, holder_from_world)
-        tracker = pairs.parts[:3]
-        if scale:
-            tracker = np.stack([tracker[0] + tracker[1], tracker[2]])
-            by_scale = np.pad(-measured[:, :3, 3], ((0, 0), (0, 3)))[:, :, None]
-            columns = np.concatenate([pairs.by_unknowns, by_scale], axis=2)
-            pairs = LinearPairs(pairs.errors, columns, np.concatenate([tracker, pairs.parts[3:]]))
-        used = pairs.of(data.seen)
-        variances = _likeliest(used, variances, robot_prior, tracker_prior)
-        by_mount, by_holder = host_exponentials(used.solved(variances)[:12].reshape(2, 6))
-        camera_from_mount = by_mount @ camera_from_mount
-        holder_from_world = by_holder @ holder_from_world
-    covariance = np.einsum("k,kvij->vij", variances[: len(tracker)], tracker)
+    noises = [
+        _tracker_noise(in_metres, calibration, axis, scale, robot_prior, tracker_prior)
+        for axis in DEPTH_AXES[: 1 if scale else None]
+    ]
+    covariance = min(noises, key=lambda noise: noise.deviance).covariance
     covariance[:, :3] /= factor
     covariance[:, :, :3] /= factor
     # The fit finds their common size.
@@ -453,12 +448,57 @@ def _with_likeliest_units(
     return dataclasses.replace(data, covariance=to_device(size * covariance))
 
 
+class _TrackerNoise(NamedTuple):
+    """The covariances of tracked poses, and -2 log of their posterior density."""
+
+    covariance: Float[np.ndarray, "views 6 6"]
+    deviance: float
+
+
+def _tracker_noise(
+    data: PoseDataset,
+    calibration: Calibration,
+    axis: DepthAxis,
+    scale: bool,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> _TrackerNoise:
+    """Return the likeliest noise of tracked poses in metres, with a depth axis.
+
+    Args:
+        data: the pairs.
+        calibration, scale, robot_prior, tracker_prior: as in `_with_likeliest_units`.
+        axis: of the noise in depth.
+    """
+    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    camera_from_mount = host_matrices(calibration.camera_from_mount)
+    holder_from_world = host_matrices(calibration.holder_from_world)
+    likeliest = LikeliestVariances(np.ones(4 if scale else 5), np.inf)
+    tracker = np.zeros(0)
+    for _ in range(UNIT_ROUNDS):
+        pairs = linear_pairs(data, camera_from_mount, robot, holder_from_world, axis)
+        tracker = pairs.parts[:3]
+        if scale:
+            tracker = np.stack([tracker[0] + tracker[1], tracker[2]])
+            by_scale = np.pad(-data.tracked_matrices[:, :3, 3], ((0, 0), (0, 3)))[:, :, None]
+            columns = np.concatenate([pairs.by_unknowns, by_scale], axis=2)
+            pairs = LinearPairs(pairs.errors, columns, np.concatenate([tracker, pairs.parts[3:]]))
+        used = pairs.of(data.seen)
+        likeliest = _likeliest(used, likeliest.variances, robot_prior, tracker_prior)
+        step = used.solved(likeliest.variances)
+        by_mount, by_holder = host_exponentials(step[:12].reshape(2, 6))
+        camera_from_mount = by_mount @ camera_from_mount
+        holder_from_world = by_holder @ holder_from_world
+    covariance = np.einsum("k,kvij->vij", likeliest.variances[: len(tracker)], tracker)
+    return _TrackerNoise(covariance, likeliest.deviance)
+
+
 def _likeliest(
     pairs: LinearPairs,
     start: Float[np.ndarray, "parts"],
     robot_prior: RobotPrior,
     tracker_prior: TrackerPrior,
-) -> Float[np.ndarray, "parts"]:
+) -> LikeliestVariances:
     """Return the likeliest variances of the noises, of a good robot or of a weak one."""
     units = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
     # Ratios to the noise across the line of sight, the first part; the robot's are the last two.
@@ -480,5 +520,5 @@ def _likeliest(
             means = np.concatenate([by_ratio[:, 0], np.log(medians / units)])
             stds = np.concatenate([by_ratio[:, 1], robot_prior.log_stds(None)])
             best = likeliest_variances(pairs, start, LogNormalPriors(powers, means, stds))
-            found.append((best.deviance - 2.0 * np.log(probability), best.variances))
-    return min(found, key=lambda one: one[0])[1]
+            found.append(best._replace(deviance=best.deviance - 2.0 * np.log(probability)))
+    return min(found, key=lambda candidate: candidate.deviance)

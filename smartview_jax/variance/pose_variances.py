@@ -5,7 +5,7 @@ the restricted likelihood, in which the unknowns are integrated out (Patterson a
 It is NumPy throughout: small matrices, once for each data set.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,6 +20,12 @@ SMALLEST_PART = 1e-3
 DEVIANCE_TOLERANCE = 1e-13
 """Relative change of the deviance that ends the search: variances are then found to 1e-5."""
 
+DepthAxis = Literal["sight", "optical"]
+"""Axis of a tracker's noise in depth: the line of sight, as of a marker in pictures, or the optical
+axis, as of a sensor that measures depth apart from the other coordinates."""
+
+DEPTH_AXES: tuple[DepthAxis, ...] = ("sight", "optical")
+
 Poses = Float[np.ndarray, "views 4 4"]
 
 
@@ -31,8 +37,8 @@ class LinearPairs(NamedTuple):
         by_unknowns: change of the predictions by left twists of `camera_from_mount` and
             `holder_from_world`, and by what else is unknown.
         parts: covariance of the errors by each noise with a standard deviation of one unit: the
-            tracker's (one, if its covariances are stated; else across the line of sight, along
-            it, and of rotation), then the robot's of translation and of rotation.
+            tracker's (one, if its covariances are stated; else across its depth axis, along it,
+            and of rotation), then the robot's of translation and of rotation.
     """
 
     errors: Float[np.ndarray, "views 6"]
@@ -96,6 +102,7 @@ def linear_pairs(
     camera_from_mount: Float[np.ndarray, "4 4"],
     mount_from_holder: Poses,
     holder_from_world: Float[np.ndarray, "4 4"],
+    depth_axis: DepthAxis = "sight",
 ) -> LinearPairs:
     """Return the pairs of a data set, linear in the unknowns at a chain.
 
@@ -103,6 +110,7 @@ def linear_pairs(
         data: the tracked poses.
         camera_from_mount, holder_from_world: the transforms of the chain.
         mount_from_holder: the robot's part of the chain in every view.
+        depth_axis: the direction in which the tracker's translations have a noise of their own.
     """
     predicted = camera_from_mount @ mount_from_holder @ holder_from_world
     count = len(predicted)
@@ -119,7 +127,9 @@ def linear_pairs(
     ]
     assert data.covariance is not None
     by_tracker = (
-        [np.asarray(data.covariance)] if data.states_covariance else tracker_parts(predicted)
+        [np.asarray(data.covariance)]
+        if data.states_covariance
+        else _tracker_parts(predicted, depth_axis)
     )
     return LinearPairs(
         pose_differences(data.tracked_matrices, predicted),
@@ -128,9 +138,13 @@ def linear_pairs(
     )
 
 
-def tracker_parts(camera_from_world: Poses) -> list[Float[np.ndarray, "views 6 6"]]:
-    """Return a tracker's noise of one unit: across the line of sight, along it, of rotation."""
+def _tracker_parts(
+    camera_from_world: Poses, depth_axis: DepthAxis
+) -> list[Float[np.ndarray, "views 6 6"]]:
+    """Return a tracker's noise of one unit: across its depth axis, along it, of rotation."""
     place = camera_from_world[:, :3, 3]
+    if depth_axis == "optical":
+        place = np.tile([0.0, 0.0, 1.0], (len(place), 1))
     sight = place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), np.finfo(float).tiny)
     along, across, turn = (np.zeros((len(place), 6, 6)) for _ in range(3))
     along[:, :3, :3] = sight[:, :, None] * sight[:, None]
