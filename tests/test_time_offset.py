@@ -16,7 +16,6 @@ from smartview_jax.simulation import paper_calibration, simulate
 from smartview_jax.time_offset import (
     Profile,
     at_time_offset,
-    long_run_variance,
     standard_deviation,
 )
 
@@ -98,22 +97,6 @@ def test_tracked_poses_tell_the_offset_too():
     # At 5 cm/s 0.3 mm are 6 ms, and 15 pairs tell the offset four times as well.
     assert found.std < 3e-3
     assert isinstance(found.data, PoseDataset)
-
-
-def test_errors_that_are_alike_in_neighbours_widen_the_interval():
-    """The variance of sums of an autoregressive series, against sums of many such series."""
-    rng, persistence = np.random.default_rng(0), 0.6
-    series = np.zeros((400, 300))
-    for k in range(1, 400):
-        series[k] = persistence * series[k - 1] + rng.normal(size=300)
-    series = series[100:]
-    stated = np.mean([long_run_variance(one) for one in series.T])
-    true = np.var(series.sum(axis=0))
-    independent = np.sum(np.var(series, axis=1))
-    assert 0.65 * true < stated < 1.05 * true
-    assert independent < 0.35 * true
-    noise = rng.normal(size=(60, 500))
-    assert np.mean([long_run_variance(one) for one in noise.T]) == pytest.approx(60, rel=0.1)
 
 
 @pytest.mark.parametrize("scatter", [0.0, 1.0, 4.0])

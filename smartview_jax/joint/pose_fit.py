@@ -2,19 +2,18 @@
 
 The measured poses enter the joint fit in the place of the points of the pictures: the same engine,
 the same errors of the robot and the same likelihood. The tracker has a noise of its own. Its size
-is estimated with the robot's; the ratio of its noise in rotation to its noise in translation is the
-likeliest one.
+is estimated with the robot's; the ratios of its noise in rotation and in depth to its noise across
+the line of sight (or the optical axis, if that is likelier) are the likeliest ones.
 """
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
-from scipy.optimize import minimize_scalar
 
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
@@ -27,12 +26,20 @@ from ..dataset import (
     chain_residuals,
 )
 from ..engine import Prior
-from ..geometry import PoseLike, host_matrices, host_transforms
+from ..geometry import PoseLike, host_exponentials, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import check_start, known_transforms
-from ..variance import WHITE_NOISE, ModelName, compare_models
+from ..variance import (
+    DEPTH_AXES,
+    DepthAxis,
+    LikeliestVariances,
+    LinearPairs,
+    LogNormalPriors,
+    likeliest_variances,
+    linear_pairs,
+)
 from .fit import fit_joint
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
@@ -50,6 +57,9 @@ CONSISTENT_ERROR = 3.5
 Of a normal distribution in three dimensions, one error in two million is larger.
 """
 
+UNIT_ROUNDS = 3
+"""Rounds in which the chain and the ratios of the tracker's noises are estimated in turn."""
+
 MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
 """Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost."""
 
@@ -59,29 +69,33 @@ NO_CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
 
 @dataclasses.dataclass(frozen=True)
 class TrackerPrior:
-    """The log-normal prior on the ratio of a tracker's noise in rotation and in translation.
+    """The log-normal priors on the ratios of a tracker's noises.
 
     A marker whose corners are off by an error e has a position off by about e across the line of
-    sight, and a rotation off by e over its size.
+    sight, by e times its distance over its size along it, and a rotation off by e over its size.
+    The positions of a motion capture system are as good along the line of sight as across it.
 
     Attributes:
-        ratio_median: median ratio, rad/m; one over the size of a marker.
+        ratio_median: median ratio of rotation to translation across the line of sight, rad/m; one
+            over the size of a marker.
         ratio_geometric_std: exp of the standard deviation of its logarithm.
+        depth_median: median ratio of translation along the line of sight to across it; between
+            motion capture and a marker at five times its size.
+        depth_geometric_std: exp of the standard deviation of its logarithm.
     """
 
     ratio_median: float = UNIT_ROTATION / UNIT_TRANSLATION
     ratio_geometric_std: float = 5.0
+    depth_median: float = 2.0
+    depth_geometric_std: float = 3.0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.ratio_median < np.inf:
-            raise ValueError(
-                f"TrackerPrior.ratio_median: expected a positive number, found {self.ratio_median}"
-            )
-        if not 1.0 < self.ratio_geometric_std < np.inf:
-            raise ValueError(
-                "TrackerPrior.ratio_geometric_std: expected a factor above 1, found "
-                f"{self.ratio_geometric_std}"
-            )
+        for name in ("ratio_median", "depth_median"):
+            if not 0.0 < (value := getattr(self, name)) < np.inf:
+                raise ValueError(f"TrackerPrior.{name}: expected a positive number, found {value}")
+        for name in ("ratio_geometric_std", "depth_geometric_std"):
+            if not 1.0 < (value := getattr(self, name)) < np.inf:
+                raise ValueError(f"TrackerPrior.{name}: expected a factor above 1, found {value}")
 
 
 @runtime_checkable
@@ -208,8 +222,8 @@ def fit_poses(
         fixed: paths of parameters that keep the start's value.
         priors: a `Prior` by path.
         robot_prior: prior on the standard deviations of the robot's errors.
-        tracker_prior: prior on the ratio of the tracker's noise in rotation and in translation;
-            not for data with covariances, which state it.
+        tracker_prior: prior on the ratios of the tracker's noises in rotation and by direction; not
+            for data with covariances, which state it.
         progress: called with a line of text for each stage.
 
     Raises:
@@ -244,8 +258,7 @@ def fit_poses(
         raise ValueError("tracker_prior: the data set states the covariance of each pose already")
     camera = data.camera if camera is None else camera
     has_camera = camera is not None
-    identity = host_transforms(np.eye(4))
-    blank = Calibration(camera or NO_CAMERA, identity, identity, data.mount)
+    blank = _blank(data, camera)
     check_start(start, data)
     require_moving_robot(data, blank, fixed, priors)
     calibration, consistent = _start(data, blank, start, scale)
@@ -261,7 +274,7 @@ def fit_poses(
         used = without_views(data, _contradictions(data, calibration, consistent))
         if not data.states_covariance:
             used = _with_likeliest_units(
-                used, calibration, options, prior, tracker_prior or TrackerPrior()
+                used, calibration, scale, prior, tracker_prior or TrackerPrior()
             )
         return used, fit_joint(
             used,
@@ -283,6 +296,17 @@ def fit_poses(
     return PoseFit.of(fit, dataclasses.replace(data, covariance=used.covariance), has_camera)
 
 
+def start_from_poses(data: PoseDataset) -> tuple[Calibration, Bool[np.ndarray, "views"]]:
+    """Return a calibration near the solution, by closed forms, and the pairs that agree with it.
+
+    Raises:
+        ValueError: as `fit_poses`.
+    """
+    blank = _blank(data, None)
+    require_moving_robot(data, blank, (), None)
+    return _start(data, blank, None, False)
+
+
 def tracked_pose_errors(
     data: PoseDataset, calibration: Calibration
 ) -> Float[np.ndarray, "views 2"]:
@@ -297,6 +321,12 @@ def pose_rms(errors: Float[np.ndarray, "views 2"]) -> tuple[float, float]:
     """Return the RMS distance (m) and angle (rad) of some errors."""
     distance, angle = np.sqrt(np.mean(errors**2, axis=0))
     return float(distance), float(angle)
+
+
+def _blank(data: PoseDataset, camera: Camera | None) -> Calibration:
+    """Return a calibration whose transforms are not known yet."""
+    identity = host_transforms(np.eye(4))
+    return Calibration(camera or NO_CAMERA, identity, identity, data.mount)
 
 
 def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
@@ -387,39 +417,108 @@ def _consistent_again(data: PoseDataset, fit: JointFit) -> Bool[np.ndarray, "vie
 def _with_likeliest_units(
     data: PoseDataset,
     calibration: Calibration,
-    options: Mapping[str, Any],
+    scale: bool,
     robot_prior: RobotPrior,
     tracker_prior: TrackerPrior,
 ) -> PoseDataset:
-    """Return the data with the likeliest ratio of the tracker's noises in their units.
+    """Return the data with the likeliest ratios of the tracker's noises in their covariances.
 
-    It maximises the restricted likelihood of white noise alone: the robot's systematic errors are
-    smooth, and hardly change with the ratio.
+    They are found with white noise of the robot alone: its systematic errors are smooth, and hardly
+    change with the ratios. The axis of the noise in depth is the likelier one.
+
+    Args:
+        data: the pairs.
+        calibration: near the solution.
+        scale: whether the tracker's unit is unknown; it then has no noise in depth either.
+        robot_prior, tracker_prior: on the sizes of the robot's noise, and on the ratios.
     """
-    numbers = 6 * len(data.usable_views())
-    spread = np.log(tracker_prior.ratio_geometric_std)
+    factor = float(calibration.target_scale)
+    measured = data.tracked_matrices.copy()
+    measured[:, :3, 3] *= factor
+    in_metres = dataclasses.replace(data, camera_from_world=host_transforms(measured))
+    noises = [
+        _tracker_noise(in_metres, calibration, axis, scale, robot_prior, tracker_prior)
+        for axis in DEPTH_AXES[: 1 if scale else None]
+    ]
+    covariance = min(noises, key=lambda noise: noise.deviance).covariance
+    covariance[:, :3] /= factor
+    covariance[:, :, :3] /= factor
+    # The fit finds their common size.
+    size = UNIT_TRANSLATION**2 / np.diagonal(covariance, axis1=1, axis2=2)[:, :3].mean()
+    return dataclasses.replace(data, covariance=to_device(size * covariance))
 
-    def deviance(log_ratio: float) -> float:
-        """Return -2 log of the likelihood of a ratio times its prior density."""
-        rotation = UNIT_TRANSLATION * np.exp(log_ratio)
-        comparison = compare_models(
-            data.with_units(UNIT_TRANSLATION, rotation),
-            calibration,
-            None,
-            prior=dataclasses.replace(robot_prior, wrong_target_probability=0.0),
-            **options,
-        )
-        white = comparison.fitted[ModelName(WHITE_NOISE, False)]
-        # The likelihood is of the numbers in their units; half of them are rotations.
-        jacobian = numbers * np.log(rotation)
-        penalty = ((log_ratio - np.log(tracker_prior.ratio_median)) / spread) ** 2
-        return white.maximum.deviance + jacobian + penalty
 
-    middle = np.log(tracker_prior.ratio_median)
-    best = minimize_scalar(
-        deviance,
-        bounds=(middle - 3.0 * spread, middle + 3.0 * spread),
-        method="bounded",
-        options={"xatol": 0.1},
-    ).x  # pyright: ignore[reportAttributeAccessIssue]
-    return data.with_units(UNIT_TRANSLATION, UNIT_TRANSLATION * float(np.exp(best)))
+class _TrackerNoise(NamedTuple):
+    """The covariances of tracked poses, and -2 log of their posterior density."""
+
+    covariance: Float[np.ndarray, "views 6 6"]
+    deviance: float
+
+
+def _tracker_noise(
+    data: PoseDataset,
+    calibration: Calibration,
+    axis: DepthAxis,
+    scale: bool,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> _TrackerNoise:
+    """Return the likeliest noise of tracked poses in metres, with a depth axis.
+
+    Args:
+        data: the pairs.
+        calibration, scale, robot_prior, tracker_prior: as in `_with_likeliest_units`.
+        axis: of the noise in depth.
+    """
+    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    camera_from_mount = host_matrices(calibration.camera_from_mount)
+    holder_from_world = host_matrices(calibration.holder_from_world)
+    likeliest = LikeliestVariances(np.ones(4 if scale else 5), np.inf)
+    tracker = np.zeros(0)
+    for _ in range(UNIT_ROUNDS):
+        pairs = linear_pairs(data, camera_from_mount, robot, holder_from_world, axis)
+        tracker = pairs.parts[:3]
+        if scale:
+            tracker = np.stack([tracker[0] + tracker[1], tracker[2]])
+            by_scale = np.pad(-data.tracked_matrices[:, :3, 3], ((0, 0), (0, 3)))[:, :, None]
+            columns = np.concatenate([pairs.by_unknowns, by_scale], axis=2)
+            pairs = LinearPairs(pairs.errors, columns, np.concatenate([tracker, pairs.parts[3:]]))
+        used = pairs.of(data.seen)
+        likeliest = _likeliest(used, likeliest.variances, robot_prior, tracker_prior)
+        step = used.solved(likeliest.variances)
+        by_mount, by_holder = host_exponentials(step[:12].reshape(2, 6))
+        camera_from_mount = by_mount @ camera_from_mount
+        holder_from_world = by_holder @ holder_from_world
+    covariance = np.einsum("k,kvij->vij", likeliest.variances[: len(tracker)], tracker)
+    return _TrackerNoise(covariance, likeliest.deviance)
+
+
+def _likeliest(
+    pairs: LinearPairs,
+    start: Float[np.ndarray, "parts"],
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> LikeliestVariances:
+    """Return the likeliest variances of the noises, of a good robot or of a weak one."""
+    units = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
+    # Ratios to the noise across the line of sight, the first part; the robot's are the last two.
+    powers = np.eye(len(pairs.parts))[1:]
+    powers[:-2, 0] = -1.0
+    ratios = [
+        (tracker_prior.depth_median, tracker_prior.depth_geometric_std),
+        (tracker_prior.ratio_median * units[0] / units[1], tracker_prior.ratio_geometric_std),
+    ][-(len(powers) - 2) :]
+    by_ratio = np.log(ratios)
+    weak = robot_prior.weak_robot_probability
+    weak_medians = robot_prior.weak_translation_median, robot_prior.weak_rotation_median
+    found = []
+    for medians, probability in (
+        (robot_prior.medians(None), 1.0 - weak),
+        (np.array(weak_medians), weak),
+    ):
+        if probability > 0.0:
+            means = np.concatenate([by_ratio[:, 0], np.log(medians / units)])
+            stds = np.concatenate([by_ratio[:, 1], robot_prior.log_stds(None)])
+            best = likeliest_variances(pairs, start, LogNormalPriors(powers, means, stds))
+            found.append(best._replace(deviance=best.deviance - 2.0 * np.log(probability)))
+    return min(found, key=lambda candidate: candidate.deviance)

@@ -16,6 +16,7 @@ from .joint_solution import FAILURE_FLAGS as FAILURE_FLAGS
 from .joint_solution import LIMIT_TOLERANCE as LIMIT_TOLERANCE
 from .joint_solution import JointSolution as JointSolution
 from .joint_solution import SolutionStatus as SolutionStatus
+from .log_smoothing import smoothed_log as smoothed_log
 from .models import ARMS as ARMS
 from .models import arm_by_name as arm_by_name
 from .models import arm_from_dict as arm_from_dict

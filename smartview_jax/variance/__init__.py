@@ -10,6 +10,15 @@ from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate
 from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence
 from .noise_estimate import TargetShapeEstimate as TargetShapeEstimate
+from .pose_variances import DEPTH_AXES as DEPTH_AXES
+from .pose_variances import DepthAxis as DepthAxis
+from .pose_variances import LikeliestVariances as LikeliestVariances
+from .pose_variances import LinearPairs as LinearPairs
+from .pose_variances import LogNormalPriors as LogNormalPriors
+from .pose_variances import Poses as Poses
+from .pose_variances import likeliest_variances as likeliest_variances
+from .pose_variances import linear_pairs as linear_pairs
+from .pose_variances import pose_differences as pose_differences
 from .rig_noise import RigNoiseEstimate as RigNoiseEstimate
 from .rig_noise import estimate_rig_noise as estimate_rig_noise
 from .robot_evidence import RobotEvidence as RobotEvidence

@@ -50,7 +50,8 @@ def test_the_optimum_is_scipys(fit):
         host_matrices(fit.calibration.holder_from_world),
     )
     sigmas = np.repeat([fit.noise.translation, fit.noise.rotation], 3)
-    tracker = np.repeat(fit.tracker_noise, 3)
+    by_noise = np.asarray(fit.problem.observations.whitening)[:VIEWS] / float(fit.pixel_sigma)
+    tracker = np.linalg.inv(by_noise.swapaxes(1, 2) @ by_noise)
 
     def residuals(x):
         predicted = (
@@ -71,7 +72,7 @@ def test_the_optimum_is_scipys(fit):
         levers[:, :, k] = np.cross(axis, place)
     moved = by_robot.copy()
     moved[:, :3] += levers @ by_robot[:, 3:]
-    total = (moved * sigmas**2) @ moved.swapaxes(1, 2) + np.diag(tracker**2)
+    total = (moved * sigmas**2) @ moved.swapaxes(1, 2) + tracker
     whitening = np.linalg.inv(np.linalg.cholesky(total))
     best = least_squares(residuals, np.zeros(12), xtol=1e-14, ftol=1e-14)
     std = np.sqrt(np.diagonal(np.linalg.inv(best.jac.T @ best.jac)))
@@ -97,6 +98,27 @@ def test_both_noises_are_found(fit):
     assert text.startswith(f"joint fit of {VIEWS} pairs of poses, ")
     assert "tracked poses +- " in text
     assert "camera," not in text
+
+
+def along_over_across(fit):
+    """Noise along the line of sight over noise across it, in the fit's covariances."""
+    by_noise = np.asarray(fit.problem.observations.whitening)[:VIEWS]
+    covariance = np.linalg.inv(by_noise.swapaxes(1, 2) @ by_noise)[:, :3, :3]
+    place = np.asarray(fit.problem.observations.camera_from_world.translation())[:VIEWS]
+    sight = place / np.linalg.norm(place, axis=1, keepdims=True)
+    along = np.einsum("vi,vij,vj->v", sight, covariance, sight)
+    across = 0.5 * (np.trace(covariance, axis1=1, axis2=2) - along)
+    return float(np.median(np.sqrt(along / across)))
+
+
+def test_noise_along_the_line_of_sight_has_its_own_size(fit):
+    robot, measured = tracked(0)
+    sight = measured[:, :3, 3] / np.linalg.norm(measured[:, :3, 3], axis=1, keepdims=True)
+    measured[:, :3, 3] += np.random.default_rng(0).normal(0.0, 5e-3, (VIEWS, 1)) * sight
+    deep = sv.fit_poses(PoseDataset.from_poses(robot, measured), field=None)
+    # Ten times as large, of which 16 pairs and a prior that expects twice make somewhat less.
+    assert 4.0 < along_over_across(deep) < 12.0
+    assert 0.5 < along_over_across(fit) < 2.0
 
 
 def test_the_covariance_is_true():

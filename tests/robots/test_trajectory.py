@@ -2,20 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from robot_motion import motion
 
 from smartview_jax.robots import Trajectory
 
 TIMES = np.arange(0.0, 4.0, 0.05)
-
-
-def motion(times):
-    """A smooth motion: 0.2 m and half a radian to and fro, about another axis at every time."""
-    poses = np.tile(np.eye(4), (len(times), 1, 1))
-    vectors = 0.5 * np.stack([np.sin(times), np.cos(1.3 * times), 0.3 * times], axis=-1)
-    poses[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix()
-    poses[:, :3, 3] = 0.2 * np.stack([np.sin(1.1 * times), np.cos(times), times], axis=-1)
-    return poses
 
 
 def test_between_logged_poses_the_motion_goes_on_smoothly():

@@ -1,0 +1,219 @@
+"""Estimate the sizes of the noises of tracked poses from how far the chain misses them.
+
+The chain is linear in its unknowns near the solution. The variances of tracker and robot maximise
+the restricted likelihood, in which the unknowns are integrated out (Patterson and Thompson, 1971).
+It is NumPy throughout: small matrices, once for each data set.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.optimize import minimize
+
+from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
+from ..geometry import host_adjoints, host_cross_matrices, host_logarithms
+
+SMALLEST_PART = 1e-3
+"""Smallest standard deviation that is told from none, in units of the noise."""
+
+DEVIANCE_TOLERANCE = 1e-13
+"""Relative change of the deviance that ends the search: variances are then found to 1e-5."""
+
+DepthAxis = Literal["sight", "optical"]
+"""Axis of a tracker's noise in depth: the line of sight, as of a marker in pictures, or the optical
+axis, as of a sensor that measures depth apart from the other coordinates."""
+
+DEPTH_AXES: tuple[DepthAxis, ...] = ("sight", "optical")
+
+Poses = Float[np.ndarray, "views 4 4"]
+
+
+class LinearPairs(NamedTuple):
+    """Pairs of a tracked and a predicted pose, linear in the unknowns of the chain.
+
+    Attributes:
+        errors: measured minus predicted poses: translation (m) and rotation vector (rad).
+        by_unknowns: change of the predictions by left twists of `camera_from_mount` and
+            `holder_from_world`, and by what else is unknown.
+        parts: covariance of the errors by each noise with a standard deviation of one unit: the
+            tracker's (one, if its covariances are stated; else across its depth axis, along it,
+            and of rotation), then the robot's of translation and of rotation.
+    """
+
+    errors: Float[np.ndarray, "views 6"]
+    by_unknowns: Float[np.ndarray, "views 6 unknowns"]
+    parts: Float[np.ndarray, "parts views 6 6"]
+
+    def of(self, used: Bool[np.ndarray, "views"]) -> "LinearPairs":
+        """Return some of the pairs."""
+        return LinearPairs(self.errors[used], self.by_unknowns[used], self.parts[:, used])
+
+    def information(
+        self, variances: Float[np.ndarray, "parts"]
+    ) -> Float[np.ndarray, "views unknowns 6"]:
+        """Return the changes by the unknowns times the inverse covariance of the errors."""
+        covariance = np.einsum("k,kvij->vij", variances, self.parts)
+        return (np.linalg.inv(covariance) @ self.by_unknowns).swapaxes(1, 2)
+
+    def solved(self, variances: Float[np.ndarray, "parts"]) -> Float[np.ndarray, "unknowns"]:
+        """Return the step of the unknowns that explains the errors best."""
+        return self.inverse(variances) @ np.einsum(
+            "vpi,vi->p", self.information(variances), self.errors
+        )
+
+    def inverse(
+        self, variances: Float[np.ndarray, "parts"]
+    ) -> Float[np.ndarray, "unknowns unknowns"]:
+        """Return the covariance of the unknowns; zero in directions that nothing tells."""
+        normal = np.einsum("vpi,viq->pq", self.information(variances), self.by_unknowns)
+        size = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), np.finfo(float).tiny))
+        scale = np.outer(size, size)
+        return scale * np.linalg.pinv(scale * normal, rcond=1e-12, hermitian=True)
+
+
+class LogNormalPriors(NamedTuple):
+    """Log-normal priors on products and ratios of the noises' standard deviations.
+
+    Attributes:
+        powers: of the standard deviations, in units, in the order of `LinearPairs.parts`.
+        means, stds: of the logarithms of the products.
+    """
+
+    powers: Float[np.ndarray, "priors parts"]
+    means: Float[np.ndarray, "priors"]
+    stds: Float[np.ndarray, "priors"]
+
+
+class LikeliestVariances(NamedTuple):
+    """The likeliest variances of the noises.
+
+    Attributes:
+        variances: in squared units, in the order of `LinearPairs.parts`.
+        deviance: -2 log of their posterior density, but for a constant.
+    """
+
+    variances: Float[np.ndarray, "parts"]
+    deviance: float
+
+
+def linear_pairs(
+    data: PoseDataset,
+    camera_from_mount: Float[np.ndarray, "4 4"],
+    mount_from_holder: Poses,
+    holder_from_world: Float[np.ndarray, "4 4"],
+    depth_axis: DepthAxis = "sight",
+) -> LinearPairs:
+    """Return the pairs of a data set, linear in the unknowns at a chain.
+
+    Args:
+        data: the tracked poses.
+        camera_from_mount, holder_from_world: the transforms of the chain.
+        mount_from_holder: the robot's part of the chain in every view.
+        depth_axis: the direction in which the tracker's translations have a noise of their own.
+    """
+    predicted = camera_from_mount @ mount_from_holder @ holder_from_world
+    count = len(predicted)
+    # A twist in the camera's frame moves a translation t by v + w x t.
+    by_twist = np.tile(np.eye(6), (count, 1, 1))
+    by_twist[:, :3, 3:] = -host_cross_matrices(predicted[:, :3, 3])
+    by_holder = by_twist @ host_adjoints(camera_from_mount @ mount_from_holder)
+    # The robot errs at its tool, which is the mount of a camera on the hand, and else the holder.
+    is_in_hand = data.mount == "eye_in_hand"
+    by_tool = by_twist @ host_adjoints(camera_from_mount) if is_in_hand else by_holder
+    by_robot = [
+        UNIT_TRANSLATION**2 * by_tool[:, :, :3] @ by_tool[:, :, :3].swapaxes(1, 2),
+        UNIT_ROTATION**2 * by_tool[:, :, 3:] @ by_tool[:, :, 3:].swapaxes(1, 2),
+    ]
+    assert data.covariance is not None
+    by_tracker = (
+        [np.asarray(data.covariance)]
+        if data.states_covariance
+        else _tracker_parts(predicted, depth_axis)
+    )
+    return LinearPairs(
+        pose_differences(data.tracked_matrices, predicted),
+        np.concatenate([by_twist, by_holder], axis=2),
+        np.stack([*by_tracker, *by_robot]),
+    )
+
+
+def _tracker_parts(
+    camera_from_world: Poses, depth_axis: DepthAxis
+) -> list[Float[np.ndarray, "views 6 6"]]:
+    """Return a tracker's noise of one unit: across its depth axis, along it, of rotation."""
+    place = camera_from_world[:, :3, 3]
+    if depth_axis == "optical":
+        place = np.tile([0.0, 0.0, 1.0], (len(place), 1))
+    sight = place / np.maximum(np.linalg.norm(place, axis=1, keepdims=True), np.finfo(float).tiny)
+    along, across, turn = (np.zeros((len(place), 6, 6)) for _ in range(3))
+    along[:, :3, :3] = sight[:, :, None] * sight[:, None]
+    across[:, :3, :3] = np.eye(3) - along[:, :3, :3]
+    turn[:, 3:, 3:] = np.eye(3)
+    return [UNIT_TRANSLATION**2 * across, UNIT_TRANSLATION**2 * along, UNIT_ROTATION**2 * turn]
+
+
+def pose_differences(poses: Poses, others: Poses) -> Float[np.ndarray, "views 6"]:
+    """Return differences of translations, m, and the rotation vectors between poses."""
+    turns = np.tile(np.eye(4), (len(poses), 1, 1))
+    turns[:, :3, :3] = poses[:, :3, :3] @ others[:, :3, :3].swapaxes(1, 2)
+    return np.concatenate(
+        [poses[:, :3, 3] - others[:, :3, 3], host_logarithms(turns)[:, 3:]], axis=1
+    )
+
+
+def likeliest_variances(
+    pairs: LinearPairs, start: Float[np.ndarray, "parts"], priors: LogNormalPriors | None = None
+) -> LikeliestVariances:
+    """Return the variances of all noises that maximise the restricted likelihood times the prior.
+
+    Args:
+        pairs: the pairs.
+        start: variances from which the search begins.
+        priors: on the noises; flat ones by default.
+    """
+    # Of the unknowns only the space that they span matters.
+    lengths = np.linalg.norm(pairs.by_unknowns, axis=(0, 1))
+    columns = pairs.by_unknowns / np.maximum(lengths, np.finfo(float).tiny)
+
+    def deviance(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return -2 log of the restricted likelihood, and its slopes by log variances."""
+        covariance = np.einsum("k,kvij->vij", np.exp(logarithms), pairs.parts)
+        information = np.linalg.inv(covariance)
+        weighted = information @ columns
+        normal = np.einsum("vip,viq->pq", columns, weighted)
+        # An unknown that no motion tells has no likelihood to integrate.
+        values, vectors = np.linalg.eigh(normal)
+        told = values > 1e-12 * values[-1]
+        inverse = (vectors[:, told] / values[told]) @ vectors[:, told].T
+        residuals = pairs.errors - columns @ (
+            inverse @ np.einsum("vip,vi->p", weighted, pairs.errors)
+        )
+        whitened = np.einsum("vij,vj->vi", information, residuals)
+        value = (
+            np.linalg.slogdet(covariance)[1].sum()
+            + np.log(values[told]).sum()
+            + np.sum(residuals * whitened)
+        )
+        # By each part V: tr(P V) - r' W V W r, with W = S^-1 and P = W - W J (J' W J)^-1 J' W.
+        projected = information - weighted @ inverse @ weighted.swapaxes(1, 2)
+        slopes = np.einsum("vij,kvji->k", projected, pairs.parts) - np.einsum(
+            "vi,kvij,vj->k", whitened, pairs.parts, whitened
+        )
+        slopes = np.exp(logarithms) * slopes
+        if priors is not None:
+            misses = (priors.powers @ (0.5 * logarithms) - priors.means) / priors.stds
+            value += np.sum(misses**2)
+            slopes += priors.powers.T @ (misses / priors.stds)
+        return float(value), slopes
+
+    widest = -2.0 * np.log(SMALLEST_PART)
+    found = minimize(
+        deviance,
+        np.log(start),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-widest, widest)] * len(start),
+        options={"ftol": DEVIANCE_TOLERANCE},
+    )
+    return LikeliestVariances(np.exp(found.x), float(found.fun))

@@ -1,0 +1,68 @@
+"""The sizes of noises of tracked poses, against closed forms and what was simulated."""
+
+import numpy as np
+import pytest
+from tracked_scene import MOUNT, ROBOT, WORLD, data_of, turned
+
+from smartview_jax.dataset import UNIT_TRANSLATION, PoseDataset
+from smartview_jax.geometry import host_exponentials
+from smartview_jax.variance import (
+    LinearPairs,
+    LogNormalPriors,
+    likeliest_variances,
+    linear_pairs,
+)
+
+
+def pairs_of(data, mount=MOUNT, world=WORLD):
+    robot = np.asarray(data.base_from_tool.as_matrix())
+    mount_from_holder = np.linalg.inv(robot) if data.mount == "eye_in_hand" else robot
+    return linear_pairs(data, mount, mount_from_holder, world)
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+def test_the_derivatives_are_those_of_the_chain(mount):
+    data, step = data_of(0, mount=mount), 1e-5 * np.arange(1.0, 13.0)
+    by_mount, by_world = host_exponentials(step.reshape(2, 6))
+    at, moved = pairs_of(data), pairs_of(data, by_mount @ MOUNT, by_world @ WORLD)
+    np.testing.assert_allclose(
+        at.errors - at.by_unknowns @ step, moved.errors, atol=1e-2 * np.abs(step).max()
+    )
+
+
+def test_one_noise_alone_has_the_variance_of_the_residuals():
+    """The sum of squared residuals over the number of degrees of freedom."""
+    pairs = pairs_of(data_of(0))
+    one = LinearPairs(pairs.errors, pairs.by_unknowns, np.tile(1e-6 * np.eye(6), (1, 16, 1, 1)))
+    columns, errors = one.by_unknowns.reshape(-1, 12), one.errors.ravel()
+    rest = errors - columns @ np.linalg.lstsq(columns, errors, rcond=None)[0]
+    found = likeliest_variances(one, np.ones(1)).variances
+    assert 1e-6 * found[0] == pytest.approx(rest @ rest / (16 * 6 - 12), rel=1e-4)
+
+
+def test_noise_along_the_line_of_sight_is_told_from_noise_across_it():
+    rng, views = np.random.default_rng(0), 200
+    seen = turned(rng.uniform(-0.6, 0.6, (views, 3)))
+    seen[:, :3, 3] = rng.uniform([-0.2, -0.2, 0.4], [0.2, 0.2, 0.7], (views, 3))
+    robot = np.linalg.inv(np.linalg.inv(MOUNT) @ seen @ np.linalg.inv(WORLD))
+    robot = robot @ host_exponentials(rng.normal(size=(views, 6)) * np.repeat(ROBOT, 3))
+    sight = seen[:, :3, 3] / np.linalg.norm(seen[:, :3, 3], axis=1, keepdims=True)
+    measured = seen.copy()
+    measured[:, :3, 3] += 5e-4 * rng.normal(size=(views, 3))
+    measured[:, :3, 3] += 2e-3 * rng.normal(size=(views, 1)) * sight
+    measured[:, :3, :3] = turned(2e-3 * rng.normal(size=(views, 3)))[:, :3, :3] @ seen[:, :3, :3]
+    pairs = pairs_of(PoseDataset.from_poses(robot, measured))
+    sizes = np.sqrt(likeliest_variances(pairs, np.ones(5)).variances)
+    across, along = UNIT_TRANSLATION * sizes[:2]
+    # Without priors the robot's noise takes a part of the tracker's.
+    assert across == pytest.approx(5e-4, rel=0.25)
+    assert along == pytest.approx(np.hypot(5e-4, 2e-3), rel=0.15)
+
+
+def test_a_prior_decides_where_pairs_do_not():
+    """Of two equal noises only the sum is known; the prior has one ten times the other."""
+    pairs = pairs_of(data_of(0))
+    twice = LinearPairs(pairs.errors, pairs.by_unknowns, np.tile(1e-6 * np.eye(6), (2, 16, 1, 1)))
+    prior = LogNormalPriors(np.array([[1.0, -1.0]]), np.log([10.0]), np.array([0.1]))
+    first, second = likeliest_variances(twice, np.ones(2), prior).variances
+    assert np.sqrt(first / second) == pytest.approx(10.0, rel=0.01)
