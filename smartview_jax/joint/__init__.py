@@ -23,7 +23,6 @@ from .parameter_estimates import parameter_estimates as parameter_estimates
 from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
 from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH
 from .pose_fit import PoseFit as PoseFit
-from .pose_fit import TrackerPrior as TrackerPrior
 from .pose_fit import fit_poses as fit_poses
 from .pose_fit import pose_rms as pose_rms
 from .pose_fit import start_from_poses as start_from_poses
@@ -41,3 +40,4 @@ from .rig_fitting import fit_rig as fit_rig
 from .saved_estimate import SavedEstimate as SavedEstimate
 from .saved_estimate import load_estimate as load_estimate
 from .saved_estimate import load_with_uncertainty as load_with_uncertainty
+from .tracker_noise import TrackerPrior as TrackerPrior

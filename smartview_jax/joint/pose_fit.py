@@ -1,14 +1,13 @@
 """Fit the hand-eye transform to poses that a tracker measured, without pixels.
 
 The measured poses enter the joint fit in the place of the points of the pictures: the same engine,
-the same errors of the robot and the same likelihood. The tracker has a noise of its own. Its size
-is estimated with the robot's; the ratios of its noise in rotation and in depth to its noise across
-the line of sight (or the optical axis, if that is likelier) are the likeliest ones.
+the same errors of the robot and the same likelihood. The tracker has a noise of its own, whose size
+is estimated with the robot's; `tracker_noise` finds the ratios of its parts.
 """
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -20,32 +19,22 @@ from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera, Pinhole
 from ..data_checks import ConventionReport, check_conventions
 from ..dataset import (
-    UNIT_ROTATION,
-    UNIT_TRANSLATION,
     PoseDataset,
     chain_residuals,
 )
 from ..engine import Prior
-from ..geometry import PoseLike, host_exponentials, host_matrices, host_transforms
+from ..geometry import PoseLike, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import check_start, known_transforms
-from ..variance import (
-    DEPTH_AXES,
-    DepthAxis,
-    LikeliestVariances,
-    LinearPairs,
-    LogNormalPriors,
-    likeliest_variances,
-    linear_pairs,
-)
 from .fit import fit_joint
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
 from .robust_hand_eye import chain_errors, robust_hand_eye
 from .sensor_error import with_sensor_error
+from .tracker_noise import TrackerPrior, with_likeliest_units
 from .undetermined import require_moving_robot
 
 MAX_ROUNDS = 3
@@ -57,45 +46,11 @@ CONSISTENT_ERROR = 3.5
 Of a normal distribution in three dimensions, one error in two million is larger.
 """
 
-UNIT_ROUNDS = 3
-"""Rounds in which the chain and the ratios of the tracker's noises are estimated in turn."""
-
 MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
 """Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost."""
 
 NO_CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
 """The camera of a calibration whose camera nobody stated."""
-
-
-@dataclasses.dataclass(frozen=True)
-class TrackerPrior:
-    """The log-normal priors on the ratios of a tracker's noises.
-
-    A marker whose corners are off by an error e has a position off by about e across the line of
-    sight, by e times its distance over its size along it, and a rotation off by e over its size.
-    The positions of a motion capture system are as good along the line of sight as across it.
-
-    Attributes:
-        ratio_median: median ratio of rotation to translation across the line of sight, rad/m; one
-            over the size of a marker.
-        ratio_geometric_std: exp of the standard deviation of its logarithm.
-        depth_median: median ratio of translation along the line of sight to across it; between
-            motion capture and a marker at five times its size.
-        depth_geometric_std: exp of the standard deviation of its logarithm.
-    """
-
-    ratio_median: float = UNIT_ROTATION / UNIT_TRANSLATION
-    ratio_geometric_std: float = 5.0
-    depth_median: float = 2.0
-    depth_geometric_std: float = 3.0
-
-    def __post_init__(self) -> None:
-        for name in ("ratio_median", "depth_median"):
-            if not 0.0 < (value := getattr(self, name)) < np.inf:
-                raise ValueError(f"TrackerPrior.{name}: expected a positive number, found {value}")
-        for name in ("ratio_geometric_std", "depth_geometric_std"):
-            if not 1.0 < (value := getattr(self, name)) < np.inf:
-                raise ValueError(f"TrackerPrior.{name}: expected a factor above 1, found {value}")
 
 
 @runtime_checkable
@@ -273,7 +228,7 @@ def fit_poses(
         """Return the pairs that agree, with the tracker's units, and the fit to them."""
         used = without_views(data, _contradictions(data, calibration, consistent))
         if not data.states_covariance:
-            used = _with_likeliest_units(
+            used = with_likeliest_units(
                 used, calibration, scale, prior, tracker_prior or TrackerPrior()
             )
         return used, fit_joint(
@@ -412,113 +367,3 @@ def _consistent_again(data: PoseDataset, fit: JointFit) -> Bool[np.ndarray, "vie
     errors = tracked_pose_errors(data, fit.calibration)
     typical = np.array(pose_rms(errors[fit.used_views]))
     return data.seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)
-
-
-def _with_likeliest_units(
-    data: PoseDataset,
-    calibration: Calibration,
-    scale: bool,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> PoseDataset:
-    """Return the data with the likeliest ratios of the tracker's noises in their covariances.
-
-    They are found with white noise of the robot alone: its systematic errors are smooth, and hardly
-    change with the ratios. The axis of the noise in depth is the likelier one.
-
-    Args:
-        data: the pairs.
-        calibration: near the solution.
-        scale: whether the tracker's unit is unknown; it then has no noise in depth either.
-        robot_prior, tracker_prior: on the sizes of the robot's noise, and on the ratios.
-    """
-    factor = float(calibration.target_scale)
-    measured = data.tracked_matrices.copy()
-    measured[:, :3, 3] *= factor
-    in_metres = dataclasses.replace(data, camera_from_world=host_transforms(measured))
-    noises = [
-        _tracker_noise(in_metres, calibration, axis, scale, robot_prior, tracker_prior)
-        for axis in DEPTH_AXES[: 1 if scale else None]
-    ]
-    covariance = min(noises, key=lambda noise: noise.deviance).covariance
-    covariance[:, :3] /= factor
-    covariance[:, :, :3] /= factor
-    # The fit finds their common size.
-    size = UNIT_TRANSLATION**2 / np.diagonal(covariance, axis1=1, axis2=2)[:, :3].mean()
-    return dataclasses.replace(data, covariance=to_device(size * covariance))
-
-
-class _TrackerNoise(NamedTuple):
-    """The covariances of tracked poses, and -2 log of their posterior density."""
-
-    covariance: Float[np.ndarray, "views 6 6"]
-    deviance: float
-
-
-def _tracker_noise(
-    data: PoseDataset,
-    calibration: Calibration,
-    axis: DepthAxis,
-    scale: bool,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> _TrackerNoise:
-    """Return the likeliest noise of tracked poses in metres, with a depth axis.
-
-    Args:
-        data: the pairs.
-        calibration, scale, robot_prior, tracker_prior: as in `_with_likeliest_units`.
-        axis: of the noise in depth.
-    """
-    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
-    camera_from_mount = host_matrices(calibration.camera_from_mount)
-    holder_from_world = host_matrices(calibration.holder_from_world)
-    likeliest = LikeliestVariances(np.ones(4 if scale else 5), np.inf)
-    tracker = np.zeros(0)
-    for _ in range(UNIT_ROUNDS):
-        pairs = linear_pairs(data, camera_from_mount, robot, holder_from_world, axis)
-        tracker = pairs.parts[:3]
-        if scale:
-            tracker = np.stack([tracker[0] + tracker[1], tracker[2]])
-            by_scale = np.pad(-data.tracked_matrices[:, :3, 3], ((0, 0), (0, 3)))[:, :, None]
-            columns = np.concatenate([pairs.by_unknowns, by_scale], axis=2)
-            pairs = LinearPairs(pairs.errors, columns, np.concatenate([tracker, pairs.parts[3:]]))
-        used = pairs.of(data.seen)
-        likeliest = _likeliest(used, likeliest.variances, robot_prior, tracker_prior)
-        step = used.solved(likeliest.variances)
-        by_mount, by_holder = host_exponentials(step[:12].reshape(2, 6))
-        camera_from_mount = by_mount @ camera_from_mount
-        holder_from_world = by_holder @ holder_from_world
-    covariance = np.einsum("k,kvij->vij", likeliest.variances[: len(tracker)], tracker)
-    return _TrackerNoise(covariance, likeliest.deviance)
-
-
-def _likeliest(
-    pairs: LinearPairs,
-    start: Float[np.ndarray, "parts"],
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> LikeliestVariances:
-    """Return the likeliest variances of the noises, of a good robot or of a weak one."""
-    units = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
-    # Ratios to the noise across the line of sight, the first part; the robot's are the last two.
-    powers = np.eye(len(pairs.parts))[1:]
-    powers[:-2, 0] = -1.0
-    ratios = [
-        (tracker_prior.depth_median, tracker_prior.depth_geometric_std),
-        (tracker_prior.ratio_median * units[0] / units[1], tracker_prior.ratio_geometric_std),
-    ][-(len(powers) - 2) :]
-    by_ratio = np.log(ratios)
-    weak = robot_prior.weak_robot_probability
-    weak_medians = robot_prior.weak_translation_median, robot_prior.weak_rotation_median
-    found = []
-    for medians, probability in (
-        (robot_prior.medians(None), 1.0 - weak),
-        (np.array(weak_medians), weak),
-    ):
-        if probability > 0.0:
-            means = np.concatenate([by_ratio[:, 0], np.log(medians / units)])
-            stds = np.concatenate([by_ratio[:, 1], robot_prior.log_stds(None)])
-            best = likeliest_variances(pairs, start, LogNormalPriors(powers, means, stds))
-            found.append(best._replace(deviance=best.deviance - 2.0 * np.log(probability)))
-    return min(found, key=lambda candidate: candidate.deviance)

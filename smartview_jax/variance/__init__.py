@@ -12,7 +12,6 @@ from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence
 from .noise_estimate import TargetShapeEstimate as TargetShapeEstimate
 from .pose_variances import DEPTH_AXES as DEPTH_AXES
 from .pose_variances import DepthAxis as DepthAxis
-from .pose_variances import LikeliestVariances as LikeliestVariances
 from .pose_variances import LinearPairs as LinearPairs
 from .pose_variances import LogNormalPriors as LogNormalPriors
 from .pose_variances import Poses as Poses

@@ -20,11 +20,13 @@ SMALLEST_PART = 1e-3
 DEVIANCE_TOLERANCE = 1e-13
 """Relative change of the deviance that ends the search: variances are then found to 1e-5."""
 
-DepthAxis = Literal["sight", "optical"]
+DepthAxis = Literal["none", "sight", "optical"]
 """Axis of a tracker's noise in depth: the line of sight, as of a marker in pictures, or the optical
-axis, as of a sensor that measures depth apart from the other coordinates."""
+axis, as of a sensor that measures depth apart from the other coordinates; none, as of a motion
+capture system, whose translations are equally good in all directions."""
 
 DEPTH_AXES: tuple[DepthAxis, ...] = ("sight", "optical")
+"""The axes of trackers that have one."""
 
 Poses = Float[np.ndarray, "views 4 4"]
 
@@ -37,8 +39,8 @@ class LinearPairs(NamedTuple):
         by_unknowns: change of the predictions by left twists of `camera_from_mount` and
             `holder_from_world`, and by what else is unknown.
         parts: covariance of the errors by each noise with a standard deviation of one unit: the
-            tracker's (one, if its covariances are stated; else across its depth axis, along it,
-            and of rotation), then the robot's of translation and of rotation.
+            tracker's (one, if its covariances are stated; else across its depth axis, along it if
+            there is one, and of rotation), then the robot's of translation and of rotation.
     """
 
     errors: Float[np.ndarray, "views 6"]
@@ -91,10 +93,21 @@ class LikeliestVariances(NamedTuple):
     Attributes:
         variances: in squared units, in the order of `LinearPairs.parts`.
         deviance: -2 log of their posterior density, but for a constant.
+        information: expected information on the logarithms of their roots, with the priors'.
     """
 
     variances: Float[np.ndarray, "parts"]
     deviance: float
+    information: Float[np.ndarray, "parts parts"]
+
+    @property
+    def evidence(self) -> float:
+        """The logarithm of the evidence by Laplace's method, but for a constant.
+
+        It compares descriptions of the same pairs by other noises, whose priors are proper.
+        """
+        # log Z = -D / 2 - log det(I / 2 pi) / 2; each prior but one has its 2 pi in D, not here.
+        return -0.5 * (self.deviance + float(np.linalg.slogdet(self.information)[1]))
 
 
 def linear_pairs(
@@ -141,7 +154,10 @@ def linear_pairs(
 def _tracker_parts(
     camera_from_world: Poses, depth_axis: DepthAxis
 ) -> list[Float[np.ndarray, "views 6 6"]]:
-    """Return a tracker's noise of one unit: across its depth axis, along it, of rotation."""
+    """Return a tracker's noise of one unit: across its depth axis, along it, of rotation.
+
+    Without a depth axis: in all directions, and of rotation.
+    """
     place = camera_from_world[:, :3, 3]
     if depth_axis == "optical":
         place = np.tile([0.0, 0.0, 1.0], (len(place), 1))
@@ -150,6 +166,8 @@ def _tracker_parts(
     along[:, :3, :3] = sight[:, :, None] * sight[:, None]
     across[:, :3, :3] = np.eye(3) - along[:, :3, :3]
     turn[:, 3:, 3:] = np.eye(3)
+    if depth_axis == "none":
+        return [UNIT_TRANSLATION**2 * (across + along), UNIT_ROTATION**2 * turn]
     return [UNIT_TRANSLATION**2 * across, UNIT_TRANSLATION**2 * along, UNIT_ROTATION**2 * turn]
 
 
@@ -203,7 +221,7 @@ def likeliest_variances(
         slopes = np.exp(logarithms) * slopes
         if priors is not None:
             misses = (priors.powers @ (0.5 * logarithms) - priors.means) / priors.stds
-            value += np.sum(misses**2)
+            value += np.sum(misses**2) + 2.0 * np.log(priors.stds).sum()
             slopes += priors.powers.T @ (misses / priors.stds)
         return float(value), slopes
 
@@ -216,4 +234,26 @@ def likeliest_variances(
         bounds=[(-widest, widest)] * len(start),
         options={"ftol": DEVIANCE_TOLERANCE},
     )
-    return LikeliestVariances(np.exp(found.x), float(found.fun))
+    variances = np.exp(found.x)
+    information = _information(pairs, variances)
+    if priors is not None:
+        information += priors.powers.T @ (priors.powers / priors.stds[:, None] ** 2)
+    return LikeliestVariances(variances, float(found.fun), information)
+
+
+def _information(
+    pairs: LinearPairs, variances: Float[np.ndarray, "parts"]
+) -> Float[np.ndarray, "parts parts"]:
+    """Return the expected information of the restricted likelihood on log standard deviations.
+
+    It is 2 s_k s_l tr(P V_k P V_l) for the variances s and P = W - W J C J' W, with W the inverse
+    covariance of the errors, J their change by the unknowns and C the covariance of these.
+    """
+    W = np.linalg.inv(np.einsum("k,kvij->vij", variances, pairs.parts))
+    C, WJ = pairs.inverse(variances), pairs.information(variances).swapaxes(1, 2)
+    WV = W @ (variances[:, None, None, None] * pairs.parts)
+    by_part = np.einsum("vip,kvij,vjq->kpq", pairs.by_unknowns, WV @ W, pairs.by_unknowns)
+    explained = C @ by_part
+    trace = np.einsum("kvij,lvji->kl", WV, WV)
+    trace -= 2.0 * np.einsum("pq,vip,kvij,lvjm,vmq->kl", C, pairs.by_unknowns, WV, WV, WJ)
+    return 2.0 * (trace + np.einsum("kpq,lqp->kl", explained, explained))

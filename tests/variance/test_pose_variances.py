@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from tracked_scene import MOUNT, ROBOT, WORLD, data_of, turned
 
 from smartview_jax.dataset import UNIT_TRANSLATION, PoseDataset
@@ -66,3 +67,47 @@ def test_a_prior_decides_where_pairs_do_not():
     prior = LogNormalPriors(np.array([[1.0, -1.0]]), np.log([10.0]), np.array([0.1]))
     first, second = likeliest_variances(twice, np.ones(2), prior).variances
     assert np.sqrt(first / second) == pytest.approx(10.0, rel=0.01)
+
+
+def test_the_information_is_the_curvature_of_the_likelihood():
+    """At the maximum, on average over draws, half the second differences of the deviance."""
+    rng, pairs = np.random.default_rng(0), pairs_of(data_of(0))
+    columns, parts = pairs.by_unknowns, np.stack([pairs.parts[:2].sum(axis=0), pairs.parts[2]])
+    root = np.linalg.cholesky(parts.sum(axis=0))
+    curvature, information = np.zeros((2, 2)), np.zeros((2, 2))
+    for _ in range(20):
+        errors = np.einsum("vij,vj->vi", root, rng.standard_normal((16, 6)))
+        found = likeliest_variances(LinearPairs(errors, columns, parts), np.ones(2))
+        information += found.information / 20
+        curvature += second_differences(errors, columns, parts, found.variances) / 20
+    np.testing.assert_allclose(information, curvature, rtol=0.1, atol=0.02 * information.max())
+
+
+def second_differences(errors, columns, parts, variances, step=1e-3):
+    """Of half the restricted deviance by the logarithms of standard deviations, by SciPy."""
+    J = columns.reshape(-1, columns.shape[2])
+
+    def half_deviance(x):
+        V = block_diag(*np.einsum("k,kvij->vij", variances * np.exp(2.0 * np.array(x)), parts))
+        W = np.linalg.inv(V)
+        normal = J.T @ W @ J
+        e = errors.ravel()
+        rest = e @ W @ e - e @ W @ J @ np.linalg.solve(normal, J.T @ W @ e)
+        return 0.5 * (np.linalg.slogdet(V)[1] + np.linalg.slogdet(normal)[1] + rest)
+
+    h = step * np.eye(2)
+    return np.array(
+        [
+            [
+                (
+                    half_deviance(a + b)
+                    - half_deviance(a - b)
+                    - half_deviance(b - a)
+                    + half_deviance(-a - b)
+                )
+                / (4.0 * step**2)
+                for b in h
+            ]
+            for a in h
+        ]
+    )
