@@ -15,6 +15,7 @@ from scipy.special import chdtri
 from .dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
 from .geometry import host_exponentials
 from .robots import Trajectory
+from .runtime.blas_threads import on_one_blas_thread
 from .variance import (
     DEPTH_AXES,
     DepthAxis,
@@ -72,6 +73,7 @@ class TimedFit(NamedTuple):
     deviance: float
 
 
+@on_one_blas_thread
 def fit_timed_poses(
     data: PoseDataset,
     trajectory: Trajectory,

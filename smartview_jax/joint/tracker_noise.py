@@ -15,6 +15,7 @@ from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotPrior
 from ..runtime.array_namespace import to_device
+from ..runtime.blas_threads import on_one_blas_thread
 from ..variance import (
     DEPTH_AXES,
     DepthAxis,
@@ -24,7 +25,7 @@ from ..variance import (
     linear_pairs,
 )
 
-UNIT_ROUNDS = 3
+UNIT_ROUNDS = 2
 """Rounds in which the chain and the ratios of the tracker's noises are estimated in turn."""
 
 
@@ -59,6 +60,7 @@ class TrackerPrior:
                 raise ValueError(f"TrackerPrior.{name}: expected a factor above 1, found {value}")
 
 
+@on_one_blas_thread
 def with_likeliest_units(
     data: PoseDataset,
     calibration: Calibration,

@@ -252,8 +252,8 @@ def _information(
     W = np.linalg.inv(np.einsum("k,kvij->vij", variances, pairs.parts))
     C, WJ = pairs.inverse(variances), pairs.information(variances).swapaxes(1, 2)
     WV = W @ (variances[:, None, None, None] * pairs.parts)
-    by_part = np.einsum("vip,kvij,vjq->kpq", pairs.by_unknowns, WV @ W, pairs.by_unknowns)
-    explained = C @ by_part
+    J_WV, WV_WJ = pairs.by_unknowns.swapaxes(1, 2) @ WV, WV @ WJ
+    explained = C @ (J_WV @ WJ).sum(axis=1)
     trace = np.einsum("kvij,lvji->kl", WV, WV)
-    trace -= 2.0 * np.einsum("pq,vip,kvij,lvjm,vmq->kl", C, pairs.by_unknowns, WV, WV, WJ)
+    trace -= 2.0 * np.tensordot(C @ J_WV, WV_WJ, axes=((1, 2, 3), (1, 3, 2)))
     return 2.0 * (trace + np.einsum("kpq,lqp->kl", explained, explained))
