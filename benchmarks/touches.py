@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
-from smartview_jax.evaluation import stylus_error
-from smartview_jax.geometry import host_transforms
+from smartview_jax.evaluation import stylus_error, touching_pose
+from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.grasping import stylus_orientations, tip_error_factor
 
 DRAWS, VIEWS = 60, 8
@@ -36,8 +36,8 @@ def _touching(points: list[list[float]], tilts_deg: list[tuple[float, float]]) -
     turns = [Rotation.from_euler("ZX", [b, a], degrees=True).as_matrix() for a, b in tilts_deg]
     poses = np.tile(np.eye(4), (len(points), 1, 1))
     poses[:, :3, :3] = stylus_orientations(TIP, np.array(turns) @ down)
-    poses[:, :3, 3] = np.array(points) - poses[:, :3, :3] @ TIP
-    return poses
+    rotations = host_transforms(poses).rotation()
+    return host_matrices(touching_pose(TIP, rotations, np.array(points)))
 
 
 TOUCHED = _touching(

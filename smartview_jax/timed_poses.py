@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
 from .dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
-from .geometry import host_exponentials
 from .robots import Trajectory
 from .runtime.blas_threads import on_one_blas_thread
 from .variance import (
@@ -23,6 +22,7 @@ from .variance import (
     Poses,
     likeliest_variances,
     linear_pairs,
+    moved_transforms,
     pose_differences,
 )
 
@@ -195,10 +195,9 @@ def _moved(
     chain: TimedChain, step: Float[np.ndarray, "13"], bounds: tuple[float, float]
 ) -> TimedChain:
     """Return a chain changed by a step of its unknowns, its offset within bounds."""
-    by_mount, by_holder = host_exponentials(step[:12].reshape(2, 6))
+    transforms = moved_transforms(chain.camera_from_mount, chain.holder_from_world, step)
     return TimedChain(
-        by_mount @ chain.camera_from_mount,
-        by_holder @ chain.holder_from_world,
+        *transforms,
         float(np.clip(chain.seconds + step[-1], *bounds)),
     )
 

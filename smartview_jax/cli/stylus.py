@@ -215,10 +215,8 @@ def _write_corrected(
     Raises:
         ValueError: the misses are larger than the calibration predicts.
     """
-    import numpy as np
-
     from ..files import read_yaml
-    from ..grasping import correct_by_touches, tip_error_factor, tool_commands
+    from ..grasping import compare_misses, correct_by_touches, tip_error_factor, tool_commands
 
     assert options.corrected is not None
     if judged["comparison"]["p_value"] < SURPRISING_P_VALUE:
@@ -246,8 +244,8 @@ def _write_corrected(
     touches = tool_commands(corrected.calibration, touches.world_from_tool, estimate=corrected)
     factor = tip_error_factor(touches, tip)
     assert factor is not None
-    expected = np.sqrt(np.mean(np.sum(factor[:, : misses.shape[1]] ** 2, axis=(1, 2))))
-    return {"corrected": options.corrected, "corrected_expected_rms_m": float(expected)}
+    expected = compare_misses(factor, misses).expected_rms
+    return {"corrected": options.corrected, "corrected_expected_rms_m": expected}
 
 
 def _judgement(

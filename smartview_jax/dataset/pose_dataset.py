@@ -156,12 +156,6 @@ class PoseDataset(Dataset):
         tracked = of_views(tuple(getattr(self, name) for name in names), index)
         return super()._arrays_of(index) | dict(zip(names, tracked, strict=True))
 
-    def with_units(self, translation: float, rotation: float) -> "PoseDataset":
-        """Return the data set with other units of the tracker's noise, m and rad."""
-        return dataclasses.replace(
-            self, covariance=_diagonal(translation, rotation, self.view_count)
-        )
-
     def with_covariance(self, covariance: np.ndarray) -> "PoseDataset":
         """Return the data set with the covariance of each tracked pose.
 
@@ -203,11 +197,6 @@ class PoseDataset(Dataset):
                 f"{np.diagonal(matrices[view])}"
             )
         return dataclasses.replace(self, covariance=to_device(matrices), states_covariance=True)
-
-    def times_covariance(self, factor: float) -> "PoseDataset":
-        """Return the data set with the covariances times a factor."""
-        assert self.covariance is not None
-        return dataclasses.replace(self, covariance=to_device(factor * np.asarray(self.covariance)))
 
     @property
     def typical_noise(self) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from .camera_poses import FIVE_VIEWPOINT_PATTERNS as FIVE_VIEWPOINT_PATTERNS
 from .camera_poses import FIVE_VIEWPOINT_STEP as FIVE_VIEWPOINT_STEP
 from .camera_poses import five_viewpoints as five_viewpoints
 from .camera_poses import look_at as look_at
+from .camera_poses import spiral_directions as spiral_directions
 from .camera_poses import viewing_direction as viewing_direction
 from .conics import circle_dual_conic as circle_dual_conic
 from .conics import conic_centre as conic_centre

@@ -158,6 +158,21 @@ def viewing_direction(
     return as_float_array(-xp.stack(to_camera, axis=-1))
 
 
+def spiral_directions(
+    heights: Float[np.ndarray, "directions"], start: float = 0.0
+) -> Float[np.ndarray, "directions 3"]:
+    """Return unit vectors on a spiral about z, which spreads equally spaced heights evenly.
+
+    Args:
+        heights: of the vectors along z, from -1 to 1.
+        start: angle of the first one about z, rad.
+    """
+    # Each is further by the golden angle.
+    angle = start + np.pi * (3.0 - np.sqrt(5.0)) * np.arange(len(heights))
+    around = np.sqrt(1.0 - heights**2)
+    return np.column_stack([around * np.cos(angle), around * np.sin(angle), heights])
+
+
 def five_viewpoints(
     point: Float[Array, "*#views 3"] | np.ndarray,
     distance: float | Float[Array, "5"] | np.ndarray,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ..calibration import Calibration, host_mount_from_holder
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
-from ..geometry import host_exponentials, host_matrices, host_transforms
+from ..geometry import host_matrices, host_transforms
 from ..robot_errors import RobotPrior
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
@@ -23,6 +23,7 @@ from ..variance import (
     LogNormalPriors,
     likeliest_variances,
     linear_pairs,
+    moved_transforms,
 )
 
 UNIT_ROUNDS = 2
@@ -132,10 +133,9 @@ def _tracker_noise(
             pairs = pairs._replace(by_unknowns=columns)
         used = pairs.of(data.seen)
         variances, evidence = _likeliest(used, variances, robot_prior, tracker_prior)
-        step = used.solved(variances)
-        by_mount, by_holder = host_exponentials(step[:12].reshape(2, 6))
-        camera_from_mount = by_mount @ camera_from_mount
-        holder_from_world = by_holder @ holder_from_world
+        camera_from_mount, holder_from_world = moved_transforms(
+            camera_from_mount, holder_from_world, used.solved(variances)
+        )
         # The last two are the robot's.
         covariance = np.einsum("k,kvij->vij", variances[:-2], pairs.parts[:-2])
     return _TrackerNoise(covariance, evidence)

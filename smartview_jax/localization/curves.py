@@ -1,4 +1,4 @@
-"""Join the short chords of round rims into arcs, each of which is measured like one edge.
+"""Join the short chords of round rims into arcs, so that an arc is measured like one edge.
 
 A mesh draws a circle as a polygon. A chord of some pixels is too short to be measured, and lies
 next to other chords; an arc is as long as an edge, and its distance from the picture's edge changes

@@ -36,8 +36,8 @@ EXPLAINED_DISTANCE = 2.0
 EDGE_BLUR = float(np.hypot(STANDARD_WIDTH, SMOOTHING))
 """Blur of the edges with the smoothing of the gradient, standard deviation, px.
 
-The gradient of a blurred disc of radius R peaks s^2 / 2R within its border: around a circle there
-is less of what is within.
+The gradient of a blurred disc of radius R peaks s^2 / 2R inside its border, because more than half
+of the neighbourhood of a point on a circle is outside the circle.
 """
 
 MAX_RADIUS = 12

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..engine import Noise
-from ..geometry import host_matrices, look_at
+from ..geometry import host_matrices, look_at, spiral_directions
 from ..modeling import ObjectModel, face_plane
 from ..robots import JointsLike, SerialArm
 from ..viewpoints import Limits, viewpoint_commands
@@ -235,11 +235,8 @@ def _around(
 ) -> Float[np.ndarray, "n 4 4"]:
     """Return views of the objects' middle from directions spread over a hemisphere."""
     up = _upwards(calibration)
-    # A spiral with equal areas between its turns, from the zenith to the lowest elevation.
-    height = np.linspace(1.0, np.sin(LOWEST_ELEVATION), DIRECTIONS)
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(DIRECTIONS)
-    around = np.sqrt(1.0 - height**2)
-    local = np.column_stack([around * np.cos(angle), around * np.sin(angle), height])
+    # From the zenith to the lowest elevation.
+    local = spiral_directions(np.linspace(1.0, np.sin(LOWEST_ELEVATION), DIRECTIONS))
     # Any two axes perpendicular to the vertical complete the frame.
     across = np.linalg.svd(up[None])[2][1:]
     directions = local @ np.stack([across[0], np.cross(up, across[0]), up])

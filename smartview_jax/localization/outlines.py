@@ -18,7 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..modeling import ObjectModel
+from ..geometry import spiral_directions
+from ..modeling import ObjectModel, faces_by_edge
 
 if TYPE_CHECKING:
     from .wireframe import Wireframe
@@ -73,13 +74,9 @@ def smooth_edges(
         each edge, m, from the widths of the faces and the angle between them.
     """
     sharp = {frozenset(pair) for pair in model.edges.tolist()}
-    sides: dict[frozenset[int], list[int]] = {}
-    for k, face in enumerate(model.faces):
-        for pair in face.directed_edges:
-            sides.setdefault(frozenset(pair), []).append(k)
     pairs, normals, radii = [], [], []
     planes = [model.plane(k) for k in range(len(model.faces))]
-    for pair, owners in sides.items():
+    for pair, owners in faces_by_edge(model.faces).items():
         if len(owners) != 2 or pair in sharp:
             continue
         a, b = sorted(pair)
@@ -154,13 +151,10 @@ def _most_on_outline(
     model: ObjectModel,
 ) -> int:
     """Return the largest number of samples that are on the outline from any viewpoint."""
-    # Directions on a Fibonacci spiral, from near and from afar.
-    k = np.arange(DIRECTIONS) + 0.5
-    height, angle = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * k
-    across = np.sqrt(1.0 - height**2)
-    directions = np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1)
+    directions = spiral_directions(1.0 - 2.0 * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS)
     most, middle = 0, model.vertices.mean(axis=0)
     offsets = (normals * middles[:, None]).sum(axis=2)
+    # From near and from afar.
     for distance in (2.0 * model.extent, 20.0 * model.extent):
         towards = normals @ (middle + distance * directions).T > offsets[:, :, None]
         most = max(most, int((counts @ (towards[:, 0] != towards[:, 1])).max()))

@@ -53,6 +53,7 @@ from .shapes import dimension as dimension
 from .shapes import edges_of_faces as edges_of_faces
 from .shapes import face_array as face_array
 from .shapes import face_plane as face_plane
+from .shapes import faces_by_edge as faces_by_edge
 from .shapes import find_symmetry as find_symmetry
 from .shapes import grasp_on_face as grasp_on_face
 from .shapes import open_edges as open_edges

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from ..geometry import host_transformed
+from ..geometry import host_transformed, spiral_directions
 from ..modeling import (
     Face,
     ObjectModel,
@@ -178,11 +178,9 @@ def random_polyhedron(
 
 def _spread_directions(rng: np.random.Generator, count: int) -> Float[np.ndarray, "directions 3"]:
     """Return random unit vectors that are spread over the sphere, the first one downwards."""
-    # A spiral from pole to pole with equal areas between its turns, then a random deviation.
+    # From pole to pole, then a random deviation.
     z = np.concatenate([[-1.0], np.linspace(-1.0, 1.0, count)[1:]])
-    angle = rng.uniform(0.0, 2.0 * np.pi) + np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    around = np.sqrt(1.0 - z**2)
-    spiral = np.column_stack([around * np.cos(angle), around * np.sin(angle), z])
+    spiral = spiral_directions(z, rng.uniform(0.0, 2.0 * np.pi))
     spiral[1:] += 0.25 * rng.standard_normal((count - 1, 3))
     return spiral / np.linalg.norm(spiral, axis=1, keepdims=True)
 

@@ -17,6 +17,7 @@ from .pose_variances import LogNormalPriors as LogNormalPriors
 from .pose_variances import Poses as Poses
 from .pose_variances import likeliest_variances as likeliest_variances
 from .pose_variances import linear_pairs as linear_pairs
+from .pose_variances import moved_transforms as moved_transforms
 from .pose_variances import pose_differences as pose_differences
 from .rig_noise import RigNoiseEstimate as RigNoiseEstimate
 from .rig_noise import estimate_rig_noise as estimate_rig_noise

@@ -12,7 +12,12 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
-from ..geometry import host_adjoints, host_cross_matrices, host_logarithms
+from ..geometry import (
+    host_adjoints,
+    host_cross_matrices,
+    host_exponentials,
+    host_logarithms,
+)
 
 SMALLEST_PART = 1e-3
 """Smallest standard deviation that is told from none, in units of the noise."""
@@ -169,6 +174,16 @@ def _tracker_parts(
     if depth_axis == "none":
         return [UNIT_TRANSLATION**2 * (across + along), UNIT_ROTATION**2 * turn]
     return [UNIT_TRANSLATION**2 * across, UNIT_TRANSLATION**2 * along, UNIT_ROTATION**2 * turn]
+
+
+def moved_transforms(
+    camera_from_mount: Float[np.ndarray, "4 4"],
+    holder_from_world: Float[np.ndarray, "4 4"],
+    step: Float[np.ndarray, "unknowns"],
+) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
+    """Return both transforms of the chain after a step of the unknowns of `LinearPairs`."""
+    by_mount, by_holder = host_exponentials(step[:12].reshape(2, 6))
+    return by_mount @ camera_from_mount, by_holder @ holder_from_world
 
 
 def pose_differences(poses: Poses, others: Poses) -> Float[np.ndarray, "views 6"]:

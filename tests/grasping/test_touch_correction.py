@@ -7,8 +7,8 @@ import pytest
 
 import smartview_jax as sv
 from smartview_jax.engine import Parameters, Step
-from smartview_jax.evaluation import stylus_error
-from smartview_jax.geometry import host_transforms
+from smartview_jax.evaluation import stylus_error, touching_pose
+from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.grasping import correct_by_touches, stylus_orientations, tip_error_factor
 from smartview_jax.joint import SavedEstimate
 
@@ -24,8 +24,7 @@ def touching(points):
     rotations = np.array([sv.geometry.host_exponentials(np.eye(6)[5] * t)[:3, :3] for t in turns])
     poses = np.tile(np.eye(4), (len(points), 1, 1))
     poses[:, :3, :3] = stylus_orientations(TIP, rotations @ DOWN)
-    poses[:, :3, 3] = points - poses[:, :3, :3] @ TIP
-    return poses
+    return host_matrices(touching_pose(TIP, host_transforms(poses).rotation(), points))
 
 
 TOUCHED = touching(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0]]))

@@ -10,6 +10,7 @@ from .faces import FacePlane as FacePlane
 from .faces import check_face as check_face
 from .faces import face_array as face_array
 from .faces import face_plane as face_plane
+from .faces import faces_by_edge as faces_by_edge
 from .faces import open_edges as open_edges
 from .faces import oriented_outward as oriented_outward
 from .faces import points_in_loops as points_in_loops

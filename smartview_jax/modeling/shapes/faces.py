@@ -291,12 +291,18 @@ def oriented_outward(vertices: Float[np.ndarray, "V 3"], faces: Sequence[Face]) 
     return tuple(result)
 
 
-def _connected_parts(faces: list[Face]) -> list[list[int]]:
-    """Return groups of faces connected by edges, after orienting each like its neighbours."""
-    users: dict[frozenset[int], list[int]] = {}
+def faces_by_edge(faces: Sequence[Face]) -> dict[frozenset[int], list[int]]:
+    """Return the indices of the faces on both sides of each edge, by its two vertices."""
+    owners: dict[frozenset[int], list[int]] = {}
     for k, face in enumerate(faces):
         for pair in face.directed_edges:
-            users.setdefault(frozenset(pair), []).append(k)
+            owners.setdefault(frozenset(pair), []).append(k)
+    return owners
+
+
+def _connected_parts(faces: list[Face]) -> list[list[int]]:
+    """Return groups of faces connected by edges, after orienting each like its neighbours."""
+    users = faces_by_edge(faces)
     parts, reached = [], set()
     for first in range(len(faces)):
         if first in reached:
