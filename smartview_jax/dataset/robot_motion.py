@@ -50,6 +50,12 @@ The effect of a smaller rotation is mostly the robot's error, which more views d
 robot with an error of 0.1 mm would determine the camera's position to 3 cm; a ruler does better.
 """
 
+MIN_SHIFT = 1e-2
+"""The smallest motion besides a turn about one point, RMS in m, from which a size is estimated.
+
+From it a robot with an error of 0.1 mm determines the target's size to 1 %; a ruler does better.
+"""
+
 _REPEATED, _DUPLICATE = "its pose repeats view", "its picture and pose are given before, in view"
 """The beginnings of the two reasons for which a view is left out here."""
 
@@ -233,6 +239,19 @@ def never_turns(poses: Poses) -> bool:
 def turns_about_one_axis(poses: Poses) -> bool:
     """Return whether all rotations between the poses share one axis, or there are none."""
     return bool(_turns(poses)[-1] < MIN_TURN)
+
+
+def turns_about_one_point(poses: Poses) -> bool:
+    """Return whether all motions are turns about one point, which tell nothing of lengths.
+
+    Pictures of a target of twice the size, at twice the distance, are then the same.
+    """
+    # Turns R_i about one point put the tool at a + R_i b, whatever else is unknown.
+    rotations = poses[:, :3, :3]
+    columns = np.concatenate([np.broadcast_to(np.eye(3), rotations.shape), rotations], axis=2)
+    columns, positions = columns.reshape(-1, 6), poses[:, :3, 3].ravel()
+    shifts = positions - columns @ np.linalg.lstsq(columns, positions, MIN_TURN)[0]
+    return bool(np.linalg.norm(shifts) < MIN_SHIFT * np.sqrt(len(poses)))
 
 
 def _turns(poses: Poses) -> Float[np.ndarray, "3"]:

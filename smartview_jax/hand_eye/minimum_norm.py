@@ -5,6 +5,8 @@ and target can be shifted along it together. The closed forms divide by the nois
 direction and put the camera hundreds of metres away. Here no step has a part along it: both
 transforms are found by Gauss-Newton steps of minimum norm, and stay along an undetermined direction
 where they start. By default that is the target at the origin of its holder, the paper's start.
+A tracker may follow a target anywhere in the room, but a camera on a hand is near it: the camera
+can be put as near as possible to the origin of its mount instead.
 
 The cost is the Frobenius norm of `camera_from_mount T_i holder_from_world - C_i` (Eq. 10), lengths
 over the distance to the target.
@@ -36,14 +38,16 @@ def minimum_norm_transforms(
     mount_from_holder: _Matrices,
     camera_from_world: _Matrices,
     start: tuple[_Matrix | None, _Matrix | None] = (None, None),
+    camera_on_hand: bool = False,
 ) -> tuple[_Matrix, _Matrix]:
     """Return `camera_from_mount` and `holder_from_world`, undetermined directions as at the start.
 
     Args:
         mount_from_holder, camera_from_world: of the views to use, finite.
         start: both transforms as far as they are known. The first that is given keeps its place
-            along the undetermined directions; if neither is, the target keeps the place of the
-            identity.
+            along the undetermined directions.
+        camera_on_hand: without a start, whether the camera comes as near as possible to the origin
+            of its mount, or the target to the origin of its holder.
     """
     twists = undetermined_twists(mount_from_holder)
     spaced = np.linspace(0, len(mount_from_holder) - 1, MAX_SEARCHED_VIEWS)
@@ -53,7 +57,7 @@ def minimum_norm_transforms(
     found = [_search(T, C, _pose(turn, translation), twists) for turn in _cube_rotations()]
     _, _, world = min(found, key=lambda search: search[0])
     _, camera, world = _search(mount_from_holder, camera_from_world, world, twists)
-    return _shifted_to_start(camera, world, mount_from_holder[0], twists, start)
+    return _shifted_to_start(camera, world, mount_from_holder[0], twists, start, camera_on_hand)
 
 
 def _cube_rotations() -> list[Float[np.ndarray, "3 3"]]:
@@ -151,6 +155,7 @@ def _shifted_to_start(
     mount_from_holder: _Matrix,
     twists: Float[np.ndarray, "twists 6"],
     start: tuple[_Matrix | None, _Matrix | None],
+    camera_on_hand: bool,
 ) -> tuple[_Matrix, _Matrix]:
     """Return the transforms moved along undetermined twists to where they start.
 
@@ -158,7 +163,7 @@ def _shifted_to_start(
         camera, world: the transforms found.
         mount_from_holder: of any view.
         twists: undetermined twists of the holder.
-        start: as in `minimum_norm_transforms`.
+        start, camera_on_hand: as in `minimum_norm_transforms`.
     """
     if not len(twists):
         return camera, world
@@ -170,8 +175,10 @@ def _shifted_to_start(
             along = -adjoint @ twists.T
         elif start[1] is not None:
             offset, along = host_logarithms(start[1] @ np.linalg.inv(world)), twists.T
+        # Of an origin alone: without a start nothing says how camera or target is turned.
+        elif camera_on_hand:
+            offset, along = -camera[:3, 3], camera[:3, :3] @ (-adjoint @ twists.T)[:3]
         else:
-            # Of the target's origin alone: without a start nothing says how the target is turned.
             offset = -world[:3, 3]
             along = (twists[:, :3] + np.cross(twists[:, 3:], world[:3, 3])).T
         step = np.linalg.lstsq(along, offset)[0] @ twists

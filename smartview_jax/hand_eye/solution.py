@@ -15,7 +15,6 @@ result depends on the unit of length. It is the metre here, unless a length scal
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -84,6 +83,7 @@ def solve_hand_eye(
     rough_translation: Float[Array, "3"] | np.ndarray | None = None,
     length_scale: float = 1.0,
     start: tuple[SE3 | None, SE3 | None] = (None, None),
+    camera_on_hand: bool = False,
 ) -> HandEyeResult:
     """Compute hand-eye and world transforms from robot poses and camera poses, `(views)` each.
 
@@ -99,6 +99,8 @@ def solve_hand_eye(
         length_scale: metres per unit of length in Eq. 17; smaller gives translation more weight.
         start: `camera_from_mount` and `holder_from_world` as far as they are known; the first that
             is given decides what the motion leaves undetermined.
+        camera_on_hand: without a start, whether the camera comes as near as possible to the origin
+            of its mount along such a direction, or the target to the origin of its holder.
 
     Raises:
         ValueError: fewer than three different poses, or a robot that never turned without a start
@@ -118,7 +120,12 @@ def solve_hand_eye(
         place_is_given = any(pose is not None for pose in known)
         require_motion(T[w != 0.0], "camera_from_mount", place_is_given)
     if finite and len(undetermined_twists(T[w != 0.0])):
-        return _minimum_norm_result(T[w != 0.0], C[w != 0.0], w[w != 0.0], length_scale, known)
+        initial = np.eye(4) if known[1] is None else known[1]
+        transforms = minimum_norm_transforms(
+            T[w != 0.0], C[w != 0.0], (known[0], known[1]), camera_on_hand
+        )
+        factor = frobenius_factor(T[w != 0.0], C[w != 0.0], w[w != 0.0], length_scale)
+        return _minimum_norm_result(*transforms, initial, factor)
     # The closed forms are starts in addition to the paper's.
     closed_forms = {
         name: tuple(host_matrices(x) for x in form(mount_from_holder, camera_from_world, w))
@@ -164,19 +171,20 @@ def solve_hand_eye(
 
 
 def _minimum_norm_result(
-    T: Float[np.ndarray, "views 4 4"],
-    C: Float[np.ndarray, "views 4 4"],
-    w: Float[np.ndarray, "views"],
-    length_scale: float,
-    start: Sequence[Float[np.ndarray, "4 4"] | None],
+    camera: Float[np.ndarray, "4 4"],
+    world: Float[np.ndarray, "4 4"],
+    initial: Float[np.ndarray, "4 4"],
+    factor: Float[np.ndarray, "rows 13"],
 ) -> HandEyeResult:
     """Return the result for a motion that leaves directions of the transforms undetermined.
 
     Eq. 17 has no single minimum there, and noise of the camera's rotations would choose one.
+
+    Args:
+        camera, world: both transforms by `minimum_norm_transforms`.
+        initial: the start of `holder_from_world`.
+        factor: the matrix of `frobenius_factor`.
     """
-    camera, world = minimum_norm_transforms(T, C, (start[0], start[1]))
-    initial = np.eye(4) if start[1] is None else start[1]
-    factor = frobenius_factor(T, C, w, length_scale)
     entries = [np.append(pose[:3, :3].ravel(), [*pose[:3, 3], 1.0]) for pose in (initial, world)]
     costs = [float(np.sum(np.square(factor @ x))) for x in entries]
     record = SearchRecord(MINIMUM_NORM_START, costs[0], costs[1], True, "converged")

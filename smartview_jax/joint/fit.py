@@ -146,7 +146,7 @@ def fit_joint(
     choice = ParameterChoice.of(fixed, free, priors)
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
-    require_moving_robot(data, start, fixed, priors)
+    require_moving_robot(data, start, fixed, priors, free)
     has_pixels = not isinstance(data, PoseDataset)
     if has_pixels:
         data = without_views(data, repeated_views(data))

@@ -22,7 +22,7 @@ from ..dataset import (
     PoseDataset,
     chain_residuals,
 )
-from ..engine import Prior
+from ..engine import TARGET_SCALE, Prior
 from ..geometry import PoseLike, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
@@ -215,11 +215,12 @@ def fit_poses(
     has_camera = camera is not None
     blank = _blank(data, camera)
     check_start(start, data)
-    require_moving_robot(data, blank, fixed, priors)
+    free = (TARGET_SCALE,) if scale else ()
+    require_moving_robot(data, blank, fixed, priors, free)
     calibration, consistent = _start(data, blank, start, scale)
     options: dict[str, Any] = {
         "fixed": (*fixed, "camera"),
-        "free": ("target_scale",) if scale else (),
+        "free": free,
         "priors": priors,
     }
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
@@ -317,6 +318,7 @@ def _start(
         host_transforms(measured),
         weights=consistent.astype(float),
         start=given,
+        camera_on_hand=data.mount == "eye_in_hand",
     )
     found = dataclasses.replace(
         blank,

@@ -17,8 +17,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import Calibration, host_mount_from_holder
-from ..dataset import Dataset, given_places, require_motion, undetermined_twists
-from ..engine import Direction, Prior, describe_direction
+from ..dataset import (
+    Dataset,
+    given_places,
+    require_motion,
+    turns_about_one_point,
+    undetermined_twists,
+)
+from ..engine import TARGET_SCALE, Direction, Prior, describe_direction
 from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
 
@@ -51,15 +57,28 @@ class UndeterminedMotion(NamedTuple):
 
 
 def require_moving_robot(
-    data: Dataset, start: Calibration, fixed: Collection[str], priors: Mapping[str, Prior] | None
+    data: Dataset,
+    start: Calibration,
+    fixed: Collection[str],
+    priors: Mapping[str, Prior] | None,
+    free: Collection[str] = (),
 ) -> None:
     """Raise a ValueError if the usable views' poses cannot determine a calibration.
 
-    They are all equal, or never rotate while neither translation is fixed or has a prior.
+    They are all equal; or never rotate, while neither translation is fixed or has a prior; or only
+    turn about one point, while the target's size is free without a prior.
     """
     place_is_given = given_places(start.transform_names, fixed, priors or {})
     poses = host_matrices(data.base_from_tool)[data.usable_views()]
     require_motion(poses, start.transform_names[0], place_is_given)
+    size_is_open = TARGET_SCALE in free and TARGET_SCALE not in (priors or {})
+    if size_is_open and not place_is_given and turns_about_one_point(poses):
+        raise ValueError(
+            "the robot only turns about one point: these poses tell nothing of lengths, and "
+            f"{TARGET_SCALE} is free. Move the tool by centimetres between the pictures; or state "
+            "the size of the target or the tracker's unit, roughly by a Prior for "
+            f"{TARGET_SCALE} with a mean"
+        )
 
 
 def undetermined_motion(

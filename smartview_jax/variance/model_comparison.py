@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from ..calibration import Calibration, flat_shape
-from ..dataset import Dataset, Rig
+from ..dataset import Dataset, Rig, turns_about_one_point
 from ..engine import (
     ROBOT_ERROR,
     TARGET_SCALE,
@@ -20,6 +20,7 @@ from ..engine import (
     build_problem,
     solve,
 )
+from ..geometry import host_matrices
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .fisher_scoring import StandardDeviationPrior
@@ -117,9 +118,14 @@ class RequestedModels(NamedTuple):
         return Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(self.basis.groups) if self.basis else 0))
 
 
-def tests_target_scale(choice: ParameterChoice, prior: RobotPrior) -> bool:
-    """Return whether the size of the target is compared with the stated size."""
-    return prior.wrong_target_probability > 0.0 and not choice.states(TARGET_SCALE)
+def tests_target_scale(choice: ParameterChoice, prior: RobotPrior, data: Dataset | Rig) -> bool:
+    """Return whether the target's size is compared with the stated size.
+
+    Not if the user decides on it, or the robot's motion tells nothing of any size.
+    """
+    if prior.wrong_target_probability == 0.0 or choice.states(TARGET_SCALE):
+        return False
+    return not turns_about_one_point(host_matrices(data.base_from_tool)[data.usable_views()])
 
 
 @on_one_blas_thread
@@ -152,7 +158,7 @@ def compare_models(
         requested = RequestedModels(None, start.field, candidate_models(None, None))
     else:
         requested = RequestedModels.of(field, data, len(data.usable_views()), prior)
-    basis, test_scale = requested.basis, tests_target_scale(choice, prior)
+    basis, test_scale = requested.basis, tests_target_scale(choice, prior, data)
     built = build_problem(
         data,
         start,

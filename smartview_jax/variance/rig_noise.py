@@ -195,7 +195,7 @@ def _compare(
     """
     requested = RequestedModels.of(field, rig, len(rig.view_ids), prior)
     one_target, basis = len(set(rig.targets.values())) == 1, requested.basis
-    test_scale = one_target and tests_target_scale(choice, prior)
+    test_scale = one_target and tests_target_scale(choice, prior, rig)
     # In units of each camera's own noise, so that none outweighs the others.
     reference = float(np.sqrt(np.mean([camera.pixel_sigma**2 for camera in cameras.values()])))
     relative = {name: camera.pixel_sigma / reference for name, camera in cameras.items()}

@@ -13,6 +13,7 @@ from smartview_jax.dataset import (
     never_turns,
     repeated_views,
     turns_about_one_axis,
+    turns_about_one_point,
     undetermined_twists,
 )
 from smartview_jax.geometry import host_exponentials, host_matrices
@@ -132,3 +133,17 @@ def test_turns_tell_which_directions_are_open(data):
     assert turns_about_one_axis(about_tool_z)
     (twist,) = undetermined_twists(np.linalg.inv(about_tool_z))
     np.testing.assert_allclose(abs(twist[:3] @ poses[0, :3, 2]), 1.0, atol=1e-9)
+
+
+def test_turns_about_one_point_tell_no_length(data):
+    """A spherical wrist alone: the tool is 70 mm from its centre."""
+    poses, rng = host_matrices(data.base_from_tool), np.random.default_rng(0)
+    assert not turns_about_one_point(poses)
+    turns = host_exponentials(rng.uniform(-0.5, 0.5, (12, 6)) * [0, 0, 0, 1, 1, 1])
+    lever = np.array([0.0, 0.0, 0.07, 0.0, 0.0, 0.0])
+    wrist = poses[0] @ turns @ host_exponentials(lever)
+    noise = host_exponentials(rng.normal(size=(12, 6)) * 1e-3)
+    assert turns_about_one_point(wrist @ noise)
+    shifted = wrist.copy()
+    shifted[:, :3, 3] += rng.normal(0.0, 0.02, (12, 3))
+    assert not turns_about_one_point(shifted)

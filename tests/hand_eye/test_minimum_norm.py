@@ -36,6 +36,20 @@ def test_one_axis_leaves_the_target_at_the_height_of_the_base(about_z):
     np.testing.assert_allclose(world[:3, :3], WORLD[:3, :3], atol=2e-3)
 
 
+def test_a_camera_on_a_hand_is_put_near_it(about_z):
+    """Camera and target may slide together along z: the camera comes to its nearest place."""
+    found = solve_hand_eye(*about_z, camera_on_hand=True)
+    camera = np.asarray(found.camera_from_mount.as_matrix())
+    axis = camera[:3, :3] @ np.asarray(about_z[0].as_matrix())[0, :3, 2]
+    assert abs(axis @ camera[:3, 3]) < 1e-9
+    across = np.eye(3) - np.outer(axis, axis)
+    np.testing.assert_allclose(across @ camera[:3, 3], across @ HAND[:3, 3], atol=5e-4)
+    # The target slid by the same length.
+    world = np.asarray(found.holder_from_world.as_matrix())[:3, 3]
+    slid = (camera[:3, 3] - HAND[:3, 3]) @ axis
+    np.testing.assert_allclose(world - WORLD[:3, 3], [0.0, 0.0, -slid], atol=1e-3)
+
+
 def test_a_known_camera_stays_where_it_is_known_to_be(about_z):
     start = (host_transforms(HAND), None)
     found = solve_hand_eye(*about_z, start=start)

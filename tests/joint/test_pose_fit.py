@@ -240,6 +240,23 @@ def test_a_robot_that_never_turns_is_named_with_the_option_that_ends_it():
         sv.fit_poses(data)
 
 
+def test_a_turn_of_one_joint_tells_no_size():
+    """The error of the reported poses would shrink if the robot's motion did."""
+    turns = np.zeros((VIEWS, 3))
+    turns[:, 2] = np.linspace(-1.2, 1.2, VIEWS)
+    robot = np.linalg.inv(turned(turns) @ host_exponentials(np.array([0.05, 0, 0.1, 0, 0, 0])))
+    rng = np.random.default_rng(0)
+    seen = MOUNT @ robot @ host_exponentials(rng.normal(size=(VIEWS, 6)) * 1e-3) @ WORLD
+    data = PoseDataset.from_poses(np.linalg.inv(robot), seen)
+    fit = sv.fit_poses(data, field=None)
+    assert fit.noise_estimate.target_scale is None
+    # What the motion does not tell is where the camera comes nearest to the hand.
+    axis = MOUNT[:3, :3] @ robot[0, :3, 2]
+    assert abs(axis @ np.asarray(fit.calibration.camera_from_mount.translation())) < 0.01
+    with pytest.raises(ValueError, match="turns about one point: these poses tell nothing"):
+        sv.fit_poses(data, scale=True)
+
+
 def test_a_free_size_may_become_improbable_at_the_better_parameters():
     """The first comparison frees the target's size, the second one finds it as stated."""
     views, rng = 16, np.random.default_rng(1)
