@@ -32,13 +32,16 @@ UNIT_ROUNDS = 2
 
 @dataclasses.dataclass(frozen=True)
 class TrackerPrior:
-    """The log-normal priors on the ratios of a tracker's noises.
+    """The log-normal priors on a tracker's noise of translation and on the ratios of its noises.
 
     A marker whose corners are off by an error e has a position off by about e across the line of
     sight, by e times its distance over its size along it, and a rotation off by e over its size.
     The positions of a motion capture system are as good along the line of sight as across it.
 
     Attributes:
+        translation_median: median noise of translation across the line of sight, m; between a laser
+            tracker and a small marker at some metres.
+        translation_geometric_std: exp of the standard deviation of its logarithm.
         ratio_median: median ratio of rotation to translation across the line of sight, rad/m; one
             over the size of a marker.
         ratio_geometric_std: exp of the standard deviation of its logarithm.
@@ -47,16 +50,18 @@ class TrackerPrior:
         depth_geometric_std: exp of the standard deviation of its logarithm.
     """
 
+    translation_median: float = UNIT_TRANSLATION
+    translation_geometric_std: float = 10.0
     ratio_median: float = UNIT_ROTATION / UNIT_TRANSLATION
     ratio_geometric_std: float = 5.0
     depth_median: float = 2.0
     depth_geometric_std: float = 3.0
 
     def __post_init__(self) -> None:
-        for name in ("ratio_median", "depth_median"):
+        for name in ("translation_median", "ratio_median", "depth_median"):
             if not 0.0 < (value := getattr(self, name)) < np.inf:
                 raise ValueError(f"TrackerPrior.{name}: expected a positive number, found {value}")
-        for name in ("ratio_geometric_std", "depth_geometric_std"):
+        for name in ("translation_geometric_std", "ratio_geometric_std", "depth_geometric_std"):
             if not 1.0 < (value := getattr(self, name)) < np.inf:
                 raise ValueError(f"TrackerPrior.{name}: expected a factor above 1, found {value}")
 
@@ -149,14 +154,21 @@ def _likeliest(
 ) -> tuple[Float[np.ndarray, "parts"], float]:
     """Return the likeliest variances, of a good robot or of a weak one, and the log evidence."""
     units = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
-    # Ratios to the noise across the depth axis, the first part; the robot's are the last two.
-    powers = np.eye(len(pairs.parts))[1:]
-    powers[:-2, 0] = -1.0
-    ratios = [
-        (tracker_prior.depth_median, tracker_prior.depth_geometric_std),
-        (tracker_prior.ratio_median * units[0] / units[1], tracker_prior.ratio_geometric_std),
-    ][-(len(powers) - 2) :]
-    by_ratio = np.log(ratios)
+    # The noise across the depth axis is the first part, to which others have ratios; the robot's
+    # are the last two. Without a prior on the first part the evidence for no noise is unbounded.
+    powers = np.eye(len(pairs.parts))
+    powers[1:-2, 0] = -1.0
+    depth = (tracker_prior.depth_median, tracker_prior.depth_geometric_std)
+    of_tracker = np.log(
+        [
+            (
+                tracker_prior.translation_median / UNIT_TRANSLATION,
+                tracker_prior.translation_geometric_std,
+            ),
+            *([depth] if len(powers) > 4 else []),
+            (tracker_prior.ratio_median * units[0] / units[1], tracker_prior.ratio_geometric_std),
+        ]
+    )
     weak = robot_prior.weak_robot_probability
     weak_medians = robot_prior.weak_translation_median, robot_prior.weak_rotation_median
     found = []
@@ -165,8 +177,8 @@ def _likeliest(
         (np.array(weak_medians), weak),
     ):
         if probability > 0.0:
-            means = np.concatenate([by_ratio[:, 0], np.log(medians / units)])
-            stds = np.concatenate([by_ratio[:, 1], robot_prior.log_stds(None)])
+            means = np.concatenate([of_tracker[:, 0], np.log(medians / units)])
+            stds = np.concatenate([of_tracker[:, 1], robot_prior.log_stds(None)])
             best = likeliest_variances(pairs, start, LogNormalPriors(powers, means, stds))
             found.append((best.variances, best.evidence + float(np.log(probability))))
     return max(found, key=lambda candidate: candidate[1])

@@ -111,7 +111,7 @@ class LikeliestVariances(NamedTuple):
 
         It compares descriptions of the same pairs by other noises, whose priors are proper.
         """
-        # log Z = -D / 2 - log det(I / 2 pi) / 2; each prior but one has its 2 pi in D, not here.
+        # log Z = -D / 2 - log det(I / 2 pi) / 2, in which the 2 pi of as many priors cancel.
         return -0.5 * (self.deviance + float(np.linalg.slogdet(self.information)[1]))
 
 

@@ -240,6 +240,15 @@ def test_a_robot_that_never_turns_is_named_with_the_option_that_ends_it():
         sv.fit_poses(data)
 
 
+@pytest.mark.parametrize(("views", "seed"), [(3, 0), (4, 2)])
+def test_few_pairs_do_not_make_a_tracker_perfect(views, seed):
+    """Without a prior on the tracker, a perfect one with a weak robot has endless evidence."""
+    fit = sv.fit_poses(data_of(seed, views=views), field=None)
+    translation, rotation = fit.tracker_noise
+    assert translation == pytest.approx(TRACKER[0], rel=0.5)
+    assert rotation == pytest.approx(TRACKER[1], rel=0.5)
+
+
 def test_a_turn_of_one_joint_tells_no_size():
     """The error of the reported poses would shrink if the robot's motion did."""
     turns = np.zeros((VIEWS, 3))
