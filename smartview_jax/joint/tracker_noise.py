@@ -83,14 +83,14 @@ def with_likeliest_units(
     Args:
         data: the pairs.
         calibration: near the solution.
-        scale: whether the tracker's unit is unknown; it then has no noise in depth.
+        scale: whether the tracker's unit is unknown. If it drifts, that is a noise in depth.
         robot_prior, tracker_prior: on the sizes of the robot's noise, and on the ratios.
     """
     factor = float(calibration.target_scale)
     measured = data.tracked_matrices.copy()
     measured[:, :3, 3] *= factor
     in_metres = dataclasses.replace(data, camera_from_world=host_transforms(measured))
-    axes: tuple[DepthAxis, ...] = ("none",) if scale else ("none", *DEPTH_AXES)
+    axes: tuple[DepthAxis, ...] = ("none", *DEPTH_AXES)
     noises = [
         _tracker_noise(in_metres, calibration, axis, scale, robot_prior, tracker_prior)
         for axis in axes
