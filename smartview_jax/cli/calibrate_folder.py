@@ -123,7 +123,7 @@ def write_files(
     progress: Callable[[str], None],
 ) -> list[Path]:
     """Write all files of a run, or none, and return the paths written."""
-    from ..report import Origin, write_page
+    from ..report import Judgement, Origin, write_page
 
     # All files appear together, so that the report always belongs to the calibration.
     with file_transaction(out, tuple(RESULT_FILES)) as folder:
@@ -132,12 +132,9 @@ def write_files(
             folder / "report.html",
             result.fit,
             result.data,
-            result.held_out_reports,
+            Judgement(result.held_out_reports, result.split_half, result.budget, result.remarks),
             Origin(result.name, command_line(), run, given),
             progress,
-            result.split_half,
-            result.budget,
-            result.remarks,
         )
     return [out / file for file in RESULT_FILES if (out / file).is_file()]
 

@@ -1,7 +1,6 @@
 """Define `smartview capture`, which takes calibration views live, with a page or unattended."""
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,16 +18,6 @@ if TYPE_CHECKING:
     from ..capture import CaptureOptions, CaptureOutcome, CaptureSession, MotionLimits
     from ..io import GrowingDataset
     from .capture_sources import Sources
-
-
-class Program(StrEnum):
-    """The programs for controllers that the command prints."""
-
-    KRL = "krl"
-    RAPID = "rapid"
-    URSCRIPT = "urscript"
-    VAL3 = "val3"
-    ROS2 = "ros2"
 
 
 @dataclass(frozen=True)
@@ -130,13 +119,6 @@ def capture(
     wanted: WantedViews,
     motion: MotionOptions,
     page: PageOptions,
-    print_program: Annotated[
-        Program | None,
-        typer.Option(
-            help="Only print a program for the controller that answers tcp: or listen:, or a node "
-            "for ROS 2."
-        ),
-    ] = None,
     json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -147,10 +129,10 @@ def capture(
     lost camera, a lost robot or a crash.
     """
     with errors_reported(debug):
-        if print_program is not None:
+        if named.print_program is not None:
             from ..capture import controller_program
 
-            typer.echo(controller_program(print_program.value), nl=False)
+            typer.echo(controller_program(named.print_program.value), nl=False)
             return
         if folder is None:
             raise ValueError("expected the folder of a data set (smartview new begins one)")

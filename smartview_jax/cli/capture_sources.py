@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -14,6 +15,16 @@ if TYPE_CHECKING:
 
 SIMULATED = "simulated"
 """The name of the simulated cell's camera and robot."""
+
+
+class Program(StrEnum):
+    """The programs for controllers that the command prints."""
+
+    KRL = "krl"
+    RAPID = "rapid"
+    URSCRIPT = "urscript"
+    VAL3 = "val3"
+    ROS2 = "ros2"
 
 
 @dataclass(frozen=True)
@@ -39,6 +50,13 @@ class SourceOptions:
     seed: Annotated[
         int, typer.Option(help="Random seed of the simulated cell, a number such as 3.")
     ] = 0
+    print_program: Annotated[
+        Program | None,
+        typer.Option(
+            help="Only print a program for the controller that answers tcp: or listen:, or a node "
+            "for ROS 2."
+        ),
+    ] = None
 
 
 class Sources(NamedTuple):

@@ -24,7 +24,7 @@ _POSE = "x,y,z in m and yaw,pitch,roll in degrees"
 
 @dataclass(frozen=True)
 class GraspChoice:
-    """The options that say where on an object the gripper takes it."""
+    """The options that say where on an object the gripper takes it, and where the gripper is."""
 
     grasp_pose: Annotated[
         str | None,
@@ -44,6 +44,13 @@ class GraspChoice:
         str | None,
         typer.Option(help="Name of one of the model's grasps, such as side; by default its first."),
     ] = None
+    gripper: Annotated[
+        str,
+        typer.Option(
+            help=f"tool_from_gripper: pose of the gripper's frame on the tool, {_POSE}, such as "
+            "0,0,0.12,0,0,0; by default the robot's tool frame, between the fingertips."
+        ),
+    ] = "0,0,0,0,0,0"
 
     def object_from_gripper(self) -> "np.ndarray":
         """Return the pose of the options, or of the named or first grasp of the model.
@@ -81,13 +88,6 @@ def grasp(
     ] = "0,0,0,0,0,0",
     *,
     chosen: GraspChoice,
-    gripper: Annotated[
-        str,
-        typer.Option(
-            help=f"tool_from_gripper: pose of the gripper's frame on the tool, {_POSE}, such as "
-            "0,0,0.12,0,0,0; by default the robot's tool frame, between the fingertips."
-        ),
-    ] = "0,0,0,0,0,0",
     approach: Annotated[
         float, typer.Option(min=0.0, help="Length of the straight approach, mm, such as 50.")
     ] = 100.0,
@@ -112,7 +112,7 @@ def grasp(
         tool = tool_commands(
             loaded_calibration,
             # H_Base^World is applied by the calibration; here is the rest of Eq. 20.
-            _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", gripper)),
+            _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", chosen.gripper)),
             estimate=estimate,
             arm=arm,
             near=readings,

@@ -51,6 +51,7 @@ from .pixel_sigma import with_pixel_sigma as with_pixel_sigma
 from .pose_jacobians import linearise_poses as linearise_poses
 from .prepared_poses import PreparedPoses as PreparedPoses
 from .priors import ParameterChoice as ParameterChoice
+from .priors import ParameterOptions as ParameterOptions
 from .priors import Prior as Prior
 from .problem import FittedChain as FittedChain
 from .problem import JointProblem as JointProblem

@@ -52,6 +52,7 @@ from .folder_description import (
 )
 from .folder_pictures import LoadOptions, picture_files
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
+from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 from .poses import POSES_FILE, poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
@@ -132,16 +133,16 @@ def camera_dataset(
     data = dataset_from_pictures(
         files,
         readings.poses,
-        camera.target,
-        camera.mount,
-        camera.image_size,
-        options.bad_views,
-        readings.masked_views,
-        options.progress,
-        camera.detections if options.keep_detections else None,
-        camera.holder_from_world,
-        camera_board_heights(camera, readings),
-        options.detection_limits,
+        ShownTarget(
+            camera.target,
+            camera.mount,
+            camera.image_size,
+            camera.holder_from_world,
+            camera_board_heights(camera, readings),
+        ),
+        options=options,
+        masked_views=readings.masked_views,
+        cache=camera.detections if options.keep_detections else None,
     )
     return _with_joints(readings, data, description_path)
 

@@ -7,13 +7,21 @@ complete.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 from ..detection import DetectionLimits
 from ..targets import AbstractTarget, StackedTarget
 
 PENDING_SUFFIX = ".pending"
 """The suffix of a picture that has no final name yet; its name also begins with a full stop."""
+
+
+class ImportOptions(TypedDict, total=False):
+    """The fields of `LoadOptions` that importers of other formats have as keyword arguments."""
+
+    bad_views: str
+    progress: Callable[[str], None] | None
+    detection_limits: DetectionLimits | None
 
 
 class LoadOptions(NamedTuple):

@@ -1,16 +1,17 @@
 """Import folders of robot_cal_tools and industrial_calibration (`cal_data.yaml`, `target.yaml`)."""
 
-from collections.abc import Callable
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
 from ..dataset import Dataset
-from ..detection import DetectionLimits
 from ..files import parse_yaml, read_text, read_yaml
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, CircleGrid
 from .csv_tables import duplicates
+from .folder_pictures import ImportOptions, LoadOptions
+from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 
 DATA_FILE = "cal_data.yaml"
@@ -22,9 +23,7 @@ _POSE_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 def import_robot_cal_tools(
     folder: str | Path,
     mount: str = "eye_in_hand",
-    bad_views: str = "raise",
-    progress: Callable[[str], None] | None = None,
-    detection_limits: DetectionLimits | None = None,
+    **options: Unpack[ImportOptions],
 ) -> Dataset:
     """Import a data set with pictures of a modified circle grid.
 
@@ -34,9 +33,7 @@ def import_robot_cal_tools(
     Args:
         folder: folder with `cal_data.yaml`, `target.yaml`, and the files that they name.
         mount: `"eye_in_hand"` or `"eye_to_hand"`; the folder does not contain it.
-        bad_views: as in `load_dataset`.
-        progress: called with a line of text for each step of the work.
-        detection_limits: as in `load_dataset`.
+        options: `bad_views`, `progress` and `detection_limits`, as in `load_dataset`.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -53,11 +50,8 @@ def import_robot_cal_tools(
     return dataset_from_pictures(
         {view: [folder / image] for view, (image, _) in zip(views, entries, strict=True)},
         poses,
-        _read_target(folder / "target.yaml"),
-        mount,
-        bad_views=bad_views,
-        progress=progress,
-        detection_limits=detection_limits,
+        ShownTarget(_read_target(folder / "target.yaml"), mount),
+        options=LoadOptions(**options),
     )
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
+from typing import TypeVar, Unpack
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ from ..engine import (
     FittedChain,
     Noise,
     ParameterChoice,
-    Prior,
+    ParameterOptions,
     ScaledJacobian,
     choices_of_arms,
     covariance,
@@ -42,12 +42,10 @@ def fit_rig(
     *,
     noise: str | Noise | Mapping[str, Noise] = "estimated",
     field: FieldChoice | Mapping[str, FieldChoice] = "auto",
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
     rejected: Sequence[tuple[str, Rejection]] = (),
+    **parameters: Unpack[ParameterOptions],
 ) -> RigFit:
     """Fit all cameras of a rig, their targets and the robots' errors to all pixels at once.
 
@@ -61,13 +59,12 @@ def fit_rig(
         noise: `"estimated"`, or a `Noise` that states the standard deviations; of several arms, one
             for all or one for each by its name.
         field: robot error field, as in `fit_joint`; of several arms, one for all or one for each.
-        fixed: paths of parameters that keep the start's value: `left.camera`, `base_from_world`.
-            See `build_rig`, and `build_arms` for several arms.
-        free: paths to free that are held by default: `target_scale`.
-        priors: a `Prior` by path.
         progress: called with a line of text for each stage.
         robot_prior: prior on the sizes of the robot's errors.
         rejected: what was left out before, for the result.
+        parameters: `fixed`, paths of parameters that keep the start's value, such as `left.camera`
+            or `base_from_world` (see `build_rig`, and `build_arms` for several arms); `free`, paths
+            to free that are held by default: `target_scale`; `priors`, a `Prior` by path.
 
     Raises:
         TypeError: an argument of a wrong type.
@@ -82,7 +79,7 @@ def fit_rig(
         0.9 mm along the optical axis
     """
     require_instance("rig", rig, Rig)
-    choice, prior = ParameterChoice.of(fixed, free, priors), robot_prior or RobotPrior()
+    choice, prior = ParameterChoice.of(**parameters), robot_prior or RobotPrior()
     several, arms = len(rig.arm_names) > 1, {}
     choices = choices_of_arms(rig, starts, choice)
     for arm in rig.arm_names:

@@ -8,16 +8,14 @@ chi-square; it also equals the reduction of the point's chi-square without the o
 Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.special import chdtrc
 
-from ..engine import Noise
-from ..evaluation import CalibrationEstimate
 from ..robots import CommandLike
-from .calibration_uncertainty import CalibrationUncertainty
+from .calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
 from .click_deletion import deletion_of
 from .estimated_features import PointStatus
 from .pixel_jacobians import pixel_jacobians
@@ -63,10 +61,9 @@ def wrong_correspondences(
     pixels: np.ndarray | Array,
     visible: np.ndarray | Array | None = None,
     *,
-    covariance: CalibrationEstimate | None = None,
-    noise: Noise | None = None,
     pixel_sigma: float | np.ndarray = CLICK_SIGMA,
     false_alarm: float = FALSE_ALARM_PROBABILITY,
+    **uncertainty: Unpack[UncertaintyOptions],
 ) -> list[WrongCorrespondence]:
     """Return the observations that contradict the others of their feature, the worst first.
 
@@ -75,19 +72,19 @@ def wrong_correspondences(
     reported.
 
     Args:
-        calibration, poses, pixels, visible, covariance, noise, pixel_sigma: as in
-            `triangulate_points`.
+        calibration, poses, pixels, visible, pixel_sigma: as in `triangulate_points`.
         false_alarm: probability that any observation is named although all are right, by the bound
             of Bonferroni.
+        uncertainty: `covariance` and `noise`, as in `triangulate_points`.
 
     Raises:
         ValueError: as in `triangulate_points`.
     """
     views = SeenViews.of(calibration, poses)
     measured, visible = views.checked_points(pixels, visible)
-    uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    known = CalibrationUncertainty.of(views, calibration, **uncertainty)
     whitening = np.broadcast_to(whitening_of(pixel_sigma, visible.shape), (*visible.shape, 2, 2))
-    check = _Check(views, uncertainty, np.where(visible[..., None], measured, 0.0), whitening)
+    check = _Check(views, known, np.where(visible[..., None], measured, 0.0), whitening)
     per_test = false_alarm / max(int(visible.sum()), 1)
     remaining, wrong = visible.copy(), []
     # One at a time: a gross error inflates the statistics of its feature's other views.

@@ -1,5 +1,6 @@
 """The result of the staged pipeline, and the interface of its Step 2."""
 
+import dataclasses
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
@@ -15,6 +16,27 @@ from ..fit_result import FitResult, Rejection
 from ..hand_eye import HandEyeResult
 from .interpolation import Interpolation
 from .weng import ViewCalibrations
+
+
+@dataclasses.dataclass(frozen=True)
+class CommonCameraOptions:
+    """The options of Step 2, for the filter and for the batch fit.
+
+    Attributes:
+        pixel_sigma: standard deviation of u and of v, px; None to estimate it robustly.
+        gate_probability: probability that the innovation of a good measurement passes the gate.
+        hold_camera: treat the camera as known and refine the poses only.
+    """
+
+    pixel_sigma: float | None = None
+    gate_probability: float = 0.9999
+    hold_camera: bool = False
+
+    @property
+    def gate(self) -> float:
+        """The largest squared innovation of a good measurement, relative to its covariance."""
+        # Quantile of chi-square with two degrees of freedom: P(x <= g) = 1 - exp(-g / 2).
+        return -2.0 * np.log1p(-self.gate_probability)
 
 
 @runtime_checkable
