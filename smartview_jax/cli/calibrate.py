@@ -18,7 +18,7 @@ from .calibrate_folder import (
 from .calibrate_folders import calibrate_folders
 from .calibrate_rig import calibrate_rig_folders
 from .json_document import print_document
-from .option_groups import with_option_groups
+from .options import with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:

@@ -9,9 +9,14 @@ import typer
 from .capture_sources import SourceOptions, open_sources
 from .fit_options import parse_transforms
 from .json_document import print_document
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
-from .options import BelowOption, DebugOption, JsonOption, PageOptions
+from .options import (
+    BelowOption,
+    DebugOption,
+    JsonOption,
+    PageOptions,
+    parse_numbers,
+    with_option_groups,
+)
 from .terminal import errors_reported
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from . import options
 from .error_documents import errors_document, views_left_out
 from .json_document import print_document
 from .load import load_named
-from .option_groups import with_option_groups
+from .options import with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options
-from .option_groups import with_option_groups
+from .options import with_option_groups
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported
 

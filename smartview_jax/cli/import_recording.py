@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
-from .options import DebugOption
+from .options import DebugOption, parse_numbers, with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:

@@ -9,9 +9,7 @@ import typer
 from .calibrated_views import RigOptions, load_calibrated_views
 from .json_document import print_document, transform_document
 from .load import load_views
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
-from .options import DebugOption, JsonOption
+from .options import DebugOption, JsonOption, parse_numbers, with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:

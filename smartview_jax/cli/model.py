@@ -7,8 +7,7 @@ import typer
 
 from .calibrated_views import RigOptions, load_calibrated_views
 from .load import NamedViews, load_views
-from .option_groups import with_option_groups
-from .options import DebugOption, PageOptions
+from .options import DebugOption, PageOptions, with_option_groups
 from .terminal import errors_reported
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .option_groups import with_option_groups
-from .options import DebugOption, PoseFormatOption
+from .options import DebugOption, PoseFormatOption, with_option_groups
 from .terminal import errors_reported, progress_line
 
 TRUTH_FILE = "truth.yaml"

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
+from .options import parse_numbers, with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
 from .viewpoint import LookOptions, requested_camera_poses

@@ -10,7 +10,14 @@ from jaxtyping import Float
 
 from ..argument_checks import require_instance
 from ..calibration import Calibration
-from ..dataset import Dataset, Rig, chain_residuals, view_residuals
+from ..dataset import (
+    MINIMUM_RELIABLE_VIEWS,
+    Dataset,
+    Rig,
+    chain_residuals,
+    distinct_poses,
+    view_residuals,
+)
 from ..engine import (
     BuiltRig,
     FittedChain,
@@ -24,16 +31,22 @@ from ..engine import (
     reduced_equations,
 )
 from ..fit_result import Rejection
+from ..geometry import host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
 from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
+from .plausibility import MIN_SCALE_PROBABILITY
 from .rig_fit import RigFit
-from .rig_warnings import rig_warnings
 from .several_arms import JoinedArms, added_by_estimation, join_arms
+from .view_rejection import is_plausible
 
 _Option = TypeVar("_Option")
+
+
+MAX_LISTED = 4
+"""Largest number of undetermined parameters that a warning lists."""
 
 
 def fit_rig(
@@ -221,3 +234,57 @@ def _chains(built: BuiltRig, of_groups: tuple[FittedChain, ...]) -> dict[str, Fi
         for cameras, chains in zip(built.cameras, of_groups, strict=True)
         for row, name in enumerate(cameras)
     }
+
+
+def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
+    """Return the reasons to doubt the fit of a rig, a sentence each, gravest first.
+
+    Args:
+        fit: the fit to judge.
+        prior: prior on the sizes of the robot's errors.
+    """
+    warnings = [] if fit.result.converged else [fit.result.message]
+    undetermined = [name for name in fit.parameter_names if not np.isfinite(fit.std[name])]
+    if undetermined:
+        more = len(undetermined) - MAX_LISTED
+        listed = ", ".join(undetermined[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+        warnings.append(
+            f"the data do not determine {listed}: turn the robot about other axes, hold them by "
+            "fixed=, or give priors"
+        )
+    for arm, built in fit.built_by_arm.items():
+        named = f"{arm}: " if fit.bases else ""
+        warnings += [f"{named}{text}" for text in _estimate_warnings(fit, arm, prior)]
+        # Several pictures from one pose have no more information on the robot than one.
+        poses = host_matrices(built.problem.command.base_from_tool)
+        used = np.asarray(built.problem.per_view_free).any(axis=1)
+        states = len(distinct_poses(poses[used]))
+        if states < MINIMUM_RELIABLE_VIEWS:
+            warnings.append(
+                f"{named}{states} states of the robot are few: no figure is reliable with fewer "
+                f"than {MINIMUM_RELIABLE_VIEWS}"
+            )
+    return tuple(warnings)
+
+
+def _estimate_warnings(fit: RigFit, arm: str, prior: RobotPrior) -> list[str]:
+    """Return warnings about the estimated sizes of an arm's errors, and about the target's size."""
+    estimate, noise = fit.noise_estimates.get(arm), fit.noises[arm]
+    if estimate is None:
+        return []
+    warnings = []
+    size = estimate.target_scale
+    if size is not None and size.probability >= MIN_SCALE_PROBABILITY:
+        warnings.append(
+            f"the target may be {size.scale:.4f} +- {size.std:.4f} of its stated size (probability "
+            f"{size.probability:.2f}): measure it"
+        )
+    if not is_plausible(noise, prior):
+        warnings.append(
+            f"the robot's poses err by {1e3 * noise.translation:.3g} mm and "
+            f"{np.degrees(noise.rotation):.3g} degrees, which is much for a robot: mispaired "
+            "views, a camera or a target that moved?"
+        )
+    if not estimate.converged:
+        warnings.append("the estimate of the errors' sizes did not converge: take more views")
+    return warnings

@@ -16,7 +16,6 @@ from scipy.special import chdtrc
 
 from ..robots import CommandLike
 from .calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
-from .click_deletion import deletion_of
 from .estimated_features import PointStatus
 from .pixel_jacobians import pixel_jacobians
 from .rig_views import AnyCalibration
@@ -25,6 +24,10 @@ from .view_poses import SeenViews, whitening_of
 
 FALSE_ALARM_PROBABILITY = 0.01
 """Probability that any observation is called wrong although all are right."""
+
+
+RELATIVE_EIGENVALUE_FLOOR = 1e-8
+"""Smallest eigenvalue, over the trace of the whole matrix, that is not treated as zero."""
 
 
 class WrongCorrespondence(NamedTuple):
@@ -227,3 +230,39 @@ def _worst(deletions: _Deletions, feature: int, per_test: float) -> WrongCorresp
         float(p_values[best]),
         tuple(int(v) for v in deletions.views[agrees]),
     )
+
+
+class ClickDeletion(NamedTuple):
+    """The squared residuals of a click and of the others, over their covariance.
+
+    Attributes:
+        chi_square: decrease without the click.
+        degrees_of_freedom: numbers of the click that the others predict, up to two.
+        rest: what remains.
+    """
+
+    chi_square: float
+    degrees_of_freedom: int
+    rest: float
+
+
+def deletion_of(
+    Q: Float[np.ndarray, "rows rows"], r: Float[np.ndarray, "rows"], click: int
+) -> ClickDeletion:
+    """Return the effect of leaving out one click, to first order.
+
+    Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
+
+    Args:
+        Q: matrix of the least chi-square over all unknowns, `r^T Q r`.
+        r: residuals; each click has two rows.
+        click: number of the click.
+    """
+    # Without the rows i of a click r^T Q r is less by (Q r)_i^T Q_ii^-1 (Q r)_i.
+    rows = slice(2 * click, 2 * click + 2)
+    values, vectors = np.linalg.eigh(Q[rows, rows])
+    used = values > RELATIVE_EIGENVALUE_FLOOR * max(np.trace(Q), 1e-300)
+    parts = vectors.T @ (Q @ r)[rows]
+    chi_square = float(np.sum(parts[used] ** 2 / values[used]))
+    rest = max(float(r @ Q @ r) - chi_square, 0.0)
+    return ClickDeletion(chi_square, int(used.sum()), rest)

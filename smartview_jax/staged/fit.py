@@ -49,8 +49,7 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from .given_start import known_transforms
 from .kalman import kalman_filter
-from .region import with_region
-from .staged_fit import CommonCameraFit, CommonCameraOptions, StagedFit
+from .staged_fit import CommonCameraFit, CommonCameraOptions, StagedFit, with_region
 from .two_poses import choose_poses
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 

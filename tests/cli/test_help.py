@@ -14,8 +14,7 @@ from main_job import user_environment
 from typer.models import OptionInfo
 
 from smartview_jax.cli import app
-from smartview_jax.cli.number_lists import parse_numbers
-from smartview_jax.cli.option_groups import options_of
+from smartview_jax.cli.options import options_of, parse_numbers
 
 COMMAND = typer.main.get_command(app)
 

@@ -4,7 +4,7 @@ from typing import Annotated
 import typer
 from typer.testing import CliRunner
 
-from smartview_jax.cli.option_groups import with_option_groups
+from smartview_jax.cli.options import with_option_groups
 
 
 @dataclass(frozen=True)

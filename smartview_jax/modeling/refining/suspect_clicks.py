@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from ...robots import CommandLike
 from ..calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
-from ..click_deletion import deletion_of
+from ..correspondence_checks import deletion_of
 from ..line_jacobians import Lines
 from ..pixel_jacobians import pixel_jacobians
 from ..rig_views import AnyCalibration
