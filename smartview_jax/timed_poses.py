@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
+from .calibration import mount_from_holder_matrices
 from .dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
 from .robots import Trajectory
 from .runtime.blas_threads import on_one_blas_thread
@@ -146,8 +147,7 @@ def _linearised(
 
     def mount_from_holder(change: float) -> Poses:
         seconds = np.clip(times + chain.seconds + change, *trajectory.times[[0, -1]])
-        robot = trajectory.at(seconds)
-        return np.linalg.inv(robot) if data.mount == "eye_in_hand" else robot
+        return mount_from_holder_matrices(data.mount, trajectory.at(seconds))
 
     transforms = chain.camera_from_mount, chain.holder_from_world
     pairs = linear_pairs(data, transforms[0], mount_from_holder(0.0), transforms[1], axis)

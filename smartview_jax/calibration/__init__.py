@@ -4,6 +4,7 @@ from .calibration import Calibration as Calibration
 from .chain import host_mount_from_holder as host_mount_from_holder
 from .chain import mount_frames as mount_frames
 from .chain import mount_from_holder as mount_from_holder
+from .chain import mount_from_holder_matrices as mount_from_holder_matrices
 from .chain import transform_names as transform_names
 from .file_content import FORMAT_VERSION as FORMAT_VERSION
 from .target_shape import BOW as BOW

@@ -41,6 +41,7 @@ from .chain import (
     host_mount_from_holder,
     mount_frames,
     mount_from_holder,
+    mount_from_holder_matrices,
     transform_names,
 )
 from .file_content import content_of, parts_of
@@ -317,7 +318,7 @@ class Calibration(eqx.Module):
             # A product of matrices: nothing to compile for every number of views.
             mount_from_camera, world_from_holder = map(np.linalg.inv, map(host_matrices, ends))
             robot = mount_from_camera @ host_matrices(pose) @ world_from_holder
-            return as_se3(np.linalg.inv(robot) if self.mount == "eye_in_hand" else robot)
+            return as_se3(mount_from_holder_matrices(self.mount, robot))
         robot = ends[0].inverse() @ pose @ ends[1].inverse()
         return mount_from_holder(self.mount, robot)
 

@@ -54,7 +54,14 @@ def host_mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
     """Return what `mount_from_holder` returns, computed with NumPy."""
     if mount != "eye_in_hand":
         return base_from_tool
-    return host_transforms(np.linalg.inv(host_matrices(base_from_tool)))
+    return host_transforms(mount_from_holder_matrices(mount, host_matrices(base_from_tool)))
+
+
+def mount_from_holder_matrices(
+    mount: str, base_from_tool: Float[np.ndarray, "*views 4 4"]
+) -> Float[np.ndarray, "*views 4 4"]:
+    """Return what `mount_from_holder` returns, of matrices."""
+    return np.linalg.inv(base_from_tool) if mount == "eye_in_hand" else base_from_tool
 
 
 @compiled

@@ -24,11 +24,6 @@ class Coverage(NamedTuple):
     cells: Bool[np.ndarray, "rows columns"]
     rotations: Float[np.ndarray, "3"]
 
-    @property
-    def covered_fraction(self) -> float:
-        """The fraction of the picture's cells that are covered."""
-        return float(self.cells.mean())
-
 
 def coverage(
     pixels: Sequence[Float[np.ndarray, "points 2"]],

@@ -16,7 +16,9 @@ from ..io import FolderDescription
 from ..joint import SavedEstimate
 from ..viewpoints import (
     Situation,
+    StopRule,
     ViewLimits,
+    ViewRequirements,
     plan_views,
     situation_of_drawing,
     situation_of_estimate,
@@ -171,11 +173,8 @@ def _proposals(
     plan = plan_views(
         situation.model,
         situation.views,
-        count,
-        goal=goal,
-        least_gain=0.0,
-        border_margin=situation.border_margin,
-        allowed=allowed,
+        StopRule(count, goal, least_gain=0.0),
+        needs=ViewRequirements(situation.border_margin, allowed=allowed),
         seed=seed,
     )
     if not len(plan.camera_from_world):

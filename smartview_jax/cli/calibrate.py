@@ -17,9 +17,8 @@ from .calibrate_folder import (
 )
 from .calibrate_folders import calibrate_folders
 from .calibrate_rig import calibrate_rig_folders
-from .fit_options import FitKnowledge
 from .json_document import print_document
-from .option_groups import with_option_groups
+from .options import with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -43,28 +42,8 @@ def calibrate(
             "in it."
         ),
     ] = Path("calibration"),
-    lens: options.LensOption = "opencv4",
-    noise: options.NoiseOption = options.NoiseModel.ESTIMATED,
-    held_out: Annotated[
-        bool,
-        typer.Option(
-            help="Cross-validate: refit without some views and measure the error on them.",
-            show_default="on",
-        ),
-    ] = True,
-    diagnose: Annotated[
-        bool,
-        typer.Option(
-            help="Also: error by workspace region, split-half agreement, error budget.",
-            show_default="off",
-        ),
-    ] = False,
     *,
-    known: FitKnowledge,
-    bad_views: options.BadViewsOption = options.BadViews.RAISE,
-    base_from_world: options.BaseFromWorldOption = None,
-    time_offset: options.TimeOffsetOption = False,
-    mount: options.MountOption = None,
+    settings: CalibrateSettings,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -92,17 +71,6 @@ def calibrate(
     Poses that a tracker measured may take the place of pictures; hand_eye.calib has the result.
     """
     with errors_reported(debug):
-        settings = CalibrateSettings(
-            lens,
-            noise.value,
-            held_out,
-            diagnose,
-            known,
-            bad_views,
-            base_from_world,
-            time_offset,
-            None if mount is None else mount.value,
-        )
         # Several cameras: of one folder, or each in a folder of its own.
         if together or _has_cameras(datasets):
             if not calibrate_rig_folders(datasets or [], out, settings, json):

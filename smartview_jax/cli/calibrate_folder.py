@@ -3,10 +3,14 @@
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from ..files import file_transaction
+from . import options
 from .fit_options import FitKnowledge, parse_fit_options
 from .load import load_named, load_samples, with_estimated_clock
 
@@ -16,18 +20,31 @@ if TYPE_CHECKING:
     from .calibrate_result import CalibrateResult
 
 
-class CalibrateSettings(NamedTuple):
+@dataclass(frozen=True)
+class CalibrateSettings:
     """The options of `smartview calibrate` that are the same for all folders."""
 
-    lens: str
-    noise: str
-    held_out: bool
-    diagnose: bool
-    known: FitKnowledge
-    bad_views: str
-    base_from_world: str | None
-    time_offset: bool
-    mount: str | None
+    lens: options.LensOption = "opencv4"
+    noise: options.NoiseOption = options.NoiseModel.ESTIMATED
+    held_out: Annotated[
+        bool,
+        typer.Option(
+            help="Cross-validate: refit without some views and measure the error on them.",
+            show_default="on",
+        ),
+    ] = True
+    diagnose: Annotated[
+        bool,
+        typer.Option(
+            help="Also: error by workspace region, split-half agreement, error budget.",
+            show_default="off",
+        ),
+    ] = False
+    known: FitKnowledge = field(default_factory=FitKnowledge)
+    bad_views: options.BadViewsOption = options.BadViews.RAISE
+    base_from_world: options.BaseFromWorldOption = None
+    time_offset: options.TimeOffsetOption = False
+    mount: options.MountOption = None
 
 
 def loaded_folder(
@@ -35,7 +52,7 @@ def loaded_folder(
 ) -> "tuple[Dataset, str]":
     """Load a data set, with poses at the estimated clock if requested, and return its name too."""
     if dataset is not None and dataset.is_file():
-        return load_samples(dataset, settings.mount)
+        return load_samples(dataset, settings.mount and settings.mount.value)
     if settings.mount is not None:
         raise ValueError("--mount: expected a file of samples; a data-set folder states its mount")
     data, name = load_named(
@@ -64,7 +81,7 @@ def calibrated_folder(
     # Folds and halves are fitted with the same options as all views.
     def fit_views(part: "Dataset", progress: Callable[[str], None] | None) -> "CalibrationFit":
         given = fit_options.arguments()
-        return fit_both(part, lens, noise=settings.noise, progress=progress, **given)
+        return fit_both(part, lens, noise=settings.noise.value, progress=progress, **given)
 
     result = fit_and_judge(data, name, fit_views, settings.held_out, settings.diagnose, progress)
     return result, fit_options.given
@@ -106,7 +123,7 @@ def write_files(
     progress: Callable[[str], None],
 ) -> list[Path]:
     """Write all files of a run, or none, and return the paths written."""
-    from ..report import Origin, write_page
+    from ..report import Judgement, Origin, write_page
 
     # All files appear together, so that the report always belongs to the calibration.
     with file_transaction(out, tuple(RESULT_FILES)) as folder:
@@ -115,12 +132,9 @@ def write_files(
             folder / "report.html",
             result.fit,
             result.data,
-            result.held_out_reports,
+            Judgement(result.held_out_reports, result.split_half, result.budget, result.remarks),
             Origin(result.name, command_line(), run, given),
             progress,
-            result.split_half,
-            result.budget,
-            result.remarks,
         )
     return [out / file for file in RESULT_FILES if (out / file).is_file()]
 

@@ -1,5 +1,6 @@
 """Read the calibration of the views that a subcommand works on, of one camera or of a rig."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,34 +12,41 @@ if TYPE_CHECKING:
     from ..joint import SavedEstimate
     from ..modeling import AnyCalibration
 
-CameraOption = Annotated[
-    str | None,
-    typer.Option(
-        "--camera",
-        help="With a rig's calibration and pictures of one camera: its name, such as left.",
-    ),
-]
 
-FrameOption = Annotated[
-    str,
-    typer.Option(
-        "--frame",
-        help="With a rig's calibration: frame of the results, such as base (of the robot, for "
-        "cameras on the hand and next to the arm) or world (of the target that all cameras saw).",
-    ),
-]
+@dataclass(frozen=True)
+class RigOptions:
+    """The options of a subcommand that may be given the calibration of a rig.
+
+    Attributes:
+        camera: the camera that took the views; None where the views say so.
+        frame: frame of the results.
+    """
+
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="With a rig's calibration and pictures of one camera: its name, such as left.",
+        ),
+    ] = None
+    frame: Annotated[
+        str,
+        typer.Option(
+            help="With a rig's calibration: frame of the results, such as base (of the robot, for "
+            "cameras on the hand and next to the arm) or world (of the target that all cameras "
+            "saw).",
+        ),
+    ] = "world"
 
 
 def load_calibrated_views(
-    path: Path, views: NamedViews, camera: str | None, frame: str
+    path: Path, views: NamedViews, wanted: RigOptions
 ) -> "tuple[AnyCalibration, SavedEstimate | None, bool]":
     """Return the calibration of views, its covariance, and whether it is taken as exact.
 
     Args:
         path: a calibration file, or the folder or file of a calibrated rig.
         views: the views.
-        camera: the camera that took them, of the rig; None where the views say so.
-        frame: frame of the results.
+        wanted: the camera that took them, and the frame of the results.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -47,6 +55,7 @@ def load_calibrated_views(
     from ..joint import is_rig, load_calibrated_rig, load_with_uncertainty
     from ..modeling import RigViews
 
+    camera, frame = wanted.camera, wanted.frame
     if not is_rig(path):
         if views.cameras:
             raise ValueError(

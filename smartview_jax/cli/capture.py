@@ -1,34 +1,28 @@
 """Define `smartview capture`, which takes calibration views live, with a page or unattended."""
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .capture_sources import open_sources
+from .capture_sources import SourceOptions, open_sources
 from .fit_options import parse_transforms
 from .json_document import print_document
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
-from .options import BelowOption, DebugOption, JsonOption, PageOptions, PoseFormatOption
+from .options import (
+    BelowOption,
+    DebugOption,
+    JsonOption,
+    PageOptions,
+    parse_numbers,
+    with_option_groups,
+)
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
     from ..capture import CaptureOptions, CaptureOutcome, CaptureSession, MotionLimits
     from ..io import GrowingDataset
     from .capture_sources import Sources
-
-
-class Program(StrEnum):
-    """The programs for controllers that the command prints."""
-
-    KRL = "krl"
-    RAPID = "rapid"
-    URSCRIPT = "urscript"
-    VAL3 = "val3"
-    ROS2 = "ros2"
 
 
 @dataclass(frozen=True)
@@ -61,8 +55,24 @@ class WantedViews:
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """The options that let the program move the robot."""
+    """The options of a capture that goes on without a person, and of a robot that it moves."""
 
+    auto: Annotated[
+        bool,
+        typer.Option(
+            "--auto",
+            help="Without a page: take views until the goal is reached. With --move the robot is "
+            "moved; otherwise a view is taken wherever it stands still.",
+        ),
+    ] = False
+    patience: Annotated[
+        float,
+        typer.Option(
+            min=1.0,
+            help="With --auto: end after this time without camera, robot or view, a number of "
+            "seconds such as 60.",
+        ),
+    ] = 60.0
     move: Annotated[
         bool,
         typer.Option(
@@ -109,52 +119,11 @@ def capture(
         Path | None,
         typer.Argument(help="Data-set folder, as smartview new begins one; views are added to it."),
     ] = None,
-    camera: Annotated[
-        str,
-        typer.Option(
-            help="Source of pictures, such as 0: OpenCV's index of a camera, a video file or the "
-            "address of a stream, a folder that fills up with pictures, or simulated."
-        ),
-    ] = "0",
-    robot: Annotated[
-        str,
-        typer.Option(
-            help="Source of poses, such as tcp:192.168.0.10:5000 (the controller listens), "
-            "listen:192.168.0.100:5000 (it connects to this machine's address), ur:192.168.0.10 "
-            "(Universal Robots), simulated, or typed (a person types or pastes each pose)."
-        ),
-    ] = "typed",
-    pose_format: PoseFormatOption = "",
     *,
+    named: SourceOptions,
     wanted: WantedViews,
     motion: MotionOptions,
-    auto: Annotated[
-        bool,
-        typer.Option(
-            "--auto",
-            help="Without a page: take views until the goal is reached. With --move the robot is "
-            "moved; otherwise a view is taken wherever it stands still.",
-        ),
-    ] = False,
-    patience: Annotated[
-        float,
-        typer.Option(
-            min=1.0,
-            help="With --auto: end after this time without camera, robot or view, a number of "
-            "seconds such as 60.",
-        ),
-    ] = 60.0,
     page: PageOptions,
-    seed: Annotated[
-        int, typer.Option(help="Random seed of the simulated cell, a number such as 3.")
-    ] = 0,
-    print_program: Annotated[
-        Program | None,
-        typer.Option(
-            help="Only print a program for the controller that answers tcp: or listen:, or a node "
-            "for ROS 2."
-        ),
-    ] = None,
     json: JsonOption = False,
     debug: DebugOption = False,
 ) -> None:
@@ -165,15 +134,15 @@ def capture(
     lost camera, a lost robot or a crash.
     """
     with errors_reported(debug):
-        if print_program is not None:
+        if named.print_program is not None:
             from ..capture import controller_program
 
-            typer.echo(controller_program(print_program.value), nl=False)
+            typer.echo(controller_program(named.print_program.value), nl=False)
             return
         if folder is None:
             raise ValueError("expected the folder of a data set (smartview new begins one)")
         try:
-            sources = open_sources(camera, robot, pose_format, folder, seed)
+            sources = open_sources(named, folder)
         except ImportError as error:
             # The user can install a missing extra: one line, no traceback.
             raise ValueError(str(error)) from error
@@ -182,14 +151,14 @@ def capture(
 
         limits = motion.limits(sources)
         with GrowingDataset(folder) as data:
-            if auto and robot == "typed":
+            if motion.auto and named.robot == "typed":
                 raise ValueError("--auto: needs a robot that reports its poses, found typed")
-            options = _options(data, wanted, limits, sources, auto)
-            _refuse_unplanned(auto and motion.move, options, len(data.names))
-            say = _say if auto else (lambda _: None)
+            options = _options(data, wanted, limits, sources, motion.auto)
+            _refuse_unplanned(motion.auto and motion.move, options, len(data.names))
+            say = _say if motion.auto else (lambda _: None)
             with CaptureSession(data, sources.camera, sources.robot, options, say) as session:
-                if auto:
-                    outcome = capture_unattended(session, wanted.views, patience)
+                if motion.auto:
+                    outcome = capture_unattended(session, wanted.views, motion.patience)
                     _give(outcome, wanted.goal, folder, json)
                     if not outcome.is_reached:
                         raise typer.Exit(1)

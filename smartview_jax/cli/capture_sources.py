@@ -1,14 +1,62 @@
 """Read the texts that name a camera and a robot, such as 0 and tcp:192.168.0.10:5000."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from .options import PoseFormatOption
 
 if TYPE_CHECKING:
     from ..capture import Camera, Reopened, Robot, SimulatedSources
 
 SIMULATED = "simulated"
 """The name of the simulated cell's camera and robot."""
+
+
+class Program(StrEnum):
+    """The programs for controllers that the command prints."""
+
+    KRL = "krl"
+    RAPID = "rapid"
+    URSCRIPT = "urscript"
+    VAL3 = "val3"
+    ROS2 = "ros2"
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """The options that name the camera and the robot."""
+
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="Source of pictures, such as 0: OpenCV's index of a camera, a video file or the "
+            "address of a stream, a folder that fills up with pictures, or simulated."
+        ),
+    ] = "0"
+    robot: Annotated[
+        str,
+        typer.Option(
+            help="Source of poses, such as tcp:192.168.0.10:5000 (the controller listens), "
+            "listen:192.168.0.100:5000 (it connects to this machine's address), ur:192.168.0.10 "
+            "(Universal Robots), simulated, or typed (a person types or pastes each pose)."
+        ),
+    ] = "typed"
+    pose_format: PoseFormatOption = ""
+    seed: Annotated[
+        int, typer.Option(help="Random seed of the simulated cell, a number such as 3.")
+    ] = 0
+    print_program: Annotated[
+        Program | None,
+        typer.Option(
+            help="Only print a program for the controller that answers tcp: or listen:, or a node "
+            "for ROS 2."
+        ),
+    ] = None
 
 
 class Sources(NamedTuple):
@@ -24,15 +72,12 @@ class Sources(NamedTuple):
     simulated: "SimulatedSources | None"
 
 
-def open_sources(camera: str, robot: str, pose_format: str, folder: Path, seed: int) -> Sources:
+def open_sources(named: SourceOptions, folder: Path) -> Sources:
     """Return the named camera and robot, which are opened when they are needed.
 
     Args:
-        camera: text of `--camera`.
-        robot: text of `--robot`.
-        pose_format: format of the robot's poses; empty for the format of the folder's table.
+        named: texts that name them; without a pose format the folder's table states it.
         folder: the data set; the simulated cell begins it if it is new.
-        seed: seed of the simulated cell.
 
     Raises:
         ImportError: an extra is not installed.
@@ -42,14 +87,15 @@ def open_sources(camera: str, robot: str, pose_format: str, folder: Path, seed: 
     from ..capture import Reopened, SimulatedSources
 
     simulated = None
-    if SIMULATED in (camera, robot):
-        if camera != robot:
+    if SIMULATED in (named.camera, named.robot):
+        if named.camera != named.robot:
             raise ValueError(f"--camera and --robot: expected both {SIMULATED}, or neither")
-        simulated = SimulatedSources(seed)
+        simulated = SimulatedSources(named.seed)
         simulated.write_description(folder)
         return Sources(Reopened(simulated.camera), Reopened(simulated.robot), simulated)
-    open_camera = _camera(camera, folder)
-    return Sources(Reopened(open_camera), Reopened(_robot(robot, pose_format, folder)), simulated)
+    open_camera = _camera(named.camera, folder)
+    open_robot = _robot(named.robot, named.pose_format, folder)
+    return Sources(Reopened(open_camera), Reopened(open_robot), simulated)
 
 
 def _camera(text: str, folder: Path) -> "Callable[[], Camera]":

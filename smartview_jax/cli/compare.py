@@ -9,7 +9,7 @@ from .error_documents import method_document, views_left_out
 from .fit_options import FitKnowledge, parse_fit_options
 from .json_document import print_document
 from .load import load_named
-from .option_groups import with_option_groups
+from .options import with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:

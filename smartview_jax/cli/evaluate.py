@@ -1,5 +1,6 @@
 """Define `smartview evaluate`, which predicts pictures that a calibration was not fitted to."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +10,7 @@ from . import options
 from .error_documents import errors_document, views_left_out
 from .json_document import print_document
 from .load import load_named
+from .options import with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -21,6 +23,21 @@ if TYPE_CHECKING:
     from ..report import ErrorSummary
 
 
+@dataclass(frozen=True)
+class NewPictures:
+    """The pictures that are predicted, and what is known of them."""
+
+    dataset: Annotated[Path, typer.Argument(help="Data-set folder with new pictures and poses.")]
+    moved: Annotated[
+        bool,
+        typer.Option(
+            "--moved", help="The target was moved: estimate its pose from the new pictures."
+        ),
+    ] = False
+    bad_views: options.BadViewsOption = options.BadViews.MASK
+
+
+@with_option_groups
 def evaluate(
     calibration: Annotated[
         Path,
@@ -28,7 +45,8 @@ def evaluate(
             help="A calibration.yaml; for a folder with several cameras, the folder of theirs."
         ),
     ],
-    dataset: Annotated[Path, typer.Argument(help="Data-set folder with new pictures and poses.")],
+    *,
+    new: NewPictures,
     compare: Annotated[
         list[Path] | None,
         typer.Option(
@@ -36,16 +54,9 @@ def evaluate(
             "be repeated."
         ),
     ] = None,
-    moved: Annotated[
-        bool,
-        typer.Option(
-            "--moved", help="The target was moved: estimate its pose from the new pictures."
-        ),
-    ] = False,
     out: Annotated[
         Path | None, typer.Option(help="A page with the figures, such as evaluation.html.")
     ] = None,
-    bad_views: options.BadViewsOption = options.BadViews.MASK,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
@@ -61,18 +72,20 @@ def evaluate(
         from ..joint import load_with_uncertainty
         from ..report import ErrorSummary, write_evaluation_page
 
-        if is_rig_folder(dataset):
+        if is_rig_folder(new.dataset):
             if compare or out is not None:
-                raise ValueError(f"--compare, --out: not for several cameras, which {dataset} has")
-            _evaluate_rig(calibration, dataset, moved, bad_views, json)
+                raise ValueError(
+                    f"--compare, --out: not for several cameras, which {new.dataset} has"
+                )
+            _evaluate_rig(calibration, new, json)
             return
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         paths = [calibration, *(compare or [])]
         with progress_line() as progress:
             loaded = [load_with_uncertainty(path) for path in paths]
-            data, name = load_named(dataset, bad_views, progress)
-            if moved:
+            data, name = load_named(new.dataset, new.bad_views, progress)
+            if new.moved:
                 loaded = [(_with_target_found(moved_from, data), None) for moved_from, _ in loaded]
             summaries = [
                 ErrorSummary(path.stem, reprojection_errors(fitted_calibration, data), None)
@@ -105,16 +118,12 @@ def evaluate(
             typer.echo(f"{out}: the figures")
 
 
-def _evaluate_rig(
-    calibrations: Path, folder: Path, moved: bool, bad_views: str, json: bool
-) -> None:
+def _evaluate_rig(calibrations: Path, new: NewPictures, json: bool) -> None:
     """Predict new pictures of several cameras, and print the error of each.
 
     Args:
         calibrations: folder with a calibration of each camera, named after it.
-        folder: data-set folder with several cameras.
-        moved: whether the target was moved.
-        bad_views: as in `load_rig`.
+        new: pictures of several cameras.
         json: whether to print a document for programs.
     """
     from ..evaluation import reprojection_errors
@@ -123,17 +132,17 @@ def _evaluate_rig(
     from ..report import ErrorSummary
 
     with progress_line() as progress:
-        rig = load_rig(folder, bad_views, progress)
+        rig = load_rig(new.dataset, new.bad_views, progress)
         summaries, expected, files, fitted = [], [], [], {}
         for name, data in rig.cameras.items():
             files.append(calibrations / f"{name}.yaml")
             calibration, estimate = load_with_uncertainty(files[-1])
-            if moved:
+            if new.moved:
                 calibration, estimate = _with_target_found(calibration, data), None
             summaries.append(ErrorSummary(name, reprojection_errors(calibration, data), None))
             expected.append(_expected(estimate, data))
             fitted[name] = _fitted_views(files[-1], data)
-    cameras = list(rig.cameras.values())
+    cameras, name = list(rig.cameras.values()), new.dataset.resolve().name
     if json:
         entries = [
             {
@@ -146,10 +155,10 @@ def _evaluate_rig(
                 files, summaries, expected, cameras, strict=True
             )
         ]
-        print_document("evaluate", {"data_set": folder.resolve().name, "cameras": entries})
+        print_document("evaluate", {"data_set": name, "cameras": entries})
         return
     texts = [
-        _verdict(summary, folder.resolve().name) + _fitted_text(fitted[summary.name], data)
+        _verdict(summary, name) + _fitted_text(fitted[summary.name], data)
         for summary, data in zip(summaries, cameras, strict=True)
     ]
     _print(_rows(summaries, cameras, expected), cameras, "\n".join(texts))

@@ -1,12 +1,13 @@
 """Define `smartview grasp`, which prints the commands that bring the gripper to an object."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from . import options
-from .option_groups import with_option_groups
+from .options import with_option_groups
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported
 
@@ -21,6 +22,61 @@ COMMAND_NAMES = ("approach", "grasp")
 _POSE = "x,y,z in m and yaw,pitch,roll in degrees"
 
 
+@dataclass(frozen=True)
+class GraspChoice:
+    """The options that say where on an object the gripper takes it, and where the gripper is."""
+
+    grasp_pose: Annotated[
+        str | None,
+        typer.Option(
+            help=f"object_from_gripper: pose of the grasp on the object, {_POSE}, such as "
+            "0,0,0.01,0,180,0."
+        ),
+    ] = None
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead of --grasp-pose: an object model with grasps, such as object.json of "
+            "smartview model."
+        ),
+    ] = None
+    name: Annotated[
+        str | None,
+        typer.Option(help="Name of one of the model's grasps, such as side; by default its first."),
+    ] = None
+    gripper: Annotated[
+        str,
+        typer.Option(
+            help=f"tool_from_gripper: pose of the gripper's frame on the tool, {_POSE}, such as "
+            "0,0,0.12,0,0,0; by default the robot's tool frame, between the fingertips."
+        ),
+    ] = "0,0,0,0,0,0"
+
+    def object_from_gripper(self) -> "np.ndarray":
+        """Return the pose of the options, or of the named or first grasp of the model.
+
+        Raises:
+            ValueError: neither or both are given, or the model has no such grasp.
+        """
+        from ..io import load_object_model
+
+        model, name = self.model, self.name
+        if (self.grasp_pose is None) == (model is None):
+            raise ValueError("grasp: give either --grasp-pose or --model")
+        if model is None:
+            if name is not None:
+                raise ValueError("--name selects a grasp of a model: give --model too")
+            return _pose("--grasp-pose", str(self.grasp_pose))
+        grasps = load_object_model(model).grasps
+        if not grasps:
+            raise ValueError(f"{model}: no grasps in it; place one with smartview model")
+        chosen = [candidate for candidate in grasps if name in (None, candidate.name)]
+        if not chosen:
+            names = ", ".join(repr(candidate.name) for candidate in grasps)
+            raise ValueError(f"--name: {model} has the grasps {names}; found {name!r}")
+        return chosen[0].object_from_tool
+
+
 @with_option_groups
 def grasp(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
@@ -30,35 +86,11 @@ def grasp(
             help=f"world_from_object: pose of the object, {_POSE}, such as 0.1,0.02,0,90,0,0."
         ),
     ] = "0,0,0,0,0,0",
-    grasp_pose: Annotated[
-        str | None,
-        typer.Option(
-            help=f"object_from_gripper: pose of the grasp on the object, {_POSE}, such as "
-            "0,0,0.01,0,180,0."
-        ),
-    ] = None,
-    model: Annotated[
-        Path | None,
-        typer.Option(
-            help="Instead of --grasp-pose: an object model with grasps, such as object.json of "
-            "smartview model."
-        ),
-    ] = None,
-    name: Annotated[
-        str | None,
-        typer.Option(help="Name of one of the model's grasps, such as side; by default its first."),
-    ] = None,
-    gripper: Annotated[
-        str,
-        typer.Option(
-            help=f"tool_from_gripper: pose of the gripper's frame on the tool, {_POSE}, such as "
-            "0,0,0.12,0,0,0; by default the robot's tool frame, between the fingertips."
-        ),
-    ] = "0,0,0,0,0,0",
+    *,
+    chosen: GraspChoice,
     approach: Annotated[
         float, typer.Option(min=0.0, help="Length of the straight approach, mm, such as 50.")
     ] = 100.0,
-    *,
     robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
@@ -75,12 +107,12 @@ def grasp(
 
         codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
-        world_from_gripper = _pose("--object-pose", object_pose) @ _grasp(grasp_pose, model, name)
+        world_from_gripper = _pose("--object-pose", object_pose) @ chosen.object_from_gripper()
         arm, readings = robot.arm_and_readings(loaded_calibration)
         tool = tool_commands(
             loaded_calibration,
             # H_Base^World is applied by the calibration; here is the rest of Eq. 20.
-            _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", gripper)),
+            _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", chosen.gripper)),
             estimate=estimate,
             arm=arm,
             near=readings,
@@ -109,30 +141,6 @@ def _pose(option: str, text: str) -> "np.ndarray":
     from ..io import parse_rough_pose
 
     return host_matrices(parse_rough_pose(option, text))
-
-
-def _grasp(pose: str | None, model: Path | None, name: str | None) -> "np.ndarray":
-    """Return object_from_gripper of the options, or of the named or first grasp of a model.
-
-    Raises:
-        ValueError: neither or both are given, or the model has no such grasp.
-    """
-    from ..io import load_object_model
-
-    if (pose is None) == (model is None):
-        raise ValueError("grasp: give either --grasp-pose or --model")
-    if model is None:
-        if name is not None:
-            raise ValueError("--name selects a grasp of a model: give --model too")
-        return _pose("--grasp-pose", str(pose))
-    grasps = load_object_model(model).grasps
-    if not grasps:
-        raise ValueError(f"{model}: no grasps in it; place one with smartview model")
-    chosen = [candidate for candidate in grasps if name in (None, candidate.name)]
-    if not chosen:
-        names = ", ".join(repr(candidate.name) for candidate in grasps)
-        raise ValueError(f"--name: {model} has the grasps {names}; found {name!r}")
-    return chosen[0].object_from_tool
 
 
 def _with_approach(

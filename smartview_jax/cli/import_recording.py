@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
-from .options import DebugOption
+from .options import DebugOption, parse_numbers, with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -224,6 +222,28 @@ class MomentOptions:
         return MomentChoice(self.every, self.still_for, 1e-3 * millimetres, math.radians(degrees))
 
 
+@dataclasses.dataclass(frozen=True)
+class TargetOptions:
+    """The options that say what is in the pictures, and what the camera is mounted on."""
+
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="The target in the pictures: a file, such as another data set's dataset.yaml, or "
+            "Kalibr's target.yaml; or chessboard, circle_grid, charuco, tag_grid or aprilgrid, "
+            "whose lengths are then to be filled in."
+        ),
+    ] = None
+    eye_to_hand: Annotated[
+        bool, typer.Option("--eye-to-hand", help="Fixed camera; the target is on the tool.")
+    ] = False
+
+    @property
+    def mount(self) -> str:
+        """The mount of the camera, by its name in a data set."""
+        return "eye_to_hand" if self.eye_to_hand else "eye_in_hand"
+
+
 @with_option_groups
 def import_(
     recording: Annotated[
@@ -234,18 +254,8 @@ def import_(
         ),
     ],
     folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
-    target: Annotated[
-        str | None,
-        typer.Option(
-            help="The target in the pictures: a file, such as another data set's dataset.yaml, or "
-            "Kalibr's target.yaml; or chessboard, circle_grid, charuco, tag_grid or aprilgrid, "
-            "whose lengths are then to be filled in."
-        ),
-    ] = None,
-    eye_to_hand: Annotated[
-        bool, typer.Option("--eye-to-hand", help="Fixed camera; the target is on the tool.")
-    ] = False,
     *,
+    pictured: TargetOptions,
     source: SourceOptions,
     lerobot: LeRobotOptions,
     moments: MomentOptions,
@@ -264,12 +274,12 @@ def import_(
     with errors_reported(debug):
         from ..recordings import INFO_FILE, import_bag, import_lerobot
 
-        if target is None and source.tag is None:
+        if pictured.target is None and source.tag is None:
             raise ValueError(
                 "--target: expected the target in the pictures, such as charuco (or --tag for "
                 "poses of a tag instead of pictures)"
             )
-        mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
+        target, mount = pictured.target, pictured.mount
         choice = moments.choice()
         with progress_line() as progress:
             if (recording / INFO_FILE).is_file():

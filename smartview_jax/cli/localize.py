@@ -1,15 +1,15 @@
 """Define `smartview localize`, which finds known objects in calibrated pictures."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .calibrated_views import CameraOption, FrameOption, load_calibrated_views
+from .calibrated_views import RigOptions, load_calibrated_views
 from .json_document import print_document, transform_document
 from .load import load_views
-from .number_lists import parse_numbers
-from .options import DebugOption, JsonOption
+from .options import DebugOption, JsonOption, parse_numbers, with_option_groups
 from .terminal import errors_reported, progress_line
 
 if TYPE_CHECKING:
@@ -22,34 +22,70 @@ if TYPE_CHECKING:
     from ..localization import Localization, Localizations
 
 
-def localize(
-    calibration: Annotated[
-        Path,
-        typer.Argument(help="A calibration.yaml, or the folder of a calibrated rig."),
-    ],
-    views: Annotated[Path, typer.Argument(help="Folder with pictures and the robot's poses.")],
+@dataclass(frozen=True)
+class SearchOptions:
+    """The objects that are searched for, and what is known of the place where they are."""
+
     models: Annotated[
         list[Path],
         typer.Argument(
             help="Object models (smartview model); each object may occur several times."
         ),
-    ],
+    ]
     workspace: Annotated[
         str | None,
         typer.Option(
             help="Box that contains the objects: two opposite corners, x,y,z,x,y,z in m in the "
             "target's frame, such as -0.2,-0.2,0,0.2,0.2,0.15; by default unlimited."
         ),
-    ] = None,
+    ] = None
     occluder: Annotated[
         list[Path] | None,
         typer.Option(
             help="Mesh of an obstacle, m in the target's frame, such as bin.stl (or .obj, .ply): "
             "edges that it occludes do not count as missing. May be repeated."
         ),
-    ] = None,
-    camera: CameraOption = None,
-    frame: FrameOption = "world",
+    ] = None
+
+    def corners(self) -> "np.ndarray | None":
+        """Return two opposite corners of the workspace box.
+
+        Raises:
+            ValueError: not six finite numbers.
+        """
+        import numpy as np
+
+        if self.workspace is None:
+            return None
+        corners = parse_numbers("--workspace", self.workspace, 6, "x,y,z,x,y,z (m)")
+        return np.array(corners).reshape(2, 3)
+
+    def triangles(self) -> "np.ndarray | None":
+        """Return the triangles of the obstacles in the world."""
+        import numpy as np
+
+        from ..io import read_mesh, to_trimesh
+
+        if not self.occluder:
+            return None
+        try:
+            triangles = [np.asarray(to_trimesh(read_mesh(p)).triangles) for p in self.occluder]
+        except ImportError as error:
+            # The user can install a missing extra: one line, no traceback.
+            raise ValueError(str(error)) from error
+        return np.concatenate(triangles)
+
+
+@with_option_groups
+def localize(
+    calibration: Annotated[
+        Path,
+        typer.Argument(help="A calibration.yaml, or the folder of a calibrated rig."),
+    ],
+    views: Annotated[Path, typer.Argument(help="Folder with pictures and the robot's poses.")],
+    *,
+    search: SearchOptions,
+    rig: RigOptions,
     out: Annotated[
         Path | None,
         typer.Option(help="A page with wireframes over the pictures, such as found.html."),
@@ -73,11 +109,12 @@ def localize(
         # Options are checked before the pictures are searched, which takes long.
         if out is not None:
             refuse_unwritable(out.parent, "--out")
-        corners, triangles = _corners(workspace), _triangles(occluder)
+        corners, triangles = search.corners(), search.triangles()
+        models = search.models
         objects = [load_object_model(path) for path in models]
         seen = load_views(views)
         names, paths, command = seen.names, seen.pictures, seen.command
-        loaded, estimate, is_exact = load_calibrated_views(calibration, seen, camera, frame)
+        loaded, estimate, is_exact = load_calibrated_views(calibration, seen, rig)
         cameras = SeenViews.of(loaded, command).cameras
         with progress_line() as progress:
             pictures = [
@@ -106,7 +143,7 @@ def localize(
         if json:
             content = {
                 "views": names,
-                "frame": frame,
+                "frame": rig.frame,
                 "objects": [_document(localization, models) for localization in localizations],
                 "messages": localizations.messages,
                 "page": out,
@@ -117,35 +154,6 @@ def localize(
         # A script learns from the exit code that there is nothing to grasp.
         if not localizations.accepted:
             raise typer.Exit(1)
-
-
-def _corners(workspace: str | None) -> "np.ndarray | None":
-    """Return two opposite corners of the workspace box.
-
-    Raises:
-        ValueError: not six finite numbers.
-    """
-    import numpy as np
-
-    if workspace is None:
-        return None
-    return np.array(parse_numbers("--workspace", workspace, 6, "x,y,z,x,y,z (m)")).reshape(2, 3)
-
-
-def _triangles(meshes: list[Path] | None) -> "np.ndarray | None":
-    """Return the triangles of meshes in the world."""
-    import numpy as np
-
-    from ..io import read_mesh, to_trimesh
-
-    if not meshes:
-        return None
-    try:
-        triangles = [np.asarray(to_trimesh(read_mesh(path)).triangles) for path in meshes]
-    except ImportError as error:
-        # The user can install a missing extra: one line, no traceback.
-        raise ValueError(str(error)) from error
-    return np.concatenate(triangles)
 
 
 def _evidence(

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .calibrated_views import CameraOption, FrameOption, load_calibrated_views
+from .calibrated_views import RigOptions, load_calibrated_views
 from .load import NamedViews, load_views
-from .option_groups import with_option_groups
-from .options import DebugOption, PageOptions
+from .options import DebugOption, PageOptions, with_option_groups
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
@@ -32,9 +31,8 @@ def model(
             "default the one in the folder."
         ),
     ] = None,
-    camera: CameraOption = None,
-    frame: FrameOption = "world",
     *,
+    wanted: RigOptions,
     page: PageOptions,
     debug: DebugOption = False,
 ) -> None:
@@ -49,7 +47,7 @@ def model(
         views = load_views(dataset)
         target = out or dataset / "object.json"
         try:
-            estimate, covariance = load_calibration(dataset, calibration, views, camera, frame)
+            estimate, covariance = load_calibration(dataset, calibration, views, wanted)
             with ModelSession(
                 estimate, views.command, views.pictures, views.names, target, covariance=covariance
             ) as session:
@@ -63,11 +61,7 @@ def model(
 
 
 def load_calibration(
-    dataset: Path,
-    calibration: Path | None,
-    views: NamedViews,
-    camera: str | None = None,
-    frame: str = "world",
+    dataset: Path, calibration: Path | None, views: NamedViews, wanted: RigOptions
 ) -> "tuple[AnyCalibration, SavedEstimate | None]":
     """Return the calibration of the option or of the folder, with its covariance if it has one."""
     from ..joint import RIG_FILE
@@ -83,7 +77,7 @@ def load_calibration(
             f"{candidates[0]}: no such file; give a calibration by --calibration "
             "(smartview calibrate makes one)"
         )
-    loaded, estimate, is_exact = load_calibrated_views(path_found, views, camera, frame)
+    loaded, estimate, is_exact = load_calibrated_views(path_found, views, wanted)
     if is_exact:
         typer.echo(f"{path_found} has no covariance: taken as exact", err=True)
     return loaded, estimate

@@ -1,5 +1,8 @@
 """Define `smartview plan`, which plans the first or next views and their expected gain."""
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,11 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from . import options
-from .fit_options import StartOption
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
-from .plan_rig import Stop, is_rig_plan, plan_rig
-from .plan_situation import first_views, next_views
+from .fit_options import StartOption, parse_transforms
+from .options import parse_numbers, with_option_groups
+from .plan_rig import is_rig_plan, plan_rig
 from .plan_words import give_no_commands, new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported, progress_line
@@ -19,7 +20,84 @@ from .terminal import errors_reported, progress_line
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..viewpoints import InformationModel
+    from ..viewpoints import InformationModel, StopRule, ViewLimits
+
+
+@dataclass(frozen=True)
+class RoughStart:
+    """The options of first views, which are planned from a rough calibration."""
+
+    start: StartOption = None
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --start: a known camera, as for calibrate, such as calibration.yaml."
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class EnoughViews:
+    """The options that say when a plan has enough views."""
+
+    views: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=50, help="Most views, a number such as 8; by default 10, or 15 with --start."
+        ),
+    ] = None
+    goal: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Stop when the error is this small, mm, such as 0.5."),
+    ] = None
+    gain: Annotated[
+        float,
+        typer.Option(min=0.0, max=100.0, help="Stop when one more view gains less, %, such as 2."),
+    ] = 5.0
+
+    def stop(self, first: bool) -> "StopRule":
+        """Return the rule in the library's units, for first or for next views."""
+        from ..viewpoints import StopRule
+
+        goal = None if self.goal is None else 1e-3 * self.goal
+        # All first views are needed; the least gain is a rule for additional ones.
+        gain = 0.0 if first else 0.01 * self.gain
+        return StopRule(self.views or (15 if first else 10), goal, gain)
+
+
+@dataclass(frozen=True)
+class ViewSpan:
+    """The options that say from where the target is looked at."""
+
+    distance: Annotated[
+        str | None,
+        typer.Option(help="Smallest and largest distance from the target, m, such as 0.3,0.5."),
+    ] = None
+    tilt: Annotated[
+        float,
+        typer.Option(
+            min=1.0, max=80.0, help="Largest tilt of the camera from vertical, degrees, such as 30."
+        ),
+    ] = 40.0
+    roll: Annotated[
+        float,
+        typer.Option(
+            min=1.0, max=180.0, help="Largest roll about the optical axis, degrees, such as 180."
+        ),
+    ] = 90.0
+    below: options.BelowOption = None
+
+    def limits(self) -> "ViewLimits":
+        """Return the limits in the library's units."""
+        from ..viewpoints import ViewLimits
+
+        distances = None
+        if self.distance is not None:
+            smallest, largest = parse_numbers(
+                "--distance", self.distance, 2, "smallest,largest (m)"
+            )
+            distances = smallest, largest
+        return ViewLimits(distances, math.radians(self.tilt), math.radians(self.roll), self.below)
 
 
 @with_option_groups
@@ -32,45 +110,10 @@ def plan(
             "views, with --start: the data-set folder alone (smartview new)."
         ),
     ],
-    start: StartOption = None,
-    camera: Annotated[
-        Path | None,
-        typer.Option(
-            help="With --start: a known camera, as for calibrate, such as calibration.yaml."
-        ),
-    ] = None,
-    views: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=50, help="Most views, a number such as 8; by default 10, or 15 with --start."
-        ),
-    ] = None,
-    goal: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Stop when the error is this small, mm, such as 0.5."),
-    ] = None,
-    gain: Annotated[
-        float,
-        typer.Option(min=0.0, max=100.0, help="Stop when one more view gains less, %, such as 2."),
-    ] = 5.0,
-    distance: Annotated[
-        str | None,
-        typer.Option(help="Smallest and largest distance from the target, m, such as 0.3,0.5."),
-    ] = None,
-    tilt: Annotated[
-        float,
-        typer.Option(
-            min=1.0, max=80.0, help="Largest tilt of the camera from vertical, degrees, such as 30."
-        ),
-    ] = 40.0,
-    roll: Annotated[
-        float,
-        typer.Option(
-            min=1.0, max=180.0, help="Largest roll about the optical axis, degrees, such as 180."
-        ),
-    ] = 90.0,
-    below: options.BelowOption = None,
     *,
+    rough: RoughStart,
+    enough: EnoughViews,
+    span: ViewSpan,
     robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
@@ -83,45 +126,40 @@ def plan(
     all.
     """
     with errors_reported(debug):
-        import math
-
         from ..geometry import host_transforms
         from ..viewpoints import (
             SAFETY_CHECKS,
-            ViewLimits,
+            ViewRequirements,
             plan_views,
             unchecked,
             viewpoint_commands,
         )
 
         codec = robot.codec()
-        span = ViewLimits(_distance_range(distance), math.radians(tilt), math.radians(roll), below)
+        limits, stop, start = span.limits(), enough.stop(bool(rough.start)), rough.start
         if is_rig_plan(paths, bool(start)):
-            if camera is not None:
+            if rough.camera is not None:
                 raise ValueError("--camera: only with --start; the calibrations have their cameras")
-            stop = Stop(views or 10, None if goal is None else 1e-3 * goal, 0.01 * gain)
-            plan_rig(paths, span, stop, robot, json)
+            plan_rig(paths, limits, stop, robot, json)
             return
         with progress_line() as progress:
             if start:
                 progress("reading the description of the data set")
-                situation, taken = first_views(paths, start, camera, span), ()
+                situation, taken = first_views(paths, start, rough.camera, limits), ()
             else:
                 progress("reading the calibration and its data set")
-                situation, taken = next_views(paths, camera, span, robot, progress)
+                situation, taken = next_views(paths, rough.camera, limits, robot, progress)
             arm, readings = robot.arm_and_readings(situation.calibration)
             view_plan = plan_views(
                 _with_readings(situation.model, readings),
                 situation.views,
-                views or (15 if start else 10),
-                goal=None if goal is None else 1e-3 * goal,
-                # All first views are needed; the least gain is a rule for additional ones.
-                least_gain=0.0 if start else 0.01 * gain,
-                border_margin=situation.border_margin,
+                stop,
+                needs=ViewRequirements(situation.border_margin),
                 arm=arm,
                 progress=progress,
             )
-        words = (*situation.assumptions, *plan_words(view_plan, 0.01 * gain, goal, bool(start)))
+        reasons = plan_words(view_plan, 0.01 * enough.gain, enough.goal, bool(start))
+        words = (*situation.assumptions, *reasons)
         if len(view_plan.camera_from_world) == 0:
             give_no_commands({**plan_entries(view_plan), "words": words}, json)
             return
@@ -145,14 +183,6 @@ def plan(
         )
 
 
-def _distance_range(text: str | None) -> tuple[float, float] | None:
-    """Return the smallest and the largest distance, m; None to choose them."""
-    if text is None:
-        return None
-    smallest, largest = parse_numbers("--distance", text, 2, "smallest,largest (m)")
-    return smallest, largest
-
-
 def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":
     """Return the model with the joint readings near which inverse kinematics looks for views."""
     import equinox as eqx
@@ -164,3 +194,74 @@ def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> 
         return model
     near = to_device(readings)
     return eqx.tree_at(lambda m: m.near, model, near, is_leaf=lambda leaf: leaf is None)
+
+
+if TYPE_CHECKING:
+    from ..viewpoints import Situation, ViewLimits
+
+
+def next_views(
+    paths: list[Path],
+    camera: Path | None,
+    limits: "ViewLimits",
+    robot: RobotOptions,
+    progress: Callable[[str], None],
+) -> "tuple[Situation, tuple[str, ...]]":
+    """Return the situation given a calibration and its data set, and the names of its views.
+
+    Args:
+        paths: the calibration, and the folder of its data set.
+        camera: a known camera, which is refused.
+        limits: limits of the views.
+        robot: the robot's arm and readings.
+        progress: called with a line of text for each stage.
+    """
+    import numpy as np
+
+    from ..io import load_dataset
+    from ..joint import load_estimate
+    from ..viewpoints import situation_of_estimate
+
+    if camera is not None:
+        raise ValueError("--camera: only with --start; the calibration contains its camera")
+    if len(paths) != 2 or not paths[1].is_dir():
+        raise ValueError(
+            "expected calibration.yaml and its data-set folder; or, with --start, the folder alone"
+        )
+    estimate = load_estimate(paths[0])
+    data = load_dataset(paths[1], "mask", progress=progress, keep_detections=False)
+    # Without an arm there are no readings, and the robot is commanded by poses.
+    _, readings = robot.arm_and_readings(estimate.calibration)
+    progress("computing what the views so far tell")
+    try:
+        found = situation_of_estimate(estimate, np.asarray(data.points[0]), limits, readings)
+    except ValueError as error:
+        raise ValueError(f"{paths[0]}: {error}") from error
+    return found, data.view_ids
+
+
+def first_views(
+    paths: list[Path], start: list[str], camera_file: Path | None, limits: "ViewLimits"
+) -> "Situation":
+    """Return the situation given rough transforms and the description of a folder."""
+    import numpy as np
+
+    from ..calibration import transform_names
+    from ..io import read_camera, read_folder_description
+    from ..viewpoints import situation_of_drawing
+
+    if len(paths) != 1:
+        raise ValueError("--start: expected the data-set folder alone (smartview new begins one)")
+    described = read_folder_description(paths[0])
+    transforms = parse_transforms(start, described.mount)
+    # dataset.yaml may state the target's pose; the option takes precedence.
+    if described.holder_from_world is not None:
+        transforms.setdefault(transform_names(described.mount)[1], described.holder_from_world)
+    return situation_of_drawing(
+        transforms,
+        described.mount,
+        np.asarray(described.target.points),
+        described.image_size,
+        None if camera_file is None else read_camera(camera_file),
+        limits,
+    )

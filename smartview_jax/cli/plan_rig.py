@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -12,21 +12,7 @@ from .robot_commands import CommandSheet, RobotOptions
 from .terminal import progress_line
 
 if TYPE_CHECKING:
-    from ..viewpoints import StatePlan, ViewLimits
-
-
-class Stop(NamedTuple):
-    """The rule by which a plan stops.
-
-    Attributes:
-        states: largest number of states.
-        goal: error at which it stops, m; None for none.
-        gain: relative gain by one more state below which it stops.
-    """
-
-    states: int
-    goal: float | None
-    gain: float
+    from ..viewpoints import StatePlan, StopRule, ViewLimits
 
 
 def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
@@ -59,7 +45,7 @@ def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
 
 
 def plan_rig(
-    paths: Sequence[Path], limits: "ViewLimits", stop: Stop, robot: RobotOptions, json: bool
+    paths: Sequence[Path], limits: "ViewLimits", stop: "StopRule", robot: RobotOptions, json: bool
 ) -> None:
     """Print commands of the states to take next, best first, and the error they lead to.
 
@@ -86,9 +72,7 @@ def plan_rig(
         found = plan_states(
             RigInformationModel.from_estimate(estimate, rig, sigmas),
             limits,
-            stop.states,
-            goal=stop.goal,
-            least_gain=stop.gain,
+            stop,
             arm=arm,
             near=readings,
             progress=progress,
@@ -96,7 +80,7 @@ def plan_rig(
     plan, codec = found.plan, robot.codec()
     goal_mm = None if stop.goal is None else 1e3 * stop.goal
     names = new_names(rig.view_ids, len(found.view_of))
-    words = plan_words(plan, stop.gain, goal_mm, first=False)
+    words = plan_words(plan, stop.least_gain, goal_mm, first=False)
     views = _seen_words(found, names)
     sheet = CommandSheet(
         names, found.commands, codec, arm, SAFETY_CHECKS, unchecked(calibration, arm is not None)

@@ -10,7 +10,7 @@ import typer
 from ..files import refuse_unwritable
 from . import options
 from .json_document import print_document
-from .number_lists import parse_numbers
+from .options import parse_numbers
 
 if TYPE_CHECKING:
     import numpy as np

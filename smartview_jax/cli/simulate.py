@@ -1,38 +1,48 @@
 """Define `smartview simulate`, which writes a data set whose truth is known."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .options import DebugOption, PoseFormatOption
+from .options import DebugOption, PoseFormatOption, with_option_groups
 from .terminal import errors_reported, progress_line
 
 TRUTH_FILE = "truth.yaml"
 """The name of the file with the true calibration."""
 
 
-def simulate(
-    folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
-    views: Annotated[int, typer.Option(min=3, max=1000, help="Number of views, such as 20.")] = 15,
+@dataclass(frozen=True)
+class ErrorSizes:
+    """The options that say how large the simulated errors are."""
+
     pixel_noise: Annotated[
         float, typer.Option(min=0.0, help="Standard deviation of u and of v, px, such as 0.2.")
-    ] = 0.15,
+    ] = 0.15
     position_noise: Annotated[
         float,
         typer.Option(min=0.0, help="Standard deviation of reported positions, mm, such as 0.3."),
-    ] = 0.1,
+    ] = 0.1
     angle_noise: Annotated[
         float,
         typer.Option(min=0.0, help="Standard deviation of reported angles, degrees, such as 0.05."),
-    ] = 0.01,
+    ] = 0.01
     outliers: Annotated[
         float,
         typer.Option(
             min=0.0, max=0.5, help="Fraction of points that are gross errors, such as 0.02."
         ),
-    ] = 0.0,
+    ] = 0.0
+
+
+@with_option_groups
+def simulate(
+    folder: Annotated[Path, typer.Argument(help="Folder of the new data set.")],
+    views: Annotated[int, typer.Option(min=3, max=1000, help="Number of views, such as 20.")] = 15,
+    *,
+    errors: ErrorSizes,
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Render pictures, with sensor noise.")
     ] = False,
@@ -62,10 +72,10 @@ def simulate(
             seed,
             views,
             board,
-            pixel_noise=pixel_noise,
-            translation_noise=1e-3 * position_noise,
-            rotation_noise=math.radians(angle_noise),
-            outlier_fraction=outliers,
+            pixel_noise=errors.pixel_noise,
+            translation_noise=1e-3 * errors.position_noise,
+            rotation_noise=math.radians(errors.angle_noise),
+            outlier_fraction=errors.outliers,
         )
         with progress_line() as progress:
             if pictures:

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from . import options
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
+from .options import parse_numbers, with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
-from .viewpoint import requested_camera_poses
+from .viewpoint import LookOptions, requested_camera_poses
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,9 +28,67 @@ LIKELY_CAUSES = (
 
 
 @dataclass(frozen=True)
-class CorrectionOptions:
-    """The options of a calibration that is corrected by the misses."""
+class TouchOptions:
+    """The options that say which points a stylus touches, and from where."""
 
+    tip: Annotated[
+        str,
+        typer.Option(
+            help="Tip of the stylus, x,y,z in m in the tool's frame, such as 0,0.01,0.15."
+        ),
+    ]
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Point to touch, x,y,z in m in the world's frame, such as 0.1,0,0.02; may be "
+            "repeated.  [default: 0,0,0]"
+        ),
+    ] = None
+    gap: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="Distance to stop before the point, along the stylus, mm, such as 5."
+        ),
+    ] = 0.0
+    tilt: Annotated[
+        float, typer.Option(help="Tilt of the stylus from upright, degrees, such as 15.")
+    ] = 0.0
+    azimuth: Annotated[
+        float, typer.Option(help="Direction of the tilt, about z from x, degrees, such as 90.")
+    ] = 0.0
+    turn: Annotated[float, typer.Option(help="Rotation about the stylus, degrees, such as 45.")] = (
+        0.0
+    )
+    five: Annotated[
+        bool, typer.Option("--five", help="Touch five times: upright, and tilted to four sides.")
+    ] = False
+    below: options.BelowOption = None
+
+    def tip_position(self) -> "np.ndarray":
+        """Return the tip in the tool's frame, m."""
+        import numpy as np
+
+        return np.array(parse_numbers("--tip", self.tip, 3, "x,y,z (m)"))
+
+    def points(self) -> "list[np.ndarray]":
+        """Return the points to touch in the world's frame, m."""
+        import numpy as np
+
+        texts = self.at or ["0,0,0"]
+        return [np.array(parse_numbers("--at", text, 3, "x,y,z (m)")) for text in texts]
+
+
+@dataclass(frozen=True)
+class MissOptions:
+    """The options of measured misses, and of a calibration that is corrected by them."""
+
+    misses: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of measured misses in the world's axes, mm, such as misses.csv with the "
+            "columns view,x_mm,y_mm,z_mm; or .yaml."
+        ),
+    ] = None
     corrected: Annotated[
         Path | None,
         typer.Option(
@@ -56,47 +113,9 @@ class CorrectionOptions:
 @with_option_groups
 def stylus(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
-    tip: Annotated[
-        str,
-        typer.Option(
-            help="Tip of the stylus, x,y,z in m in the tool's frame, such as 0,0.01,0.15."
-        ),
-    ],
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Point to touch, x,y,z in m in the world's frame, such as 0.1,0,0.02; may be "
-            "repeated.  [default: 0,0,0]"
-        ),
-    ] = None,
-    gap: Annotated[
-        float,
-        typer.Option(
-            min=0.0, help="Distance to stop before the point, along the stylus, mm, such as 5."
-        ),
-    ] = 0.0,
-    tilt: Annotated[
-        float, typer.Option(help="Tilt of the stylus from upright, degrees, such as 15.")
-    ] = 0.0,
-    azimuth: Annotated[
-        float, typer.Option(help="Direction of the tilt, about z from x, degrees, such as 90.")
-    ] = 0.0,
-    turn: Annotated[
-        float, typer.Option(help="Rotation about the stylus, degrees, such as 45.")
-    ] = 0.0,
-    five: Annotated[
-        bool, typer.Option("--five", help="Touch five times: upright, and tilted to four sides.")
-    ] = False,
-    below: options.BelowOption = None,
-    misses: Annotated[
-        Path | None,
-        typer.Option(
-            help="File of measured misses in the world's axes, mm, such as misses.csv with the "
-            "columns view,x_mm,y_mm,z_mm; or .yaml."
-        ),
-    ] = None,
     *,
-    correction: CorrectionOptions,
+    touch: TouchOptions,
+    missed: MissOptions,
     robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
@@ -116,25 +135,13 @@ def stylus(
         from ..viewpoints import unchecked
 
         codec = robot.codec()
-        tip_position = np.array(parse_numbers("--tip", tip, 3, "x,y,z (m)"))
-        points = [np.array(parse_numbers("--at", text, 3, "x,y,z (m)")) for text in at or ["0,0,0"]]
-        if correction.corrected is not None and misses is None:
+        tip_position, points = touch.tip_position(), touch.points()
+        if missed.corrected is not None and missed.misses is None:
             raise ValueError("--corrected needs the measured misses: give --misses")
         loaded_calibration, estimate = load_with_uncertainty(calibration)
         arm, readings = robot.arm_and_readings(loaded_calibration)
         poses = np.concatenate(
-            [
-                _touching_poses(
-                    loaded_calibration,
-                    tip_position,
-                    point,
-                    1e-3 * gap,
-                    (tilt, azimuth, turn),
-                    five,
-                    below,
-                )
-                for point in points
-            ]
+            [_touching_poses(loaded_calibration, tip_position, point, touch) for point in points]
         )
         touches = tool_commands(
             loaded_calibration,
@@ -146,7 +153,7 @@ def stylus(
         names = numbered_names(len(poses))
         factor = tip_error_factor(touches, tip_position)
         notes: list[str] = []
-        measured = None if misses is None else read_misses(misses, names, notes.append)
+        measured = missed.misses and read_misses(missed.misses, names, notes.append)
         sheet = CommandSheet(
             names,
             touches.commands,
@@ -156,14 +163,14 @@ def stylus(
             unchecked(loaded_calibration, arm is not None),
         )
         judged = _judgement(names, factor, measured) | {"notes": notes}
-        if correction.corrected is not None:
+        if missed.corrected is not None:
             sheet.refuse_unsafe(robot.allow or ())
             if estimate is None or measured is None:
                 raise ValueError(
                     f"{calibration} has no covariance, so that misses cannot correct it"
                 )
             judged |= _write_corrected(
-                calibration, estimate, touches, tip_position, measured, judged, correction
+                calibration, estimate, touches, tip_position, measured, judged, missed
             )
         sheet.give(
             "stylus",
@@ -179,10 +186,7 @@ def _touching_poses(
     calibration: "Calibration",
     tip: "np.ndarray",
     point: "np.ndarray",
-    gap: float,
-    angles_deg: tuple[float, float, float],
-    five: bool,
-    below: bool | None,
+    touch: TouchOptions,
 ) -> "np.ndarray":
     """Return `world_from_tool` with the tip at the gap before the point, `(n, 4, 4)`."""
     import numpy as np
@@ -191,11 +195,12 @@ def _touching_poses(
     from ..grasping import stylus_orientations
 
     # The stylus points as a camera would look, so that the same options apply.
-    views = requested_camera_poses(calibration, point, 1.0, angles_deg, five, below)
+    look = LookOptions(1.0, touch.tilt, touch.azimuth, touch.turn, touch.five, touch.below)
+    views = requested_camera_poses(calibration, point, look)
     world_from_stylus = host_matrices(views).reshape(-1, 4, 4)[:, :3, :3].swapaxes(1, 2)
     poses = np.tile(np.eye(4), (len(world_from_stylus), 1, 1))
     poses[:, :3, :3] = stylus_orientations(tip, world_from_stylus)
-    points = point - gap * world_from_stylus[:, :, 2]
+    points = point - 1e-3 * touch.gap * world_from_stylus[:, :, 2]
     # By NumPy: the tip's place by `touching_pose` would compile a program for each operation.
     poses[:, :3, 3] = points - poses[:, :3, :3] @ tip
     return poses
@@ -208,7 +213,7 @@ def _write_corrected(
     tip: "np.ndarray",
     misses: "np.ndarray",
     judged: dict[str, Any],
-    options: CorrectionOptions,
+    options: MissOptions,
 ) -> dict[str, Any]:
     """Write the calibration corrected by the misses; return its file and the miss it expects.
 

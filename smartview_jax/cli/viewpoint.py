@@ -1,13 +1,13 @@
 """Define `smartview viewpoint`, which prints commands that point the camera at a point."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from . import options
-from .number_lists import parse_numbers
-from .option_groups import with_option_groups
+from .options import parse_numbers, with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
 
@@ -18,6 +18,32 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
 
 
+@dataclass(frozen=True)
+class LookOptions:
+    """The options that say from where a camera looks at a point."""
+
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            help="Distance from the camera to the point, m, such as 0.35; by default the mean of "
+            "the calibration views."
+        ),
+    ] = None
+    tilt: Annotated[
+        float, typer.Option(help="Tilt of the camera from vertical, degrees, such as 15.")
+    ] = 0.0
+    azimuth: Annotated[
+        float, typer.Option(help="Where the camera stands, about z from x, degrees, such as 90.")
+    ] = 0.0
+    roll: Annotated[
+        float, typer.Option(help="Roll about the optical axis, degrees, such as -30.")
+    ] = 0.0
+    five: Annotated[
+        bool, typer.Option("--five", help="The paper's five viewpoints; --tilt is their step.")
+    ] = False
+    below: options.BelowOption = None
+
+
 @with_option_groups
 def viewpoint(
     calibration: Annotated[Path, typer.Argument(help="A calibration.yaml.")],
@@ -25,27 +51,8 @@ def viewpoint(
         str,
         typer.Option(help="Point to look at, x,y,z in m in the world's frame, such as 0.1,0,0.02."),
     ] = "0,0,0",
-    distance: Annotated[
-        float | None,
-        typer.Option(
-            help="Distance from the camera to the point, m, such as 0.35; by default the mean of "
-            "the calibration views."
-        ),
-    ] = None,
-    tilt: Annotated[
-        float, typer.Option(help="Tilt of the camera from vertical, degrees, such as 15.")
-    ] = 0.0,
-    azimuth: Annotated[
-        float, typer.Option(help="Where the camera stands, about z from x, degrees, such as 90.")
-    ] = 0.0,
-    roll: Annotated[
-        float, typer.Option(help="Roll about the optical axis, degrees, such as -30.")
-    ] = 0.0,
-    five: Annotated[
-        bool, typer.Option("--five", help="The paper's five viewpoints; --tilt is their step.")
-    ] = False,
-    below: options.BelowOption = None,
     *,
+    look: LookOptions,
     robot: RobotOptions,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
@@ -65,9 +72,7 @@ def viewpoint(
         codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
         point = np.array(parse_numbers("--at", at, 3, "x,y,z (m)"))
-        camera_from_world = requested_camera_poses(
-            loaded_calibration, point, distance, (tilt, azimuth, roll), five, below
-        )
+        camera_from_world = requested_camera_poses(loaded_calibration, point, look)
         arm, readings = robot.arm_and_readings(loaded_calibration)
         commands = viewpoint_commands(
             loaded_calibration,
@@ -138,19 +143,14 @@ It is used if the calibration has no region of viewpoints.
 
 
 def requested_camera_poses(
-    calibration: "Calibration",
-    point: "np.ndarray",
-    distance: float | None,
-    angles_deg: tuple[float, float, float],
-    five: bool,
-    below: bool | None,
+    calibration: "Calibration", point: "np.ndarray", look: LookOptions
 ) -> "SE3":
     """Return the requested camera poses; the calibration gives the default distance and side."""
     import numpy as np
 
     from ..viewpoints import FIVE_VIEWPOINT_STEP, five_viewpoints, look_at, viewing_direction
 
-    region = calibration.region
+    region, distance, below = calibration.region, look.distance, look.below
     if distance is None:
         distance = (
             DEFAULT_DISTANCE
@@ -165,8 +165,8 @@ def requested_camera_poses(
             "the calibration does not state from which side the target was seen: give --above if "
             "the world's z points to the camera, --below if it points away (as a chessboard's does)"
         )
-    tilt, azimuth, roll = np.deg2rad(angles_deg)
-    if five:
+    tilt, azimuth, roll = np.deg2rad((look.tilt, look.azimuth, look.roll))
+    if look.five:
         return five_viewpoints(
             point, distance, float(roll), float(tilt) or FIVE_VIEWPOINT_STEP, above
         )

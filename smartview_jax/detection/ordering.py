@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..geometry import host_nearest_rotation
+from ..targets import AbstractTarget
 from .common_symmetry import choose_common_symmetry
 
 
@@ -31,8 +32,7 @@ class PointOrdering(NamedTuple):
 def consistent_ordering(
     pixels: Float[np.ndarray, "views points 2"],
     visible: Bool[np.ndarray, "views points"],
-    points: Float[np.ndarray, "points 3"],
-    symmetries: Int[np.ndarray, "symmetries points"],
+    board: AbstractTarget,
     mount_rotations: Float[np.ndarray, "views 3 3"],
     image_size: tuple[int, int],
     holder: str = "base",
@@ -42,8 +42,7 @@ def consistent_ordering(
 
     Args:
         pixels, visible: as detected.
-        points: points of the target, m.
-        symmetries: orders of the points that look the same, identity first.
+        board: the target, with the orders of its points that look the same.
         mount_rotations: rotations of `mount_from_holder`, which is defined for both mounts.
         image_size: width and height, px.
         holder: the frame in which the target is fixed, `"base"` or `"tool"`.
@@ -54,6 +53,7 @@ def consistent_ordering(
     Raises:
         ValueError: the rough rotation has the target's z axis in another direction.
     """
+    points, symmetries = board.points, board.symmetries
     symmetry_indices = np.zeros(len(pixels), dtype=int)
     usable_views = np.flatnonzero(visible.sum(axis=1) >= 6)
     if len(symmetries) == 1:

@@ -34,9 +34,9 @@ class Disagreement(NamedTuple):
         kind: "points", "edges" or "constraints".
         id: of the point, the edge or the constraint.
         words: what was found, what the others say, and which click is probably wrong.
-        suspects: clicks without any one of which the rest agrees. A single one is most probably
-            wrong; with several nobody can tell which; with none no single click explains the
-            disagreement.
+        suspects: clicks; with any one of them left out, the rest agrees. A single one is most
+            probably wrong; with several nobody can tell which; with none no single click explains
+            the disagreement.
         residuals: distance from predicted to clicked pixel, px, for the clicks of the point, or of
             all points of the edge or fact.
     """

@@ -190,7 +190,7 @@ class ViewGeometry:
         positions: Float[np.ndarray, "points 3"],
         constraints: Sequence[AbstractConstraint],
     ) -> list[tuple[int, str]]:
-        """Return the clicks without any one of which the rest agrees, the likeliest first.
+        """Return each click that, left out alone, makes the others agree, the likeliest first.
 
         Args:
             points: the clicks of all points of the constraints.

@@ -21,7 +21,6 @@ from .covariance import reduced_equations as reduced_equations
 from .covariance import robust_variance as robust_variance
 from .covariance import variance_factor as variance_factor
 from .covariance import variance_of_sum as variance_of_sum
-from .inverse_cholesky import inverse_cholesky_factor as inverse_cholesky_factor
 from .losses import AbstractLoss as AbstractLoss
 from .losses import Cauchy as Cauchy
 from .losses import GemanMcClure as GemanMcClure
@@ -51,6 +50,7 @@ from .pixel_sigma import with_pixel_sigma as with_pixel_sigma
 from .pose_jacobians import linearise_poses as linearise_poses
 from .prepared_poses import PreparedPoses as PreparedPoses
 from .priors import ParameterChoice as ParameterChoice
+from .priors import ParameterOptions as ParameterOptions
 from .priors import Prior as Prior
 from .problem import FittedChain as FittedChain
 from .problem import JointProblem as JointProblem
@@ -68,6 +68,7 @@ from .schur import BlockArrow as BlockArrow
 from .schur import Elimination as Elimination
 from .schur import SchurCholesky as SchurCholesky
 from .schur import eliminate as eliminate
+from .schur import inverse_cholesky_factor as inverse_cholesky_factor
 from .sharding import solve_on as solve_on
 from .solver import MAXIMUM_STEPS as MAXIMUM_STEPS
 from .solver import Solution as Solution

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 from ..argument_checks import require_instance, require_names
 
@@ -34,6 +34,14 @@ class Prior:
             raise ValueError(f"Prior.std: expected a positive number, found {self.std}")
 
 
+class ParameterOptions(TypedDict, total=False):
+    """The fields of `ParameterChoice` as keyword arguments of fits and bounds, all optional."""
+
+    fixed: Sequence[str]
+    free: Sequence[str]
+    priors: Mapping[str, Prior] | None
+
+
 class ParameterChoice(NamedTuple):
     """The parameters that a fit holds, frees, and has prior knowledge of.
 
@@ -49,7 +57,10 @@ class ParameterChoice(NamedTuple):
 
     @classmethod
     def of(
-        cls, fixed: Sequence[str], free: Sequence[str], priors: Mapping[str, Prior] | None
+        cls,
+        fixed: Sequence[str] = (),
+        free: Sequence[str] = (),
+        priors: Mapping[str, Prior] | None = None,
     ) -> "ParameterChoice":
         """Return the choice that a user made by the arguments of a fit.
 

@@ -5,6 +5,7 @@ It combines the lens, the noise model, the free and fixed parameters, and the pr
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Unpack
 
 import equinox as eqx
 import jax
@@ -24,7 +25,7 @@ from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
 from .parameters import ROBOT_ERROR, TARGET_SCALE, Parameters, Step, parameter_mask, parameter_names
 from .prepared_poses import prepare_poses
-from .priors import ParameterChoice, Prior
+from .priors import ParameterChoice, ParameterOptions, Prior
 from .problem import JointProblem
 
 
@@ -74,19 +75,15 @@ def build_problem(
     lens: str | AbstractLens | None = None,
     noise: str | Noise = "trusted",
     loss: str | AbstractLoss | None = None,
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
     field: FieldChoice = "auto",
     prior_centre: Calibration | None = None,
-    noise_corrections: Float[np.ndarray, "views 6"] | None = None,
+    **parameters: Unpack[ParameterOptions],
 ) -> BuiltProblem:
     """Build the least-squares problem of `fit_joint`; arguments and errors are as there.
 
     Priors without a mean are centred at `prior_centre`, by default the start. The coefficients of a
     robot error field begin at their values in the start if it has the same field, otherwise at
-    zero. With `field="auto"` the robot error of the start is held. The field is evaluated at
-    reported poses corrected by `noise_corrections`, if given.
+    zero. With `field="auto"` the robot error of the start is held.
 
     For example:
 
@@ -100,7 +97,7 @@ def build_problem(
             'noise is "trusted", "estimated" or a Noise(pixel, translation, rotation), where '
             f'"estimated" is for fit_joint only; found {noise!r}'
         )
-    choice = ParameterChoice.of(fixed, free, priors)
+    choice = ParameterChoice.of(**parameters)
     if start.mount != data.mount:
         raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
     field = checked_field_choice(field)
@@ -112,8 +109,8 @@ def build_problem(
         )
 
     noise_model = noise if isinstance(noise, Noise) else None
-    parameters = Parameters(start)
-    shared_size = parameters.layout.size
+    own = Parameters(start)
+    shared_size = own.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
     default_fixed = [TARGET_SCALE]
     if field == "auto" and start.robot_error is not None:
@@ -132,7 +129,7 @@ def build_problem(
     )
     about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
     if prior_centre is not None and about_start.any():
-        centre = np.asarray(_values_at(parameters, prior_centre))
+        centre = np.asarray(_values_at(own, prior_centre))
         mean[:shared_size][about_start] = centre[about_start]
     if noise_model is not None:
         # The correction of a view with too few points to determine its pose is held, unless a prior
@@ -142,7 +139,7 @@ def build_problem(
     # Arrays are created by NumPy, because every JAX operation on the host would be compiled.
     units = np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
     problem = JointProblem(
-        parameters=parameters,
+        parameters=own,
         observations=data.observations,
         pixel_sigma=to_device(np.array(noise_model.pixel if noise_model else 1.0)),
         free=to_device(np.flatnonzero(is_free[:shared_size])),
@@ -151,9 +148,7 @@ def build_problem(
         prior_weight=step_from_vector(weight, shared_size),
         scale=Step(*map(to_device, units)),
         loss=loss_by_name(loss),
-        prepared_poses=prepare_poses(
-            start.robot_error, data.observations.command, noise_corrections
-        ),
+        prepared_poses=prepare_poses(start.robot_error, data.observations.command),
     )
     unprojectable = unprojectable_points(data, start)
     visible = to_device(np.asarray(data.visible) & ~unprojectable)

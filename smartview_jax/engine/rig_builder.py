@@ -1,6 +1,7 @@
 """Build the least-squares problem of a rig: one robot, and several cameras and targets."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Unpack
 
 import equinox as eqx
 import jax
@@ -23,7 +24,7 @@ from .parameters import (
     parameter_names,
 )
 from .prepared_poses import PreparedPoses, prepare_poses
-from .priors import ParameterChoice, Prior
+from .priors import ParameterChoice, ParameterOptions
 from .problem import JointProblem
 from .problem_builder import (
     prior_means_and_weights,
@@ -74,9 +75,7 @@ def build_rig(
     noise: Noise,
     field: FieldChoice = None,
     relative_sigmas: Mapping[str, float] | None = None,
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
+    **parameters: Unpack[ParameterOptions],
 ) -> BuiltRig:
     """Build the least-squares problem of a rig.
 
@@ -90,15 +89,14 @@ def build_rig(
         noise: standard deviations of the pixels, of the robot's poses and of its error field.
         field: error field of the robot; None for none, and `"auto"` to hold the starts' own error.
         relative_sigmas: factor on `noise.pixel` for each camera; by default one.
-        fixed: paths of parameters that keep the start's values.
-        free: paths to free that are held by default: sizes of targets.
-        priors: a `Prior` by path.
+        parameters: `fixed`, paths of parameters that keep the starts' values; `free`, paths to free
+            that are held by default: sizes of targets; `priors`, a `Prior` by path.
 
     Raises:
         ValueError: starts that do not belong to the rig or hold different errors of the robot, an
             unknown path, or a start at which no point of a view can be projected.
     """
-    choice = ParameterChoice.of(fixed, free, priors)
+    choice = ParameterChoice.of(**parameters)
     rig.require_one_arm("build_rig")
     field = checked_field_choice(field)
     if field == "auto":

@@ -43,11 +43,11 @@ from .rigid_transforms import rotation_angle as rotation_angle
 from .rigid_transforms import se3_left_jacobian as se3_left_jacobian
 from .rigid_transforms import transform_points as transform_points
 from .rigid_transforms import transformed_coordinates as transformed_coordinates
-from .serialization import transform_from_dict as transform_from_dict
-from .serialization import transform_to_dict as transform_to_dict
 from .transform_forms import TransformForm as TransformForm
 from .transform_forms import transform_forms as transform_forms
+from .transform_forms import transform_from_dict as transform_from_dict
 from .transform_forms import transform_text as transform_text
+from .transform_forms import transform_to_dict as transform_to_dict
 from .transform_forms import vector_text as vector_text
 from .viewed_region import ViewedRegion as ViewedRegion
 from .viewed_region import region_from_dict as region_from_dict

@@ -1,12 +1,14 @@
-"""Write a rigid transform as text: for people, and in the forms that other programs take."""
+"""Write a rigid transform: for people, in the forms of other programs, and as plain numbers."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Float
 
 from ..export_text import roll_pitch_yaw
+from ..runtime.array_namespace import to_device
 from .host import host_logarithms, host_transforms
 from .pose_codecs import pose_codec
 
@@ -91,3 +93,29 @@ def vector_text(numbers: Iterable[float], decimals: int) -> str:
         decimals: digits after the point.
     """
     return f"({', '.join(f'{number:.{decimals}f}' for number in numbers)})"
+
+
+def transform_to_dict(transform: SE3) -> dict[str, list[float]]:
+    """Return the translation (m) and the unit quaternion (real part first) of a transform."""
+    numbers = np.asarray(transform.wxyz_xyz).tolist()
+    return {"translation": numbers[4:], "quaternion_wxyz": numbers[:4]}
+
+
+def transform_from_dict(name: str, content: dict[str, Any]) -> SE3:
+    """Return the transform that a mapping describes, the inverse of `transform_to_dict`.
+
+    Args:
+        name: name of the transform, for messages.
+        content: `translation` and `quaternion_wxyz`.
+
+    Raises:
+        ValueError: not a rigid transform; the message has the transform's name.
+        KeyError: an entry is missing.
+    """
+    translation = np.asarray(content["translation"], dtype=float)
+    quaternion = np.asarray(content["quaternion_wxyz"], dtype=float)
+    if translation.shape != (3,) or quaternion.shape != (4,):
+        raise ValueError(f"{name}: expected 3 and 4 numbers")
+    if not (np.isfinite(translation).all() and abs(np.linalg.norm(quaternion) - 1.0) < 1e-6):
+        raise ValueError(f"{name}: not a finite translation and a unit quaternion")
+    return SE3(to_device(np.concatenate([quaternion, translation])))

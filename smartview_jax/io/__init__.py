@@ -19,7 +19,6 @@ from .folder_description import FolderDescription as FolderDescription
 from .folder_description import marked_entries as marked_entries
 from .folder_description import read_folder_description as read_folder_description
 from .growing_dataset import GrowingDataset as GrowingDataset
-from .hand_steps import HandSteps as HandSteps
 from .joints import joints_entry as joints_entry
 from .joints import write_joints as write_joints
 from .kalibr_camera import read_kalibr_cameras as read_kalibr_cameras
@@ -67,8 +66,8 @@ from .rig_folder import save_rig as save_rig
 from .rig_object_views import RigObjectViews as RigObjectViews
 from .rig_object_views import is_rig_object_views as is_rig_object_views
 from .rig_object_views import load_rig_object_views as load_rig_object_views
-from .robot_cal_kinematics import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_cal_tools import import_robot_cal_tools as import_robot_cal_tools
+from .robot_cal_tools import read_robot_cal_kinematics as read_robot_cal_kinematics
 from .robot_urdf import robot_urdf as robot_urdf
 from .rough_pose import parse_rough_pose as parse_rough_pose
 from .target_file import read_april_grid as read_april_grid
@@ -79,6 +78,7 @@ from .urdf import urdf_joint_names as urdf_joint_names
 from .view_names import is_picture_name as is_picture_name
 from .view_pictures import ViewPictures as ViewPictures
 from .view_pictures import load_view_pictures as load_view_pictures
+from .viewpoints import HandSteps as HandSteps
 from .viewpoints import Viewpoints as Viewpoints
 from .viewpoints import read_viewpoints as read_viewpoints
 from .viewpoints import val_program as val_program

@@ -11,7 +11,7 @@
 `poses.csv` has a column `view` and the codec's columns; a file of viewpoints, which states its
 format and units itself, is named without them: `poses: {file: views.csv}`. In the pattern, `{view}`
 is the view's name and `{height}` the index of the height, for a board at several heights; if every
-picture has its own pose, the table states the height (see `board_heights.py`).
+picture has its own pose, the table states the height (see `read_board_heights`).
 Instead of poses, or in addition to them, the folder may have joint readings (see `joints.py`).
 Pictures, poses and joint readings are matched by the view's name, never by their order; a name has
 up to 200 printable characters, does not begin with # and leads to no other folder. If the target's
@@ -39,7 +39,6 @@ from ..detection import checked_pixels
 from ..files import read_yaml
 from ..geometry import PoseLike, as_se3, pose_codec
 from ..targets import AbstractTarget, target_to_dict
-from .board_heights import read_board_heights
 from .depth_folder import read_depth_pictures, read_points_folder
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .folder_description import (
@@ -50,8 +49,9 @@ from .folder_description import (
     marked_entries,
     without_nulls,
 )
-from .folder_pictures import LoadOptions, picture_files
+from .folder_pictures import LoadOptions, picture_files, read_board_heights
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
+from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 from .poses import POSES_FILE, poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
@@ -132,16 +132,16 @@ def camera_dataset(
     data = dataset_from_pictures(
         files,
         readings.poses,
-        camera.target,
-        camera.mount,
-        camera.image_size,
-        options.bad_views,
-        readings.masked_views,
-        options.progress,
-        camera.detections if options.keep_detections else None,
-        camera.holder_from_world,
-        camera_board_heights(camera, readings),
-        options.detection_limits,
+        ShownTarget(
+            camera.target,
+            camera.mount,
+            camera.image_size,
+            camera.holder_from_world,
+            camera_board_heights(camera, readings),
+        ),
+        options=options,
+        masked_views=readings.masked_views,
+        cache=camera.detections if options.keep_detections else None,
     )
     return _with_joints(readings, data, description_path)
 

@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 from jaxlie import SE3
 
 from ..dataset import Dataset
-from ..detection import DetectionLimits
 from ..files import write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
 from .csv_tables import refuse_out_of_range
-from .folder_pictures import numbered_pictures
+from .folder_pictures import ImportOptions, LoadOptions, numbered_pictures
+from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 from .table_text import is_number, read_number_rows
 
@@ -75,9 +76,7 @@ def import_matrix_rows(
     target: AbstractTarget,
     mount: str = "eye_in_hand",
     first: int = 0,
-    bad_views: str = "raise",
-    progress: Callable[[str], None] | None = None,
-    detection_limits: DetectionLimits | None = None,
+    **options: Unpack[ImportOptions],
 ) -> Dataset:
     """Import a data set from a file of pose matrices and pictures numbered by its lines.
 
@@ -90,24 +89,19 @@ def import_matrix_rows(
         target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         first: number of the first line's picture.
-        bad_views: as in `load_dataset`.
-        progress: called with a line of text for each step of the work.
-        detection_limits: as in `load_dataset`.
+        options: `bad_views`, `progress` and `detection_limits`, as in `load_dataset`.
 
     Raises:
         FileNotFoundError: the file or a picture is missing.
         ValueError: a line that is not a rigid transform, or a picture without a line.
     """
     path = Path(path)
-    poses = read_matrix_rows(path, length_unit, progress)
+    poses = read_matrix_rows(path, length_unit, options.get("progress"))
     numbers = range(first, first + len(poses.wxyz_xyz))
     files = numbered_pictures(path.parent, pictures, numbers, path)
     return dataset_from_pictures(
         files,
         poses,
-        target,
-        mount,
-        bad_views=bad_views,
-        progress=progress,
-        detection_limits=detection_limits,
+        ShownTarget(target, mount),
+        options=LoadOptions(**options),
     )

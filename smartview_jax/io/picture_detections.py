@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,45 +19,62 @@ from ..detection import (
     picture_bytes,
     read_picture,
 )
+from ..geometry import PoseLike
 from ..targets import AbstractTarget, StackedTarget
 from .detections import KeptDetection, read_kept_detections, write_kept_detections
+from .folder_pictures import LoadOptions
 from .view_names import is_picture_name
 
 _DECIDING_PICTURES = 3
 """Number of pictures of one wrong size after which no more pictures are checked."""
 
 
+class ShownTarget(NamedTuple):
+    """The target that pictures show, and what is known of the pictures before.
+
+    Attributes:
+        target: the calibration target.
+        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        image_size: width and height of every picture, px; None for the first picture's.
+        holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
+            for a fixed camera. It decides the orientation of a pattern that looks the same when
+            rotated; by default the orientation with the smallest rotation.
+        board_heights: index of the height of a `StackedTarget` in the only picture of a view, by
+            view id; None where every view has a picture for each height.
+    """
+
+    target: AbstractTarget
+    mount: str = "eye_in_hand"
+    image_size: tuple[int, int] | None = None
+    holder_from_world: PoseLike | None = None
+    board_heights: Mapping[str, int] | None = None
+
+
 def detect_views(
     pictures: Mapping[str, Sequence[Path]],
-    target: AbstractTarget,
-    image_size: tuple[int, int] | None = None,
-    bad_views: str = "raise",
-    progress: Callable[[str], None] | None = None,
+    shown: ShownTarget,
+    options: LoadOptions,
     cache: Path | None = None,
-    board_heights: Mapping[str, int] | None = None,
-    limits: DetectionLimits | None = None,
 ) -> tuple[dict[str, Detection], tuple[int, int]]:
     """Detect the target in every view, and return the detections and the pictures' size, px.
 
     Args:
-        pictures, target, image_size, bad_views, progress, cache, board_heights: as in
-            `dataset_from_pictures`.
-        limits: limits of the check of detected points; by default `DetectionLimits()`.
+        pictures, shown, options, cache: as in `dataset_from_pictures`.
 
     Raises:
         FileNotFoundError: a picture is missing and views are not masked, or all are missing.
         ValueError: a picture is unreadable or has a wrong size and views are not masked, or all
             are.
     """
-    report_progress = progress or (lambda _: None)
-    limits = limits or DetectionLimits()
+    report_progress = options.progress or (lambda _: None)
+    limits, target = options.detection_limits or DetectionLimits(), shown.target
     _refuse_missing(pictures)
-    image_size = _checked_size(pictures, image_size)
+    image_size = _checked_size(pictures, shown.image_size)
     kept = {} if cache is None else read_kept_detections(cache, list(pictures), len(target.points))
     common = repr((detection_identity(target), limits, image_size, cv2.__version__))
     entries: dict[str, KeptDetection] = {}
     for number, (view, paths) in enumerate(pictures.items(), start=1):
-        height = None if board_heights is None else board_heights[view]
+        height = None if shown.board_heights is None else shown.board_heights[view]
         try:
             contents = [picture_bytes(path) for path in paths]
             digests = [content_hash(content) for content in contents]
@@ -68,7 +86,7 @@ def detect_views(
             detection = _detect_view(paths, contents, target, image_size, height, limits)
             entries[view] = KeptDetection(key, detection)
         except (FileNotFoundError, ValueError) as error:
-            if bad_views != "mask":
+            if options.bad_views != "mask":
                 raise
             entries[view] = KeptDetection("", empty_detection(len(target.points), str(error)))
     detections = {view: detection for view, (_, detection) in entries.items()}

@@ -1,6 +1,6 @@
 """Make a data set from picture files and robot poses, for all importers of pictures."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,44 +9,31 @@ from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
 from ..dataset import Dataset
-from ..detection import DetectionLimits, consistent_ordering, left_out_note
+from ..detection import consistent_ordering, left_out_note
 from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
-from .picture_detections import detect_views
+from .folder_pictures import LoadOptions
+from .picture_detections import ShownTarget, detect_views
 
 
 def dataset_from_pictures(
     pictures: Mapping[str, Sequence[Path]],
     base_from_tool: PoseLike,
-    target: AbstractTarget,
-    mount: str = "eye_in_hand",
-    image_size: tuple[int, int] | None = None,
-    bad_views: str = "raise",
+    shown: ShownTarget,
+    *,
+    options: LoadOptions,
     masked_views: Mapping[str, str] | None = None,
-    progress: Callable[[str], None] | None = None,
     cache: Path | None = None,
-    holder_from_world: PoseLike | None = None,
-    board_heights: Mapping[str, int] | None = None,
-    detection_limits: DetectionLimits | None = None,
 ) -> Dataset:
     """Make a data set from pictures by detecting the target in each of them.
 
     Args:
         pictures: files by view id: one, or one for each height of a `StackedTarget`.
         base_from_tool: `(views)` robot poses, in the order of `pictures`.
-        target: the calibration target in the pictures.
-        mount: `"eye_in_hand"` or `"eye_to_hand"`.
-        image_size: width and height of every picture, px; by default the first picture's.
-        bad_views: `"raise"` an error for a picture that cannot be read, or `"mask"` its view.
+        shown: the target in the pictures.
+        options: how pictures are read; their `keep_detections` is not used.
         masked_views: reason by view id, for views already known to be unusable.
-        progress: called with a line of text for each step of the work.
         cache: a `detections.csv` to read if it belongs to these pictures, and to write otherwise.
-        holder_from_world: approximate pose of the target: `base_from_world`, or `tool_from_world`
-            for a fixed camera. It decides the orientation of a pattern that looks the same when
-            rotated; by default the orientation with the smallest rotation.
-        board_heights: index of the height of a `StackedTarget` in the only picture of a view, by
-            view id; by default every view has a picture for each height.
-        detection_limits: as in `load_dataset`.
 
     Raises:
         FileNotFoundError: a picture is missing.
@@ -54,10 +41,9 @@ def dataset_from_pictures(
             some rows or columns of a circle grid are in no picture.
     """
     views, poses = list(pictures), as_se3(base_from_tool)
-    mount_frames(mount)
-    detections, image_size = detect_views(
-        pictures, target, image_size, bad_views, progress, cache, board_heights, detection_limits
-    )
+    target, progress = shown.target, options.progress
+    mount_frames(shown.mount)
+    detections, image_size = detect_views(pictures, shown, options, cache)
     undetected = {
         view: detection.reason or "no point of the target was seen"
         for view, detection in detections.items()
@@ -70,9 +56,7 @@ def dataset_from_pictures(
         )
     pixels = np.stack([detections[view].pixels for view in views])
     _refuse_undetected_rows(pixels, target, next(iter(pictures.values()))[0].parent)
-    consistent_pixels, note = _consistent_numbering(
-        pixels, target, poses, mount, image_size, holder_from_world
-    )
+    consistent_pixels, note = _consistent_numbering(pixels, shown, poses, image_size)
     left_out = {view: d.left_out for view, d in detections.items() if d.left_out}
     notes = (*((note,) if note else ()), *left_out_note(left_out))
     if progress is not None:
@@ -84,8 +68,8 @@ def dataset_from_pictures(
         poses,
         image_size,
         view_ids=views,
-        mount=mount,
-        bad_views=bad_views,
+        mount=shown.mount,
+        bad_views=options.bad_views,
         masked_views=list({**undetected, **(masked_views or {})}.items()),
         pictures=[_shown_picture(pictures[view], detections[view].visible) for view in views],
         target=target,
@@ -125,17 +109,16 @@ def _refuse_undetected_rows(
 
 def _consistent_numbering(
     pixels: Float[np.ndarray, "views points 2"],
-    target: AbstractTarget,
+    shown: ShownTarget,
     poses: SE3,
-    mount: str,
     image_size: tuple[int, int],
-    holder_from_world: PoseLike | None,
 ) -> tuple[Float[np.ndarray, "views points 2"], str]:
     """Return pixels with one numbering of the points in all views, and a note on its choice.
 
     A pattern that looks the same when rotated has several numberings, and the detector may choose
     differently in each picture; the robot's rotations decide which choices agree.
     """
+    target, mount, holder_from_world = shown.target, shown.mount, shown.holder_from_world
     stacked = isinstance(target, StackedTarget)
     board = target.board if stacked else target
     symmetries = board.symmetries
@@ -158,8 +141,7 @@ def _consistent_numbering(
     ordering = consistent_ordering(
         board_pixels,
         np.asarray(np.isfinite(board_pixels).all(axis=-1)),
-        board.points,
-        symmetries,
+        board,
         np.repeat(rotations, len(board_pixels) // len(pixels), axis=0),
         image_size,
         mount_frames(mount)[1],

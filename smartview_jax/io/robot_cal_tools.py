@@ -1,16 +1,19 @@
 """Import folders of robot_cal_tools and industrial_calibration (`cal_data.yaml`, `target.yaml`)."""
 
-from collections.abc import Callable
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
+from jaxlie import SE3
+from jaxtyping import Float
 
 from ..dataset import Dataset
-from ..detection import DetectionLimits
 from ..files import parse_yaml, read_text, read_yaml
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, CircleGrid
 from .csv_tables import duplicates
+from .folder_pictures import ImportOptions, LoadOptions
+from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 
 DATA_FILE = "cal_data.yaml"
@@ -22,9 +25,7 @@ _POSE_KEYS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 def import_robot_cal_tools(
     folder: str | Path,
     mount: str = "eye_in_hand",
-    bad_views: str = "raise",
-    progress: Callable[[str], None] | None = None,
-    detection_limits: DetectionLimits | None = None,
+    **options: Unpack[ImportOptions],
 ) -> Dataset:
     """Import a data set with pictures of a modified circle grid.
 
@@ -34,9 +35,7 @@ def import_robot_cal_tools(
     Args:
         folder: folder with `cal_data.yaml`, `target.yaml`, and the files that they name.
         mount: `"eye_in_hand"` or `"eye_to_hand"`; the folder does not contain it.
-        bad_views: as in `load_dataset`.
-        progress: called with a line of text for each step of the work.
-        detection_limits: as in `load_dataset`.
+        options: `bad_views`, `progress` and `detection_limits`, as in `load_dataset`.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -53,11 +52,8 @@ def import_robot_cal_tools(
     return dataset_from_pictures(
         {view: [folder / image] for view, (image, _) in zip(views, entries, strict=True)},
         poses,
-        _read_target(folder / "target.yaml"),
-        mount,
-        bad_views=bad_views,
-        progress=progress,
-        detection_limits=detection_limits,
+        ShownTarget(_read_target(folder / "target.yaml"), mount),
+        options=LoadOptions(**options),
     )
 
 
@@ -96,3 +92,36 @@ def _read_target(path: Path) -> AbstractTarget:
         raise ValueError(f"{path}: expected a modified circle grid, found {finder.type!r}")
     # A modified circle grid has one larger circle, at the origin.
     return CircleGrid(finder.rows, finder.cols, finder.spacing, origin_mark=True)
+
+
+def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "views joints"], SE3]:
+    """Read a kinematic calibration: a camera observes a target on a positioner.
+
+        '<time stamp>': {camera_joints: [], target_joints: [rad, ...], pose: {x, y, z, qx, ...}}
+
+    Returns:
+        The positioner's joint readings (rad) and `camera_from_target`, in the file's order.
+
+    Raises:
+        ValueError: an entry lacks a number, or the camera has joints.
+        FileNotFoundError: the file is missing.
+    """
+    from ..schemas.external_formats import KINEMATIC_MEASUREMENTS_SCHEMA
+    from ..schemas.validation import validate_content
+
+    path = Path(path)
+    measurements = validate_content(read_yaml(path), KINEMATIC_MEASUREMENTS_SCHEMA, path)
+    for name, entry in measurements.items():
+        if entry.camera_joints:
+            raise ValueError(f"{path}: entry {name}: the camera has joints; only the target may")
+    joints = [entry.target_joints for entry in measurements.values()]
+    if len({len(row) for row in joints}) != 1:
+        raise ValueError(f"{path}: target_joints: entries have different numbers of joints")
+    rows = [[getattr(entry.pose, key) for key in _POSE_KEYS] for entry in measurements.values()]
+    try:
+        poses = pose_codec("quaternion_xyzw").decode(
+            np.array(rows), labels=list(map(str, measurements))
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return np.array(joints), poses

@@ -10,9 +10,8 @@ from jaxtyping import Float
 from ..files import read_yaml
 from ..geometry import host_matrices
 from ..robots import Command
-from .board_heights import read_board_heights
 from .folder_description import DESCRIPTION_FILE, without_nulls
-from .folder_pictures import picture_files
+from .folder_pictures import picture_files, read_board_heights
 from .robot_readings import read_robot_readings, table_of_views
 from .target_file import read_target
 

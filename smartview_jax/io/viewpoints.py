@@ -9,6 +9,7 @@ A grasp is written in the same formats, with its `HandSteps`.
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,6 @@ from ..files import read_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..robots import MAX_TOOL_COORDINATE
 from .csv_tables import duplicates, parse_numbers, read_table, write_table
-from .hand_steps import HandSteps, hand_columns, val_hand
 from .pose_format import FORMAT_COLUMN, codec_of_rows, pose_columns
 
 FORMAT_VERSION = 1
@@ -33,6 +33,29 @@ VAL_CODEC = "val_oat"
 
 _JOINT_UNITS = {"joint_that_turns": "rad", "joint_that_slides": "m"}
 _VAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,14}")
+
+
+class HandSteps(NamedTuple):
+    """The actions of the tool on its way to each pose of a grasp; one entry for each pose.
+
+    In VAL, MOVES is a straight line and MOVE a joint-interpolated motion. OPENI and CLOSEI wait
+    until the arm stands, then move the fingers; OPEN and CLOSE move them on the way to the next
+    location. BREAK waits as well: without it the controller blends into the next motion, so that a
+    straight line would not begin where it was checked.
+
+    Attributes:
+        straight: whether the tool moves in a straight line; otherwise by joint interpolation.
+        opening: distance between the fingers, m, set before the motion; zero closes them on the
+            object.
+    """
+
+    straight: tuple[bool, ...]
+    opening: tuple[float, ...]
+
+    @property
+    def motions(self) -> tuple[str, ...]:
+        """The column `motion` of CSV and JSON: "straight" or "free"."""
+        return tuple("straight" if straight else "free" for straight in self.straight)
 
 
 class Viewpoints(NamedTuple):
@@ -305,3 +328,46 @@ def _decode_viewpoints(
         return _validated_viewpoints(poses, names, joints)._replace(pose_format=codec.name)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def hand_columns(hand: HandSteps | None, count: int) -> list[tuple[str, float] | tuple[()]]:
+    """Return the columns `motion` and `opening_m` of each pose; no columns without a hand.
+
+    Raises:
+        ValueError: a wrong number of steps, or an opening that is negative or not finite.
+    """
+    if hand is None:
+        return [()] * count
+    _check_hand(hand, count)
+    return list(zip(hand.motions, map(float, hand.opening), strict=True))
+
+
+def val_hand(hand: HandSteps, count: int) -> list[list[str]]:
+    """Return the lines of VAL before the motion to each pose.
+
+    Raises:
+        ValueError: as in `hand_columns`.
+    """
+    _check_hand(hand, count)
+    lines = []
+    openings, motions = (np.nan, *hand.opening), (True, *hand.straight)
+    for (old, new), (was_straight, straight) in zip(
+        pairwise(openings), pairwise(motions), strict=True
+    ):
+        actions = ["BREAK"] if straight and not was_straight else []
+        if new != old:
+            actions.append(f"OPENI {1e3 * new:.2f}" if new > 0.0 else "CLOSEI")
+        lines.append(actions)
+    return lines
+
+
+def _check_hand(hand: HandSteps, count: int) -> None:
+    """Raise a ValueError for a wrong number of steps or an impossible opening."""
+    if not len(hand.straight) == len(hand.opening) == count:
+        raise ValueError(
+            f"hand: expected an entry for each of {count} poses, found {len(hand.straight)} in "
+            f"straight and {len(hand.opening)} in opening"
+        )
+    for opening in hand.opening:
+        if not 0.0 <= opening < np.inf:
+            raise ValueError(f"hand: opening: expected metres, 0 or more, found {opening!r}")

@@ -2,8 +2,8 @@
 
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
 from pathlib import Path
+from typing import Unpack
 
 import jax
 import numpy as np
@@ -11,11 +11,11 @@ from jaxlie import SE3
 
 from ..cameras import Camera, Pinhole
 from ..dataset import Dataset
-from ..detection import DetectionLimits
 from ..files import parse_yaml, read_text, read_yaml, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
-from .folder_pictures import numbered_pictures
+from .folder_pictures import ImportOptions, LoadOptions, numbered_pictures
+from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 
 
@@ -25,9 +25,7 @@ def import_visp(
     mount: str = "eye_in_hand",
     poses: str = "pose_rPe_{view}.yaml",
     pictures: str = "image-{view}.png",
-    bad_views: str = "raise",
-    progress: Callable[[str], None] | None = None,
-    detection_limits: DetectionLimits | None = None,
+    **options: Unpack[ImportOptions],
 ) -> Dataset:
     """Import a data set from a folder of ViSP's hand-eye calibration.
 
@@ -36,9 +34,7 @@ def import_visp(
         target: the calibration target in the pictures.
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         poses, pictures: patterns of the file names; `{view}` is the number that pairs them.
-        bad_views: as in `load_dataset`.
-        progress: called with a line of text for each step of the work.
-        detection_limits: as in `load_dataset`.
+        options: `bad_views`, `progress` and `detection_limits`, as in `load_dataset`.
 
     Raises:
         FileNotFoundError: there are no pose files, or a picture is missing.
@@ -60,11 +56,8 @@ def import_visp(
     return dataset_from_pictures(
         files,
         SE3(jax.device_put(rows)),
-        target,
-        mount,
-        bad_views=bad_views,
-        progress=progress,
-        detection_limits=detection_limits,
+        ShownTarget(target, mount),
+        options=LoadOptions(**options),
     )
 
 

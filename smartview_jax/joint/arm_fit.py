@@ -131,9 +131,9 @@ def _built(
         rig,
         starts,
         field=field,
+        choice=choice,
         progress=progress,
         robot_prior=robot_prior,
-        **choice._asdict(),
     )
     return estimate.built, estimate.step, estimate
 

@@ -5,24 +5,24 @@ poses, and pose corrections without a prior. The robot's poses are not used.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Unpack
 
 import equinox as eqx
 import numpy as np
-import optimistix as optx
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import AbstractLens, Camera
 from ..dataset import Dataset, Observations, chain_residuals
-from ..engine import AbstractLoss, Noise, Prior, Solution, with_free_camera_poses
+from ..engine import Noise, Solution, with_free_camera_poses
 from ..fit_result import FitCode, FitResult
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
-from ..staged import pixel_residuals, robust_sigma
+from ..staged import CommonCameraOptions, pixel_residuals, robust_sigma
 from .fit import fit_joint
+from .options import CameraOptions
 
 MAX_REJECTION_ITERATIONS = 10
 """The largest number of fits, each without the outliers of the fit before."""
@@ -79,11 +79,9 @@ def fit_camera(
     camera: Camera,
     camera_from_world: SE3,
     lens: str | AbstractLens | None = None,
-    loss: str | AbstractLoss | None = None,
-    fixed: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
-    solver: optx.AbstractLeastSquaresSolver[Any, Any, Any, Any] | None = None,
+    *,
     progress: Callable[[str], None] | None = None,
+    **options: Unpack[CameraOptions],
 ) -> CameraFit:
     """Fit a camera, and one free pose per view, to all pixels without the robot's poses.
 
@@ -91,7 +89,8 @@ def fit_camera(
         data: at least three views with four visible points each.
         camera, camera_from_world: initial values, one pose per view, as from Step 1.
         lens: a different lens model.
-        loss, fixed, priors, solver, progress: as in `fit_joint`.
+        progress: called with a line of text for each stage.
+        options: `loss`, `fixed`, `priors` and `solver`, as in `fit_joint`.
 
     Raises:
         ValueError: as for `fit_joint`.
@@ -104,17 +103,15 @@ def fit_camera(
         0.18 px
     """
     free_pose_data, identity_start = with_free_camera_poses(data, camera, camera_from_world)
+    options["fixed"] = (*identity_start.transform_names, *options.get("fixed", ()))
     fit = fit_joint(
         free_pose_data,
         identity_start,
         lens=lens,
         # Infinite pose standard deviations are corrections without a prior: free poses.
         noise=Noise(1.0, np.inf, np.inf),
-        loss=loss,
-        fixed=(*identity_start.transform_names, *fixed),
-        priors=priors,
-        solver=solver,
         progress=progress,
+        **options,
     )
     poses, residuals = _corrected_poses_and_residuals(
         fit.calibration, data.observations, fit.pose_corrections, camera_from_world
@@ -159,9 +156,7 @@ def batch_least_squares(
     start_camera: Camera,
     start_camera_from_world: SE3,
     start_inliers: Bool[Array | np.ndarray, "views points"] | None = None,
-    pixel_sigma: float | None = None,
-    gate_probability: float = 0.9999,
-    hold_camera: bool = False,
+    options: CommonCameraOptions | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> CameraFit:
     """Fit a camera to all views in a batch: fit, remove outliers, repeat until these do not change.
@@ -170,9 +165,7 @@ def batch_least_squares(
     `camera_from_world`, `inliers`, `pixel_sigma`, `rms`, `converged` and `message`. It is twice
     as fast on 1000 points, and nine times on 50 000, where the filter takes half a second.
     """
-    # Quantile of the chi-square distribution with 2 degrees of freedom: -2 log(1 - p), p the
-    # probability of the gate.
-    gate = -2.0 * np.log1p(-gate_probability)
+    options = options or CommonCameraOptions()
     visible = np.asarray(observations.visible)
     inliers = visible if start_inliers is None else visible & np.asarray(start_inliers)
     # `fit_camera` takes a data set, but does not use its robot poses.
@@ -186,7 +179,7 @@ def batch_least_squares(
         start_camera.image_size,
     )
     estimate = (start_camera, start_camera_from_world)
-    fixed = ("camera",) if hold_camera else ()
+    fixed = ("camera",) if options.hold_camera else ()
     iteration = 0
     while True:
         iteration += 1
@@ -194,9 +187,9 @@ def batch_least_squares(
         fit = fit_camera(inlier_data, *estimate, fixed=fixed)
         estimate = (fit.camera, fit.camera_from_world)
         residuals = np.asarray(pixel_residuals(observations, *estimate))
-        sigma = robust_sigma(residuals, inliers, pixel_sigma)
+        sigma = robust_sigma(residuals, inliers, options.pixel_sigma)
         # All visible points are tested again, so that points can return with a better camera.
-        within_gate = visible & (np.sum(residuals**2, axis=-1) <= gate * sigma**2)
+        within_gate = visible & (np.sum(residuals**2, axis=-1) <= options.gate * sigma**2)
         converged = bool((within_gate == inliers).all())
         if progress is not None:
             progress(

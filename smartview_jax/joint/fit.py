@@ -187,8 +187,9 @@ def fit_joint(
             field=error_field,
             # The estimate of the noise moves the start, but not the centre of the priors.
             prior_centre=start,
-            noise_corrections=None if noise_estimate is None else noise_estimate.noise_corrections,
         )
+        if noise_estimate is not None and noise_estimate.noise_corrections is not None:
+            built = built.with_noise_corrections(noise_estimate.noise_corrections)
         parameter_count = len(built.shared_names) + len(built.per_view_names)
         report(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
 

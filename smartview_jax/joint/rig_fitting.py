@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
+from typing import TypeVar, Unpack
 
 import jax
 import numpy as np
@@ -10,13 +10,20 @@ from jaxtyping import Float
 
 from ..argument_checks import require_instance
 from ..calibration import Calibration
-from ..dataset import Dataset, Rig, chain_residuals, view_residuals
+from ..dataset import (
+    MINIMUM_RELIABLE_VIEWS,
+    Dataset,
+    Rig,
+    chain_residuals,
+    distinct_poses,
+    view_residuals,
+)
 from ..engine import (
     BuiltRig,
     FittedChain,
     Noise,
     ParameterChoice,
-    Prior,
+    ParameterOptions,
     ScaledJacobian,
     choices_of_arms,
     covariance,
@@ -24,16 +31,22 @@ from ..engine import (
     reduced_equations,
 )
 from ..fit_result import Rejection
+from ..geometry import host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
 from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
+from .plausibility import MIN_SCALE_PROBABILITY
 from .rig_fit import RigFit
-from .rig_warnings import rig_warnings
 from .several_arms import JoinedArms, added_by_estimation, join_arms
+from .view_rejection import is_plausible
 
 _Option = TypeVar("_Option")
+
+
+MAX_LISTED = 4
+"""Largest number of undetermined parameters that a warning lists."""
 
 
 def fit_rig(
@@ -42,12 +55,10 @@ def fit_rig(
     *,
     noise: str | Noise | Mapping[str, Noise] = "estimated",
     field: FieldChoice | Mapping[str, FieldChoice] = "auto",
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
     rejected: Sequence[tuple[str, Rejection]] = (),
+    **parameters: Unpack[ParameterOptions],
 ) -> RigFit:
     """Fit all cameras of a rig, their targets and the robots' errors to all pixels at once.
 
@@ -61,13 +72,12 @@ def fit_rig(
         noise: `"estimated"`, or a `Noise` that states the standard deviations; of several arms, one
             for all or one for each by its name.
         field: robot error field, as in `fit_joint`; of several arms, one for all or one for each.
-        fixed: paths of parameters that keep the start's value: `left.camera`, `base_from_world`.
-            See `build_rig`, and `build_arms` for several arms.
-        free: paths to free that are held by default: `target_scale`.
-        priors: a `Prior` by path.
         progress: called with a line of text for each stage.
         robot_prior: prior on the sizes of the robot's errors.
         rejected: what was left out before, for the result.
+        parameters: `fixed`, paths of parameters that keep the start's value, such as `left.camera`
+            or `base_from_world` (see `build_rig`, and `build_arms` for several arms); `free`, paths
+            to free that are held by default: `target_scale`; `priors`, a `Prior` by path.
 
     Raises:
         TypeError: an argument of a wrong type.
@@ -82,7 +92,7 @@ def fit_rig(
         0.9 mm along the optical axis
     """
     require_instance("rig", rig, Rig)
-    choice, prior = ParameterChoice.of(fixed, free, priors), robot_prior or RobotPrior()
+    choice, prior = ParameterChoice.of(**parameters), robot_prior or RobotPrior()
     several, arms = len(rig.arm_names) > 1, {}
     choices = choices_of_arms(rig, starts, choice)
     for arm in rig.arm_names:
@@ -224,3 +234,57 @@ def _chains(built: BuiltRig, of_groups: tuple[FittedChain, ...]) -> dict[str, Fi
         for cameras, chains in zip(built.cameras, of_groups, strict=True)
         for row, name in enumerate(cameras)
     }
+
+
+def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
+    """Return the reasons to doubt the fit of a rig, a sentence each, gravest first.
+
+    Args:
+        fit: the fit to judge.
+        prior: prior on the sizes of the robot's errors.
+    """
+    warnings = [] if fit.result.converged else [fit.result.message]
+    undetermined = [name for name in fit.parameter_names if not np.isfinite(fit.std[name])]
+    if undetermined:
+        more = len(undetermined) - MAX_LISTED
+        listed = ", ".join(undetermined[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+        warnings.append(
+            f"the data do not determine {listed}: turn the robot about other axes, hold them by "
+            "fixed=, or give priors"
+        )
+    for arm, built in fit.built_by_arm.items():
+        named = f"{arm}: " if fit.bases else ""
+        warnings += [f"{named}{text}" for text in _estimate_warnings(fit, arm, prior)]
+        # Several pictures from one pose have no more information on the robot than one.
+        poses = host_matrices(built.problem.command.base_from_tool)
+        used = np.asarray(built.problem.per_view_free).any(axis=1)
+        states = len(distinct_poses(poses[used]))
+        if states < MINIMUM_RELIABLE_VIEWS:
+            warnings.append(
+                f"{named}{states} states of the robot are few: no figure is reliable with fewer "
+                f"than {MINIMUM_RELIABLE_VIEWS}"
+            )
+    return tuple(warnings)
+
+
+def _estimate_warnings(fit: RigFit, arm: str, prior: RobotPrior) -> list[str]:
+    """Return warnings about the estimated sizes of an arm's errors, and about the target's size."""
+    estimate, noise = fit.noise_estimates.get(arm), fit.noises[arm]
+    if estimate is None:
+        return []
+    warnings = []
+    size = estimate.target_scale
+    if size is not None and size.probability >= MIN_SCALE_PROBABILITY:
+        warnings.append(
+            f"the target may be {size.scale:.4f} +- {size.std:.4f} of its stated size (probability "
+            f"{size.probability:.2f}): measure it"
+        )
+    if not is_plausible(noise, prior):
+        warnings.append(
+            f"the robot's poses err by {1e3 * noise.translation:.3g} mm and "
+            f"{np.degrees(noise.rotation):.3g} degrees, which is much for a robot: mispaired "
+            "views, a camera or a target that moved?"
+        )
+    if not estimate.converged:
+        warnings.append("the estimate of the errors' sizes did not converge: take more views")
+    return warnings

@@ -6,7 +6,7 @@ in each view, six numbers at the tool. An estimated feature has a Jacobian by th
 a separate covariance, so that common errors cancel in distances.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,19 @@ from ..robots import Command
 from ..runtime.compilation import compiled
 from .rig_views import AnyCalibration, RigViews
 from .view_poses import SeenViews, chain_command
+
+
+class UncertaintyOptions(TypedDict, total=False):
+    """The uncertainty of a calibration and of its views, as keyword arguments.
+
+    Attributes:
+        covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
+            calibration as exact.
+        noise: sizes of the robot's noise in these views; by default the noise of the fit.
+    """
+
+    covariance: CalibrationEstimate | None
+    noise: Noise | None
 
 
 class CalibrationUncertainty(NamedTuple):
@@ -69,7 +82,7 @@ class CalibrationUncertainty(NamedTuple):
         cls,
         views: SeenViews,
         calibration: AnyCalibration,
-        estimate: CalibrationEstimate | None,
+        covariance: CalibrationEstimate | None = None,
         noise: Noise | None = None,
     ) -> "CalibrationUncertainty":
         """Return the description for views that were not used to estimate the calibration.
@@ -77,7 +90,7 @@ class CalibrationUncertainty(NamedTuple):
         Args:
             views: the views.
             calibration: their calibration, or their cameras.
-            estimate: a joint fit or a bound with the calibration's covariance; None for an exact
+            covariance: a joint fit or a bound with the calibration's covariance; None for an exact
                 calibration, and for cameras, which have their own.
             noise: sizes of the robot's noise; by default the noise of a joint fit.
 
@@ -86,27 +99,27 @@ class CalibrationUncertainty(NamedTuple):
                 noise leaves the poses free.
         """
         if isinstance(calibration, RigViews):
-            if estimate is not None:
+            if covariance is not None:
                 raise ValueError(
                     "covariance: expected None, since views of a rig have the rig's own; make "
                     "RigViews from the fit"
                 )
             return cls._of_rig(views, calibration, noise)
-        if estimate is None and noise is None:
+        if covariance is None and noise is None:
             return cls.none(views)
         # A bound has no noise: either it is given, or the poses are exact.
-        if noise is None and isinstance(estimate, (JointFit, SavedEstimate)):
-            noise = estimate.noise
+        if noise is None and isinstance(covariance, (JointFit, SavedEstimate)):
+            noise = covariance.noise
         names = parameter_names(calibration)
         roots = np.zeros((0, len(names)))
-        if estimate is not None:
-            if parameter_names(estimate.calibration) != names:
+        if covariance is not None:
+            if parameter_names(covariance.calibration) != names:
                 raise ValueError(
                     "covariance: its parameters are "
-                    f"{', '.join(parameter_names(estimate.calibration))}; the calibration has "
+                    f"{', '.join(parameter_names(covariance.calibration))}; the calibration has "
                     f"{', '.join(names)}"
                 )
-            roots = np.asarray(covariance_root(estimate))
+            roots = np.asarray(covariance_root(covariance))
         # Fixed parameters are exact and have no column, usually the target's scale and fixed
         # intrinsics.
         used = np.flatnonzero(np.any(roots != 0.0, axis=0))
@@ -117,17 +130,17 @@ class CalibrationUncertainty(NamedTuple):
         size = len(sigmas) * count
         jacobian = np.zeros((count, shared.shape[1], len(used) + size))
         jacobian[:, :, : len(used)] = shared[:count, :, used]
-        covariance = np.zeros((jacobian.shape[2],) * 2)
-        covariance[: len(used), : len(used)] = roots[:, used].T @ roots[:, used]
+        of_numbers = np.zeros((jacobian.shape[2],) * 2)
+        of_numbers[: len(used), : len(used)] = roots[:, used].T @ roots[:, used]
         if size:
             for k in range(count):
                 place = slice(len(used) + 6 * k, len(used) + 6 * k + 6)
                 jacobian[k, -6:, place] = per_view[k]
-                covariance[place, place] = np.diag(sigmas**2)
+                of_numbers[place, place] = np.diag(sigmas**2)
         # Named as the corrections of a fit's own views, here for these views.
         noise_names = parameter_names(calibration, [str(k) for k in range(count if size else 0)])
         own_names = noise_names[len(names) :]
-        return cls((*(names[k] for k in used), *own_names), covariance, jacobian, len(used))
+        return cls((*(names[k] for k in used), *own_names), of_numbers, jacobian, len(used))
 
     @classmethod
     def _of_rig(

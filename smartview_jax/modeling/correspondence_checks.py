@@ -8,17 +8,14 @@ chi-square; it also equals the reduction of the point's chi-square without the o
 Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.special import chdtrc
 
-from ..engine import Noise
-from ..evaluation import CalibrationEstimate
 from ..robots import CommandLike
-from .calibration_uncertainty import CalibrationUncertainty
-from .click_deletion import deletion_of
+from .calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
 from .estimated_features import PointStatus
 from .pixel_jacobians import pixel_jacobians
 from .rig_views import AnyCalibration
@@ -27,6 +24,10 @@ from .view_poses import SeenViews, whitening_of
 
 FALSE_ALARM_PROBABILITY = 0.01
 """Probability that any observation is called wrong although all are right."""
+
+
+RELATIVE_EIGENVALUE_FLOOR = 1e-8
+"""Smallest eigenvalue, over the trace of the whole matrix, that is not treated as zero."""
 
 
 class WrongCorrespondence(NamedTuple):
@@ -63,10 +64,9 @@ def wrong_correspondences(
     pixels: np.ndarray | Array,
     visible: np.ndarray | Array | None = None,
     *,
-    covariance: CalibrationEstimate | None = None,
-    noise: Noise | None = None,
     pixel_sigma: float | np.ndarray = CLICK_SIGMA,
     false_alarm: float = FALSE_ALARM_PROBABILITY,
+    **uncertainty: Unpack[UncertaintyOptions],
 ) -> list[WrongCorrespondence]:
     """Return the observations that contradict the others of their feature, the worst first.
 
@@ -75,19 +75,19 @@ def wrong_correspondences(
     reported.
 
     Args:
-        calibration, poses, pixels, visible, covariance, noise, pixel_sigma: as in
-            `triangulate_points`.
+        calibration, poses, pixels, visible, pixel_sigma: as in `triangulate_points`.
         false_alarm: probability that any observation is named although all are right, by the bound
             of Bonferroni.
+        uncertainty: `covariance` and `noise`, as in `triangulate_points`.
 
     Raises:
         ValueError: as in `triangulate_points`.
     """
     views = SeenViews.of(calibration, poses)
     measured, visible = views.checked_points(pixels, visible)
-    uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    known = CalibrationUncertainty.of(views, calibration, **uncertainty)
     whitening = np.broadcast_to(whitening_of(pixel_sigma, visible.shape), (*visible.shape, 2, 2))
-    check = _Check(views, uncertainty, np.where(visible[..., None], measured, 0.0), whitening)
+    check = _Check(views, known, np.where(visible[..., None], measured, 0.0), whitening)
     per_test = false_alarm / max(int(visible.sum()), 1)
     remaining, wrong = visible.copy(), []
     # One at a time: a gross error inflates the statistics of its feature's other views.
@@ -230,3 +230,39 @@ def _worst(deletions: _Deletions, feature: int, per_test: float) -> WrongCorresp
         float(p_values[best]),
         tuple(int(v) for v in deletions.views[agrees]),
     )
+
+
+class ClickDeletion(NamedTuple):
+    """The squared residuals of a click and of the others, over their covariance.
+
+    Attributes:
+        chi_square: decrease without the click.
+        degrees_of_freedom: numbers of the click that the others predict, up to two.
+        rest: what remains.
+    """
+
+    chi_square: float
+    degrees_of_freedom: int
+    rest: float
+
+
+def deletion_of(
+    Q: Float[np.ndarray, "rows rows"], r: Float[np.ndarray, "rows"], click: int
+) -> ClickDeletion:
+    """Return the effect of leaving out one click, to first order.
+
+    Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
+
+    Args:
+        Q: matrix of the least chi-square over all unknowns, `r^T Q r`.
+        r: residuals; each click has two rows.
+        click: number of the click.
+    """
+    # Without the rows i of a click r^T Q r is less by (Q r)_i^T Q_ii^-1 (Q r)_i.
+    rows = slice(2 * click, 2 * click + 2)
+    values, vectors = np.linalg.eigh(Q[rows, rows])
+    used = values > RELATIVE_EIGENVALUE_FLOOR * max(np.trace(Q), 1e-300)
+    parts = vectors.T @ (Q @ r)[rows]
+    chi_square = float(np.sum(parts[used] ** 2 / values[used]))
+    rest = max(float(r @ Q @ r) - chi_square, 0.0)
+    return ClickDeletion(chi_square, int(used.sum()), rest)

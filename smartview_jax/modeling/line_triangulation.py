@@ -11,16 +11,15 @@ four numbers of a line follow Bartoli and Sturm, Structure-from-motion using lin
 """
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..engine import Noise
-from ..evaluation import CalibrationEstimate, root_mean_square
+from ..evaluation import root_mean_square
 from ..robots import CommandLike
 from ..runtime.array_namespace import to_device
-from .calibration_uncertainty import CalibrationUncertainty
+from .calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
 from .estimated_features import MAX_RELATIVE_STD, EstimatedFeatures, PointStatus
 from .line_jacobians import Lines, line_jacobians
 from .point_estimation import CONVERGED_DECREMENT, MAX_STEPS
@@ -61,9 +60,8 @@ def triangulate_lines(
     segments: np.ndarray | Array,
     visible: np.ndarray | Array | None = None,
     *,
-    covariance: CalibrationEstimate | None = None,
-    noise: Noise | None = None,
     pixel_sigma: float | np.ndarray = CLICK_SIGMA,
+    **uncertainty: Unpack[UncertaintyOptions],
 ) -> TriangulatedLines:
     """Triangulate straight lines from their segments in two or more views.
 
@@ -77,11 +75,9 @@ def triangulate_lines(
         segments: `(views, lines, 2, 2)`, both ends of each line's segment, px. The ends in
             different views need not be the same points of the line.
         visible: `(views, lines)`, where each has a segment; by default where it is finite.
-        covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
-            calibration as exact.
-        noise: sizes of the robot's noise in these views; by default the noise of the fit.
         pixel_sigma: standard deviation of an end, px, as one number or `(views, lines)`; or
             covariances of the ends `(views, lines, 2, 2, 2)`, px^2.
+        uncertainty: `covariance` and `noise`, as in `triangulate_points`.
 
     Raises:
         ValueError: arrays whose shapes do not match, ends outside the picture, a segment without
@@ -102,21 +98,21 @@ def triangulate_lines(
     ends = _seen_part(views, rays, visible, kept)
     lines = Lines(ends.mean(axis=1), kept.directions)
     # The four numbers refer to the middle of the visible part, where they are least correlated.
-    uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    known = CalibrationUncertainty.of(views, calibration, **uncertainty)
     local = line_jacobians(views, lines, measured, covariances, visible)
     weighted = local.by_line / np.where(local.sigmas > 0.0, local.sigmas, 1.0)[..., None] ** 2
     normal = np.einsum("vlei,vlej->lij", weighted, local.by_line)
     normal[~ok] = np.eye(4)
     sensitivity = -np.einsum("vlei,vlej->vlij", weighted, local.by_view)
-    jacobian = np.linalg.solve(normal, uncertainty.propagate(sensitivity))
+    jacobian = np.linalg.solve(normal, known.propagate(sensitivity))
     where = ok[:, None, None]
     return TriangulatedLines(
         lines=Lines(*(np.where(ok[:, None], array, np.nan) for array in lines)),
         ends=np.where(where, ends, np.nan),
         picture_covariance=np.where(where, np.linalg.inv(normal), np.nan),
         calibration_jacobian=np.where(where, jacobian, np.nan),
-        calibration_covariance=uncertainty.covariance,
-        calibration_names=uncertainty.names,
+        calibration_covariance=known.covariance,
+        calibration_names=known.names,
         residuals=np.where((visible & ok)[..., None], local.distances, np.nan),
         status=status,
     )

@@ -9,15 +9,16 @@ Reference: Hartley and Zisserman, Multiple view geometry in computer vision, 200
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Unpack
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..engine import AbstractLoss, Noise
-from ..evaluation import CalibrationEstimate, root_mean_square
+from ..engine import AbstractLoss
+from ..evaluation import root_mean_square
 from ..robots import CommandLike
 from ..runtime.array_namespace import to_device
-from .calibration_uncertainty import CalibrationUncertainty
+from .calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
 from .estimated_features import EstimatedPoints, PointStatus
 from .pixel_jacobians import pixel_jacobians
 from .point_estimation import estimate_points
@@ -60,10 +61,9 @@ def triangulate_points(
     pixels: np.ndarray | Array,
     visible: np.ndarray | Array | None = None,
     *,
-    covariance: CalibrationEstimate | None = None,
-    noise: Noise | None = None,
     pixel_sigma: float | np.ndarray = CLICK_SIGMA,
     loss: AbstractLoss | None = None,
+    **uncertainty: Unpack[UncertaintyOptions],
 ) -> TriangulatedPoints:
     """Triangulate points from their pixels in two or more views.
 
@@ -77,12 +77,12 @@ def triangulate_points(
             does not matter (`RigViews`).
         pixels: `(views, points, 2)`, px, OpenCV's convention.
         visible: `(views, points)`, where each is visible; by default where its pixel is finite.
-        covariance: a joint fit, or a bound, with the uncertainty of the calibration; None takes the
-            calibration as exact.
-        noise: sizes of the robot's noise in these views; by default the noise of the fit.
         pixel_sigma: standard deviation of u and of v, px, as one number or `(views, points)`; or
             covariances `(views, points, 2, 2)`, px^2.
         loss: robust loss of the whitened residuals; None is least squares.
+        uncertainty: `covariance`, a joint fit or a bound with the uncertainty of the calibration,
+            which is else taken as exact; `noise`, sizes of the robot's noise in these views, by
+            default the noise of the fit.
 
     Raises:
         ValueError: arrays whose shapes do not match, pixels outside the picture, poses that are not
@@ -97,19 +97,19 @@ def triangulate_points(
     )
     ok = status == PointStatus.OK
     picture_covariance = np.where(ok[:, None, None], picture_covariance, np.nan)
-    uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    known = CalibrationUncertainty.of(views, calibration, **uncertainty)
     # The calibration's part takes longer than the points, so it is computed only on request.
     jacobian = np.zeros((len(points), 3, 0))
-    if uncertainty.names:
+    if known.names:
         jacobian = _calibration_jacobian(
-            views, uncertainty, points, picture_covariance, whitening, visible & ok
+            views, known, points, picture_covariance, whitening, visible & ok
         )
     return TriangulatedPoints(
         points=np.where(ok[:, None], points, np.nan),
         picture_covariance=picture_covariance,
         calibration_jacobian=jacobian,
-        calibration_covariance=uncertainty.covariance,
-        calibration_names=uncertainty.names,
+        calibration_covariance=known.covariance,
+        calibration_names=known.names,
         residuals=np.where((visible & ok)[..., None], residuals, np.nan),
         status=status,
     )

@@ -3,6 +3,7 @@
 from .calibrating import BoardViews as BoardViews
 from .calibrating import CellCalibration as CellCalibration
 from .calibrating import calibrate_cell as calibrate_cell
+from .clicking import SeenObject as SeenObject
 from .clicking import model_by_clicks as model_by_clicks
 from .demo import DemoResult as DemoResult
 from .demo import run_demo as run_demo

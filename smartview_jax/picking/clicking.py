@@ -7,6 +7,7 @@ itself where there is none, through the same `ModelSession` as the page of the e
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -25,16 +26,29 @@ CLICK_SIGMA = 0.3
 """Standard deviation of the clicks, px."""
 
 
+class SeenObject(NamedTuple):
+    """An object as a person sees it in pictures.
+
+    Attributes:
+        pixels: where each vertex is, px.
+        visible: whether it is seen there.
+        faces: loops of vertices; a face is added if all its vertices can be clicked.
+        name: of the object.
+    """
+
+    pixels: Float[np.ndarray, "views vertices 2"]
+    visible: Bool[np.ndarray, "views vertices"]
+    faces: Sequence[Sequence[int]]
+    name: str
+
+
 def model_by_clicks(
     calibration: Calibration,
     estimate: CalibrationEstimate | None,
     command: Command,
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
-    seen_pixels: Float[np.ndarray, "views vertices 2"],
-    visible: Bool[np.ndarray, "views vertices"],
-    faces: Sequence[Sequence[int]],
+    seen: SeenObject,
     path: Path,
-    name: str,
 ) -> ObjectModel:
     """Return the model that a person would make of an object by clicking its corners.
 
@@ -43,16 +57,14 @@ def model_by_clicks(
         estimate: fit with the calibration's covariance, for the covariance of the vertices.
         command: reported poses of the robot, one for each view.
         pictures: of the object.
-        seen_pixels: where a person sees each vertex, px.
-        visible: whether a person sees it.
-        faces: loops of vertices; a face is added if all its vertices can be clicked.
+        seen: what a person sees in the pictures.
         path: of the model's file, which includes the symmetry.
-        name: of the model.
 
     Raises:
         ValueError: too few vertices can be clicked in at least two pictures, so that no face is
             complete.
     """
+    seen_pixels, visible = seen.pixels, seen.visible
     names = [f"view {1 + k}" for k in range(len(pictures))]
     with ModelSession(
         calibration,
@@ -83,12 +95,14 @@ def model_by_clicks(
                 point = session.click(picture_name, pixel, point)
             if point is not None:
                 points[vertex] = point
-        complete = [loop for loop in faces if all(v in points for v in loop)]
+        complete = [loop for loop in seen.faces if all(v in points for v in loop)]
         if not complete:
-            raise ValueError(f"{name}: {len(points)} vertices were clicked, no face is complete")
+            raise ValueError(
+                f"{seen.name}: {len(points)} vertices were clicked, no face is complete"
+            )
         for loop in complete:
             session.add_face([points[v] for v in loop])
-        session.change({"do": "rename", "name": name})
+        session.change({"do": "rename", "name": seen.name})
         saved = session.save()
     model = load_object_model(saved)
     model = dataclasses.replace(model, symmetry=find_symmetry(model))

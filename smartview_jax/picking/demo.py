@@ -28,7 +28,7 @@ from ..simulation import (
 )
 from ..viewpoints import viewpoint_commands
 from .calibrating import BoardViews, CellCalibration, calibrate_cell, stacked_commands
-from .clicking import model_by_clicks
+from .clicking import SeenObject, model_by_clicks
 from .looking import Region
 from .pick import Pick, pick
 from .story import (
@@ -199,11 +199,8 @@ def modelled(
         calibrated.fit.joint,
         stacked,
         pictures,
-        np.stack(seen_pixels),
-        np.stack(visible),
-        block.solid.faces,
+        SeenObject(np.stack(seen_pixels), np.stack(visible), block.solid.faces, block.name),
         path,
-        block.name,
     )
     return model, pictures, stacked
 

@@ -4,6 +4,7 @@ from .localization_page import LOCALIZATION_HEADINGS as LOCALIZATION_HEADINGS
 from .localization_page import localization_rows as localization_rows
 from .localization_page import localization_verdict as localization_verdict
 from .localization_page import write_localization_page as write_localization_page
+from .page import Judgement as Judgement
 from .page import Origin as Origin
 from .page import write_evaluation_page as write_evaluation_page
 from .page import write_page as write_page

@@ -49,16 +49,30 @@ class Origin(NamedTuple):
     given: str = ""
 
 
+class Judgement(NamedTuple):
+    """The results of the checks of a calibration, for its page.
+
+    Attributes:
+        held_out_reports: result of `evaluation.held_out_reports`, the held-out errors by method;
+            None if not computed.
+        repeatability: result of `split_half_difference`; None if not computed.
+        budget: result of `error_budget`; None if not computed.
+        notes: notes to print, such as results that could not be computed, with the reason.
+    """
+
+    held_out_reports: dict[str, HeldOutReport] | None = None
+    repeatability: SplitHalfDifference | None = None
+    budget: ErrorBudget | None = None
+    notes: Sequence[str] = ()
+
+
 def write_page(
     path: Path,
     fit: CalibrationFit,
     data: Dataset,
-    held_out_reports: dict[str, HeldOutReport] | None = None,
+    judgement: Judgement | None = None,
     origin: Origin | None = None,
     progress: Callable[[str], None] | None = None,
-    repeatability: SplitHalfDifference | None = None,
-    budget: ErrorBudget | None = None,
-    notes: Sequence[str] = (),
 ) -> None:
     """Write the report of a calibration as an HTML page.
 
@@ -66,14 +80,11 @@ def write_page(
         path: of the HTML file, which is written completely or not at all.
         fit: result of `calibrate`.
         data: data set that the fit used.
-        held_out_reports: result of `evaluation.held_out_reports`, the held-out errors by method;
-            None if not computed.
+        judgement: how accurate the result is; None if nothing was computed.
         origin: data set and command of the page; None for a script's own data.
         progress: called with a line of text before the plots are drawn.
-        repeatability: result of `split_half_difference`; None if not computed.
-        budget: result of `error_budget`; None if not computed.
-        notes: notes to print, such as results that could not be computed, with the reason.
     """
+    held_out_reports, repeatability, budget, notes = judgement or Judgement()
     report_progress = progress or (lambda _: None)
     rows = tables.error_summaries(fit, data, held_out_reports)
     remarks = [

@@ -14,11 +14,11 @@ from .field import checked_field_choice as checked_field_choice
 from .generic_six_axis_arm import GenericSixAxisArm as GenericSixAxisArm
 from .linear_fields import LinearInPose as LinearInPose
 from .linear_fields import LinearInPosition as LinearInPosition
-from .registry import field_by_name as field_by_name
-from .registry import field_name as field_name
 from .robot_error import RobotError as RobotError
 from .robot_prior import RobotPrior as RobotPrior
 from .scale_error import LinearInPoseWithScales as LinearInPoseWithScales
 from .scale_error import ScaleError as ScaleError
+from .serialization import field_by_name as field_by_name
+from .serialization import field_name as field_name
 from .serialization import robot_error_from_dict as robot_error_from_dict
 from .serialization import robot_error_to_dict as robot_error_to_dict

@@ -6,12 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from ..argument_checks import shortened_repr, spelling_suggestion
+from ..argument_checks import require_one_of, shortened_repr, spelling_suggestion
 from ..robots import SerialArm, arm_from_dict, arm_to_dict
 from ..runtime.array_namespace import as_float_array
+from .arm_errors import DHErrors, JointOffsets, JointRatios
+from .combined import CombinedField
 from .field import AbstractField
-from .registry import field_by_name, field_name
+from .generic_six_axis_arm import GenericSixAxisArm
+from .linear_fields import LinearInPose, LinearInPosition
 from .robot_error import RobotError
+from .scale_error import ScaleError
+
+FIELDS: dict[str, type[AbstractField]] = {
+    "position": LinearInPosition,
+    "pose": LinearInPose,
+    "six_axis_arm": GenericSixAxisArm,
+    "joint_offsets": JointOffsets,
+    "joint_ratios": JointRatios,
+    "dh": DHErrors,
+    "scale_error": ScaleError,
+    "combined": CombinedField,
+}
+
+OLD_NAMES = {"implied_arm": "six_axis_arm", "stretched": "scale_error"}
+"""Names that calibration files of earlier versions contain, with today's."""
 
 
 def robot_error_to_dict(error: RobotError) -> dict[str, Any]:
@@ -101,4 +119,23 @@ def _differences(found: Iterable[str], known: Iterable[str]) -> str:
         f"{words} {', '.join(names[:5])}{' and more' * (len(names) > 5)}"
         for words, names in (("missing", missing), ("unknown", unknown))
         if names
+    )
+
+
+def field_by_name(name: str) -> type[AbstractField]:
+    """Return the class of a field by its name.
+
+    Raises:
+        ValueError: no field has that name.
+    """
+    name = OLD_NAMES.get(name, name)
+    require_one_of("field", name, FIELDS)
+    return FIELDS[name]
+
+
+def field_name(field: AbstractField) -> str:
+    """Return the name of a field in `field_by_name`, or else the name of its class."""
+    return next(
+        (name for name, field_class in FIELDS.items() if type(field) is field_class),
+        type(field).__name__,
     )

@@ -7,6 +7,7 @@ describe, and the board is not flat. As in real set-ups, no estimator models all
 
 import dataclasses
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -49,6 +50,19 @@ WARP_RANGE = (1e-4, 1.5e-4)
 """Smallest and largest deviation of the board from its plane, m."""
 
 
+class ArmNoise(NamedTuple):
+    """The random noise of an arm's scene, in addition to the arm's own errors.
+
+    Attributes:
+        pixel_noise: standard deviation of `u` and of `v`, px.
+        translation_noise, rotation_noise: as in `simulate`; m and rad.
+    """
+
+    pixel_noise: float = 0.05
+    translation_noise: float = 2e-5
+    rotation_noise: float = float(np.deg2rad(0.003))
+
+
 class ArmScene(eqx.Module):
     """A simulated data set of an arm, together with its true values.
 
@@ -81,11 +95,10 @@ def six_axis_scene(
     views: int = 25,
     held_out_views: int = 40,
     error_scale: float = 1.0,
-    pixel_noise: float = 0.05,
-    translation_noise: float = 2e-5,
-    rotation_noise: float = float(np.deg2rad(0.003)),
+    *,
     warp_range: tuple[float, float] = WARP_RANGE,
     error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
+    **noise: float,
 ) -> ArmScene:
     """Return random views of a board of 12 x 9 points, 30 mm apart, by a 1056 px camera on an arm.
 
@@ -94,15 +107,14 @@ def six_axis_scene(
         views: number of views to calibrate with.
         held_out_views: number of held-out views.
         error_scale: errors of the arm, as multiples of `error_sigma`.
-        pixel_noise: standard deviation of `u` and of `v`, px.
-        translation_noise, rotation_noise: as in `simulate`, in addition to the arm's errors; m and
-            rad.
         warp_range: smallest and largest deviation of the board from its plane, m.
         error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.
+        noise: the fields of `ArmNoise`.
 
     Raises:
         RuntimeError: the arm does not reach a view.
     """
+    sizes = ArmNoise(**noise)
     rng = np.random.default_rng((seed, 3))
     arm, board = six_axes(), board_points()
     error = random_kinematic_errors(arm, rng, error_scale, error_sigma)
@@ -116,14 +128,14 @@ def six_axis_scene(
 
     # Random noise applies to the views of the data only: held-out views test the repeatable part.
     #     actual_poses = error.actual_pose(command) exp(noise)^-1
-    noise_sigma = np.repeat([translation_noise, rotation_noise], 3)
+    noise_sigma = np.repeat([sizes.translation_noise, sizes.rotation_noise], 3)
     noise_by_view = np.where(np.arange(views + held_out_views)[:, None] < views, noise_sigma, 0.0)
-    noise = host_exponentials(-noise_by_view * rng.standard_normal(noise_by_view.shape))
+    twists = host_exponentials(-noise_by_view * rng.standard_normal(noise_by_view.shape))
     command = arm.command(joints)
-    actual_poses = as_se3(host_matrices(error.actual_pose(command)) @ noise)
+    actual_poses = as_se3(host_matrices(error.actual_pose(command)) @ twists)
     datasets: list[Dataset] = []
     joints_by_part: list[Float[Array, "_ joints"]] = []
-    for view_slice, sigma in ((slice(None, views), pixel_noise), (slice(views, None), 0.0)):
+    for view_slice, sigma in ((slice(None, views), sizes.pixel_noise), (slice(views, None), 0.0)):
         part = jax.tree.map(lambda x, chosen=view_slice: to_device(np.asarray(x)[chosen]), command)
         actual_part = SE3(to_device(np.asarray(actual_poses.wxyz_xyz)[view_slice]))
         simulated = simulate(truth.uncorrected, actual_part, warped_board, seed, sigma).data

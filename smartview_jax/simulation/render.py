@@ -5,7 +5,7 @@ that a detector's result can be compared with `Calibration.project`.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import cv2
 import jax.numpy as jnp
@@ -29,16 +29,23 @@ ROWS_PER_BATCH = 64
 """Number of picture rows sampled at once, to limit memory."""
 
 
+class SensorOptions(TypedDict, total=False):
+    """The keyword arguments of `sensor_picture`."""
+
+    blur: float
+    noise: float
+    exposure: float
+    seed: int
+
+
 def render(
     calibration: Calibration,
     base_from_tool: PoseLike,
     target: AbstractTarget,
     *,
     height_index: int = 0,
-    blur: float = 0.7,
-    noise: float = 1.0,
-    seed: int = 0,
     samples: int = 4,
+    **sensor: Unpack[SensorOptions],
 ) -> UInt8[np.ndarray, "rows columns"]:
     """Return the picture of a target from one robot pose.
 
@@ -47,10 +54,8 @@ def render(
         base_from_tool: the true robot pose, a single one.
         target: target to draw; only its front is visible.
         height_index: index of the height of a `StackedTarget` at which the board is placed.
-        blur: standard deviation of the lens's blur, px.
-        noise: standard deviation of the sensor's noise, grey levels.
-        seed: seed of the noise.
         samples: number of rays per pixel in each direction.
+        sensor: `blur`, `noise`, `exposure` and `seed`, as for `sensor_picture`.
     """
     board, z = target, 0.0
     if isinstance(target, StackedTarget):
@@ -70,7 +75,7 @@ def render(
     width, rows = calibration.camera.image_size
     # The mean over the samples of each pixel is the light that the pixel collects.
     brightness = picture.reshape(rows, samples, width, samples).mean(axis=(1, 3))
-    return sensor_picture(brightness, blur=blur, noise=noise, seed=seed)
+    return sensor_picture(brightness, **sensor)
 
 
 def _sample_plane(

@@ -16,6 +16,7 @@ from .arm_scenes import (
     DISTANCE_RANGE,
     KINEMATIC_ERROR_SIGMA,
     MAX_TILT,
+    ArmNoise,
     board_points,
     joints_near_home,
     random_kinematic_errors,
@@ -48,11 +49,10 @@ def six_axis_rig_scene(
     states: int = 8,
     together: bool = False,
     error_scale: float = 1.0,
-    pixel_noise: float = 0.05,
-    translation_noise: float = 2e-5,
-    rotation_noise: float = float(np.deg2rad(0.003)),
+    *,
     error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
     outer_links: bool = False,
+    **noise: float,
 ) -> RigScene:
     """Return views of a flat board by several cameras side by side on the hand of an arm.
 
@@ -62,29 +62,29 @@ def six_axis_rig_scene(
         states: number of states of the robot in which a camera sees the board.
         together: whether all cameras see the board in the same states; if not, each has its own.
         error_scale: errors of the arm, as multiples of `error_sigma`.
-        pixel_noise: standard deviation of `u` and of `v`, px.
-        translation_noise, rotation_noise: noise of the reported poses, m and rad.
         error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.
         outer_links: whether the first and the last link have errors too.
+        noise: the fields of `ArmNoise`.
 
     Raises:
         RuntimeError: the arm does not reach a view.
     """
+    sizes = ArmNoise(**noise)
     rng = np.random.default_rng((seed, 4))
     arm, board = six_axes(), board_points()
     error = random_kinematic_errors(arm, rng, error_scale, error_sigma, outer_links)
     truths = {f"camera{k + 1}": _true_camera(k, cameras, rng) for k in range(cameras)}
-    noise_sigma = np.repeat([translation_noise, rotation_noise], 3)
+    noise_sigma = np.repeat([sizes.translation_noise, sizes.rotation_noise], 3)
     data, reported, actual = {}, None, None
     for number, (name, truth) in enumerate(truths.items()):
         if not together or reported is None:
             # The nominal arm is sent to the wanted views; the real arm misses them by its errors.
             poses = random_viewpoints(rng, states, board.mean(axis=0), DISTANCE_RANGE, MAX_TILT)
             reported = arm.command(joints_near_home(arm, truth.command_for(poses)))
-            noise = host_exponentials(-noise_sigma * rng.standard_normal((states, 6)))
-            actual = as_se3(host_matrices(error.actual_pose(reported)) @ noise)
+            twists = host_exponentials(-noise_sigma * rng.standard_normal((states, 6)))
+            actual = as_se3(host_matrices(error.actual_pose(reported)) @ twists)
         assert actual is not None
-        seen = simulate(truth, actual, board, 1000 * seed + number, pixel_noise).data
+        seen = simulate(truth, actual, board, 1000 * seed + number, sizes.pixel_noise).data
         first = 0 if together else number * states
         data[name] = dataclasses.replace(
             seen,

@@ -170,30 +170,27 @@ def random_scene(
     calibration: Calibration | None = None,
     tilt: float = np.deg2rad(35.0),
     distance: tuple[float, float] = (0.17, 0.25),
-    pixel_noise: float = 0.15,
-    translation_noise: float = 0.0,
-    rotation_noise: float = 0.0,
-    outlier_fraction: float = 0.0,
+    **noise: float,
 ) -> Scene:
     """Return random views of a target, by default the paper's at two heights.
 
     The camera is by default the paper's, too.
+
+    Args:
+        seed: the same seed gives the same scene.
+        views: number of views.
+        points: target points, m.
+        calibration: the true one.
+        tilt: largest tilt of the camera, rad.
+        distance: smallest and largest distance from the middle of the target, m.
+        noise: as for `simulate`.
     """
     truth = paper_calibration() if calibration is None else calibration
     target_points = paper_points((0.0, 0.02)) if points is None else points
     # A separate generator, so that viewpoints do not depend on the random numbers of the noise.
     rng = np.random.default_rng((seed, 1))
     camera_from_world = random_viewpoints(rng, views, target_points.mean(axis=0), distance, tilt)
-    return simulate(
-        truth,
-        truth.command_for(camera_from_world),
-        target_points,
-        seed=seed,
-        pixel_noise=pixel_noise,
-        translation_noise=translation_noise,
-        rotation_noise=rotation_noise,
-        outlier_fraction=outlier_fraction,
-    )
+    return simulate(truth, truth.command_for(camera_from_world), target_points, seed=seed, **noise)
 
 
 def random_target_scene(

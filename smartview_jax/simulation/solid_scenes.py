@@ -6,7 +6,7 @@ once; pixels at edges (of surfaces, shadows or textures) are sampled many times.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import in_batches
 from .polyhedra import Polyhedron
 from .ray_casting import MISSED, Hits, RayCaster
-from .render import sensor_picture
+from .render import SensorOptions, sensor_picture
 from .textures import Texture, matt
 
 RAYS_PER_BATCH = 65_536
@@ -91,12 +91,9 @@ def render_solids(
     base_from_tool: PoseLike,
     scene: SolidScene,
     *,
-    blur: float = 0.7,
-    noise: float = 1.0,
-    exposure: float = 1.0,
-    seed: int = 0,
     samples: int = 32,
     stride: int = 1,
+    **sensor: Unpack[SensorOptions],
 ) -> UInt8[np.ndarray, "rows columns"]:
     """Return the picture of solid objects from one robot pose.
 
@@ -104,19 +101,16 @@ def render_solids(
         calibration: camera and mount; surfaces are in its world's frame.
         base_from_tool: the true robot pose, a single one.
         scene: surfaces and lights.
-        blur: standard deviation of the lens's blur, px.
-        noise: standard deviation of the sensor's noise, grey levels.
-        exposure: factor of the brightness; values above 255 saturate.
-        seed: seed of the noise.
         samples: number of rays in a pixel at an edge.
         stride: step between the pixels that are sampled first, as in `scene_brightness`.
+        sensor: `blur`, `noise`, `exposure` and `seed`, as for `sensor_picture`.
 
     Raises:
         ImportError: trimesh or embreex is not installed.
         ValueError: no surfaces, or several poses.
     """
     brightness = scene_brightness(calibration, base_from_tool, scene, samples, stride)
-    return sensor_picture(brightness, blur=blur, noise=noise, exposure=exposure, seed=seed)
+    return sensor_picture(brightness, **sensor)
 
 
 def scene_brightness(

@@ -43,8 +43,9 @@ from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
 from .kalman import pixel_residuals as pixel_residuals
 from .kalman import robust_sigma as robust_sigma
-from .region import with_region as with_region
+from .staged_fit import CommonCameraOptions as CommonCameraOptions
 from .staged_fit import StagedFit as StagedFit
+from .staged_fit import with_region as with_region
 from .start_checks import start_doubts as start_doubts
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views

@@ -22,7 +22,7 @@ from ..runtime.array_namespace import to_device
 from .fit import MAX_UNCHECKED_POINTS
 from .given_start import require_picture_size
 from .pose_search import nearer_poses
-from .region import with_region
+from .staged_fit import with_region
 from .two_poses import hand_eye_at_target
 from .weng import estimate_view_poses
 

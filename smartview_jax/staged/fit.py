@@ -49,8 +49,7 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from .given_start import known_transforms
 from .kalman import kalman_filter
-from .region import with_region
-from .staged_fit import CommonCameraFit, StagedFit
+from .staged_fit import CommonCameraFit, CommonCameraOptions, StagedFit, with_region
 from .two_poses import choose_poses
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
@@ -145,10 +144,8 @@ def fit_staged(
             start,
             camera_from_world,
             start_inliers,
-            pixel_sigma,
-            gate_probability,
-            hold_camera=camera is not None,
-            progress=progress,
+            CommonCameraOptions(pixel_sigma, gate_probability, camera is not None),
+            progress,
         )
 
     common_fit = fit_camera(step1.camera, step1.camera_from_world)

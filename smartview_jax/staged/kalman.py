@@ -31,7 +31,8 @@ from ..dataset import Observations
 from ..geometry import transformed_coordinates
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import repeat_last, without_padding
-from .kalman_pass import PassResult, run_pass
+from .kalman_pass import PassResult, PassSettings, run_pass
+from .staged_fit import CommonCameraOptions
 
 MAD_TO_SIGMA = 1.4826
 """Ratio of the standard deviation of a normal variable to its median absolute deviation."""
@@ -45,6 +46,9 @@ _MAX_RELATIVE_COST_INCREASE = 0.01
 """Fraction by which a pass may raise the cost once the gate is on.
 
 The points rejected during a pass are not exactly those with large residuals after it."""
+
+_MAX_PASSES = 100
+"""Maximum number of passes; three to ten are usual, a hundred if Step 1 was far off."""
 
 _MAX_GATED_PASSES = 25
 """Maximum number of passes with the gate on; the set of outliers may alternate for ever."""
@@ -103,10 +107,7 @@ def kalman_filter(
     start_camera: Camera,
     start_camera_from_world: SE3,
     start_inliers: Bool[Array | np.ndarray, "views points"] | None = None,
-    pixel_sigma: float | None = None,
-    gate_probability: float = 0.9999,
-    maximum_passes: int = 100,
-    hold_camera: bool = False,
+    options: CommonCameraOptions | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> KalmanResult:
     """Estimate one camera and one pose per view from all observations (Eq. 9).
@@ -116,16 +117,12 @@ def kalman_filter(
         start_camera, start_camera_from_world: the first linearisation point, from Step 1.
         start_inliers: observations not yet known to be outliers (Step 1 rejects gross errors).
             They are used until the state has settled; from then on the gate decides.
-        pixel_sigma: standard deviation of u and of v, px; by default estimated robustly before
-            each pass.
-        gate_probability: probability that the innovation of a good measurement passes the gate
-            (chi-square with two degrees of freedom).
-        maximum_passes: over the data; three to ten are usual, a hundred if Step 1 was far off.
-        hold_camera: treat the camera as known and refine the poses only.
+        options: noise, gate, and whether the camera is known; a pixel sigma that is not given is
+            estimated before each pass.
         progress: called with a sentence about every pass.
     """
-    # Quantile of chi-square with two degrees of freedom: P(x <= g) = 1 - exp(-g / 2).
-    gate = -2.0 * np.log1p(-gate_probability)
+    options = options or CommonCameraOptions()
+    gate, pixel_sigma = options.gate, options.pixel_sigma
     view_count, point_count = observations.visible.shape
     inliers = np.asarray(observations.visible)
     if start_inliers is not None:
@@ -141,7 +138,7 @@ def kalman_filter(
     variance_scale, message = 1.0, "the passes did not settle"
     converged, passes, gated_passes = False, 0, 0
     accepted = None
-    for passes in range(1, maximum_passes + 1):
+    for passes in range(1, _MAX_PASSES + 1):
         gated_passes += gating
         if gated_passes > _MAX_GATED_PASSES:
             message = "the outliers kept changing"
@@ -152,10 +149,7 @@ def kalman_filter(
             *state,
             residuals,
             inliers,
-            sigma,
-            gate if gating else np.inf,
-            variance_scale,
-            hold_camera,
+            PassSettings(sigma, gate if gating else np.inf, variance_scale, options.hold_camera),
         )
         if progress is not None:
             progress(

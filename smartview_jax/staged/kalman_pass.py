@@ -71,16 +71,49 @@ class PassResult(NamedTuple):
         )
 
 
+class PassSettings(NamedTuple):
+    """The numbers by which a pass weighs its measurements.
+
+    Attributes:
+        pixel_sigma: standard deviation of u and of v, px.
+        gate: largest squared innovation relative to its covariance; infinite for no gate.
+        variance_scale: factor of the initial variances.
+        hold_camera: treat the camera as known.
+    """
+
+    pixel_sigma: float
+    gate: float
+    variance_scale: float
+    hold_camera: bool
+
+
+class LinearisationPoint(NamedTuple):
+    """The state about which the projections are linearised, and the initial standard deviations.
+
+    Attributes:
+        camera: the camera.
+        in_camera: points in the camera frame, m.
+        centroids: points about which the poses are rotated, camera frame, m.
+        residuals: measured minus predicted, px.
+        camera_factor: factor of the camera's initial standard deviations.
+        pose_scale: initial standard deviations of the poses.
+    """
+
+    camera: Camera
+    in_camera: Float[Array | np.ndarray, "views points 3"]
+    centroids: Float[Array | np.ndarray, "views 3"]
+    residuals: Float[Array | np.ndarray, "views points 2"]
+    camera_factor: Float[Array | np.ndarray, ""]
+    pose_scale: Float[Array | np.ndarray, "views 6"]
+
+
 def run_pass(
     observations: Observations,
     camera: Camera,
     camera_from_world: SE3,
     residuals: Float[np.ndarray, "views points 2"],
     inliers: Bool[np.ndarray, "views points"],
-    pixel_sigma: float,
-    gate: float,
-    variance_scale: float,
-    hold_camera: bool,
+    settings: PassSettings,
 ) -> PassResult:
     """Update the state with all measurements once, from the wide initial covariance.
 
@@ -89,10 +122,7 @@ def run_pass(
         camera, camera_from_world: the linearisation point.
         residuals: measured minus predicted there, px.
         inliers: the measurements used.
-        pixel_sigma: standard deviation of u and of v, px.
-        gate: largest squared innovation relative to its covariance; infinite for no gate.
-        variance_scale: factor of the initial variances.
-        hold_camera: treat the camera as known.
+        settings: their weights.
     """
     matrices = host_matrices(camera_from_world)
     rotations, translations = matrices[:, :3, :3], matrices[:, :3, 3]
@@ -102,20 +132,16 @@ def run_pass(
     centroids = seen.sum(axis=1) / np.maximum(visible.sum(axis=1), 1)[:, None]
     # Poses: half the distance (m) for the translation, half a radian for the rotation.
     distances = np.linalg.norm(translations, axis=1, keepdims=True)
-    damping = np.sqrt(variance_scale)
+    damping = np.sqrt(settings.variance_scale)
     pose_scale = damping * np.repeat(
         np.hstack([0.5 * distances, np.full_like(distances, 0.5)]), 3, 1
     )
+    camera_factor = np.array(damping * (_HELD_SCALE if settings.hold_camera else 1.0))
     new_camera, camera_scale, distribution = _linearised_pass(
-        camera,
-        in_camera,
-        centroids,
-        residuals,
+        LinearisationPoint(camera, in_camera, centroids, residuals, camera_factor, pose_scale),
         inliers & visible,
-        np.array(pixel_sigma),
-        np.array(gate),
-        np.array(damping * (_HELD_SCALE if hold_camera else 1.0)),
-        pose_scale,
+        np.array(settings.pixel_sigma),
+        np.array(settings.gate),
     )
     change, variances = whole_mean_and_variances(distribution)
     # Both are relative to the initial standard deviations, which cancel in the ratio.
@@ -136,34 +162,24 @@ def run_pass(
 
 @compiled_optimised
 def _linearised_pass(
-    camera: Camera,
-    in_camera: Float[Array | np.ndarray, "views points 3"],
-    centroids: Float[Array | np.ndarray, "views 3"],
-    residuals: Float[Array | np.ndarray, "views points 2"],
+    point: LinearisationPoint,
     used: Bool[Array | np.ndarray, "views points"],
     pixel_sigma: Float[Array | np.ndarray, ""],
     gate: Float[Array | np.ndarray, ""],
-    camera_factor: Float[Array | np.ndarray, ""],
-    pose_scale: Float[Array | np.ndarray, "views 6"],
 ) -> tuple[Camera, Float[Array, "camera"], FilterState]:
     """Linearise the projections and update with all measurements.
 
     Args:
-        camera: the camera at the linearisation point.
-        in_camera: points in the camera frame, m.
-        centroids: points about which the poses are rotated, camera frame, m.
-        residuals, used, pixel_sigma, gate: as for `run_pass`.
-        camera_factor: factor of the camera's initial standard deviations.
-        pose_scale: initial standard deviations of the poses.
+        point: the linearisation point.
+        used: the measurements used.
+        pixel_sigma, gate: as in `PassSettings`.
 
     Returns:
         The camera after the pass, its initial standard deviations, and the distribution of the
         change in units of the initial standard deviations.
     """
-    numbers, rebuild = ravel_pytree(camera)
-    measurements, camera_scale = scaled_measurements(
-        camera, in_camera, centroids, residuals, camera_factor, pose_scale
-    )
+    numbers, rebuild = ravel_pytree(point.camera)
+    measurements, camera_scale = scaled_measurements(point)
     # The filter takes the measurements point by point over all views.
     distribution = absorb_measurements(
         standard_normal_state(len(used), len(numbers)),
@@ -175,18 +191,13 @@ def _linearised_pass(
 
 
 def scaled_measurements(
-    camera: Camera,
-    in_camera: Float[Array | np.ndarray, "views points 3"],
-    centroids: Float[Array | np.ndarray, "views 3"],
-    residuals: Float[Array | np.ndarray, "views points 2"],
-    camera_factor: Float[Array | np.ndarray, ""],
-    pose_scale: Float[Array | np.ndarray, "views 6"],
+    point: LinearisationPoint,
 ) -> tuple[Float[Array, "views points 2 columns"], Float[Array, "camera"]]:
     """Return the measurements `[H_e H_s -z]`, px, for a change in initial standard deviations.
 
-    The arguments are as for `_linearised_pass`. The camera's initial standard deviations are
-    returned too.
+    The camera's initial standard deviations are returned too.
     """
+    camera, in_camera, centroids, residuals, camera_factor, pose_scale = point
     width, height = camera.image_size
     # The picture's corner as a ray with z = 1, half the picture from the optical axis.
     corner = jnp.stack([width / camera.alpha_u, height / camera.alpha_v, jnp.asarray(2.0)]) / 2.0

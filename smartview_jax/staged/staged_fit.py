@@ -1,20 +1,43 @@
 """The result of the staged pipeline, and the interface of its Step 2."""
 
+import dataclasses
 from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration
+from ..calibration import Calibration, mount_from_holder_matrices
 from ..cameras import Camera
 from ..data_checks import ConventionReport
 from ..dataset import Dataset
 from ..fit_result import FitResult, Rejection
+from ..geometry import ViewedRegion, host_matrices
 from ..hand_eye import HandEyeResult
 from .interpolation import Interpolation
 from .weng import ViewCalibrations
+
+
+@dataclasses.dataclass(frozen=True)
+class CommonCameraOptions:
+    """The options of Step 2, for the filter and for the batch fit.
+
+    Attributes:
+        pixel_sigma: standard deviation of u and of v, px; None to estimate it robustly.
+        gate_probability: probability that the innovation of a good measurement passes the gate.
+        hold_camera: treat the camera as known and refine the poses only.
+    """
+
+    pixel_sigma: float | None = None
+    gate_probability: float = 0.9999
+    hold_camera: bool = False
+
+    @property
+    def gate(self) -> float:
+        """The largest squared innovation of a good measurement, relative to its covariance."""
+        # Quantile of chi-square with two degrees of freedom: P(x <= g) = 1 - exp(-g / 2).
+        return -2.0 * np.log1p(-self.gate_probability)
 
 
 @runtime_checkable
@@ -88,3 +111,38 @@ class StagedFit(eqx.Module):
         robot = SE3(data.base_from_tool.wxyz_xyz[views])
         camera_from_world = SE3(self.step2.camera_from_world.wxyz_xyz[views])
         return Interpolation(self.step2.camera, robot, camera_from_world)
+
+
+def with_region(
+    calibration: Calibration, data: Dataset, views: Int[np.ndarray, "used"] | None = None
+) -> Calibration:
+    """Return the calibration with the region from which these views saw the target.
+
+    Camera positions are computed by the chain without robot error; its size does not matter here.
+
+    Args:
+        calibration: fitted to the data.
+        data: the data it was fitted to.
+        views: indices of the views used; by default all views with visible points. If there is
+            none, or the calibration is not finite, it is returned unchanged.
+    """
+    used = data.usable_views(1) if views is None else views
+    base_from_tool = host_matrices(data.base_from_tool)[used]
+    camera_from_mount = host_matrices(calibration.camera_from_mount)
+    holder_from_world = host_matrices(calibration.holder_from_world)
+    if not len(used) or not np.isfinite([camera_from_mount, holder_from_world]).all():
+        return calibration
+    in_hand = calibration.mount == "eye_in_hand"
+    # Eq. 10 inverted, without the camera: world <- holder <- mount <- camera.
+    mount_from_holder = mount_from_holder_matrices(calibration.mount, base_from_tool)
+    world_from_mount = np.linalg.inv(mount_from_holder @ holder_from_world)
+    world_from_camera = world_from_mount @ np.linalg.inv(camera_from_mount)
+    seen, points = np.asarray(data.visible)[used], np.asarray(data.points)
+    # Points are copied only where some of them were not seen: there may be millions.
+    points = points[used][seen] if len(used) < len(points) or not seen.all() else points
+    scale = float(calibration.target_scale)
+    points = (points if scale == 1.0 else scale * points).reshape(-1, 3)
+    # How low the tool came over the target matters only if the tool carries the camera.
+    tool_positions = world_from_mount[:, :3, 3] if in_hand else None
+    region = ViewedRegion.from_positions(world_from_camera[:, :3, 3], points, tool_positions)
+    return dataclasses.replace(calibration, region=region)

@@ -15,7 +15,6 @@ from ..engine import (
     AbstractBuiltProblem,
     Noise,
     ParameterChoice,
-    Prior,
     Step,
     build_problem,
     solve,
@@ -133,10 +132,7 @@ def compare_models(
     data: Dataset,
     start: Calibration,
     field: FieldChoice,
-    *,
-    fixed: Sequence[str],
-    free: Sequence[str],
-    priors: Mapping[str, Prior] | None,
+    choice: ParameterChoice,
     prior: RobotPrior,
 ) -> ModelComparison:
     """Compare the models of the robot error at the fit with white noise of the poses alone.
@@ -145,16 +141,13 @@ def compare_models(
         data: data set.
         start: a calibration near the solution, with the lens to fit.
         field: the requested field, `"auto"`, or None for white noise alone.
-        fixed: paths of parameters to hold.
-        free: paths of parameters to make free.
-        priors: priors on parameters.
+        choice: parameters to hold and to make free, and their priors.
         prior: prior of the robot's errors.
 
     Raises:
         ValueError: no model can be linearised.
     """
-    choice = ParameterChoice.of(fixed, free, priors)
-    if ROBOT_ERROR in fixed:
+    if ROBOT_ERROR in choice.fixed:
         requested = RequestedModels(None, start.field, candidate_models(None, None))
     else:
         requested = RequestedModels.of(field, data, len(data.usable_views()), prior)

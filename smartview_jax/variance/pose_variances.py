@@ -98,12 +98,23 @@ class LikeliestVariances(NamedTuple):
     Attributes:
         variances: in squared units, in the order of `LinearPairs.parts`.
         deviance: -2 log of their posterior density, but for a constant.
-        information: expected information on the logarithms of their roots, with the priors'.
+        pairs: the pairs that tell them.
+        priors: their priors; None for flat ones.
     """
 
     variances: Float[np.ndarray, "parts"]
     deviance: float
-    information: Float[np.ndarray, "parts parts"]
+    pairs: LinearPairs
+    priors: LogNormalPriors | None
+
+    @property
+    def information(self) -> Float[np.ndarray, "parts parts"]:
+        """The expected information on the logarithms of their roots, with the priors'."""
+        information = _information(self.pairs, self.variances)
+        if self.priors is not None:
+            powers, stds = self.priors.powers, self.priors.stds
+            information += powers.T @ (powers / stds[:, None] ** 2)
+        return information
 
     @property
     def evidence(self) -> float:
@@ -249,11 +260,7 @@ def likeliest_variances(
         bounds=[(-widest, widest)] * len(start),
         options={"ftol": DEVIANCE_TOLERANCE},
     )
-    variances = np.exp(found.x)
-    information = _information(pairs, variances)
-    if priors is not None:
-        information += priors.powers.T @ (priors.powers / priors.stds[:, None] ** 2)
-    return LikeliestVariances(variances, float(found.fun), information)
+    return LikeliestVariances(np.exp(found.x), float(found.fun), pairs, priors)
 
 
 def _information(

@@ -1,7 +1,7 @@
 """Estimate the noise model of a rig: one robot's errors from all cameras together."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -97,9 +97,7 @@ def estimate_rig_noise(
     starts: Mapping[str, Calibration],
     *,
     field: FieldChoice = "auto",
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
+    choice: ParameterChoice,
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
 ) -> RigNoiseEstimate:
@@ -111,16 +109,16 @@ def estimate_rig_noise(
     Args:
         rig: data sets of the cameras.
         starts: calibration of each camera near the solution, as for `build_rig`.
-        field, fixed, free, priors: as in `estimate_noise`, with the names of `build_rig`.
+        field: as in `estimate_noise`.
+        choice: parameters to hold and to make free, and their priors, by the names of `build_rig`.
         progress: function that is called with a message on the current step.
         robot_prior: prior of the standard deviations of an arm's errors.
     """
     report, prior = progress or (lambda _: None), robot_prior or RobotPrior()
     cameras = {name: _camera_noise(rig, name, start) for name, start in starts.items()}
-    choice = ParameterChoice.of(fixed, free, priors)
     first, relative = _compare(rig, starts, cameras, field, choice, prior)
     poses = sum(camera.pose_parameters for camera in cameras.values())
-    second = average_over_models(first, fixed, prior, poses, report)
+    second = average_over_models(first, choice.fixed, prior, poses, report)
     average, built = second.average, second.built
     assert isinstance(built, BuiltRig)
     target_scale = first.target_scale

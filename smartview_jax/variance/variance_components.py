@@ -1,7 +1,8 @@
 """Estimate the noise model of a joint fit from the data: the standard deviation of every error."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from typing import Unpack
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from ..engine import (
     ROBOT_ERROR,
     TARGET_SCALE,
     BuiltProblem,
-    Prior,
+    ParameterChoice,
+    ParameterOptions,
 )
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from .averaged_fit import AveragedFit, average_over_models, averaged_noise
@@ -43,11 +45,9 @@ def estimate_noise(
     start: Calibration,
     *,
     field: FieldChoice = "auto",
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
+    **parameters: Unpack[ParameterOptions],
 ) -> NoiseEstimate:
     """Estimate the standard deviations of all errors by restricted likelihood and priors on arms.
 
@@ -59,11 +59,9 @@ def estimate_noise(
             geometry; with known joints, errors of joint zeros or of all Denavit-Hartenberg
             parameters. None is white noise alone. A field of `robot_errors`, or a custom field, is
             used as given.
-        fixed: paths of parameters to hold, as in `fit_joint`.
-        free: paths of parameters to make free, as in `fit_joint`.
-        priors: priors on parameters, as in `fit_joint`.
         progress: function that is called with a message on the current step.
         robot_prior: prior of the standard deviations of an arm's errors.
+        parameters: `fixed`, `free` and `priors`, as in `fit_joint`.
 
     Raises:
         ValueError: as in `fit_joint`, and for a prior on the robot's errors, which are estimated.
@@ -72,18 +70,19 @@ def estimate_noise(
     prior, field = robot_prior or RobotPrior(), checked_field_choice(field)
     if field is None:
         start = start.uncorrected
-    for path in priors or ():
+    choice = ParameterChoice.of(**parameters)
+    for path in choice.priors:
         if path.split(".")[0] in (ROBOT_ERROR, POSE_CORRECTIONS):
             raise ValueError(
                 f"prior on {path!r}: noise='estimated' estimates its size; give a Noise instead"
             )
 
     # First pass: all models on the basis that contains them, linearised at the fit with free poses.
-    first = compare_models(data, start, field, fixed=fixed, free=free, priors=priors, prior=prior)
+    first = compare_models(data, start, field, choice, prior)
 
     assert isinstance(first.built, BuiltProblem)
     poses = first.built.pose_parameters(data.usable_views())
-    second = average_over_models(first, fixed, prior, poses, report_progress)
+    second = average_over_models(first, choice.fixed, prior, poses, report_progress)
     built, views, average, fitted_field = second.built, second.views, second.average, second.field
     chain, linearised, maximum = average.chain, average.views, average.maximum
     scale_is_group = TARGET_SCALE in views.group_names
@@ -98,11 +97,9 @@ def estimate_noise(
             data,
             start,
             field=field if free_scale else None,
-            fixed=fixed,
-            free=free,
-            priors=priors,
             progress=progress,
             robot_prior=dataclasses.replace(prior, wrong_target_probability=0.0),
+            **parameters,
         )
     error = chain.calibration.robot_error
     correction = small_sample_correction(linearised, maximum)

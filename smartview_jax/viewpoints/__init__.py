@@ -4,6 +4,8 @@ from ..geometry import FIVE_VIEWPOINT_STEP as FIVE_VIEWPOINT_STEP
 from ..geometry import five_viewpoints as five_viewpoints
 from ..geometry import look_at as look_at
 from ..geometry import viewing_direction as viewing_direction
+from .candidate_selection import StopRule as StopRule
+from .candidate_selection import ViewRequirements as ViewRequirements
 from .candidate_selection import cumulative_criterion as cumulative_criterion
 from .candidate_selection import views_needed as views_needed
 from .checks import ALLOWING_WORDS as ALLOWING_WORDS

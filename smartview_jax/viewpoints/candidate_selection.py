@@ -4,11 +4,13 @@ Reference: Fedorov, Theory of optimal experiments, 1972 (exchange).
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, TypedDict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..runtime.array_namespace import AnyArray, to_device
@@ -161,6 +163,45 @@ def views_needed(
     return len(values)
 
 
+@dataclass(frozen=True)
+class StopRule:
+    """The rule by which a plan ends: with so many views, or where another is not worth its time.
+
+    Attributes:
+        count: largest number of views.
+        goal: value of the criterion at which to stop, in its unit; None for none.
+        least_gain: relative decrease by one more view below which to stop.
+    """
+
+    count: int
+    goal: float | None = None
+    least_gain: float = 0.05
+
+
+@dataclass(frozen=True)
+class ViewRequirements:
+    """The requirements on a view: how much of the target it shows, and where it may be.
+
+    Attributes:
+        border_margin: smallest distance from the picture's border of a point that counts as
+            visible, px.
+        min_visible_fraction: smallest fraction of the target's points that a view has to show.
+        allowed: returns which views may be taken; None for all.
+    """
+
+    border_margin: float = 0.0
+    min_visible_fraction: float = 1.0
+    allowed: Callable[[SE3], Bool[AnyArray, "views"]] | None = None
+
+
+class RequirementOptions(TypedDict, total=False):
+    """The fields of `ViewRequirements` as keyword arguments of `choose_views`."""
+
+    border_margin: float
+    min_visible_fraction: float
+    allowed: Callable[[SE3], Bool[AnyArray, "views"]] | None
+
+
 class Worth(NamedTuple):
     """The value of a criterion before and after each view, and how many of them are worth taking.
 
@@ -179,8 +220,7 @@ def worth_of_views(
     criterion: OptimalityCriterion,
     prior_information: Float[Array, "free free"],
     values: Float[Array, "views"],
-    least_gain: float,
-    goal: float | None,
+    stop: StopRule,
 ) -> Worth:
     """Return up to which view another one is worth its time.
 
@@ -188,14 +228,13 @@ def worth_of_views(
         criterion: the criterion.
         prior_information: before the first view.
         values: of its `cumulative_criterion`.
-        least_gain: relative decrease by one more view below which to stop.
-        goal: value at which to stop; None for none.
+        stop: the goal and the least gain.
     """
     before = float(criterion(prior_information))
     before = before if np.isfinite(before) else float("inf")
     after = tuple(np.asarray(values).tolist())
     # The state before counts too: possibly no view at all is worthwhile.
-    needed = views_needed(to_device([before, *after]), least_gain, goal) - 1
+    needed = views_needed(to_device([before, *after]), stop.least_gain, stop.goal) - 1
     return Worth(before, after, needed)
 
 

@@ -119,10 +119,6 @@ class Checks(eqx.Module):
         masks = [mask for name, mask in self.passed.items() if name in SAFETY_CHECKS]
         return _all_of(masks)
 
-    def safety_violations(self) -> tuple[str, ...]:
-        """Return the reasons among the `SAFETY_CHECKS` for each viewpoint, in flat order."""
-        return self.reasons(SAFETY_CHECKS)
-
     def failed(self, check_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names of the given checks that at least one viewpoint fails."""
         masks = {name: ~np.ravel(self.passed[name]) for name in check_names if name in self.passed}

@@ -9,7 +9,7 @@ the sum is the Cramer-Rao bound, as computed by `cramer_rao`.
 
 import dataclasses
 import operator
-from collections.abc import Mapping, Sequence
+from typing import Unpack
 
 import equinox as eqx
 import jax
@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..dataset import Dataset, Observations
-from ..engine import JointProblem, Noise, Prior, Step, build_problem, padded
+from ..engine import JointProblem, Noise, ParameterOptions, Step, build_problem, padded
 from ..geometry import look_at, transform_points
 from ..robot_errors import FieldChoice, nominal_arm
 from ..robots import Command, JointsLike
@@ -56,11 +56,9 @@ class InformationModel(eqx.Module):
         noise: Noise | float,
         *,
         field: FieldChoice = "auto",
-        fixed: Sequence[str] = (),
-        free: Sequence[str] = (),
-        priors: Mapping[str, Prior] | None = None,
         previous_data: Dataset | None = None,
         near: JointsLike | None = None,
+        **parameters: Unpack[ParameterOptions],
     ) -> "InformationModel":
         """Return a model from the same arguments as a fit or a Cramer-Rao bound.
 
@@ -72,12 +70,11 @@ class InformationModel(eqx.Module):
             points: target points, m.
             noise: sizes of all errors; a number is the pixel sigma, with an exact robot.
             field: robot error field, with one standard deviation for each of its groups in `noise`.
-            fixed: paths of known parameters, as in a fit; `free` in the same way.
-            free: see `fixed`.
-            priors: priors as in a fit: the knowledge before any view is taken.
             previous_data: views that have already been taken.
             near: joint readings, `(joints)`, from which an arm starts towards a view; required if
                 arm errors are fitted or are the field.
+            parameters: `fixed`, paths of known parameters, and `free` as in a fit; `priors`, the
+                knowledge before any view is taken.
 
         Raises:
             ValueError: arm errors without `near`, or as in `fit_joint`.
@@ -100,9 +97,7 @@ class InformationModel(eqx.Module):
             arm=arm,
         )
         robot_noise = noise if isinstance(noise, Noise) else "trusted"
-        built = build_problem(
-            data, calibration, noise=robot_noise, field=field, fixed=fixed, free=free, priors=priors
-        )
+        built = build_problem(data, calibration, noise=robot_noise, field=field, **parameters)
         problem = built.problem
         if not isinstance(noise, Noise):
             sigma = to_device(float(noise))

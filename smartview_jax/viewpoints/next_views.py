@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
@@ -15,7 +14,7 @@ from ..geometry import ViewedRegion, host_matrices
 from ..joint import SavedEstimate
 from ..robots import JointsLike, SerialArm
 from ..runtime.array_namespace import to_device
-from .candidate_selection import worth_of_views
+from .candidate_selection import StopRule, ViewRequirements, worth_of_views
 from .checks import Limits
 from .commands import viewpoint_commands
 from .information_model import InformationModel
@@ -129,14 +128,10 @@ def with_assumed_region(
 def plan_views(
     model: InformationModel,
     views: ViewRange,
-    count: int,
+    stop: StopRule,
     *,
-    goal: float | None = None,
-    least_gain: float = 0.05,
-    border_margin: float = 0.0,
-    min_visible_fraction: float = 1.0,
+    needs: ViewRequirements | None = None,
     arm: SerialArm | None = None,
-    allowed: Callable[[SE3], np.ndarray] | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> ViewPlan:
@@ -145,28 +140,29 @@ def plan_views(
     Args:
         model: the current information, and the information of views.
         views: range of the views.
-        count: largest number of views.
-        goal: value of the criterion at which to stop, m or px.
-        least_gain: relative decrease by one more view below which to stop.
-        border_margin: smallest distance from the picture's border of a point that counts, px.
-        min_visible_fraction: smallest fraction of the target's points that a view has to show.
+        stop: when the plan ends; its goal is in m or px.
+        needs: what a view has to show; its `allowed` is called with the commands `base_from_tool`
+            `(views)`, such as for those in a box.
         arm: the arm, if its joints are known; it is solved near the model's readings.
-        allowed: returns which commands `base_from_tool` `(views)` are allowed, such as those in a
-            box.
         seed: seed of the random candidates.
         progress: called with a text for each stage.
 
     Raises:
-        ValueError: fewer than `count` candidates may be taken.
+        ValueError: fewer than `stop.count` candidates may be taken.
     """
-    limits = Limits(border_margin=border_margin, min_visible_fraction=min_visible_fraction)
+    needs = needs or ViewRequirements()
+    limits = Limits(
+        border_margin=needs.border_margin, min_visible_fraction=needs.min_visible_fraction
+    )
 
     # Candidates have to pass the checks that would later refuse their commands.
     def is_safe(poses) -> Bool[Array, "views"]:
         near = model.near if arm is not None else None
         commands = viewpoint_commands(model.calibration, poses, None, arm, near, limits)
         safe = np.asarray(commands.checks.safe)
-        return to_device(safe if allowed is None else safe & allowed(commands.base_from_tool))
+        if needs.allowed is not None:
+            safe = safe & np.asarray(needs.allowed(commands.base_from_tool))
+        return to_device(safe)
 
     distance = 0.5 * sum(views.distance)
     criterion = _criterion(model, views, distance, seed)
@@ -174,19 +170,17 @@ def plan_views(
     chosen = choose_views(
         model,
         criterion,
-        count,
+        stop.count,
         views,
-        border_margin,
-        min_visible_fraction,
-        is_safe,
-        seed,
+        seed=seed,
         # Candidates are checked one by one; views moved by the gradient might fail the checks.
         refine=False,
         progress=progress,
+        border_margin=needs.border_margin,
+        min_visible_fraction=needs.min_visible_fraction,
+        allowed=is_safe,
     )
-    worth = worth_of_views(
-        criterion, model.prior_information, chosen.cumulative_criterion, least_gain, goal
-    )
+    worth = worth_of_views(criterion, model.prior_information, chosen.cumulative_criterion, stop)
     matrices = host_matrices(chosen.camera_from_world)[: worth.needed]
     return ViewPlan(matrices, worth.before, worth.values, criterion.unit, distance)
 

@@ -7,7 +7,8 @@ matrices of states add up, as the matrices of a single camera's views do.
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from typing import Unpack
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +18,15 @@ from jaxtyping import Array, Float
 from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..dataset import Dataset, Observations, Rig, chain_residuals
-from ..engine import BuiltRig, Noise, Prior, RigProblem, Step, build_rig, inverse_of_covariance
+from ..engine import (
+    BuiltRig,
+    Noise,
+    ParameterOptions,
+    RigProblem,
+    Step,
+    build_rig,
+    inverse_of_covariance,
+)
 from ..joint import RigEstimate, RigFit
 from ..robot_errors import FieldChoice, nominal_arm
 from ..robots import Command, CommandLike, as_command
@@ -51,9 +60,7 @@ class RigInformationModel:
         noise: Noise,
         *,
         field: FieldChoice = "auto",
-        fixed: Sequence[str] = (),
-        free: Sequence[str] = (),
-        priors: Mapping[str, Prior] | None = None,
+        **parameters: Unpack[ParameterOptions],
     ) -> "RigInformationModel":
         """Return a model from the same arguments as a fit or a Cramer-Rao bound of the rig.
 
@@ -62,9 +69,8 @@ class RigInformationModel:
             rig: data sets of the cameras, for their targets; their views add no information.
             noise: sizes of all errors.
             field: robot error field; by default the calibrations' own error is taken as known.
-            fixed: paths of known parameters, as in `fit_rig`; `free` in the same way.
-            free: see `fixed`.
-            priors: priors as in `fit_rig`: the knowledge before any state.
+            parameters: `fixed`, paths of known parameters, and `free` as in `fit_rig`; `priors`,
+                the knowledge before any state.
 
         Raises:
             TypeError: an argument of a wrong type.
@@ -77,9 +83,7 @@ class RigInformationModel:
             starts=calibrations,
             noise=noise,
             field=field,
-            fixed=fixed,
-            free=free,
-            priors=priors,
+            **parameters,
         )
         built = build(rig)
         # Prior information is the square of the weight on each free parameter.

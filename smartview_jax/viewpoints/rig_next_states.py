@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from ..geometry import host_matrices
 from ..robots import JointsLike, SerialArm
 from ..runtime.array_namespace import to_device
-from .candidate_selection import worth_of_views
+from .candidate_selection import StopRule, worth_of_views
 from .commands import ViewCalibration, ViewpointCommands, viewpoint_commands
 from .next_views import ViewPlan
 from .optimality_criteria import a_optimal
@@ -43,10 +43,8 @@ class StatePlan(NamedTuple):
 def plan_states(
     model: RigInformationModel,
     limits: ViewLimits,
-    count: int,
+    stop: StopRule,
     *,
-    goal: float | None = None,
-    least_gain: float = 0.05,
     arm: SerialArm | None = None,
     near: JointsLike | None = None,
     seed: int = 0,
@@ -60,17 +58,15 @@ def plan_states(
     Args:
         model: the current information, and the information of states.
         limits: limits of the views of each camera.
-        count: largest number of states.
-        goal: value of the criterion at which to stop, m.
-        least_gain: relative decrease by one more state below which to stop.
+        stop: when the plan ends; its goal is in m.
         arm: the arm, if its joints are known.
         near: joint readings near which to solve; also needed if an arm's errors are corrected.
         seed: seed of the random candidates.
         progress: called with a text for each stage.
 
     Raises:
-        ValueError: fewer than `count` candidates may be taken, a calibration states no region, or
-            all hand-eye transforms are held.
+        ValueError: fewer than `stop.count` candidates may be taken, a calibration states no region,
+            or all hand-eye transforms are held.
     """
     ranges = {name: _range_of(model, name, limits) for name in model.calibrations}
     distance = float(np.mean([0.5 * sum(views.distance) for views in ranges.values()]))
@@ -83,11 +79,9 @@ def plan_states(
     sees_all = np.max(list(seen.values()), axis=0) == 1.0
     may_be_taken = np.asarray(commands.checks.safe) & sees_all
     chosen = choose_views(
-        model, criterion, count, rig, allowed=lambda _: may_be_taken, progress=progress
+        model, criterion, stop.count, rig, allowed=lambda _: may_be_taken, progress=progress
     )
-    worth = worth_of_views(
-        criterion, model.prior_information, chosen.cumulative_criterion, least_gain, goal
-    )
+    worth = worth_of_views(criterion, model.prior_information, chosen.cumulative_criterion, stop)
     rows = np.asarray(chosen.states)[: worth.needed]
     taken = _rows(commands, rows)
     poses = host_matrices(taken.predicted_views.camera_from_world)

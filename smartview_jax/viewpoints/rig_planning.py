@@ -5,18 +5,20 @@ from collections.abc import Callable
 import equinox as eqx
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..dataset import Rig
 from ..geometry import host_matrices, host_transforms
 from ..robots import CommandLike
 from ..runtime.array_namespace import to_device
-from .candidate_selection import best_candidates, cumulative_criterion, order_by_gain
+from .candidate_selection import (
+    ViewRequirements,
+    best_candidates,
+    cumulative_criterion,
+    order_by_gain,
+)
 from .optimality_criteria import OptimalityCriterion
 from .rig_information import RigInformationModel
-
-StatePredicate = Callable[[SE3], Bool[Array, "states"] | np.ndarray]
-"""A function that returns which commands `base_from_tool` `(states)` may be taken."""
 
 
 class ChosenStates(eqx.Module):
@@ -47,14 +49,13 @@ def choose_states(
     criterion: OptimalityCriterion,
     count: int,
     candidates: Rig | CommandLike,
-    border_margin: float = 0.0,
-    min_visible_fraction: float = 1.0,
-    allowed: StatePredicate | None = None,
+    needs: ViewRequirements,
     progress: Callable[[str], None] | None = None,
 ) -> ChosenStates:
     """Return the states of the robot that make an optimality criterion as small as possible.
 
-    `choose_views` calls it for a rig; its arguments are explained there.
+    `choose_views` calls it for a rig; its arguments are explained there, and the requirements in
+    `ViewRequirements`.
 
     Raises:
         ValueError: fewer than `count` candidates may be taken.
@@ -63,14 +64,14 @@ def choose_states(
     rig = candidates
     if not isinstance(candidates, Rig):
         say("computing what each camera would see")
-        rig = model.planned(candidates, border_margin)
+        rig = model.planned(candidates, needs.border_margin)
     assert isinstance(rig, Rig)
     admissible = np.zeros(rig.view_count, dtype=bool)
     admissible[rig.usable_views()] = True
     if not isinstance(candidates, Rig):
-        admissible &= _largest_visible_fraction(rig) >= min_visible_fraction - 1e-9
-    if allowed is not None:
-        admissible &= np.asarray(allowed(rig.base_from_tool))
+        admissible &= _largest_visible_fraction(rig) >= needs.min_visible_fraction - 1e-9
+    if needs.allowed is not None:
+        admissible &= np.asarray(needs.allowed(rig.base_from_tool))
     if admissible.sum() < count or count < 1:
         raise ValueError(
             f"{count} states requested, but only {admissible.sum()} of {len(admissible)} "

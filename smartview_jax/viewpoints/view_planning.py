@@ -1,7 +1,8 @@
 """Choose the best next views: greedy selection, exchange, and refinement by gradient."""
 
+import dataclasses
 from collections.abc import Callable
-from typing import Any, overload
+from typing import Any, Unpack, overload
 
 import equinox as eqx
 import jax
@@ -15,7 +16,13 @@ from ..dataset import Rig
 from ..robots import CommandLike
 from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import compiled_optimised, one_program
-from .candidate_selection import best_candidates, cumulative_criterion, order_by_gain
+from .candidate_selection import (
+    RequirementOptions,
+    ViewRequirements,
+    best_candidates,
+    cumulative_criterion,
+    order_by_gain,
+)
 from .information_model import InformationModel
 from .optimality_criteria import OptimalityCriterion
 from .rig_information import RigInformationModel
@@ -33,9 +40,6 @@ BORDER_PENALTY_SCALE = 10.0
 
 BACKTRACKING_FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Fractions of its displacement that a refined view may keep so as to be admissible."""
-
-ViewPredicate = Callable[[SE3], Bool[Array, "views"]]
-"""A function that returns which views `camera_from_world` `(views)` may be taken."""
 
 
 class ChosenViews(eqx.Module):
@@ -63,12 +67,11 @@ def choose_views(
     criterion: OptimalityCriterion,
     count: int,
     views: SE3 | ViewRange,
-    border_margin: float = 0.0,
-    min_visible_fraction: float = 1.0,
-    allowed: ViewPredicate | None = None,
+    *,
     seed: int = 0,
     refine: bool = True,
     progress: Callable[[str], None] | None = None,
+    **required: Unpack[RequirementOptions],
 ) -> ChosenViews: ...
 
 
@@ -78,11 +81,9 @@ def choose_views(
     criterion: OptimalityCriterion,
     count: int,
     views: Rig | CommandLike,
-    border_margin: float = 0.0,
-    min_visible_fraction: float = 1.0,
-    allowed: ViewPredicate | None = None,
     *,
     progress: Callable[[str], None] | None = None,
+    **required: Unpack[RequirementOptions],
 ) -> ChosenStates: ...
 
 
@@ -91,12 +92,11 @@ def choose_views(
     criterion: OptimalityCriterion,
     count: int,
     views: SE3 | ViewRange | Rig | CommandLike,
-    border_margin: float = 0.0,
-    min_visible_fraction: float = 1.0,
-    allowed: ViewPredicate | None = None,
+    *,
     seed: int = 0,
     refine: bool = True,
     progress: Callable[[str], None] | None = None,
+    **required: Unpack[RequirementOptions],
 ) -> ChosenViews | ChosenStates:
     """Return the next views that make an optimality criterion as small as possible.
 
@@ -109,15 +109,15 @@ def choose_views(
         views: candidates `camera_from_world`, or the range in which candidates are sampled at
             random and then refined by gradient, unless `refine` is False. Of a rig, commands
             `base_from_tool` of states to take, or a `Rig` of states to keep.
-        border_margin: smallest distance from the picture's border of a point that counts as
-            visible, px.
-        min_visible_fraction: smallest fraction of the target's points that a view has to show; in a
-            state to take, at least one camera has to see so many.
-        allowed: returns which views may be taken, such as those that an arm reaches. Of a rig, it
-            is called with `base_from_tool`.
         seed: seed of the random candidates.
         refine: see `views`.
         progress: called with a text for each stage.
+        border_margin: smallest distance from the picture's border of a point that counts as
+            visible, px; 0 by default.
+        min_visible_fraction: smallest fraction of the target's points that a view has to show, by
+            default all; in a state to take, at least one camera has to see so many.
+        allowed: returns which views may be taken, such as those that an arm reaches. Of a rig, it
+            is called with `base_from_tool`.
 
     Raises:
         TypeError: views of a wrong type.
@@ -140,27 +140,19 @@ def choose_views(
         >>> chosen.view_ids
         ('0', '1', '5', '2')
     """
+    needs = ViewRequirements(**required)
     if isinstance(information_model, RigInformationModel):
         if isinstance(views, ViewRange):
             raise TypeError("choose_views: of a rig, expected states of the robot or a Rig")
-        return choose_states(
-            information_model,
-            criterion,
-            count,
-            views,
-            border_margin,
-            min_visible_fraction,
-            allowed,
-            progress,
-        )
+        return choose_states(information_model, criterion, count, views, needs, progress)
     if not isinstance(views, SE3 | ViewRange):
         raise TypeError("choose_views: expected poses camera_from_world or a ViewRange")
     say = progress or (lambda _: None)
 
     def is_admissible(poses: SE3) -> Bool[Array, "views"]:
-        visible = visible_fraction(information_model, poses, border_margin)
-        enough_visible = visible >= min_visible_fraction - 1e-9
-        allowed_views = True if allowed is None else np.asarray(allowed(poses))
+        visible = visible_fraction(information_model, poses, needs.border_margin)
+        enough_visible = visible >= needs.min_visible_fraction - 1e-9
+        allowed_views = True if needs.allowed is None else np.asarray(needs.allowed(poses))
         return to_device(enough_visible & allowed_views)
 
     if isinstance(views, ViewRange):
@@ -192,9 +184,7 @@ def choose_views(
             criterion,
             views,
             _rows(coordinates, index),
-            border_margin,
-            min_visible_fraction,
-            is_admissible,
+            dataclasses.replace(needs, allowed=is_admissible),
         )
         refined_information = information_model.information(refined_poses)
         # Backtracking to admissible views may undo the improvement, so that the refined views are
@@ -234,24 +224,28 @@ def refine_views(
     criterion: OptimalityCriterion,
     views: ViewRange,
     coordinates: Float[Array, "count 6"],
-    border_margin: float,
-    min_visible_fraction: float,
-    is_admissible: ViewPredicate,
+    needs: ViewRequirements,
 ) -> SE3:
-    """Return views refined by BFGS towards the smallest criterion, all of them admissible.
+    """Return views refined by BFGS towards the smallest criterion, all of them allowed.
 
     The limits of the range always hold. Points that leave the picture are penalised. A refined view
-    that is not admissible is moved back towards its initial pose until it is.
+    that is not allowed is moved back towards its initial pose until it is.
     """
     initial = views.to_unbounded(coordinates)
     minimiser = _minimise_bfgs(
-        initial, information_model, criterion, views, border_margin, min_visible_fraction
+        initial,
+        information_model,
+        criterion,
+        views,
+        needs.border_margin,
+        needs.min_visible_fraction,
     )
+    assert needs.allowed is not None
     accepted_fraction = np.zeros(len(coordinates))
     # From small to large fractions: each view keeps its last admissible one.
     for fraction in BACKTRACKING_FRACTIONS[::-1]:
         poses = _poses_between(views, initial, minimiser, np.full(len(coordinates), fraction))
-        accepted_fraction[np.asarray(is_admissible(poses))] = fraction
+        accepted_fraction[np.asarray(needs.allowed(poses))] = fraction
     return _poses_between(views, initial, minimiser, accepted_fraction)
 
 

@@ -45,9 +45,7 @@ def scene():
     return rig_scene()
 
 
-SETTINGS = CalibrateSettings(
-    "opencv4", "estimated", True, False, FitKnowledge(), "raise", None, False, None
-)
+SETTINGS = CalibrateSettings()
 
 TARGET = Chessboard(rows=9, columns=12, square=0.03)
 
@@ -156,7 +154,7 @@ def test_cameras_may_be_known(rig, fit, tmp_path, monkeypatch):
         return fit
 
     monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
-    settings = SETTINGS._replace(known=FitKnowledge(camera=tmp_path))
+    settings = CalibrateSettings(known=FitKnowledge(camera=tmp_path))
     result = _calibrated_rig(rig, "cell", settings, lambda _: None)
     assert len(held) == 6
     (name,) = held[0]

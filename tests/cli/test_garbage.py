@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 import smartview_jax.cli.main as main
 from smartview_jax.cli import app
-from smartview_jax.cli.garbage import OBJECTS_BETWEEN_COLLECTIONS, rare_collections
+from smartview_jax.cli.main import OBJECTS_BETWEEN_COLLECTIONS, rare_collections
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """The help of every subcommand is complete at 80 columns, and options say what they expect."""
 
-import dataclasses
 import inspect
 import re
 import subprocess
@@ -15,7 +14,7 @@ from main_job import user_environment
 from typer.models import OptionInfo
 
 from smartview_jax.cli import app
-from smartview_jax.cli.number_lists import parse_numbers
+from smartview_jax.cli.options import options_of, parse_numbers
 
 COMMAND = typer.main.get_command(app)
 
@@ -25,12 +24,7 @@ UNITS = re.compile(r"\b(m|mm|degrees|px|number|fraction|port)\b|%", flags=re.IGN
 def options():
     """Name, type and help of every option that takes a value, for each subcommand."""
     for verb, command in COMMAND.commands.items():
-        signature = inspect.signature(inspect.unwrap(command.callback), eval_str=True)
-        parameters = list(signature.parameters.values())
-        groups = [p.annotation for p in parameters if dataclasses.is_dataclass(p.annotation)]
-        for group in groups:
-            parameters += inspect.signature(group, eval_str=True).parameters.values()
-        for parameter in parameters:
+        for parameter in options_of(inspect.unwrap(command.callback)):
             kind, *stated = get_args(parameter.annotation) or (None,)
             if stated and isinstance(stated[0], OptionInfo) and bool not in (kind, *get_args(kind)):
                 yield pytest.param(kind, stated[0].help, id=f"{verb} {parameter.name}")

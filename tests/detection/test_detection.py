@@ -165,8 +165,7 @@ def test_views_that_do_not_turn_the_camera_keep_their_order():
     chosen = consistent_ordering(
         np.stack([centres, centres + 1.0, centres + 2.0]),
         np.ones((3, 35), dtype=bool),
-        target.points,
-        target.symmetries,
+        target,
         np.stack([np.eye(3)] * 3),
         (400, 300),
     )
@@ -188,8 +187,7 @@ def test_robot_motion_orders_a_symmetric_grid(hidden):
     chosen = consistent_ordering(
         turned,
         np.isfinite(turned).all(axis=2),
-        plain.points,
-        plain.symmetries,
+        plain,
         np.asarray(data.base_from_tool.inverse().rotation().as_matrix()),
         data.image_size,
     )

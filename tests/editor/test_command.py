@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from board_scene import calibrated_board, run
 
+from smartview_jax.cli.calibrated_views import RigOptions
 from smartview_jax.cli.load import load_views
 from smartview_jax.cli.model import load_calibration
 from smartview_jax.editor.owner_lock import OwnerLock
@@ -85,12 +86,12 @@ def test_a_calibration_comes_with_its_covariance_where_the_file_has_one(
     fitted = calibrated_board(tmp_path_factory).calibration
     shutil.copy(fitted, folder / "calibration.yaml")
     views = load_views(folder)
-    calibration, estimate = load_calibration(folder, None, views)
+    calibration, estimate = load_calibration(folder, None, views, RigOptions())
     assert estimate is not None
     known = load_estimate(fitted)
     assert estimate.parameter_names == known.parameter_names
     np.testing.assert_array_equal(estimate.covariance, known.covariance)
     assert float(calibration.camera.alpha_u) == float(known.calibration.camera.alpha_u)
     calibration.save(folder / "calibration.yaml")
-    assert load_calibration(folder, None, views)[1] is None
+    assert load_calibration(folder, None, views, RigOptions())[1] is None
     assert "taken as exact" in capsys.readouterr().err

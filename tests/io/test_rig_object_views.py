@@ -7,7 +7,7 @@ import yaml
 from rig_pair import BASE_FROM_WORLD, placed, stereo_pair
 
 import smartview_jax as sv
-from smartview_jax.cli.calibrated_views import load_calibrated_views
+from smartview_jax.cli.calibrated_views import RigOptions, load_calibrated_views
 from smartview_jax.cli.load import load_views
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import is_rig_object_views, load_rig_object_views, write_object_views
@@ -81,16 +81,16 @@ def test_cameras_next_to_the_arm_need_no_robot(folder):
 
 def test_a_rigs_calibration_reads_pictures_of_its_cameras(folder, calibrated):
     views = load_views(folder)
-    found, estimate, is_exact = load_calibrated_views(calibrated, views, None, "base")
+    found, estimate, is_exact = load_calibrated_views(calibrated, views, RigOptions(frame="base"))
     assert found.cameras == ("left", "right", "right")
     assert found.states == ("1", "1", "2")
     assert found.frame == "base"
     assert estimate is None
     assert is_exact
     one = views._replace(cameras=(), states=())
-    found, _, _ = load_calibrated_views(calibrated / RIG_FILE, one, "right", "world")
+    found, _, _ = load_calibrated_views(calibrated / RIG_FILE, one, RigOptions("right"))
     assert found.cameras == ("right",) * 3
-    alone, _, _ = load_calibrated_views(calibrated / "left.yaml", one, None, "world")
+    alone, _, _ = load_calibrated_views(calibrated / "left.yaml", one, RigOptions())
     assert isinstance(alone, sv.Calibration)
 
 
@@ -105,4 +105,4 @@ def test_a_calibration_that_does_not_belong_to_the_pictures_is_named(folder, cal
         (".", one, "middle", "world", "expected a camera of left, right, found 'middle'"),
     ):
         with pytest.raises(ValueError, match=said):
-            load_calibrated_views(calibrated / path, given, camera, frame)
+            load_calibrated_views(calibrated / path, given, RigOptions(camera, frame))

@@ -12,7 +12,7 @@ import smartview_jax as sv
 from smartview_jax.cameras import Camera, OpenCV5
 from smartview_jax.joint import batch_least_squares, fit_camera
 from smartview_jax.simulation import paper_points, random_scene
-from smartview_jax.staged import kalman_filter
+from smartview_jax.staged import CommonCameraOptions, kalman_filter
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,9 @@ def test_a_known_camera_is_held_and_a_blind_view_keeps_its_pose(scene, start):
     hidden = scene.data.visible.at[2].set(False)
     data = eqx.tree_at(lambda d: d.visible, scene.data, hidden)
     camera = scene.calibration.camera
-    fit = batch_least_squares(data.observations, camera, start[1], hold_camera=True)
+    fit = batch_least_squares(
+        data.observations, camera, start[1], options=CommonCameraOptions(hold_camera=True)
+    )
     assert fit.converged
     assert fit.parameter_names == ()
     assert eqx.tree_equal(fit.camera, camera)

@@ -26,7 +26,7 @@ from smartview_jax import (
 )
 from smartview_jax.cameras import Radial
 from smartview_jax.joint import RIG_FILE, RigEstimate, is_rig
-from smartview_jax.joint.rig_warnings import rig_warnings
+from smartview_jax.joint.rig_fitting import rig_warnings
 from smartview_jax.robot_errors import RobotPrior
 from smartview_jax.simulation import paper_calibration, simulate
 from smartview_jax.variance import TargetScaleEvidence

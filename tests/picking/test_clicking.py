@@ -8,7 +8,7 @@ import pytest
 
 import smartview_jax as sv
 from smartview_jax.geometry import host_matrices
-from smartview_jax.picking import model_by_clicks
+from smartview_jax.picking import SeenObject, model_by_clicks
 from smartview_jax.picking.demo import _visible_vertices
 from smartview_jax.robots import Command
 from smartview_jax.simulation import Polyhedron, paper_calibration, stepped_block
@@ -31,9 +31,8 @@ def clicked(sample, path, sees=True):
     visible = np.stack([_visible_vertices(solid, centre) for centre in centres[:, :3, 3]])
     pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in views.paths]
     command = Command(views.base_from_tool)
-    return model_by_clicks(
-        calibration, None, command, pictures, seen, visible & sees, faces, path, "block"
-    )
+    shown = SeenObject(seen, visible & sees, faces, "block")
+    return model_by_clicks(calibration, None, command, pictures, shown, path)
 
 
 def test_the_clicked_model_has_the_true_dimensions(sample, tmp_path):

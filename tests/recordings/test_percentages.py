@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smartview_jax.recordings.percentages import refuse_percentages
+from smartview_jax.recordings.import_lerobot import refuse_percentages
 
 ENDS = np.array([[754, 3230], [871, 3271], [862, 3054], [829, 3169], [0, 4095]])
 """Range of motion of five joints of an SO-101, steps of the encoder."""

@@ -31,9 +31,10 @@ def test_look_at_from_straight_above_has_u_along_x_and_v_along_minus_y():
 
 
 def test_noise_has_the_stated_size():
+    noise = {"pixel_noise": 0.3, "translation_noise": 1e-3, "rotation_noise": 2e-3}
     errors, corrections = [], []
     for seed in range(4):
-        scene = random_scene(seed, VIEWS, POINTS, None, 0.6, (0.17, 0.25), 0.3, 1e-3, 2e-3)
+        scene = random_scene(seed, VIEWS, POINTS, tilt=0.6, **noise)
         truth, _ = scene.calibration.project(scene.base_from_tool, scene.data.points)
         errors.append(np.asarray(scene.data.pixels - truth)[np.asarray(scene.data.visible)])
         # tool_from_base = exp(c) @ reported

@@ -18,7 +18,13 @@ from smartview_jax.geometry import (
     transform_points,
 )
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
-from smartview_jax.staged import fit_staged, kalman_filter, kalman_pass, pixel_residuals
+from smartview_jax.staged import (
+    CommonCameraOptions,
+    fit_staged,
+    kalman_filter,
+    kalman_pass,
+    pixel_residuals,
+)
 from smartview_jax.staged.kalman_update import (
     absorb_measurements,
     standard_normal_state,
@@ -27,6 +33,8 @@ from smartview_jax.staged.kalman_update import (
 )
 
 VIEWS = 8
+
+HELD = CommonCameraOptions(hold_camera=True)
 
 
 def scene_and_start(seed=0, **options):
@@ -40,7 +48,9 @@ def scene_and_start(seed=0, **options):
 @pytest.fixture(scope="module")
 def noisy():
     scene, camera, poses = scene_and_start()
-    return scene, kalman_filter(scene.data.observations, camera, poses, pixel_sigma=0.15)
+    return scene, kalman_filter(
+        scene.data.observations, camera, poses, options=CommonCameraOptions(0.15)
+    )
 
 
 class Textbook:
@@ -129,11 +139,10 @@ def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
     # Without the outliers among the first points of the views, before there is a gate.
     early = np.asarray(scene.outliers) & (np.arange(scene.outliers.shape[1]) < 8)
     inliers = np.asarray(observations.visible) & ~early
-    result = kalman_pass.run_pass(
-        observations, camera, poses, residuals, inliers, 0.15, 18.0, 1.0, hold_camera
-    )
-    ((*linearised, _, _, _, factor, pose_scale),) = calls
-    rows, scale = jax.jit(kalman_pass.scaled_measurements)(*linearised, factor, pose_scale)
+    settings = kalman_pass.PassSettings(0.15, 18.0, 1.0, hold_camera)
+    result = kalman_pass.run_pass(observations, camera, poses, residuals, inliers, settings)
+    ((point, *_),) = calls
+    rows, scale = jax.jit(kalman_pass.scaled_measurements)(point)
     n = len(scale)
     textbook = Textbook(len(inliers), n, 18.0)
     gated = textbook.update_all(np.asarray(rows).swapaxes(0, 1) / 0.15, inliers.T)
@@ -171,9 +180,10 @@ def test_a_pass_has_the_derivatives_of_the_projection(lens):
         return rebuild(numbers + step[: len(numbers)]).project(turned + centroids[:, None])[0]
 
     expected = np.asarray(by_step(jnp.zeros(len(numbers) + 12)))
-    rows, scale = jax.jit(kalman_pass.scaled_measurements)(
+    point = kalman_pass.LinearisationPoint(
         camera, in_camera, centroids, np.zeros((2, 7, 2)), unit, pose_scale
     )
+    rows, scale = jax.jit(kalman_pass.scaled_measurements)(point)
     rows, scale, found = np.asarray(rows), np.asarray(scale), np.zeros_like(expected)
     found[..., : len(numbers)] = rows[..., 6:-1] / scale
     for view in range(2):
@@ -257,7 +267,7 @@ def test_a_known_camera_is_held(noisy):
         scene.data.observations,
         scene.calibration.camera,
         found.camera_from_world,
-        hold_camera=True,
+        options=HELD,
     )
     assert eqx.tree_equal(held.camera, scene.calibration.camera, rtol=1e-9, atol=1e-9)
     assert held.converged
@@ -304,5 +314,5 @@ def test_it_compiles_two_programs():
     start = jax.tree.map(np.asarray, (scene.data.observations, camera, poses))
     with programs_added() as built:
         kalman_filter(*start)
-        kalman_filter(*start, hold_camera=True)
+        kalman_filter(*start, options=HELD)
     assert len(built) == 2

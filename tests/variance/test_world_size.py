@@ -100,8 +100,9 @@ def test_no_view_pays_for_another_size_of_the_world():
             noise=Noise(1.0, 1.0, 1.0, field=(1.0, 1.0)),
             field=field,
             free=("target_scale",),
-            noise_corrections=noise_corrections,
         )
+        if noise_corrections is not None:
+            built = built.with_noise_corrections(noise_corrections)
         z = Step(jnp.zeros(len(built.shared_names)), jnp.asarray(corrections))
         matrix = without_priors(built.problem, z).matrix.shared
         direction = all_lengths_longer(built.problem, built.shared_names)

@@ -14,7 +14,7 @@ from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.geometry import ViewedRegion
 from smartview_jax.robots import Command
-from smartview_jax.viewpoints import ClearancePlane, Limits, look_at
+from smartview_jax.viewpoints import SAFETY_CHECKS, ClearancePlane, Limits, look_at
 from smartview_jax.viewpoints.checks import check_views
 
 CAMERA = Camera(1000.0, 1000.0, 320.0, 240.0, Pinhole(), (640, 480))
@@ -88,7 +88,7 @@ def test_the_side_that_was_seen_and_how_far_out_are_checked():
     checks = in_region(
         [[0.0, 0.0, 1.0], [1.9 * reach, 0.0, 1.0], [2.1 * reach, 0.0, 1.0], [0.0, 0.0, -0.5]]
     )
-    fine, near, far, behind = checks.safety_violations()
+    fine, near, far, behind = checks.reasons(SAFETY_CHECKS)
     assert fine == near == ""
     assert far == (
         "the camera is 2.1 times as far from the middle of the calibrated views as these were from "
@@ -103,7 +103,7 @@ def test_the_side_that_was_seen_and_how_far_out_are_checked():
 def test_a_tool_further_than_any_arm_reaches_is_unsafe():
     assert (
         "the tool is 400 m from the base: no arm is that long"
-        in in_region([[0, 0, 400]]).safety_violations()[0]
+        in in_region([[0, 0, 400]]).reasons(SAFETY_CHECKS)[0]
     )
 
 
@@ -111,5 +111,5 @@ def test_other_faults_are_no_danger():
     """A target that is not in the picture is said, and breaks nothing."""
     aside = checked(np.array([[3.0, 0.0, 0.0]]))
     assert aside.reasons() != ("",)
-    assert aside.safety_violations() == ("",)
+    assert aside.reasons(SAFETY_CHECKS) == ("",)
     assert bool(aside.safe[0])

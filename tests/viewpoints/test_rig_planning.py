@@ -15,6 +15,7 @@ from smartview_jax.simulation import paper_calibration, paper_points, random_vie
 from smartview_jax.viewpoints import (
     InformationModel,
     RigInformationModel,
+    StopRule,
     ViewLimits,
     ViewRange,
     a_optimal,
@@ -176,7 +177,7 @@ def test_states_that_may_not_be_taken_are_not(pair, commands):
     ]
     assert seen[0] > seen[1] > 0
     with pytest.raises(ValueError, match=f"12 states requested, but only {seen[0]} of 12"):
-        choose_views(model, d_optimal(), 12, commands, 60.0, min_visible_fraction=0.8)
+        choose_views(model, d_optimal(), 12, commands, border_margin=60.0, min_visible_fraction=0.8)
     # A state in which no camera sees the target tells nothing.
     away = SE3(jnp.asarray(commands.wxyz_xyz).at[3, 4:].add(1.0))
     with pytest.raises(ValueError, match="12 states requested, but only 11 of 12 candidates"):
@@ -230,7 +231,7 @@ def hand_eye_error(fit, covariance, names, distance):
 def test_the_next_states_of_a_rig_bring_what_is_promised(tmp_path_factory):
     fit, rig = calibrated_rig(tmp_path_factory), rig_scene().rig
     model = RigInformationModel.from_fit(fit, rig)
-    found = plan_states(model, ViewLimits(), 3, least_gain=0.0)
+    found = plan_states(model, ViewLimits(), StopRule(3, least_gain=0.0))
     plan, commands = found.plan, found.commands
     assert len(found.view_of) == len(plan.values) == 3
     assert np.asarray(commands.checks.safe).all()
@@ -250,5 +251,5 @@ def test_the_next_states_of_a_rig_bring_what_is_promised(tmp_path_factory):
         shown = (inside.all(axis=-1) & np.asarray(valid)).mean(axis=1)
         np.testing.assert_allclose(found.seen[camera], shown, atol=1e-12)
     # A goal that is reached already needs no state.
-    enough = plan_states(model, ViewLimits(), 3, goal=1.0)
+    enough = plan_states(model, ViewLimits(), StopRule(3, goal=1.0))
     assert (enough.view_of, len(enough.plan.camera_from_world)) == ((), 0)

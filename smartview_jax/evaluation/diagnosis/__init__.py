@@ -2,7 +2,7 @@
 
 from .budget import error_budget as error_budget
 from .causes import ErrorBudget as ErrorBudget
-from .lens_misfit import lens_misfit as lens_misfit
+from .causes import lens_misfit as lens_misfit
 from .rig_budget import PoseUncertainty as PoseUncertainty
 from .rig_budget import RigErrorBudget as RigErrorBudget
 from .rig_budget import pose_uncertainties as pose_uncertainties

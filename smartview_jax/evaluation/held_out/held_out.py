@@ -5,15 +5,28 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 from jaxlie import SE3
+from jaxtyping import Float
 
 from ...calibration import Calibration
-from ...dataset import Dataset, Rig
+from ...dataset import Dataset, PoseDataset, Rig
 from ...fit_result import FitResult, Rejection
-from ...joint import RigFit
+from ...joint import PoseFit, RigFit, pose_rms, tracked_pose_errors
 from ...runtime.array_namespace import to_device
 from ..measures import Predictor, ReprojectionErrors, reprojection_errors
-from .bootstrap import Interval, rms_interval
 from .folds import split_views
+
+RESAMPLE_COUNT = 5000
+"""The number of resampled sets of views.
+
+The ends of a 95 % interval are then good to about 2 % of it.
+"""
+
+
+class Interval(NamedTuple):
+    """The two ends of an interval, px."""
+
+    low: float
+    high: float
 
 
 class FoldFit(NamedTuple):
@@ -299,3 +312,87 @@ def pool_errors(
             failures.append((number, failure))
     folds = tuple(fold.views for fold in fold_fits)
     return HeldOutErrors(ReprojectionErrors(px, metres), folds, tuple(failures))
+
+
+def rms_interval(errors: ReprojectionErrors, level: float = 0.95) -> Interval:
+    """Return the bootstrap interval of the RMS reprojection error, px; NaN below two views.
+
+    Errors of points in a view are correlated, so whole views are resampled, not points. Fits are
+    not repeated: the interval reflects the choice of test views, not of fitted views.
+
+    Reference: Efron and Tibshirani, An introduction to the bootstrap, 1993, chapter 13
+    (percentiles).
+
+    Args:
+        errors: of any fit; views without a predicted point do not count.
+        level: fraction of the resampled values inside the interval.
+
+    Raises:
+        ValueError: a level that is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"level: expected a number between 0 and 1, found {level}")
+    finite = np.isfinite(errors.px)
+    counts = finite.sum(axis=1)
+    squares = np.sum(np.where(finite, errors.px, 0.0) ** 2, axis=1)
+    # A view without predicted points has no error to resample.
+    counts, squares = counts[counts > 0], squares[counts > 0]
+    if len(counts) < 2:
+        return Interval(float("nan"), float("nan"))
+    # Views resampled with replacement, with a fixed seed; RMS = sqrt(sum of squares / points).
+    resampled_views = np.random.default_rng(0).integers(
+        len(counts), size=(RESAMPLE_COUNT, len(counts))
+    )
+    resampled_rms = np.sqrt(
+        squares[resampled_views].sum(axis=1) / counts[resampled_views].sum(axis=1)
+    )
+    low, high = np.quantile(resampled_rms, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return Interval(float(low), float(high))
+
+
+class HeldOutPoses(NamedTuple):
+    """The errors of fits on pairs of poses that they never used.
+
+    Attributes:
+        errors: distance (m) and angle (rad) of each tracked pose from its prediction; NaN for
+            pairs that were not seen or whose fold failed.
+        folds: indices of the views held out in each fold.
+        failures: fold and reason, for folds whose fit failed.
+    """
+
+    errors: Float[np.ndarray, "views 2"]
+    folds: tuple[tuple[int, ...], ...]
+    failures: tuple[tuple[int, str], ...]
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """RMS distance (m) and angle (rad); NaN if no fold succeeded."""
+        scored = self.errors[np.isfinite(self.errors).all(axis=1)]
+        return pose_rms(scored) if len(scored) else (float("nan"), float("nan"))
+
+
+def held_out_poses(
+    data: PoseDataset,
+    fitter: Callable[[PoseDataset], PoseFit],
+    folds: int = 5,
+    progress: Callable[[str], None] | None = None,
+) -> HeldOutPoses:
+    """Cross-validate by view.
+
+    Args:
+        data: all pairs, without those that are known to be wrong (`without_rejected_views`).
+        fitter: function from a data set to a fit, called with the held-out views masked.
+        folds: number of folds; below eight views, as many as there are views.
+        progress: called with a line of text for each fold.
+
+    Raises:
+        ValueError: fewer than two folds or four usable views.
+    """
+    fits = fit_folds(data, fitter, folds, progress)
+    errors = np.full((data.view_count, 2), np.nan)
+    for fold in fits:
+        if fold.fit is not None:
+            views = list(fold.views)
+            errors[views] = tracked_pose_errors(data, fold.fit.calibration)[views]
+    failures = tuple((k, fold.failure) for k, fold in enumerate(fits) if fold.failure is not None)
+    return HeldOutPoses(errors, tuple(fold.views for fold in fits), failures)

@@ -3,8 +3,8 @@
 No unbiased estimator has a smaller covariance.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import overload
+from collections.abc import Mapping
+from typing import Unpack, overload
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ from ...engine import (
     AbstractProblem,
     Noise,
     Observability,
-    Prior,
+    ParameterOptions,
     ScaledJacobian,
     build_problem,
     build_rig,
@@ -86,9 +86,7 @@ def cramer_rao(
     noise: Noise | float,
     *,
     field: FieldChoice = "auto",
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
+    **parameters: Unpack[ParameterOptions],
 ) -> CramerRaoBound: ...
 
 
@@ -99,9 +97,7 @@ def cramer_rao(
     noise: Noise,
     *,
     field: FieldChoice = "auto",
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
+    **parameters: Unpack[ParameterOptions],
 ) -> RigBound: ...
 
 
@@ -111,9 +107,7 @@ def cramer_rao(
     noise: Noise | float,
     *,
     field: FieldChoice = "auto",
-    fixed: Sequence[str] = (),
-    free: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
+    **parameters: Unpack[ParameterOptions],
 ) -> CramerRaoBound | RigBound:
     """Return the Cramer-Rao bound of all parameters that a joint fit estimates.
 
@@ -128,9 +122,7 @@ def cramer_rao(
             robot.
         field: the robot error field, with one standard deviation for each of its groups in the
             noise; by default the calibration's own error is taken as known.
-        fixed: paths of known parameters, as for `fit_joint`.
-        free: as for `fit_joint`.
-        priors: as for `fit_joint`.
+        parameters: `fixed`, paths of known parameters, `free` and `priors`, as for `fit_joint`.
 
     Raises:
         ValueError: as for `fit_joint`.
@@ -144,13 +136,13 @@ def cramer_rao(
     if isinstance(data, Rig):
         if not isinstance(noise, Noise) or not isinstance(calibration, Mapping):
             raise TypeError("cramer_rao: a rig needs a Noise, and calibrations by camera")
-        return _rig_bound(calibration, data, noise, field, fixed, free, priors)
+        built = build_rig(data, calibration, noise=noise, field=field, **parameters)
+        _, bound_covariance, std = _bound(built)
+        return RigBound(dict(calibration), bound_covariance, std, built.shared_names)
     if not isinstance(calibration, Calibration):
         raise TypeError("cramer_rao: calibrations by camera are for a Rig")
     noise_model = noise if isinstance(noise, Noise) else "trusted"
-    built = build_problem(
-        data, calibration, noise=noise_model, field=field, fixed=fixed, free=free, priors=priors
-    )
+    built = build_problem(data, calibration, noise=noise_model, field=field, **parameters)
     # Without a noise model the pixel sigma is set in the problem.
     if not isinstance(noise, Noise):
         sigma = to_device(float(noise))
@@ -164,23 +156,6 @@ def cramer_rao(
         observability(scaled_jacobian, built.shared_names, truth),
         built.shared_names,
     )
-
-
-def _rig_bound(
-    calibrations: Mapping[str, Calibration],
-    rig: Rig,
-    noise: Noise,
-    field: FieldChoice,
-    fixed: Sequence[str],
-    free: Sequence[str],
-    priors: Mapping[str, Prior] | None,
-) -> RigBound:
-    """Return the bound of a rig; the arguments are as for `cramer_rao`."""
-    built = build_rig(
-        rig, calibrations, noise=noise, field=field, fixed=fixed, free=free, priors=priors
-    )
-    _, bound_covariance, std = _bound(built)
-    return RigBound(dict(calibrations), bound_covariance, std, built.shared_names)
 
 
 def _bound(

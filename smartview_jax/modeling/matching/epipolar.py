@@ -82,34 +82,6 @@ class EpipolarCurve(NamedTuple):
             depth = np.asarray(1.0 / inverse)
         return np.take_along_axis(distance, best, axis=-1)[..., 0], depth
 
-    def depth_interval(
-        self, pixel: Float[np.ndarray, "2"], radius: float
-    ) -> tuple[float, float] | None:
-        """Return the smallest and largest depth whose point is within a radius of a pixel.
-
-        None if the curve does not come so near.
-
-        Args:
-            pixel: in the second view, px.
-            radius: search radius, px.
-        """
-        starts, ends, inverse_start, inverse_end = self._segments()
-        # |a + t (b - a) - p|^2 = r^2 is quadratic in t; the roots bound the part inside the circle.
-        along, offset = ends - starts, starts - np.asarray(pixel, dtype=float)
-        A = np.maximum(np.sum(along**2, axis=1), 1e-30)
-        B = np.sum(along * offset, axis=1)
-        discriminant = B**2 - A * (np.sum(offset**2, axis=1) - radius**2)
-        root = np.sqrt(np.maximum(discriminant, 0.0))
-        low, high = np.clip((-B - root) / A, 0.0, 1.0), np.clip((-B + root) / A, 0.0, 1.0)
-        inside = (discriminant >= 0.0) & ((-B - root) / A <= 1.0) & ((-B + root) / A >= 0.0)
-        if not inside.any():
-            return None
-        change = inverse_end - inverse_start
-        ends_inside = np.concatenate([inverse_start + low * change, inverse_start + high * change])
-        inverse = ends_inside[np.tile(inside, 2)]
-        with np.errstate(divide="ignore"):
-            return float(1.0 / inverse.max()), float(1.0 / inverse.min())
-
     def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return start and end of every segment, px, and the inverse depths there."""
         joined = np.flatnonzero(self.piece[1:] == self.piece[:-1])

@@ -9,16 +9,15 @@ Reference: Nocedal and Wright, Numerical optimization, 2006, section 18.1 (Lagra
 """
 
 from collections.abc import Sequence
-from typing import Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Literal, Protocol, TypeAlias, Unpack, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...engine import AbstractLoss, Noise, covariance_factor
-from ...evaluation import CalibrationEstimate
+from ...engine import AbstractLoss, covariance_factor
 from ...fit_result import FitResult
 from ...runtime.blas_threads import on_one_blas_thread
-from ..calibration_uncertainty import CalibrationUncertainty
+from ..calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
 from ..estimated_features import MAX_RELATIVE_STD, PointStatus
 from ..line_jacobians import Lines
 from ..line_triangulation import triangulate_lines, world_rays
@@ -63,10 +62,9 @@ def refine(
     constraints: Sequence[AbstractConstraint] = (),
     *,
     free: Freedom = "nothing",
-    covariance: CalibrationEstimate | None = None,
-    noise: Noise | None = None,
     loss: AbstractLoss | None = None,
     false_alarm: float = FALSE_ALARM_PROBABILITY,
+    **uncertainty: Unpack[UncertaintyOptions],
 ) -> RefinedFeatures:
     """Refine all points and lines together, under constraints.
 
@@ -79,10 +77,9 @@ def refine(
         constraints: known properties of the object, each soft or exact.
         free: `"poses"` also estimates the robot's own noise in each view, `"calibration"`
             everything that `covariance` and `noise` call uncertain, under their prior.
-        covariance: uncertainty of the calibration, as in `triangulate_points`.
-        noise: sizes of the robot's noise, as in `triangulate_points`.
         loss: robust loss of the points' whitened residuals; None is least squares.
         false_alarm: probability that any true constraint is said to contradict the pictures.
+        uncertainty: `covariance` and `noise`, as in `triangulate_points`.
 
     Raises:
         ValueError: bad observations or constraints, a start with a wrong number of points, a point
@@ -94,26 +91,24 @@ def refine(
     check_constraints(constraints, count, line_count)
     # One description for both: free numbers are estimated under it, fixed ones are propagated by
     # it.
-    uncertainty = CalibrationUncertainty.of(
-        observed.views, observations.calibration, covariance, noise
-    )
-    if free != "nothing" and not uncertainty.names:
+    known = CalibrationUncertainty.of(observed.views, observations.calibration, **uncertainty)
+    if free != "nothing" and not known.names:
         raise ValueError(f"free={free!r}: give covariance or noise, their prior")
     points, weak = _initial_points(start, observed)
     check_edges(constraints, points)
     lines, line_status = _initial_lines(observations, observed, constraints)
     shape, planes = _with_planes(points, lines, constraints)
-    roots = _prior_roots(uncertainty)
+    roots = _prior_roots(known)
     # The views' own noise comes after the numbers that all views share.
     index = np.arange(roots.shape[1])
     chosen = {
         "nothing": index < 0,
-        "poses": index >= uncertainty.shared_count,
+        "poses": index >= known.shared_count,
         "calibration": index >= 0,
     }[free]
     distance = _typical_distance(observed, points)
     problem = RefinementProblem(
-        observed, uncertainty, roots, chosen, tuple(constraints), planes, weak, points,
+        observed, known, roots, chosen, tuple(constraints), planes, weak, points,
         WEAK_PRIOR_STD * distance, loss,
     )  # fmt: skip
     state, result = minimise(problem, RefinementState(shape, np.zeros(len(chosen))))

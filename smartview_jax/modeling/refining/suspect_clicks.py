@@ -5,18 +5,16 @@ others then agree with all facts, that click may be the wrong one.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import null_space
 from scipy.special import chdtrc
 
-from ...engine import Noise
-from ...evaluation import CalibrationEstimate
 from ...robots import CommandLike
-from ..calibration_uncertainty import CalibrationUncertainty
-from ..click_deletion import deletion_of
+from ..calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
+from ..correspondence_checks import deletion_of
 from ..line_jacobians import Lines
 from ..pixel_jacobians import pixel_jacobians
 from ..rig_views import AnyCalibration
@@ -52,12 +50,11 @@ def suspect_clicks(
     points: Float[np.ndarray, "points 3"],
     constraints: Sequence[AbstractConstraint],
     *,
-    covariance: CalibrationEstimate | None = None,
-    noise: Noise | None = None,
     pixel_sigma: float | np.ndarray = CLICK_SIGMA,
     agreement: float = AGREEMENT_PROBABILITY,
+    **uncertainty: Unpack[UncertaintyOptions],
 ) -> list[SuspectClick]:
-    """Return the clicks without any one of which the rest agrees, the likeliest first.
+    """Return each click that, left out alone, makes the other clicks agree, the likeliest first.
 
     Of several clicks any one may be wrong; if none is returned, no single click explains the
     contradiction. All is to first order about the refined points.
@@ -65,18 +62,19 @@ def suspect_clicks(
     Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
 
     Args:
-        calibration, poses, covariance, noise, pixel_sigma: as in `triangulate_points`.
+        calibration, poses, pixel_sigma: as in `triangulate_points`.
         pixels: the clicks, px; NaN where a point was not clicked.
         points: the points that `refine` found under the constraints, m.
         constraints: facts about vertices only, which hold together.
         agreement: smallest p-value at which the rest agrees.
+        uncertainty: `covariance` and `noise`, as in `triangulate_points`.
 
     Raises:
         ValueError: as in `triangulate_points`.
     """
     views = SeenViews.of(calibration, poses)
     measured, visible = views.checked_points(pixels, None)
-    uncertainty = CalibrationUncertainty.of(views, calibration, covariance, noise)
+    known = CalibrationUncertainty.of(views, calibration, **uncertainty)
     whitening = np.broadcast_to(whitening_of(pixel_sigma, visible.shape), (*visible.shape, 2, 2))
     jacobians = pixel_jacobians(views, points)
     facts = _linearised(constraints, points)
@@ -92,12 +90,10 @@ def suspect_clicks(
     J = np.concatenate([by_step.reshape(2 * len(clicks), -1), facts.soft]) @ facts.free
     sensitivity = np.einsum(
         "kij,kjl,kln->kin",
-        L, jacobians.by_view[visible], uncertainty.view_jacobian[clicks[:, 0]],
+        L, jacobians.by_view[visible], known.view_jacobian[clicks[:, 0]],
     ).reshape(2 * len(clicks), -1)  # fmt: skip
     R = np.eye(len(r))
-    R[: len(sensitivity), : len(sensitivity)] += (
-        sensitivity @ uncertainty.covariance @ sensitivity.T
-    )
+    R[: len(sensitivity), : len(sensitivity)] += sensitivity @ known.covariance @ sensitivity.T
     # The least chi-square over all steps is r^T Q r.
     inverse = np.linalg.inv(R)
     Q = inverse - inverse @ J @ np.linalg.pinv(J.T @ inverse @ J, hermitian=True) @ J.T @ inverse

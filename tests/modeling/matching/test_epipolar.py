@@ -90,12 +90,6 @@ def test_distance_and_depth_of_a_pixel(distorted):
     normal = np.array([-tangent[1], tangent[0]]) / np.linalg.norm(tangent)
     aside = np.stack([in_b + 3.0 * normal, in_b - 3.0 * normal])
     np.testing.assert_allclose(curve.nearest(aside)[0], 3.0, atol=0.02)
-    low, high = curve.depth_interval(in_b, 4.0)
-    assert low < np.linalg.norm(point) < high
-    for end in (low, high):
-        seen = np.asarray(distorted.project(B[None], curve.points(np.array([end])))[0])[0, 0]
-        assert np.linalg.norm(seen - in_b) == pytest.approx(4.0, abs=0.05)
-    assert curve.depth_interval(in_b + 50.0 * normal, 4.0) is None
 
 
 def test_a_box_limits_the_depths(pinhole):
