@@ -12,9 +12,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration, DepthBias, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..dataset import Dataset, chain_residuals
+from ..dataset import TYPICAL_OFFSET_STD, TYPICAL_SCALE_STD, Dataset, chain_residuals
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..runtime.array_namespace import to_device
@@ -26,6 +26,12 @@ from .parameters import ROBOT_ERROR, TARGET_SCALE, Parameters, Step, parameter_m
 from .prepared_poses import prepare_poses
 from .priors import ParameterChoice, Prior
 from .problem import JointProblem
+
+TYPICAL_DEPTH_BIAS = {
+    "depth_bias.scale": Prior(mean=1.0, std=TYPICAL_SCALE_STD),
+    "depth_bias.offset": Prior(mean=0.0, std=TYPICAL_OFFSET_STD),
+}
+"""Priors of the bias of depths that are measured beside pixels."""
 
 
 class BuiltProblem(AbstractBuiltProblem):
@@ -104,7 +110,7 @@ def build_problem(
     if start.mount != data.mount:
         raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
     field = checked_field_choice(field)
-    start = with_field(with_lens(start, lens), field)
+    start = with_depth_bias(with_field(with_lens(start, lens), field), data)
     views = data.usable_views()
     if len(views) < 3 and not choice.priors:
         raise ValueError(
@@ -112,6 +118,9 @@ def build_problem(
         )
 
     noise_model = noise if isinstance(noise, Noise) else None
+    if start.depth_bias is not None:
+        choice = choice._replace(priors=TYPICAL_DEPTH_BIAS | choice.priors)
+        data = _with_known_depth_noise(data, noise_model)
     parameters = Parameters(start)
     shared_size = parameters.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
@@ -208,6 +217,25 @@ def with_field(start: Calibration, field: FieldChoice) -> Calibration:
     if current is not None and _is_same_field(current.field, field):
         return start
     return dataclasses.replace(start, robot_error=RobotError.zero(field))
+
+
+def with_depth_bias(start: Calibration, data: Dataset) -> Calibration:
+    """Return the start with a bias of depths where the data have depths, and without elsewhere."""
+    if data.depths is None:
+        return start if start.depth_bias is None else dataclasses.replace(start, depth_bias=None)
+    if start.depth_bias is not None:
+        return start
+    return dataclasses.replace(start, depth_bias=DepthBias())
+
+
+def _with_known_depth_noise(data: Dataset, noise: Noise | None) -> Dataset:
+    """Return the data whose depths count beside pixels of a stated noise, if that is known."""
+    assert data.depths is not None
+    unknown = not np.asarray(data.depths.pixel_sigma).any()
+    if noise is None or not noise.has_pose_prior or not unknown:
+        return data
+    pixel = noise.pixel if noise.white_pixel is None else noise.white_pixel
+    return dataclasses.replace(data, depths=data.depths.relative_to(pixel))
 
 
 def _is_same_field(first: AbstractField, second: AbstractField) -> bool:

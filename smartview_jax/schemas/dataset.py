@@ -176,12 +176,42 @@ class MeasuredPointsEntry(Entry):
     unit: _Unit
 
 
+_DepthStd = Annotated[
+    float, Field(ge=0.0, le=10.0), Expected("a standard deviation in m, from 0 to 10")
+]
+
+
+class DepthNoiseEntry(Entry):
+    """Standard deviation of a depth z: root of constant^2 + (quadratic z^2)^2, m."""
+
+    constant: _DepthStd
+    quadratic: _DepthStd = 0.0
+
+
 class DepthPicturesEntry(Entry):
-    """Depth pictures, one per view, their unit, and the file of the camera that took them."""
+    """Depth pictures, one per view, their unit, and the file of the camera that took them.
+
+    Without a camera they count beside the pixels of a camera whose lens is to be found, and may
+    have a stated noise.
+    """
 
     pattern: _Pattern
     unit: _Unit
-    camera: PrintableText
+    camera: PrintableText | None = None
+    noise: DepthNoiseEntry | None = None
+
+    @model_validator(mode="after")
+    def _check_noise(self) -> "DepthPicturesEntry":
+        if self.camera is not None and self.noise is not None:
+            raise ValueError("noise: it is estimated where the camera is known; leave it out")
+        return self
+
+
+class DepthsEntry(Entry):
+    """The table `depths.csv` of depths beside pixels, and their noise if it is known."""
+
+    rows: _RowCount | None = None
+    noise: DepthNoiseEntry | None = None
 
 
 class DetectionsEntry(Entry):
@@ -239,6 +269,7 @@ class DatasetFile(Entry):
     tracked_poses: TrackedPosesEntry | None = None
     measured_points: MeasuredPointsEntry | None = None
     depth_pictures: DepthPicturesEntry | None = None
+    depths: DepthsEntry | None = None
     mount: Literal["eye_in_hand", "eye_to_hand"] = "eye_in_hand"
     poses: PosesEntry | None = None
     joints: JointsEntry | None = None
@@ -264,9 +295,16 @@ class DatasetFile(Entry):
     def _check_target(self) -> None:
         """Raise a ValueError without a target and a camera, or for a target of too many points."""
         forms = {
-            "tracked_poses": ("camera", "target", "pictures", "detections", "measured_points"),
-            "measured_points": ("camera", "pictures", "detections"),
-            "depth_pictures": ("detections", "tracked_poses", "measured_points"),
+            "tracked_poses": (
+                "camera",
+                "target",
+                "pictures",
+                "detections",
+                "measured_points",
+                "depths",
+            ),
+            "measured_points": ("camera", "pictures", "detections", "depths"),
+            "depth_pictures": ("detections", "tracked_poses", "measured_points", "depths"),
         }
         for form, foreign in forms.items():
             for name in foreign if getattr(self, form) is not None else ():

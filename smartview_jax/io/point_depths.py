@@ -1,0 +1,140 @@
+"""Read and write the depths of a data-set folder that a camera measured beside its pixels.
+
+Depth pictures registered to the pictures in which the target is detected, of the same camera, whose
+lens is to be found (with `camera:` it is known, and the folder is one of `depth_folder.py`):
+
+    pictures: {pattern: "grey/{view}.png"}
+    depth_pictures: {pattern: "depth/{view}.png", unit: mm,
+                     noise: {constant: 5e-4, quadratic: 1e-3}}
+
+Or the table `depths.csv` with the columns `view,point,depth_m`, a row for each point with a depth:
+
+    depths: {rows: 810, noise: {constant: 5e-4, quadratic: 1e-3}}
+
+Depths are along the optical axis. `noise` is the standard deviation of a single depth z, in m the
+root of constant^2 + (quadratic z^2)^2; without it, it is estimated.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..argument_checks import shortened_repr
+from ..dataset import Dataset, DepthNoise
+from ..depth import points_at_pixels, read_depth_picture
+from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
+from .folder_pictures import LoadOptions, picture_files
+from .robot_readings import table_of_views
+from .view_names import with_names_of
+
+DEPTHS_FILE = "depths.csv"
+"""The name of the table of depths in a data-set folder."""
+
+_COLUMNS = ("view", "point", "depth_m")
+
+
+def with_folder_depths(
+    data: Dataset,
+    folder: Path,
+    content: Mapping[str, Any],
+    description_path: Path,
+    options: LoadOptions,
+) -> Dataset:
+    """Return the data set of a folder with its depths beside pixels, if it has any.
+
+    Args:
+        data: the detected points.
+        folder: of the data set.
+        content: content of its description.
+        description_path: path of the description, for error messages.
+        options: how the folder is read.
+
+    Raises:
+        ValueError: a wrong picture or table, or depths that do not belong to the target.
+        FileNotFoundError: a file is missing.
+    """
+    if "depth_pictures" in content:
+        entry = content["depth_pictures"]
+        depths = _depths_of_pictures(data, folder, dict(content), description_path, options)
+    elif "depths" in content:
+        entry = content["depths"]
+        depths = _read_depths(folder / DEPTHS_FILE, data, entry.get("rows"))
+    else:
+        return data
+    noise = entry.get("noise")
+    try:
+        return data.with_depths(depths, None if noise is None else DepthNoise(**noise))
+    except ValueError as error:
+        raise ValueError(f"{description_path}: {error}") from error
+
+
+def _depths_of_pictures(
+    data: Dataset,
+    folder: Path,
+    content: dict[str, Any],
+    description_path: Path,
+    options: LoadOptions,
+) -> Float[np.ndarray, "views points"]:
+    """Return the depths of pictures at the detected points; NaN where there is none."""
+    entry, table = content["depth_pictures"], table_of_views(folder, content)
+    files = picture_files(folder, entry, data.view_ids, data.target, table, description_path)
+    pixels, (width, height) = np.asarray(data.pixels), data.image_size
+    depths = np.full(pixels.shape[:2], np.nan)
+    for number, view in enumerate(data.view_ids):
+        if not np.isfinite(pixels[number]).any():
+            continue
+        if options.progress is not None:
+            options.progress(f"depths of view {view} ({number + 1} of {len(files)})")
+        path = files[view][0]
+        picture = read_depth_picture(path, entry["unit"])
+        if picture.shape != (height, width):
+            raise ValueError(
+                f"{path}: expected {width} x {height} px, as of the other pictures, found "
+                f"{picture.shape[1]} x {picture.shape[0]}"
+            )
+        # Of a point with x and y of zero, only the depth is averaged over the patch.
+        cloud = picture[..., None] * [0.0, 0.0, 1.0]
+        depths[number] = points_at_pixels(cloud, pixels[number])[:, 2]
+    return depths
+
+
+def _read_depths(
+    path: Path, data: Dataset, stated_rows: int | None
+) -> Float[np.ndarray, "views points"]:
+    """Return the depths of a table, m; NaN for points without a row."""
+    table = read_table(path, _COLUMNS, ())
+    refuse_truncated(path, table.rows, stated_rows)
+    rows, _ = with_names_of(table, data.view_ids)
+    index = {view: k for k, view in enumerate(data.view_ids)}
+    depths = np.full(data.visible.shape, np.nan)
+    for row in rows:
+        if (view := row["view"]) not in index:
+            raise ValueError(f"{path}: view {shortened_repr(view)} has no pose")
+        point, depth = parse_numbers(path, row, _COLUMNS[1:], view)
+        if point not in range(depths.shape[1]):
+            raise ValueError(f"{path}: view {view}: the target has no point {point:g}")
+        place = index[view], int(point)
+        if np.isfinite(depths[place]):
+            raise ValueError(f"{path}: view {view}: point {point:g} has more than one row")
+        depths[place] = depth
+    return depths
+
+
+def write_depths(data: Dataset, folder: Path) -> dict[str, Any]:
+    """Write the depths of a data set, if it has any, and return the entry that describes them.
+
+    Depths that were left out as outliers have no row.
+    """
+    if data.depths is None or data.depth_noise is None:
+        return {}
+    measured = np.asarray(data.depths.measured)
+    rows = [
+        (data.view_ids[view], int(point), float(measured[view, point]))
+        for view, point in np.argwhere(data.depths.used)
+    ]
+    write_table(folder / DEPTHS_FILE, _COLUMNS, rows)
+    noise = {"constant": data.depth_noise.constant, "quadratic": data.depth_noise.quadratic}
+    return {"depths": {"rows": len(rows), "noise": noise}}
