@@ -260,7 +260,11 @@ class Dataset(eqx.Module):
         readings, noise = depth_readings(
             np.asarray(self.points), values, np.asarray(self.visible), noise
         )
-        return dataclasses.replace(self, depths=readings, depth_noise=noise)
+        known = np.isfinite(values) & np.asarray(self.visible)
+        left_out = int((known & ~readings.used).sum())
+        note = f"{left_out} of {known.sum()} depths are far from the plane of the view's others"
+        notes = (*self.notes, f"{note}, and left out") if left_out else self.notes
+        return dataclasses.replace(self, depths=readings, depth_noise=noise, notes=notes)
 
     def __repr__(self) -> str:
         # A traced data set, inside `jit`, has no numbers to show.

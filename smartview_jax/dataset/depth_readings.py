@@ -29,7 +29,7 @@ STEEPEST = 2.0
 SMALLEST_STD = 1e-6
 """Smallest standard deviation of a depth, m: exact depths count as if they had this noise."""
 
-_ROUNDS = 20
+_ROUNDS, _SUBSETS = 20, 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,25 +159,41 @@ def _affine_fit(
 ) -> _AffineFit:
     """Fit the depths of a view by an affine function, without those far from the others."""
     design = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
-    # Medians begin: another surface may have given some of the depths.
-    values, kept = np.array([np.median(depths), 0.0, 0.0, 0.0]), np.zeros(len(depths), dtype=bool)
+    rank = int(np.linalg.matrix_rank(design, rtol=1e-9))
+    # Least median of squares (Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987):
+    # of many exact fits to a few depths, the one that is near most of the others.
+    chosen = np.random.default_rng(0).random((_SUBSETS, len(depths))).argsort(axis=1)[:, :rank]
+    candidates = (np.linalg.pinv(design[chosen], rtol=1e-9) @ depths[chosen][..., None])[..., 0]
+    off = np.abs(depths - candidates @ design.T)
+    best = np.argmin([_robust_std(one, rank) for one in off])
+    values, kept = candidates[best], np.zeros(len(depths), dtype=bool)
     for _ in range(_ROUNDS):
         off = np.abs(depths - design @ values)
-        # 1.4826 medians of absolute differences are a standard deviation of a normal distribution.
-        near = off <= OUTLYING * max(1.4826 * float(np.median(off)), SMALLEST_STD)
-        values = np.linalg.lstsq(design[near], depths[near], rcond=1e-9)[0]
+        near = off <= OUTLYING * max(_robust_std(off, rank), SMALLEST_STD)
         if (near == kept).all():
             break
         kept = near
+        values = np.linalg.lstsq(design[kept], depths[kept], rcond=1e-9)[0]
     if np.linalg.norm(values[1:]) > STEEPEST:
         raise ValueError(
             "depths: expected to change by at most 1 m by metre on the target, found "
             f"{np.linalg.norm(values[1:]):.3g}; millimetres given as metres?"
         )
     off = depths - design @ values
-    rank = int(np.linalg.matrix_rank(design[kept], rtol=1e-9))
     freedom = max(int(kept.sum()) - rank, 0)
     return _AffineFit(design @ values, kept, float(np.square(off[kept]).sum()), freedom)
+
+
+def _robust_std(off: Float[np.ndarray, "seen"], rank: int) -> float:
+    """Return the standard deviation that the smaller half of absolute differences tells.
+
+    Args:
+        off: absolute differences from a fit.
+        rank: number of parameters of the fit; as many of the differences may be zero.
+    """
+    half = np.sort(off)[min((len(off) + rank) // 2, len(off) - 1)]
+    # 1.4826 medians of absolute differences are a standard deviation of a normal distribution.
+    return 1.4826 * float(half)
 
 
 def _likeliest_noise(

@@ -141,7 +141,7 @@ def build_problem(
     )
     about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
     if prior_centre is not None and about_start.any():
-        centre = np.asarray(_values_at(parameters, prior_centre))
+        centre = np.asarray(_values_at(parameters, with_depth_bias(prior_centre, data)))
         mean[:shared_size][about_start] = centre[about_start]
     if noise_model is not None:
         # The correction of a view with too few points to determine its pose is held, unless a prior

@@ -15,6 +15,7 @@ Depths are along the optical axis. `noise` is the standard deviation of a single
 root of constant^2 + (quadratic z^2)^2; without it, it is estimated.
 """
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,10 @@ def with_folder_depths(
         ValueError: a wrong picture or table, or depths that do not belong to the target.
         FileNotFoundError: a file is missing.
     """
+    notes: tuple[str, ...] = ()
     if "depth_pictures" in content:
         entry = content["depth_pictures"]
-        depths = _depths_of_pictures(data, folder, dict(content), description_path, options)
+        depths, notes = _depths_of_pictures(data, folder, dict(content), description_path, options)
     elif "depths" in content:
         entry = content["depths"]
         depths = _read_depths(folder / DEPTHS_FILE, data, entry.get("rows"))
@@ -66,9 +68,10 @@ def with_folder_depths(
         return data
     noise = entry.get("noise")
     try:
-        return data.with_depths(depths, None if noise is None else DepthNoise(**noise))
+        data = data.with_depths(depths, None if noise is None else DepthNoise(**noise))
     except ValueError as error:
         raise ValueError(f"{description_path}: {error}") from error
+    return dataclasses.replace(data, notes=(*data.notes, *notes))
 
 
 def _depths_of_pictures(
@@ -77,28 +80,46 @@ def _depths_of_pictures(
     content: dict[str, Any],
     description_path: Path,
     options: LoadOptions,
-) -> Float[np.ndarray, "views points"]:
-    """Return the depths of pictures at the detected points; NaN where there is none."""
+) -> tuple[Float[np.ndarray, "views points"], tuple[str, ...]]:
+    """Return the depths of pictures at the detected points, and notes on pictures left out.
+
+    Depths are NaN where there is none.
+    """
     entry, table = content["depth_pictures"], table_of_views(folder, content)
     files = picture_files(folder, entry, data.view_ids, data.target, table, description_path)
-    pixels, (width, height) = np.asarray(data.pixels), data.image_size
+    pixels, notes = np.asarray(data.pixels), []
     depths = np.full(pixels.shape[:2], np.nan)
     for number, view in enumerate(data.view_ids):
         if not np.isfinite(pixels[number]).any():
             continue
         if options.progress is not None:
             options.progress(f"depths of view {view} ({number + 1} of {len(files)})")
-        path = files[view][0]
-        picture = read_depth_picture(path, entry["unit"])
-        if picture.shape != (height, width):
-            raise ValueError(
-                f"{path}: expected {width} x {height} px, as of the other pictures, found "
-                f"{picture.shape[1]} x {picture.shape[0]}"
+        try:
+            depths[number] = _depths_at(
+                files[view][0], entry["unit"], pixels[number], data.image_size
             )
-        # Of a point with x and y of zero, only the depth is averaged over the patch.
-        cloud = picture[..., None] * [0.0, 0.0, 1.0]
-        depths[number] = points_at_pixels(cloud, pixels[number])[:, 2]
-    return depths
+        except (ValueError, FileNotFoundError) as error:
+            if options.bad_views == "raise":
+                raise
+            notes.append(f"view {view} has no depths: {error}")
+    return depths, tuple(notes)
+
+
+def _depths_at(
+    path: Path,
+    unit: str | float,
+    pixels: Float[np.ndarray, "points 2"],
+    image_size: tuple[int, int],
+) -> Float[np.ndarray, "points"]:
+    """Return the depths of a picture at some pixels, m."""
+    picture = read_depth_picture(path, unit)
+    if picture.shape != image_size[::-1]:
+        raise ValueError(
+            f"{path}: expected {image_size[0]} x {image_size[1]} px, as of the other pictures, "
+            f"found {picture.shape[1]} x {picture.shape[0]}"
+        )
+    # With x and y of zero, only the depth is averaged over the patch.
+    return points_at_pixels(picture[..., None] * [0.0, 0.0, 1.0], pixels)[:, 2]
 
 
 def _read_depths(
