@@ -28,7 +28,7 @@ BIAS_COLUMNS = 2
 
 
 class DepthEquations(eqx.Module):
-    """What the depths of every view add to the normal equations.
+    """The terms of the normal equations that the depths of every view add.
 
     The rows of `by_parameters` are scale and offset of the sensor, the logarithm of the target's
     scale at a given pose, the coefficients of the target's shape if it is a parameter, and the

@@ -220,8 +220,8 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
 
     Raises:
         ValueError: an unknown pose format, no target description, points that are not the
-            target's, poses with covariances, or a name or value with which the folder could not be
-            read back; nothing is written.
+            target's, or a name or value with which the folder could not be read back; nothing is
+            written.
 
     For example:
 
@@ -235,11 +235,6 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """
     folder, target = Path(folder), data.target
     if isinstance(data, PoseDataset):
-        if data.states_covariance:
-            raise ValueError(
-                "save_dataset: a table of tracked poses has no place for the poses' covariances: "
-                "keep the measured points"
-            )
         refuse_unreadable_robot(folder, data, pose_format)
         entries = {
             "mount": data.mount,

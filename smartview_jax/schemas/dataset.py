@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from .arm import ArmEntry, TransformEntry
-from .calibration import ImageSize
+from .calibration import CameraEntry, DepthSensorEntry, ImageSize
 from .entry import Entry, Expected, PrintableText, Translation
 from .target import TargetEntry
 
@@ -102,10 +102,18 @@ class PosesEntry(Entry):
         return self
 
 
+class CovariancesEntry(Entry):
+    """A table of the covariances of tracked poses, one row per view."""
+
+    file: PrintableText
+    rows: _RowCount | None = None
+
+
 class TrackedPosesEntry(Entry):
     """A table of the target's poses that a tracker measured, one row per view, without pictures.
 
-    Entries that the table's header states may be omitted, but the direction is always stated.
+    Entries that the table's header states may be omitted, but the direction is always stated. The
+    depth sensor that measured the poses goes with their covariances.
     """
 
     file: PrintableText
@@ -114,6 +122,15 @@ class TrackedPosesEntry(Entry):
     angle_unit: AngleUnit | None = None
     direction: Literal["camera_from_world", "world_from_camera"]
     rows: _RowCount | None = None
+    covariances: CovariancesEntry | None = None
+    depth_sensor: DepthSensorEntry | None = None
+    camera: CameraEntry | None = None
+
+    @model_validator(mode="after")
+    def _check_sensor(self) -> "TrackedPosesEntry":
+        if self.depth_sensor is not None and self.covariances is None:
+            raise ValueError("depth_sensor: needs covariances, the table of the poses' covariances")
+        return self
 
 
 _Unit = Annotated[

@@ -89,8 +89,13 @@ def test_points_become_poses(tmp_path, measured, suffix, unit):
     np.testing.assert_allclose(data.covariance, expected.covariance, rtol=0.02, atol=1e-12)
     assert data.sensor.scale == pytest.approx(expected.sensor.scale, abs=1e-6)
     assert data.view_ids == tuple(VIEWS)
-    with pytest.raises(ValueError, match="no place for the poses' covariances"):
-        save_dataset(data, tmp_path / "again")
+    # Poses are saved with their covariances, and the sensor.
+    save_dataset(data, tmp_path / "again")
+    again = sv.load_dataset(tmp_path / "again")
+    assert again.sensor == data.sensor
+    for name in ("covariance", "sensor_changes", "point_rms"):
+        np.testing.assert_allclose(getattr(again, name), getattr(data, name), rtol=1e-12)
+    np.testing.assert_allclose(again.tracked_matrices, data.tracked_matrices, atol=1e-12)
 
 
 def test_depth_pictures_become_poses(tmp_path):
