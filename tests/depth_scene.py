@@ -23,18 +23,19 @@ class DepthScene(NamedTuple):
 
 
 @functools.cache
-def depth_scene(seed, views=8, true_size=1.0, **noise):
+def depth_scene(seed, views=8, common=0.0, **noise):
     """The standard scene with depths, a tenth of which are missing.
 
     Args:
         seed, views, noise: as in `scene_of`.
-        true_size: size of the target that is seen over the one that the depths belong to.
+        common: standard deviation of the error that all depths of a view have in common, m.
     """
     scene = scene_of(seed, views, **noise)
     poses = host_matrices(scene.calibration.camera_from_world(scene.base_from_tool))
     points = np.asarray(scene.data.points)
-    exact = true_size * (np.einsum("vk,vpk->vp", poses[:, 2, :3], points) + poses[:, 2, 3, None])
+    exact = np.einsum("vk,vpk->vp", poses[:, 2, :3], points) + poses[:, 2, 3, None]
     rng = np.random.default_rng((seed, 3))
     depths = np.array(BIAS.measured(exact)) + NOISE.std(exact) * rng.normal(size=exact.shape)
     depths[rng.random(exact.shape) < 0.1] = np.nan
+    depths += common * rng.normal(size=(len(depths), 1))
     return DepthScene(scene.calibration, scene.data, depths)

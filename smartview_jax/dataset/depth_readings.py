@@ -34,20 +34,24 @@ _ROUNDS, _SUBSETS = 20, 100
 
 @dataclasses.dataclass(frozen=True)
 class DepthNoise:
-    """The standard deviation of single depths, which grows with the depth z.
+    """The standard deviation of depths: of single ones, which grows with the depth z, and by view.
 
         std(z)^2 = constant^2 + (quadratic z^2)^2
 
     Stereo and structured light have a quadratic part (0.001 to 0.003 per metre are common), time of
-    flight hardly any.
+    flight hardly any. Depths of one view also have an error in common, such as the wiggling error
+    of time of flight, which no number of points averages.
 
     Attributes:
         constant: part that does not depend on the depth, m.
         quadratic: standard deviation at 1 m of the part that grows with the square, 1/m.
+        common: standard deviation of the error that all depths of a view have in common, m; None
+            if it is to be estimated.
     """
 
     constant: float
     quadratic: float = 0.0
+    common: float | None = None
 
     def __post_init__(self) -> None:
         numbers = np.array([self.constant, self.quadratic])
@@ -56,6 +60,8 @@ class DepthNoise:
                 "DepthNoise: expected numbers of at least 0, not both 0; found constant "
                 f"{self.constant} and quadratic {self.quadratic}"
             )
+        if self.common is not None and not 0.0 <= self.common < np.inf:
+            raise ValueError(f"DepthNoise.common: expected 0 or more, found {self.common}")
 
     def std(self, depth: Float[np.ndarray, "*points"]) -> Float[np.ndarray, "*points"]:
         """Return the standard deviation at depths, m."""
@@ -68,13 +74,16 @@ class DepthReadings(eqx.Module):
     Attributes:
         measured: depths along the camera's optical axis, m; zero where there is none.
         precision: one over their standard deviation, 1/m; zero where there is none, or left out.
-        pixel_sigma: standard deviation of u and of v, px, in fits that take the depths'
-            `precision` as it is: a fit that finds pixels twice as noisy takes depths as twice as
+        common_std: standard deviation of the error that all depths of a view have in common, m, one
+            for each view.
+        pixel_sigma: standard deviation of u and of v, px, in fits that take these standard
+            deviations as they are: a fit that finds pixels twice as noisy takes depths as twice as
             noisy. Zero until the pixels' noise is known; depths then have no effect.
     """
 
     measured: Float[AnyArray, "*views points"]
     precision: Float[AnyArray, "*views points"]
+    common_std: Float[AnyArray, "*views"]
     pixel_sigma: Float[AnyArray, "*views"]
 
     @property
@@ -87,12 +96,26 @@ class DepthReadings(eqx.Module):
         measured, precision = repeat_last(
             (np.asarray(self.measured), np.asarray(self.precision)), count, axis=1
         )
-        return DepthReadings(measured, precision, np.asarray(self.pixel_sigma))
+        by_view = np.asarray(self.common_std), np.asarray(self.pixel_sigma)
+        return DepthReadings(measured, precision, *by_view)
 
-    def relative_to(self, pixel_sigma: float) -> "DepthReadings":
-        """Return the readings for fits that take this as the pixels' noise, px."""
-        views = np.full(np.shape(self.pixel_sigma), pixel_sigma)
-        return dataclasses.replace(self, pixel_sigma=to_device(views))
+    def weighed(self, pixel_sigma: float, common_std: float) -> "DepthReadings":
+        """Return the readings for fits that take this as the pixels' noise, px.
+
+        Args:
+            pixel_sigma: standard deviation of u and of v within a view, px.
+            common_std: standard deviation of the depths' common error in a view, m.
+        """
+        pixel, common = (
+            to_device(np.full(np.shape(self.pixel_sigma), value))
+            for value in (pixel_sigma, common_std)
+        )
+        return dataclasses.replace(self, pixel_sigma=pixel, common_std=common)
+
+    @property
+    def is_weighed(self) -> bool:
+        """Whether the noise of the pixels is known, relative to which the depths count."""
+        return bool(np.asarray(self.pixel_sigma).any())
 
 
 def depth_readings(
@@ -134,7 +157,7 @@ def depth_readings(
     precision = np.where(used, 1.0 / np.maximum(noise.std(fitted), SMALLEST_STD), 0.0)
     unknown = to_device(np.zeros(len(depths)))
     measured = to_device(np.where(used, depths, 0.0))
-    return DepthReadings(measured, to_device(precision), unknown), noise
+    return DepthReadings(measured, to_device(precision), unknown, unknown), noise
 
 
 @dataclasses.dataclass(frozen=True)

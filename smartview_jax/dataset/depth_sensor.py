@@ -25,6 +25,7 @@ class DepthSensor:
         along_std: standard deviation along the line of sight, m; the constant part of it, if it
             grows.
         along_growth: part that grows with the square of the depth, at 1 m, 1/m (`DepthNoise`).
+        common_std: standard deviation of the error that all depths of a view have in common, m.
     """
 
     scale: float
@@ -35,6 +36,7 @@ class DepthSensor:
     across_std: float | None
     along_std: float
     along_growth: float = 0.0
+    common_std: float = 0.0
 
     def corrected(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Return measured points in the sensor's frame, m, with its bias removed."""
@@ -58,9 +60,8 @@ class DepthSensor:
                 f"{bias}; points +- {1e3 * self.across_std:.2g} mm across the line of sight, "
                 f"{1e3 * self.along_std:.2g} mm along it"
             )
-        at_metre = float(np.hypot(self.along_std, self.along_growth))
-        if not self.along_growth:
-            return f"{bias}; depths +- {1e3 * self.along_std:.2g} mm"
-        return (
-            f"{bias}; depths +- {1e3 * self.along_std:.2g} mm nearby, {1e3 * at_metre:.2g} at 1 m"
-        )
+        text = f"{bias}; depths +- {1e3 * self.along_std:.2g} mm"
+        if self.along_growth:
+            at_metre = float(np.hypot(self.along_std, self.along_growth))
+            text += f" nearby, {1e3 * at_metre:.2g} mm at 1 m"
+        return f"{text}, {1e3 * self.common_std:.2g} mm in common by view"

@@ -11,10 +11,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxlie import SE3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration, TargetShape
-from ..dataset import Observations
+from ..dataset import DepthReadings, Observations
 from ..geometry import transformed_coordinates
 from .abstract_problem import NormalEquations, ViewBlocks
 from .parameters import Step
@@ -86,7 +86,7 @@ def depth_residuals(
     observations: Observations,
     pixel_sigma: Float[Array, ""],
 ) -> Float[Array, "views points"]:
-    """Return measured minus predicted depths in standard deviations, zero where there is none.
+    """Return measured minus predicted depths, whitened, zero where there is none.
 
     Args:
         calibration: with target scale and bias of the depths.
@@ -150,4 +150,27 @@ def _linearised(
     ]
     columns = jnp.stack([-predicted, -one, *by_depth], axis=-1) / bias.scale
     residuals = weight * (depths.measured - predicted)
-    return residuals, weight[..., None] * columns
+    direction, shrink = _common_error(depths, observations.visible)
+
+    def whitened(values: Array) -> Array:
+        """Return numbers by depth, `(..., points, numbers)`, less by their common error."""
+        return values - shrink * direction * jnp.sum(direction * values, axis=-2, keepdims=True)
+
+    return whitened(residuals[..., None])[..., 0], whitened(weight[..., None] * columns)
+
+
+def _common_error(
+    depths: DepthReadings, visible: Bool[Array, "*views points"]
+) -> tuple[Float[Array, "*views points 1"], Float[Array, "*views 1 1"]]:
+    """Return the direction of the error that depths of a view have in common, and its shrinkage.
+
+    Depths with precisions u (inverse standard deviations) and a common error of variance t have,
+    after division by their own standard deviations, the covariance 1 + t u u^T. Its inverse root is
+    1 - (1 - 1 / sqrt(1 + t |u|^2)) e e^T with e = u / |u|.
+    """
+    precision = jnp.where(visible, depths.precision, 0.0)
+    square = jnp.sum(precision**2, axis=-1)
+    some = jnp.where(square > 0.0, square, 1.0)
+    shrink = 1.0 - 1.0 / jnp.sqrt(1.0 + depths.common_std**2 * square)
+    direction = precision / jnp.sqrt(some)[..., None]
+    return direction[..., None], shrink[..., None, None]

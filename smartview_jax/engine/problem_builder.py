@@ -229,13 +229,14 @@ def with_depth_bias(start: Calibration, data: Dataset) -> Calibration:
 
 
 def _with_known_depth_noise(data: Dataset, noise: Noise | None) -> Dataset:
-    """Return the data whose depths count beside pixels of a stated noise, if that is known."""
-    assert data.depths is not None
-    unknown = not np.asarray(data.depths.pixel_sigma).any()
-    if noise is None or not noise.has_pose_prior or not unknown:
+    """Return the data whose depths count relative to a stated noise of pixels, if it is known."""
+    depths, stated = data.depths, data.depth_noise
+    assert depths is not None
+    if noise is None or not noise.has_pose_prior or depths.is_weighed:
         return data
     pixel = noise.pixel if noise.white_pixel is None else noise.white_pixel
-    return dataclasses.replace(data, depths=data.depths.relative_to(pixel))
+    common = 0.0 if stated is None else stated.common or 0.0
+    return dataclasses.replace(data, depths=depths.weighed(pixel, common))
 
 
 def _is_same_field(first: AbstractField, second: AbstractField) -> bool:

@@ -12,7 +12,8 @@ Or the table `depths.csv` with the columns `view,point,depth_m`, a row for each 
     depths: {rows: 810, noise: {constant: 5e-4, quadratic: 1e-3}}
 
 Depths are along the optical axis. `noise` is the standard deviation of a single depth z, in m the
-root of constant^2 + (quadratic z^2)^2; without it, it is estimated.
+root of constant^2 + (quadratic z^2)^2; `common`, m, of the error that all depths of a view have in
+common. What is not stated is estimated.
 """
 
 import dataclasses
@@ -157,5 +158,7 @@ def write_depths(data: Dataset, folder: Path) -> dict[str, Any]:
         for view, point in np.argwhere(data.depths.used)
     ]
     write_table(folder / DEPTHS_FILE, _COLUMNS, rows)
-    noise = {"constant": data.depth_noise.constant, "quadratic": data.depth_noise.quadratic}
+    noise = dataclasses.asdict(data.depth_noise)
+    if noise["common"] is None:
+        del noise["common"]
     return {"depths": {"rows": len(rows), "noise": noise}}

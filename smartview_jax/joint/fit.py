@@ -162,8 +162,7 @@ def fit_joint(
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
         open_motion, noise_estimate = undetermined_motion(data, start, fixed, priors), None
         chosen = choice.holding(*open_motion.held)
-        if not isinstance(noise, Noise):
-            data = with_weighed_depths(data, start, chosen, field)
+        data = _with_weighed_depths(data, start, chosen, noise, field)
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
@@ -243,6 +242,21 @@ def fit_joint(
         else:
             break
     return _finish_fit(accepted, used_data, all_data)
+
+
+def _with_weighed_depths(
+    data: Dataset,
+    start: Calibration,
+    choice: ParameterChoice,
+    noise: str | Noise,
+    field: FieldChoice,
+) -> Dataset:
+    """Return the data with depths that count relative to the pixels' noise, stated or not."""
+    if not isinstance(noise, Noise):
+        return with_weighed_depths(data, start, choice, field)
+    pixel = noise.pixel if noise.white_pixel is None else noise.white_pixel
+    own_field = start.field if field == "auto" else field
+    return with_weighed_depths(data, start, choice, own_field, pixel)
 
 
 def _embedded(
@@ -385,6 +399,7 @@ def _depth_sensor(
         None,
         noise.constant,
         noise.quadratic,
+        noise.common or 0.0,
     )
 
 

@@ -207,6 +207,7 @@ class DepthSensorEntry(DepthBiasEntry):
     across_std: _Sigma | None = None
     along_std: _SigmaOrZero
     along_growth: _SigmaOrZero = 0.0
+    common_std: _SigmaOrZero = 0.0
 
 
 class UncertaintyEntry(Entry):

@@ -199,10 +199,14 @@ _DepthStd = Annotated[
 
 
 class DepthNoiseEntry(Entry):
-    """Standard deviation of a depth z: root of constant^2 + (quadratic z^2)^2, m."""
+    """Standard deviation of a depth z, and of the common error of a view's depths, m.
+
+    A depth's own is the root of constant^2 + (quadratic z^2)^2.
+    """
 
     constant: _DepthStd
     quadratic: _DepthStd = 0.0
+    common: _DepthStd | None = None
 
 
 class DepthPicturesEntry(Entry):

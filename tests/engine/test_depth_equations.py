@@ -1,11 +1,13 @@
 """Depths beside pixels: normal equations against JAX's derivatives, and the optimum of SciPy."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from depth_scene import depth_scene
+from depth_scene import NOISE, depth_scene
 from jax.flatten_util import ravel_pytree
 from scipy_optimum import residuals_and_jacobian, scipy_optimum
 
@@ -14,7 +16,7 @@ from smartview_jax.calibration import flat_shape
 from smartview_jax.engine import build_problem, solve
 from smartview_jax.robot_errors import LinearInPosition
 
-PIXEL, TRANSLATION, ROTATION = 0.15, 1e-4, 2e-4
+PIXEL, TRANSLATION, ROTATION, COMMON = 0.15, 1e-4, 2e-4, 3e-4
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +25,7 @@ def problem():
     scene = depth_scene(0, translation_noise=TRANSLATION)
     field = LinearInPosition.from_poses(scene.data.base_from_tool)
     return build_problem(
-        scene.data.with_depths(scene.depths),
+        scene.data.with_depths(scene.depths, dataclasses.replace(NOISE, common=COMMON)),
         scene.truth,
         noise=Noise(PIXEL, TRANSLATION, ROTATION, field=(1e-3, 1e-3)),
         field=field,
@@ -39,6 +41,25 @@ def test_the_optimum_is_that_of_scipy(problem):
     _, J = residuals_and_jacobian(problem, flat)
     std = np.sqrt(np.diagonal(np.linalg.inv(J.T @ J)))
     assert np.abs((flat - found.x) / std).max() < 1e-3
+
+
+def test_residuals_have_the_covariance_of_single_and_common_errors(problem):
+    """Their squares add up to r^T C^-1 r, with C = diag(std^2) + COMMON^2 in each view."""
+    calibration, _ = problem.calibration(problem.zero_step())
+    depths = problem.observations.depths
+    used = depths.used & np.asarray(problem.observations.visible)
+    poses = np.asarray(calibration.camera_from_world_matrices(problem.observations.command))
+    points = np.asarray(problem.observations.points)
+    z = np.einsum("vk,vpk->vp", poses[:, 2, :3], points) + poses[:, 2, 3, None]
+    flat = np.asarray(ravel_pytree(problem.zero_step())[0])
+    # Pixels come first, two numbers each.
+    found = np.asarray(residuals_and_jacobian(problem, flat)[0])[2 * used.size :]
+    residuals = found[: used.size].reshape(used.shape)
+    for view, own in enumerate(used):
+        off = (np.asarray(depths.measured) - z)[view, own]
+        covariance = np.diag(np.asarray(depths.precision)[view, own] ** -2.0) + COMMON**2
+        expected = off @ np.linalg.solve(covariance, off)
+        assert np.sum(residuals[view] ** 2) == pytest.approx(expected, rel=1e-9)
 
 
 def test_normal_equations_are_those_of_the_residuals(problem):

@@ -7,6 +7,8 @@ import pytest
 from depth_scene import BIAS, NOISE, depth_scene
 
 import smartview_jax as sv
+from smartview_jax.engine import ParameterChoice
+from smartview_jax.variance import with_weighed_depths
 
 VIEWS = 16
 
@@ -32,7 +34,22 @@ def test_the_bias_is_recovered(fit):
     assert sensor.scale_std == pytest.approx(fit.std["depth_bias.scale"], rel=1e-6)
     assert sensor.along_growth == pytest.approx(NOISE.quadratic, rel=0.5)
     assert f"depth sensor: depths times {sensor.scale:.5f} +- " in str(fit)
+    # These depths have no error in common: it is below the noise of their mean by the pixels.
+    assert sensor.common_std < 3e-4
     assert not fit.warnings
+
+
+def test_the_error_in_common_is_found():
+    """Over some scenes, and the pixels tell it, not the robot."""
+    stds = []
+    for seed in range(4, 10):
+        scene = depth_scene(seed, VIEWS, common=1e-3, translation_noise=1e-4)
+        data = scene.data.with_depths(scene.depths)
+        choice = ParameterChoice.of((), (), None)
+        noise = with_weighed_depths(data, scene.truth, choice).depth_noise
+        stds.append(noise.common)
+    # The standard error of the mean is 1 / sqrt(2 * 6 * 14) of it, 8 %.
+    assert np.sqrt(np.mean(np.square(stds))) == pytest.approx(1e-3, rel=0.3)
 
 
 def test_it_is_saved_and_read_again(fit, tmp_path):
