@@ -137,7 +137,7 @@ def _print_row(method: str, found: np.ndarray) -> None:
     )
     if np.isfinite(found[:, 3]).all():
         text += f", NEES {found[:, 3].mean():.2f}"
-    if np.isfinite(found[:, 4]).all():
+    if np.isfinite(found[:, 5]).all():
         text += f", size off by {100 * _rms(found[:, 4]):.2f} % (+- {100 * found[:, 5].mean():.2f})"
     if np.isfinite(found[:, 6]).all():
         off = np.abs(found[:, 6] - float(BIAS.scale)).max() / (float(BIAS.scale) - 1.0)

@@ -1,4 +1,4 @@
-"""A camera with depths beside its pixels: small scenes whose depths are biased and noisy."""
+"""A camera that measures depths too: small scenes whose depths are biased and noisy."""
 
 import functools
 from typing import NamedTuple

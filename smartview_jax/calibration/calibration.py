@@ -67,8 +67,7 @@ class Calibration(eqx.Module):
         region: region from which the target was seen in the fitted data; None if not fitted.
         target_shape: deviation of the target's points from their stated places; None if there is
             none.
-        depth_bias: bias of the depths that the camera measures beside pixels; None if it measures
-            none.
+        depth_bias: bias of the depths that the camera measures; None if it measures none.
 
     For example:
 

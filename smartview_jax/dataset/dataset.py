@@ -57,7 +57,7 @@ class Dataset(eqx.Module):
         notes: sentences on assumptions made when the data were read.
         pose_format: format in which the robot's controller writes poses, a key of `POSE_CODECS`;
             None if it is not known.
-        depths: depths that the camera measured at the points, beside their pixels; None without.
+        depths: depths that the camera measured at the points; None without a depth sensor.
         depth_noise: standard deviation of these depths.
 
     For example:
@@ -219,7 +219,7 @@ class Dataset(eqx.Module):
     def with_depths(
         self, depths: np.ndarray | Array | None, noise: DepthNoise | None = None
     ) -> "Dataset":
-        """Return the data set with depths that the camera measured at the points, beside pixels.
+        """Return the data set with depths that the camera measured at the points.
 
         A fit then uses three numbers of a point, and estimates the bias of the depths, scale and
         offset, as well.

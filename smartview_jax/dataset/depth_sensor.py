@@ -21,7 +21,7 @@ class DepthSensor:
         scale_std, offset_std: their standard deviations.
         correlation: of scale and offset.
         across_std: standard deviation of a coordinate across the line of sight, m; None for depths
-            beside pixels, which are what tells the place across it.
+            at the points of pictures, whose pixels tell the place across it.
         along_std: standard deviation along the line of sight, m; the constant part of it, if it
             grows.
         along_growth: part that grows with the square of the depth, at 1 m, 1/m (`DepthNoise`).

@@ -83,7 +83,7 @@ class Rig:
 
         Raises:
             TypeError: a data set of another type.
-            ValueError: no camera; an unusable name; depths beside pixels; states whose poses
+            ValueError: no camera; an unusable name; depths at the points; states whose poses
                 differ; one arm with different joints; one target at two places; or arms without a
                 target in common.
         """

@@ -1,4 +1,4 @@
-"""Add the depths that a camera measures beside pixels to the normal equations of a joint fit.
+"""Add the depths of the points in pictures to the normal equations of a joint fit.
 
 A depth z of a point at p in the camera's frame is measured as (p_z - offset) / scale. It depends on
 the view's pose and on the sensor's two parameters, not on the lens, so that depths add a small

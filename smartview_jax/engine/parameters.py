@@ -37,7 +37,7 @@ TARGET_SCALE = "target_scale"
 """The name of the target's scale, both as a parameter and as a group of unknown size."""
 
 DEPTH_BIAS_NAMES = ("depth_bias.scale", "depth_bias.offset")
-"""Names of the bias of depths that are measured beside pixels."""
+"""Names of the bias of the depths that a camera measures."""
 
 ROBOT_ERROR = "robot_error"
 """First part of the names of the robot error field's coefficients."""

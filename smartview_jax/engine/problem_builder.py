@@ -31,7 +31,7 @@ TYPICAL_DEPTH_BIAS = {
     "depth_bias.scale": Prior(mean=1.0, std=TYPICAL_SCALE_STD),
     "depth_bias.offset": Prior(mean=0.0, std=TYPICAL_OFFSET_STD),
 }
-"""Priors of the bias of depths that are measured beside pixels."""
+"""Priors of the bias of the depths that a camera measures."""
 
 
 class BuiltProblem(AbstractBuiltProblem):

@@ -19,8 +19,8 @@ pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a 
 the target's approximate pose (see `rough_pose.py`). The schema of the file is in `schemas.dataset`;
 an unknown key is an error. A board printed by Kalibr can refer to Kalibr's own file:
 `target: {kind: aprilgrid, file: target.yaml}`. A folder of tracked poses instead of pictures is
-described in `tracked_poses.py`, one of a depth sensor in `depth_folder.py`, and depths beside the
-pixels of a camera whose lens is to be found in `point_depths.py`.
+described in `tracked_poses.py`, one of a depth sensor in `depth_folder.py`, and depths at the
+points of pictures, from a camera whose lens is to be found, in `point_depths.py`.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.

@@ -1,4 +1,4 @@
-"""Read and write the depths of a data-set folder that a camera measured beside its pixels.
+"""Read and write the depths that a camera measured at the detected points of a data-set folder.
 
 Depth pictures registered to the pictures in which the target is detected, of the same camera, whose
 lens is to be found (with `camera:` it is known, and the folder is one of `depth_folder.py`):
@@ -45,7 +45,7 @@ def with_folder_depths(
     description_path: Path,
     options: LoadOptions,
 ) -> Dataset:
-    """Return the data set of a folder with its depths beside pixels, if it has any.
+    """Return the data set of a folder with the depths at its points, if it has any.
 
     Args:
         data: the detected points.

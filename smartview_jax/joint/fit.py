@@ -380,7 +380,7 @@ def _depth_sensor(
     names: Sequence[str],
     covariance: Float[np.ndarray, "free free"],
 ) -> DepthSensor | None:
-    """Return bias and noise of the depths that were measured beside pixels; None without."""
+    """Return bias and noise of the depths at the points; None without a depth sensor."""
     bias, noise = calibration.depth_bias, data.depth_noise
     if bias is None or noise is None:
         return None

@@ -212,7 +212,7 @@ class DepthNoiseEntry(Entry):
 class DepthPicturesEntry(Entry):
     """Depth pictures, one per view, their unit, and the file of the camera that took them.
 
-    Without a camera they count beside the pixels of a camera whose lens is to be found, and may
+    Without a camera its lens is to be found from pixels and depths together, and the depths may
     have a stated noise.
     """
 
@@ -229,7 +229,7 @@ class DepthPicturesEntry(Entry):
 
 
 class DepthsEntry(Entry):
-    """The table `depths.csv` of depths beside pixels, and their noise if it is known."""
+    """The table `depths.csv` of depths at the detected points, and their noise if it is known."""
 
     rows: _RowCount | None = None
     noise: DepthNoiseEntry | None = None

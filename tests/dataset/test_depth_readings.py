@@ -1,4 +1,4 @@
-"""Depths beside pixels: their noise by restricted likelihood, outliers, and what is refused."""
+"""Depths at the points: their noise by restricted likelihood, outliers, and what is refused."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Depths beside pixels: normal equations against JAX's derivatives, and the optimum of SciPy."""
+"""Depths at the points: normal equations against JAX's derivatives, and the optimum of SciPy."""
 
 import dataclasses
 

@@ -128,15 +128,15 @@ def test_depth_pictures_become_poses(tmp_path):
     assert data.camera.image_size == (320, 240)
     np.testing.assert_allclose(data.tracked_matrices[:, :3, 3], seen[:, :3, 3], atol=1e-3)
     np.testing.assert_allclose(data.tracked_matrices[:, :3, :3], seen[:, :3, :3], atol=0.02)
-    # Without the camera its lens is to be found: depths count beside the pixels.
+    # Without the camera its lens is to be found: depths count together with the pixels.
     description = tmp_path / "dataset.yaml"
     content = yaml.safe_load(description.read_text())
-    beside = {**content["depth_pictures"], "noise": {"constant": 1e-4}}
-    content["depth_pictures"] = beside
+    together = {**content["depth_pictures"], "noise": {"constant": 1e-4}}
+    content["depth_pictures"] = together
     description.write_text(yaml.safe_dump(content))
     with pytest.raises(ValueError, match="noise: it is estimated where the camera is known"):
         sv.load_dataset(tmp_path)
-    camera_file = beside.pop("camera")
+    camera_file = together.pop("camera")
     description.write_text(yaml.safe_dump(content))
     pixels = sv.load_dataset(tmp_path)
     assert pixels.depth_noise.constant == 1e-4
@@ -144,9 +144,9 @@ def test_depth_pictures_become_poses(tmp_path):
     used = pixels.depths.used
     assert used.mean() > 0.9
     np.testing.assert_allclose(np.asarray(pixels.depths.measured)[used], expected[used], atol=3e-4)
-    del beside["noise"]
+    del together["noise"]
     description.write_text(
-        yaml.safe_dump({**content, "depth_pictures": {**beside, "camera": camera_file}})
+        yaml.safe_dump({**content, "depth_pictures": {**together, "camera": camera_file}})
     )
     # A depth picture of another size is the file's mistake.
     cv2.imwrite(str(tmp_path / "depth" / "c.png"), np.full((120, 160), 3000, np.uint16))

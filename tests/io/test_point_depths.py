@@ -1,4 +1,4 @@
-"""Depths beside pixels in a folder: written, read again, and what is wrong is named."""
+"""Depths at the points of a folder: written, read again, and what is wrong is named."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A fit with depths beside pixels: the sensor's bias is found, printed and saved."""
+"""A fit with depths at the points: the sensor's bias is found, printed and saved."""
 
 import dataclasses
 
