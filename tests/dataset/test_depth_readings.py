@@ -77,6 +77,7 @@ def test_views_are_selected_with_their_depths():
     padded = dataclasses.replace(data.observations).padded_to(10, 16).depths
     assert padded.measured.shape == (10, 16)
     assert data.with_depths(None).depths is None
+    assert f", {data.depths.used.sum()} with a depth" in repr(data)
 
 
 @pytest.mark.parametrize(
