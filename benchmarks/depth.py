@@ -10,7 +10,7 @@ each pose's covariance as well. Printed are medians over the draws of the error 
 translation, the bias that is found, and how errors relate to their stated covariances (NEES, 6 if
 these are right), of the board's poses and of the hand-eye transform. The error of a point before
 the camera, in the base frame, is compared with its Cramer-Rao bound: the error of the best unbiased
-estimate from all points with known noise.
+estimate from all points with known noise. `depth_with_pixels` adds depths to a fit of pixels.
 
     python -m benchmarks depth
 """
@@ -32,6 +32,8 @@ from smartview_jax.geometry import (
 )
 from smartview_jax.simulation import simulate_depth_points
 from smartview_jax.targets import Chessboard
+
+from . import depth_with_pixels
 
 DRAWS, VIEWS = 60, 15
 SENSOR = DepthSensor(1.02, 1e-3, 0.0, 0.0, 0.0, across_std=1e-4, along_std=5e-4)
@@ -95,7 +97,7 @@ def run(smoke: bool = False) -> bool:
         near, far = distances
         print(f"{len(draws)} draws at {near} to {far} m, {share:.0%} of the points wrong:")
         holds &= _print_draws(draws, smoke)
-    return holds
+    return depth_with_pixels.run(smoke) and holds
 
 
 def _print_draws(draws: list[_Draw], smoke: bool) -> bool:

@@ -6,6 +6,7 @@ from .chain import mount_frames as mount_frames
 from .chain import mount_from_holder as mount_from_holder
 from .chain import mount_from_holder_matrices as mount_from_holder_matrices
 from .chain import transform_names as transform_names
+from .depth_bias import DepthBias as DepthBias
 from .file_content import FORMAT_VERSION as FORMAT_VERSION
 from .target_shape import BOW as BOW
 from .target_shape import PRINT as PRINT

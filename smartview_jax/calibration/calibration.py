@@ -44,6 +44,7 @@ from .chain import (
     mount_from_holder_matrices,
     transform_names,
 )
+from .depth_bias import DepthBias
 from .file_content import content_of, parts_of
 from .target_shape import TargetShape
 
@@ -67,6 +68,7 @@ class Calibration(eqx.Module):
         region: region from which the target was seen in the fitted data; None if not fitted.
         target_shape: deviation of the target's points from their stated places; None if there is
             none.
+        depth_bias: bias of the depths that the camera measures; None if it measures none.
 
     For example:
 
@@ -87,6 +89,7 @@ class Calibration(eqx.Module):
     robot_error: RobotError | None
     region: ViewedRegion | None
     target_shape: TargetShape | None
+    depth_bias: DepthBias | None
 
     def __init__(
         self,
@@ -98,6 +101,7 @@ class Calibration(eqx.Module):
         robot_error: RobotError | None = None,
         region: ViewedRegion | None = None,
         target_shape: TargetShape | None = None,
+        depth_bias: DepthBias | None = None,
     ):
         """Store the parts of the chain; arguments as the class's attributes.
 
@@ -115,6 +119,7 @@ class Calibration(eqx.Module):
         self.robot_error = robot_error
         self.region = region
         self.target_shape = target_shape
+        self.depth_bias = depth_bias
 
     def __repr__(self) -> str:
         # A traced calibration, inside `jit`, has no figures to show.

@@ -11,6 +11,7 @@ from ..cameras import AbstractLens, camera_from_dict, camera_to_dict
 from ..geometry import region_from_dict, region_to_dict, transform_from_dict, transform_to_dict
 from ..robot_errors import AbstractField, robot_error_from_dict, robot_error_to_dict
 from .chain import transform_names
+from .depth_bias import DepthBias
 from .target_shape import shape_from_dict, shape_to_dict
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ def content_of(
     content["target_scale"] = float(calibration.target_scale)
     if calibration.target_shape is not None:
         content["target_shape"] = shape_to_dict(calibration.target_shape)
+    if (bias := calibration.depth_bias) is not None:
+        content["depth_bias"] = {"scale": float(bias.scale), "offset": float(bias.offset)}
     error = calibration.robot_error
     content["robot_error"] = None if error is None else robot_error_to_dict(error)
     if calibration.region is not None:
@@ -88,7 +91,7 @@ def parts_of(
         transform_from_dict(name, content[name]) for name in transform_names(content["mount"])
     )
     error, region = content.get("robot_error"), content.get("region")
-    shape = content.get("target_shape")
+    shape, bias = content.get("target_shape"), content.get("depth_bias")
     return {
         "camera": camera_from_dict(content["camera"], lens),
         "camera_from_mount": camera_from_mount,
@@ -98,4 +101,5 @@ def parts_of(
         "robot_error": None if error is None else robot_error_from_dict(error, field),
         "region": None if region is None else region_from_dict(region),
         "target_shape": None if shape is None else shape_from_dict(shape),
+        "depth_bias": None if bias is None else DepthBias(bias["scale"], bias["offset"]),
     }

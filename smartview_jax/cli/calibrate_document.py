@@ -1,5 +1,6 @@
 """Return the result of `smartview calibrate` as a JSON document for programs."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +59,7 @@ def fit_entries(name: str, run: str, given: str, joint: "JointFit") -> dict[str,
         # Rotations are rotation vectors here, as on the terminal.
         "parameters": _parameters(joint),
         "robot_errors": _robot_errors(joint),
+        "depth_sensor": None if joint.sensor is None else dataclasses.asdict(joint.sensor),
     }
 
 

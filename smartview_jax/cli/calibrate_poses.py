@@ -1,6 +1,5 @@
 """Calibrate tracked poses for `smartview calibrate`: pairs of poses in place of pictures."""
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -157,7 +156,6 @@ def pose_document(result: PoseResult, run: str, files: list[Path]) -> dict[str, 
     return {
         **entries,
         "tracker_std": _length_and_angle(fit.tracker_noise),
-        "depth_sensor": None if fit.sensor is None else dataclasses.asdict(fit.sensor),
         "fitted_rms": _length_and_angle(fit.rms),
         "held_out_rms": None if result.held_out is None else _length_and_angle(result.held_out.rms),
         "rejected": [

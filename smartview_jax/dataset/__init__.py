@@ -2,6 +2,10 @@
 
 from .dataset import MINIMUM_RELIABLE_VIEWS as MINIMUM_RELIABLE_VIEWS
 from .dataset import Dataset as Dataset
+from .depth_readings import DepthNoise as DepthNoise
+from .depth_readings import DepthReadings as DepthReadings
+from .depth_sensor import TYPICAL_OFFSET_STD as TYPICAL_OFFSET_STD
+from .depth_sensor import TYPICAL_SCALE_STD as TYPICAL_SCALE_STD
 from .depth_sensor import DepthSensor as DepthSensor
 from .input_checks import FORWARD_KINEMATICS_TOLERANCE as FORWARD_KINEMATICS_TOLERANCE
 from .input_checks import checked_view_ids as checked_view_ids

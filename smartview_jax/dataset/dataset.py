@@ -18,6 +18,7 @@ from ..robots import Command, SerialArm
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import is_traced, refuse_traced
 from .dataset_text import dataset_text
+from .depth_readings import DepthNoise, DepthReadings, depth_readings
 from .input_checks import (
     check_forward_kinematics,
     checked_view_ids,
@@ -56,6 +57,8 @@ class Dataset(eqx.Module):
         notes: sentences on assumptions made when the data were read.
         pose_format: format in which the robot's controller writes poses, a key of `POSE_CODECS`;
             None if it is not known.
+        depths: depths that the camera measured at the points; None without a depth sensor.
+        depth_noise: standard deviation of these depths.
 
     For example:
 
@@ -80,6 +83,8 @@ class Dataset(eqx.Module):
     arm: SerialArm | None = None
     notes: tuple[str, ...] = eqx.field(static=True, default=())
     pose_format: str | None = eqx.field(static=True, default=None)
+    depths: DepthReadings | None = None
+    depth_noise: DepthNoise | None = eqx.field(static=True, default=None)
 
     @classmethod
     def from_arrays(
@@ -211,6 +216,56 @@ class Dataset(eqx.Module):
             arm=arm,
         )
 
+    def with_depths(
+        self, depths: np.ndarray | Array | None, noise: DepthNoise | None = None
+    ) -> "Dataset":
+        """Return the data set with depths that the camera measured at the points.
+
+        A fit then uses three numbers of a point, and estimates the bias of the depths, scale and
+        offset, as well.
+
+        Args:
+            depths: `(views, points)` along the camera's optical axis, m, as depth pictures have
+                them (not the distance from the camera's centre); NaN where there is none. None
+                drops the depths.
+            noise: standard deviation of the depths, if the sensor states it; by default estimated
+                from their scatter about planes.
+
+        Raises:
+            ValueError: a wrong shape, a depth that is not above 0, another unit than metres, or too
+                few depths to estimate their noise; the message names the view.
+
+        For example:
+
+            >>> camera_from_world = truth.camera_from_world(scene.base_from_tool)
+            >>> points = camera_from_world.as_matrix() @ np.insert(data.points, 3, 1, 2).mT
+            >>> rng = np.random.default_rng(0)
+            >>> depths = points[:, 2] + 1e-3 * rng.normal(size=data.visible.shape)
+            >>> print(f"{1e3 * data.with_depths(depths).depth_noise.constant:.1f} mm")
+            1.0 mm
+        """
+        if depths is None:
+            return dataclasses.replace(self, depths=None, depth_noise=None)
+        values = np.array(depths, dtype=float)
+        if values.shape != self.visible.shape:
+            raise ValueError(
+                f"depths: expected shape {self.visible.shape} (views, points), found {values.shape}"
+            )
+        if len(wrong := np.argwhere(values <= 0.0)):
+            view, point = wrong[0]
+            raise ValueError(
+                f"depths: view {self.view_ids[view]}, point {point}: expected above 0 m, found "
+                f"{values[view, point]:.4g}; NaN where there is none"
+            )
+        readings, noise = depth_readings(
+            np.asarray(self.points), values, np.asarray(self.visible), noise
+        )
+        known = np.isfinite(values) & np.asarray(self.visible)
+        left_out = int((known & ~readings.used).sum())
+        note = f"{left_out} of {known.sum()} depths are far from the plane of the view's others"
+        notes = (*self.notes, f"{note}, and left out") if left_out else self.notes
+        return dataclasses.replace(self, depths=readings, depth_noise=noise, notes=notes)
+
     def __repr__(self) -> str:
         # A traced data set, inside `jit`, has no numbers to show.
         return super().__repr__() if is_traced(self) else dataset_text(self)
@@ -219,7 +274,12 @@ class Dataset(eqx.Module):
     def observations(self) -> Observations:
         """The arrays of the data set, without names."""
         return Observations(
-            self.points, self.pixels, self.visible, self.base_from_tool, self.joints
+            self.points,
+            self.pixels,
+            self.visible,
+            self.base_from_tool,
+            self.joints,
+            self.depths,
         )
 
     @property
@@ -296,8 +356,8 @@ class Dataset(eqx.Module):
 
     def _arrays_of(self, index: np.ndarray) -> dict[str, Any]:
         """Return the arrays of the given views, by name."""
-        arrays = self.points, self.pixels, self.visible, self.base_from_tool, self.joints
-        names = ("points", "pixels", "visible", "base_from_tool", "joints")
+        names = ("points", "pixels", "visible", "base_from_tool", "joints", "depths")
+        arrays = tuple(getattr(self, name) for name in names)
         return dict(zip(names, of_views(arrays, index), strict=True))
 
 

@@ -42,7 +42,10 @@ def _points_line(data: "Dataset") -> str:
         return "no points are seen"
     fewest, most = counts.min(), counts.max()
     span = f"{most} in every view" if fewest == most else f"{fewest} to {most} in a view"
-    return f"points: {counts.sum()} seen, {span}"
+    text = f"points: {counts.sum()} seen, {span}"
+    if data.depths is None:
+        return text
+    return f"{text}, {(data.depths.used & np.asarray(data.visible)).sum()} with a depth"
 
 
 def _robot_line(data: "Dataset") -> str:

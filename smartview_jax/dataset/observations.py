@@ -14,6 +14,7 @@ from ..robots import Command
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import padded_counts, repeat_last, without_padding
+from .depth_readings import DepthReadings
 from .pose_observations import PoseObservations
 
 
@@ -26,6 +27,7 @@ class Observations(eqx.Module):
         visible: mask of the visible points.
         base_from_tool: poses reported by the robot, one transform per view.
         joints: readings of the robot's joints, rad or m; None if unknown.
+        depths: depths measured at the points; None without a depth sensor.
     """
 
     points: Float[Array, "*views points 3"]
@@ -33,6 +35,7 @@ class Observations(eqx.Module):
     visible: Bool[Array, "*views points"]
     base_from_tool: SE3
     joints: Float[Array, "*views joints"] | None = None
+    depths: DepthReadings | None = None
 
     @property
     def command(self) -> Command:
@@ -67,10 +70,11 @@ class Observations(eqx.Module):
             np.asarray, (self.points, self.pixels, self.base_from_tool, self.joints)
         )
         in_columns = (*repeat_last(host[:2], points, axis=1), *host[2:])
+        depths = None if self.depths is None else self.depths.padded_points(points)
         # One transfer for all arrays takes half as long as one transfer each.
-        arrays, visible = jax.device_put((repeat_last(in_columns, views), is_visible))
-        target_points, pixels, base_from_tool, joints = arrays
-        return Observations(target_points, pixels, visible, base_from_tool, joints)
+        arrays, visible = jax.device_put((repeat_last((*in_columns, depths), views), is_visible))
+        target_points, pixels, base_from_tool, joints, depths = arrays
+        return Observations(target_points, pixels, visible, base_from_tool, joints, depths)
 
     def residuals(
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]

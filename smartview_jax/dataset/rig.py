@@ -83,8 +83,9 @@ class Rig:
 
         Raises:
             TypeError: a data set of another type.
-            ValueError: no camera; an unusable name; states whose poses differ; one arm with
-                different joints; one target at two places; or arms without a target in common.
+            ValueError: no camera; an unusable name; depths at the points; states whose poses
+                differ; one arm with different joints; one target at two places; or arms without a
+                target in common.
         """
         if not cameras:
             raise ValueError("Rig: expected at least one camera, found none")
@@ -92,6 +93,11 @@ class Rig:
             require_instance(f"Rig: camera {name!r}", data, Dataset)
             if isinstance(data, PoseDataset):
                 raise TypeError(f"Rig: camera {name!r}: tracked poses have no pixels")
+            if data.depths is not None:
+                raise ValueError(
+                    f"Rig: camera {name!r}: depths count in the fit of one camera only; drop them "
+                    "by data.with_depths(None)"
+                )
             if not NAME.fullmatch(name):
                 raise ValueError(
                     f"Rig: a camera's name has letters, digits, '_' and '-'; found {name!r}"

@@ -1,5 +1,6 @@
 """Use depth sensors: points of a target measured in three dimensions, and the target's poses."""
 
+from ..dataset import DepthNoise as DepthNoise
 from .depth_pictures import cloud_from_depth as cloud_from_depth
 from .depth_pictures import points_at_pixels as points_at_pixels
 from .depth_pictures import read_depth_picture as read_depth_picture

@@ -19,7 +19,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..dataset import DepthSensor, PoseDataset, checked_view_ids
+from ..dataset import (
+    TYPICAL_OFFSET_STD,
+    TYPICAL_SCALE_STD,
+    DepthSensor,
+    PoseDataset,
+    checked_view_ids,
+)
 from ..geometry import (
     PoseLike,
     host_cross_matrices,
@@ -44,9 +50,6 @@ CONVERGED = 1e-8
 
 REJECTED_SIGMAS = 4.0
 """Distance from its fitted place, in standard deviations, from which a point is left out."""
-
-TYPICAL_SCALE_STD, TYPICAL_OFFSET_STD = 0.05, 0.02
-"""Standard deviations of the priors: depth sensors err by some per cent, and some millimetres."""
 
 
 class MeasuredPoses(NamedTuple):

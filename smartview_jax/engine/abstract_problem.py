@@ -102,6 +102,11 @@ class AbstractProblem(eqx.Module):
         """The number of visible points in all pictures, or of numbers of tracked poses."""
 
     @property
+    def number_count(self) -> int:
+        """The number of measured numbers: two for each visible point."""
+        return 2 * self.visible_count
+
+    @property
     @abc.abstractmethod
     def observation_count(self) -> int:
         """The number of observations, visible or not."""

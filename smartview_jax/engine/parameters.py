@@ -4,7 +4,7 @@ Every number has a name, which is a path:
 
     camera.alpha_u  camera.lens.k1  camera_from_tool.translation.x  camera_from_tool.rotation.z
     base_from_world.translation.y  target_scale  robot_error.translation_by_position.0
-    pose_corrections.<view>.translation.x
+    depth_bias.scale  pose_corrections.<view>.translation.x
 
 A path selects every name that it is a prefix of. A fit adds a step to the parameters, except for
 rotations: these are multiplied from the left by the exponential of a rotation vector, in the axes
@@ -25,7 +25,7 @@ from jax.flatten_util import ravel_pytree
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
-from ..calibration import Calibration
+from ..calibration import Calibration, DepthBias
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import to_device
@@ -35,6 +35,9 @@ POSE_CORRECTIONS = "pose_corrections"
 """First part of the names of the views' pose corrections."""
 TARGET_SCALE = "target_scale"
 """The name of the target's scale, both as a parameter and as a group of unknown size."""
+
+DEPTH_BIAS_NAMES = ("depth_bias.scale", "depth_bias.offset")
+"""Names of the bias of the depths that a camera measures."""
 
 ROBOT_ERROR = "robot_error"
 """First part of the names of the robot error field's coefficients."""
@@ -59,7 +62,8 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
     ]
     error = calibration.robot_error
     fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
-    return (*camera, *transforms, TARGET_SCALE, *fields, *correction_names(view_ids))
+    bias = [] if calibration.depth_bias is None else list(DEPTH_BIAS_NAMES)
+    return (*camera, *transforms, TARGET_SCALE, *fields, *bias, *correction_names(view_ids))
 
 
 def correction_names(view_ids: Sequence[str]) -> tuple[str, ...]:
@@ -118,6 +122,7 @@ class ParameterLayout(NamedTuple):
         holder: step of `holder_from_world`, translation then rotation.
         target_scale: the target's scale.
         field: coefficients of the robot error field.
+        depth_bias: scale and offset of depths; empty without a depth sensor.
         size: number of shared parameters.
     """
 
@@ -126,19 +131,22 @@ class ParameterLayout(NamedTuple):
     holder: slice
     target_scale: slice
     field: slice
+    depth_bias: slice
     size: int
 
     @classmethod
-    def of_sizes(cls, camera: int, field: int) -> "ParameterLayout":
-        """Return the layout for given numbers of parameters of the camera and of the field."""
+    def of_sizes(cls, camera: int, field: int, depth_bias: int) -> "ParameterLayout":
+        """Return the layout for given numbers of parameters of camera, field and depth bias."""
         mount, holder, scale = camera + 6, camera + 12, camera + 13
+        end = scale + field
         return cls(
             slice(0, camera),
             slice(camera, mount),
             slice(mount, holder),
             slice(holder, scale),
-            slice(scale, scale + field),
-            scale + field,
+            slice(scale, end),
+            slice(end, end + depth_bias),
+            end + depth_bias,
         )
 
 
@@ -156,7 +164,10 @@ class Parameters(eqx.Module):
         """The positions of the parameters common to all views."""
         camera_size = sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
         error = self.start.robot_error
-        return ParameterLayout.of_sizes(camera_size, 0 if error is None else error.field.size)
+        bias_size = 0 if self.start.depth_bias is None else len(DEPTH_BIAS_NAMES)
+        return ParameterLayout.of_sizes(
+            camera_size, 0 if error is None else error.field.size, bias_size
+        )
 
     def values(self) -> Float[Array, "shared"]:
         """Return the values of the start; rotations, which are steps from it, are zero.
@@ -164,7 +175,7 @@ class Parameters(eqx.Module):
         The value of the target's scale is its logarithm.
         """
         start = self.start
-        error = start.robot_error
+        error, bias = start.robot_error, start.depth_bias
         return jnp.concatenate(
             [
                 ravel_pytree(start.camera)[0],
@@ -174,6 +185,7 @@ class Parameters(eqx.Module):
                 jnp.zeros(3),
                 jnp.log(start.target_scale)[None],
                 jnp.zeros(0) if error is None else error.coefficients,
+                *([] if bias is None else [bias.scale[None], bias.offset[None]]),
             ]
         )
 
@@ -184,6 +196,10 @@ class Parameters(eqx.Module):
         error = start.robot_error
         if error is not None:
             error = RobotError(error.field, error.coefficients + shared[layout.field])
+        bias = start.depth_bias
+        if bias is not None:
+            by_scale, by_offset = shared[layout.depth_bias]
+            bias = DepthBias(bias.scale + by_scale, bias.offset + by_offset)
         calibration = Calibration(
             rebuild(camera_values + shared[layout.camera]),
             retract_transform(start.camera_from_mount, shared[layout.mount]),
@@ -191,6 +207,7 @@ class Parameters(eqx.Module):
             start.mount,
             start.target_scale * jnp.exp(shared[layout.target_scale][0]),
             error,
+            depth_bias=bias,
         )
         return calibration, step.per_view
 
@@ -224,7 +241,8 @@ def host_values(start: Calibration) -> Float[np.ndarray, "shared"]:
     camera = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(start.camera)]
     scale = np.log(np.asarray(start.target_scale))[None]
     coefficients = np.zeros(0) if error is None else np.asarray(error.coefficients)
-    return np.concatenate([*camera, mount, rotation, holder, rotation, scale, coefficients])
+    bias = np.zeros(0) if start.depth_bias is None else start.depth_bias.host_values
+    return np.concatenate([*camera, mount, rotation, holder, rotation, scale, coefficients, bias])
 
 
 def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Calibration:
@@ -245,6 +263,9 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
     if error is not None:
         coefficients = np.asarray(error.coefficients) + shared[layout.field]
         error = RobotError(error.field, to_device(coefficients))
+    bias = start.depth_bias
+    if bias is not None:
+        bias = DepthBias(*(bias.host_values + shared[layout.depth_bias]))
     return Calibration(
         jax.tree.unflatten(structure, camera),
         host_retract_transform(start.camera_from_mount, shared[layout.mount]),
@@ -252,6 +273,7 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
         start.mount,
         np.asarray(start.target_scale) * np.exp(shared[layout.target_scale][0]),
         error,
+        depth_bias=bias,
     )
 
 

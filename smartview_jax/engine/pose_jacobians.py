@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ..calibration import Calibration
 from ..geometry import se3_left_jacobian
-from .parameters import Parameters, Step
+from .parameters import DEPTH_BIAS_NAMES, Parameters, Step
 from .prepared_poses import PreparedPoses
 
 
@@ -24,7 +24,8 @@ class PoseJacobians(eqx.Module):
         calibration: the calibration after the step.
         camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
         shared_jacobian: derivatives by the translation and rotation step of both transforms, by the
-            logarithm of the target's scale, and by the coefficients of the robot error field.
+            logarithm of the target's scale, by the coefficients of the robot error field, and zeros
+            by the bias of depths.
         per_view_jacobian: derivatives by each view's own correction; empty without corrections.
     """
 
@@ -92,6 +93,8 @@ def linearise_poses(
         columns.append(
             camera_from_tool.adjoint() @ (-field_jacobian if eye_in_hand else field_jacobian)
         )
+    if calibration.depth_bias is not None:
+        columns.append(jnp.zeros((views, 6, len(DEPTH_BIAS_NAMES))))
     per_view_jacobian = jnp.zeros((0, 6, 6))
     if len(corrections):
         # exp(c + dc) = exp(J_l(c) dc) @ exp(c); the sign is as for the correction in the chain.

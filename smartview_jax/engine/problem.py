@@ -5,6 +5,7 @@ Both are pure functions. Any optimistix least-squares solver can minimise `resid
 """
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,6 +20,7 @@ from ..calibration import Calibration, TargetShape
 from ..dataset import AnyObservations, Observations, PoseObservations
 from ..robot_errors import RobotError
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
+from .depth_equations import BIAS_COLUMNS, DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
 from .parameters import Parameters, Step, host_values
 from .pose_jacobians import PoseJacobians, linearise_poses
@@ -105,6 +107,16 @@ class JointProblem(AbstractProblem):
         return int(np.asarray(self.observations.visible).sum())
 
     @property
+    def number_count(self) -> int:
+        """The number of measured numbers: two for each visible point, and its depth if it has one.
+
+        Of tracked poses it is the number of their coordinates.
+        """
+        depths = getattr(self.observations, "depths", None)
+        used = 0 if depths is None else int((depths.used & self.observations.visible).sum())
+        return 2 * self.visible_count + used
+
+    @property
     def observation_count(self) -> int:
         """The number of observations, visible or not."""
         return self.observations.visible.size
@@ -126,8 +138,9 @@ class JointProblem(AbstractProblem):
 
     @property
     def is_camera(self) -> Bool[np.ndarray, "shared"]:
-        """Mask of the camera's parameters among the shared ones."""
-        return np.arange(self.parameter_count) < self.parameters.layout.camera.stop
+        """Mask of the parameters of the camera and of its depths among the shared ones."""
+        layout, index = self.parameters.layout, np.arange(self.parameter_count)
+        return (index < layout.camera.stop) | (index >= layout.depth_bias.start)
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""
@@ -205,10 +218,22 @@ class JointProblem(AbstractProblem):
 
         return jax.lax.map(view, (poses, self.observations))
 
-    def observation_residuals(self, z: Step) -> Array:
-        """Return the whitened residuals of the observations, with the robust loss."""
+    def observation_residuals(self, z: Step) -> Any:
+        """Return the whitened residuals of the pixels, with the robust loss, and of depths."""
         residuals = self.whitened_residuals(z)
-        return residuals if self.loss is None else self.loss.robustify(residuals)
+        residuals = residuals if self.loss is None else self.loss.robustify(residuals)
+        if not self.has_depths:
+            return residuals
+        calibration, poses = self._corrected_poses(z)
+        camera_from_world = calibration.camera_from_world(poses, corrected=False)
+        return residuals, depth_residuals(
+            calibration, camera_from_world, self.seen_points, self.pixel_sigma
+        )
+
+    @property
+    def has_depths(self) -> bool:
+        """Whether depths were measured at the points."""
+        return getattr(self.observations, "depths", None) is not None
 
     def normal_equations_without_priors(
         self, z: Step, shape: TargetShape | None = None
@@ -222,7 +247,44 @@ class JointProblem(AbstractProblem):
         """
         pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians, shape)
-        return NormalEquations(jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views))
+        equations = NormalEquations(
+            jnp.sum(views.cost), *self._apply_chain_rule(pose_jacobians, views)
+        )
+        if not self.has_depths:
+            return equations
+        return self._depth_equations(pose_jacobians, shape).added_to(equations)
+
+    def _depth_equations(
+        self, pose_jacobians: PoseJacobians, shape: TargetShape | None = None
+    ) -> DepthEquations:
+        """Return what the depths of every view add to the normal equations."""
+        calibration, layout = pose_jacobians.calibration, self.parameters.layout
+        matrix, gradient, cost = linearise_depths(
+            calibration,
+            pose_jacobians.camera_from_world,
+            self.seen_points,
+            self.pixel_sigma,
+            shape,
+        )
+        bends = 0 if shape is None else len(shape.coefficients)
+        twist = self._shared_jacobian(pose_jacobians)[:, _TWIST]
+        # Bias and scale are shared parameters themselves; the shape's coefficients come after them.
+        direct = np.zeros((BIAS_COLUMNS + 1, layout.size))
+        direct[:BIAS_COLUMNS, layout.depth_bias] = np.eye(BIAS_COLUMNS)
+        direct[BIAS_COLUMNS, layout.target_scale] = 1.0
+        taken = self._take_free(jnp.asarray(direct)) * self.scale.shared[None]
+        upper = jnp.pad(taken, ((0, bends), (0, bends)))
+        upper = upper.at[BIAS_COLUMNS + 1 :, len(self.free) :].set(jnp.eye(bends))
+        by_parameters = jnp.concatenate(
+            [
+                jnp.broadcast_to(upper[None], (len(cost), *upper.shape)),
+                jnp.pad(twist, ((0, 0), (0, 0), (0, bends))),
+            ],
+            axis=1,
+        )
+        return DepthEquations(
+            matrix, gradient, cost, by_parameters, self._per_view_jacobian(pose_jacobians)
+        )
 
     def _linearise_poses(self, z: Step) -> PoseJacobians:
         """Return the pose of the camera in every view at a scaled step, with its derivatives."""
@@ -376,7 +438,11 @@ class JointProblem(AbstractProblem):
         views = self._view_normal_equations(pose_jacobians)
         shared = self._shared_jacobian(pose_jacobians)
         gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
-        return gradient, jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
+        matrix = jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
+        if self.has_depths:
+            depths = self._depth_equations(pose_jacobians)
+            return gradient + depths.shared_gradients, matrix + depths.blocks.shared
+        return gradient, matrix
 
     def blocks_by_view(self, z: Step) -> ViewBlocks:
         """Return every view's own term of the matrix of the normal equations, without priors."""
@@ -385,4 +451,7 @@ class JointProblem(AbstractProblem):
         shared = self._shared_jacobian(pose_jacobians)
         matrix_shared = views.matrix @ shared
         _, border, block = self._per_view_blocks(pose_jacobians, views, matrix_shared[:, _TWIST])
-        return ViewBlocks(jnp.swapaxes(shared, 1, 2) @ matrix_shared, border, block)
+        blocks = ViewBlocks(jnp.swapaxes(shared, 1, 2) @ matrix_shared, border, block)
+        if not self.has_depths:
+            return blocks
+        return jax.tree.map(jnp.add, blocks, self._depth_equations(pose_jacobians).blocks)

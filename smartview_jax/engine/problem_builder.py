@@ -13,9 +13,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import Calibration, DepthBias, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..dataset import Dataset, chain_residuals
+from ..dataset import TYPICAL_OFFSET_STD, TYPICAL_SCALE_STD, Dataset, chain_residuals
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..runtime.array_namespace import to_device
@@ -27,6 +27,12 @@ from .parameters import ROBOT_ERROR, TARGET_SCALE, Parameters, Step, parameter_m
 from .prepared_poses import prepare_poses
 from .priors import ParameterChoice, ParameterOptions, Prior
 from .problem import JointProblem
+
+TYPICAL_DEPTH_BIAS = {
+    "depth_bias.scale": Prior(mean=1.0, std=TYPICAL_SCALE_STD),
+    "depth_bias.offset": Prior(mean=0.0, std=TYPICAL_OFFSET_STD),
+}
+"""Priors of the bias of the depths that a camera measures."""
 
 
 class BuiltProblem(AbstractBuiltProblem):
@@ -101,7 +107,7 @@ def build_problem(
     if start.mount != data.mount:
         raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
     field = checked_field_choice(field)
-    start = with_field(with_lens(start, lens), field)
+    start = with_depth_bias(with_field(with_lens(start, lens), field), data)
     views = data.usable_views()
     if len(views) < 3 and not choice.priors:
         raise ValueError(
@@ -109,6 +115,9 @@ def build_problem(
         )
 
     noise_model = noise if isinstance(noise, Noise) else None
+    if start.depth_bias is not None:
+        choice = choice._replace(priors=TYPICAL_DEPTH_BIAS | choice.priors)
+        data = _with_known_depth_noise(data, noise_model)
     own = Parameters(start)
     shared_size = own.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
@@ -129,7 +138,7 @@ def build_problem(
     )
     about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
     if prior_centre is not None and about_start.any():
-        centre = np.asarray(_values_at(own, prior_centre))
+        centre = np.asarray(_values_at(own, with_depth_bias(prior_centre, data)))
         mean[:shared_size][about_start] = centre[about_start]
     if noise_model is not None:
         # The correction of a view with too few points to determine its pose is held, unless a prior
@@ -203,6 +212,26 @@ def with_field(start: Calibration, field: FieldChoice) -> Calibration:
     if current is not None and _is_same_field(current.field, field):
         return start
     return dataclasses.replace(start, robot_error=RobotError.zero(field))
+
+
+def with_depth_bias(start: Calibration, data: Dataset) -> Calibration:
+    """Return the start with a bias of depths where the data have depths, and without elsewhere."""
+    if data.depths is None:
+        return start if start.depth_bias is None else dataclasses.replace(start, depth_bias=None)
+    if start.depth_bias is not None:
+        return start
+    return dataclasses.replace(start, depth_bias=DepthBias())
+
+
+def _with_known_depth_noise(data: Dataset, noise: Noise | None) -> Dataset:
+    """Return the data whose depths count relative to a stated noise of pixels, if it is known."""
+    depths, stated = data.depths, data.depth_noise
+    assert depths is not None
+    if noise is None or not noise.has_pose_prior or depths.is_weighed:
+        return data
+    pixel = noise.pixel if noise.white_pixel is None else noise.white_pixel
+    common = 0.0 if stated is None else stated.common or 0.0
+    return dataclasses.replace(data, depths=depths.weighed(pixel, common))
 
 
 def _is_same_field(first: AbstractField, second: AbstractField) -> bool:

@@ -19,7 +19,8 @@ pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a 
 the target's approximate pose (see `rough_pose.py`). The schema of the file is in `schemas.dataset`;
 an unknown key is an error. A board printed by Kalibr can refer to Kalibr's own file:
 `target: {kind: aprilgrid, file: target.yaml}`. A folder of tracked poses instead of pictures is
-described in `tracked_poses.py`, one of a depth sensor in `depth_folder.py`.
+described in `tracked_poses.py`, one of a depth sensor in `depth_folder.py`, and depths at the
+points of pictures, from a camera whose lens is to be found, in `point_depths.py`.
 
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
@@ -53,6 +54,7 @@ from .folder_pictures import LoadOptions, picture_files, read_board_heights
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
 from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
+from .point_depths import with_folder_depths, write_depths
 from .poses import POSES_FILE, poses_entry, refuse_unreadable_poses, write_poses
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .tracked_poses import read_tracked_folder, write_tracked_poses
@@ -94,14 +96,15 @@ def load_dataset_folder(
             camera_board_heights(camera, readings),
         )
         data = camera_dataset(camera, readings, files, options, description_path)
-        if description.depth_pictures is None:
-            return data
+        if description.depth_pictures is None or description.depth_pictures.camera is None:
+            return with_folder_depths(data, folder, content, description_path, options)
         return read_depth_pictures(data, readings, folder, content, description_path, options)
     if not camera.detections.is_file():
         raise ValueError(
             f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
         )
-    return detected_dataset(camera, readings, options, description_path)
+    data = detected_dataset(camera, readings, options, description_path)
+    return with_folder_depths(data, folder, content, description_path, options)
 
 
 def camera_board_heights(
@@ -208,7 +211,7 @@ def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path)
 
 
 def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix") -> None:
-    """Write poses, target, detections and joint readings as a folder that `load_dataset` reads.
+    """Write poses, target, detections, depths and joint readings for `load_dataset`.
 
     Args:
         data: a data set with a target, whose points must be the target's; or one of tracked poses.
@@ -217,8 +220,8 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
 
     Raises:
         ValueError: an unknown pose format, no target description, points that are not the
-            target's, poses with covariances, or a name or value with which the folder could not be
-            read back; nothing is written.
+            target's, or a name or value with which the folder could not be read back; nothing is
+            written.
 
     For example:
 
@@ -232,11 +235,6 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """
     folder, target = Path(folder), data.target
     if isinstance(data, PoseDataset):
-        if data.states_covariance:
-            raise ValueError(
-                "save_dataset: a table of tracked poses has no place for the poses' covariances: "
-                "keep the measured points"
-            )
         refuse_unreadable_robot(folder, data, pose_format)
         entries = {
             "mount": data.mount,
@@ -258,7 +256,11 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         data.image_size,
         target,
         data.mount,
-        {"detections": {"rows": rows}, **written_joints(folder, data)},
+        {
+            "detections": {"rows": rows},
+            **write_depths(data, folder),
+            **written_joints(folder, data),
+        },
         pose_format,
     )
 

@@ -22,7 +22,7 @@ target is detected:
     depth_pictures: {pattern: "depth/{view}.png", unit: mm, camera: camera.yaml}
 
 `unit` is m, cm, mm, or metres by number, such as 0.0001; the camera's file has any format of
-`read_camera`.
+`read_camera`. Without a camera its lens is to be found too (`point_depths.py`).
 """
 
 import dataclasses

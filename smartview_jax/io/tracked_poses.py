@@ -8,7 +8,8 @@
                     direction: camera_from_world}
 
 Both tables have a column `view`, by whose names they are matched; a view that the tracker's table
-does not have was not seen. The world is the target's frame. The robot's poses may be joint readings
+does not have was not seen. Covariances of the poses are described in `tracked_covariances.py`. The
+world is the target's frame. The robot's poses may be joint readings
 or the log of a moving robot, as in `dataset_folder`.
 """
 
@@ -22,6 +23,7 @@ from ..dataset import PoseDataset
 from ..geometry import as_se3, host_matrices
 from .poses import poses_entry, read_poses, write_poses
 from .robot_readings import read_robot_readings
+from .tracked_covariances import with_read_covariances, write_covariances
 
 TRACKED_POSES_FILE = "tracker.csv"
 """The name of the file that `write_tracked_poses` writes."""
@@ -71,6 +73,7 @@ def read_tracked_folder(
         )
     except ValueError as error:
         raise ValueError(f"{description_path}: {error}") from error
+    data = with_read_covariances(data, folder, entry)
     notes = () if tracked.table is None else tracked.table.notes
     return dataclasses.replace(
         data, notes=(*readings.notes, *notes), pose_format=readings.pose_format
@@ -92,4 +95,5 @@ def write_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> di
         **poses_entry(len(seen), pose_format),
         "file": TRACKED_POSES_FILE,
         "direction": "camera_from_world",
+        **write_covariances(data, folder),
     }

@@ -8,13 +8,14 @@ from typing import Any
 import jax
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from ..argument_checks import require_instance, require_one_of
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
-from ..dataset import Dataset, PoseDataset, chain_residuals, repeated_views
+from ..dataset import Dataset, DepthSensor, PoseDataset, chain_residuals, repeated_views
 from ..engine import (
+    DEPTH_BIAS_NAMES,
     ROBOT_ERROR,
     AbstractLoss,
     BlockArrow,
@@ -51,7 +52,7 @@ from ..robot_errors import (
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import refuse_traced
 from ..staged import with_region
-from ..variance import NoiseEstimate, estimate_noise
+from ..variance import NoiseEstimate, estimate_noise, with_weighed_depths
 from .gross_errors import remove_gross_errors, without_views
 from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
@@ -161,6 +162,7 @@ def fit_joint(
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
         open_motion, noise_estimate = undetermined_motion(data, start, fixed, priors), None
         chosen = choice.holding(*open_motion.held)
+        data = _with_weighed_depths(data, start, chosen, noise, field)
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
@@ -241,6 +243,21 @@ def fit_joint(
         else:
             break
     return _finish_fit(accepted, used_data, all_data)
+
+
+def _with_weighed_depths(
+    data: Dataset,
+    start: Calibration,
+    choice: ParameterChoice,
+    noise: str | Noise,
+    field: FieldChoice,
+) -> Dataset:
+    """Return the data with depths that count relative to the pixels' noise, stated or not."""
+    if not isinstance(noise, Noise):
+        return with_weighed_depths(data, start, choice, field)
+    pixel = noise.pixel if noise.white_pixel is None else noise.white_pixel
+    own_field = start.field if field == "auto" else field
+    return with_weighed_depths(data, start, choice, own_field, pixel)
 
 
 def _embedded(
@@ -354,6 +371,36 @@ def _assemble_fit(
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
         result=solver_result(solution),
+        sensor=_depth_sensor(data, calibration, built.shared_names, common_covariance),
+    )
+
+
+def _depth_sensor(
+    data: Dataset,
+    calibration: Calibration,
+    names: Sequence[str],
+    covariance: Float[np.ndarray, "free free"],
+) -> DepthSensor | None:
+    """Return bias and noise of the depths at the points; None without a depth sensor."""
+    bias, noise = calibration.depth_bias, data.depth_noise
+    if bias is None or noise is None:
+        return None
+    # A held parameter has no uncertainty.
+    rows = [names.index(name) if name in names else -1 for name in DEPTH_BIAS_NAMES]
+    padded = np.pad(covariance, (0, 1))
+    scale_std, offset_std = map(float, np.sqrt(np.diagonal(padded)[rows]))
+    product = scale_std * offset_std
+    correlation = float(padded[rows[0], rows[1]]) / product if product else 0.0
+    return DepthSensor(
+        float(bias.scale),
+        float(bias.offset),
+        scale_std,
+        offset_std,
+        correlation,
+        None,
+        noise.constant,
+        noise.quadratic,
+        noise.common or 0.0,
     )
 
 

@@ -174,12 +174,11 @@ def _rounded(value: float, half_width: float | None) -> str:
 
 def noise_text(fit: "JointFit") -> str:
     """Return the standard deviations of pixels and poses in words."""
-    if fit.noise is None:
-        return f"pixels +- {fit.pixel_sigma:.2g} px; the robot's poses are trusted"
     text = f"pixels +- {fit.pixel_sigma:.2g} px"
-    if fit.noise.white_pixel is not None:
+    if fit.noise is not None and fit.noise.white_pixel is not None:
         text += f" between views, {fit.noise.white_pixel:.2g} px within one"
-    return f"{text}; {robot_noise_text(fit)}"
+    text = f"{text}; {robot_noise_text(fit)}"
+    return text if fit.sensor is None else f"{text}\ndepth sensor: {fit.sensor.described}"
 
 
 def robot_noise_text(fit: "JointFit") -> str:

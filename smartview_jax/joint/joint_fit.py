@@ -60,8 +60,9 @@ class JointFit(eqx.Module):
         result: whether the fit converged.
         warnings: reasons to doubt the result, a sentence each.
         pose_format: format in which the robot's controller writes poses; None if it is not known.
-        sensor: the depth sensor whose points were fitted, with its scale and offset held, but their
-            uncertainty in `covariance`; None for pictures and other trackers.
+        sensor: the depth sensor, whose bias is in `covariance`: of depths at the points in pictures
+            it is among the parameters; of measured points scale and offset were held, but their
+            uncertainty was added. None for pictures alone and other trackers.
 
     For example:
 

@@ -307,6 +307,12 @@ def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibratio
     """Raise a `ValueError` unless data sets and starts agree in mount and structure."""
     if not data:
         raise ValueError("fit_many: expected at least one data set, found none")
+    for k, item in enumerate(data):
+        if item.depths is not None:
+            raise ValueError(
+                f"data[{k}]: depths count in fit_joint and calibrate_many only; drop them by "
+                "with_depths(None)"
+            )
     if len(starts) != len(data):
         raise ValueError(f"start: expected one, or {len(data)}, found {len(starts)}")
     mount = data[0].mount

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..calibration import SHAPE_NAMES, Calibration
-from ..engine import ROBOT_ERROR
+from ..engine import DEPTH_BIAS_NAMES, ROBOT_ERROR
 from ..geometry import host_logarithms, host_matrices
 from ..robot_errors import nominal_arm
 
@@ -92,6 +92,8 @@ def _parameter_values(calibration: Calibration) -> dict[str, float]:
             f"target_shape.{name}": float(x)
             for name, x in zip(SHAPE_NAMES, calibration.target_shape.coefficients, strict=True)
         }
+    if (bias := calibration.depth_bias) is not None:
+        values |= dict(zip(DEPTH_BIAS_NAMES, map(float, bias.host_values), strict=True))
     return values
 
 
@@ -127,7 +129,7 @@ def display_unit(name: str, prismatic_offsets: Collection[str] = frozenset()) ->
         prismatic_offsets: names of joint offsets that are lengths.
     """
     is_length = ".translation." in name or ".link_length." in name or name in prismatic_offsets
-    if is_length or name.startswith("target_shape."):
+    if is_length or name.startswith("target_shape.") or name == "depth_bias.offset":
         return 1e3, "mm"
     if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
         return float(np.rad2deg(1.0)), "deg"

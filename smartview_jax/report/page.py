@@ -264,6 +264,8 @@ def _fit_facts(
             f"camera motion over robot motion {fit.staged.conventions.length_ratio:.3f}",
         ),
     ]
+    if fit.joint.sensor is not None:
+        facts.append(("depth sensor", fit.joint.sensor.described))
     facts += tables.error_model_rows(fit.joint, data)
     if held_out_reports:
         held_out_report = held_out_reports.get("joint", next(iter(held_out_reports.values())))

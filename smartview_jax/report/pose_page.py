@@ -28,7 +28,7 @@ def pose_error_rows(fit: PoseFit, held_out: HeldOutPoses | None) -> list[tuple[s
         (name, f"{1e3 * distance:.3g} mm", f"{np.rad2deg(angle):.3g} deg")
         for name, (distance, angle) in kinds
     ]
-    if fit.sensor is not None:
+    if fit.sensor is not None and fit.sensor.across_std is not None:
         across, along = 1e3 * fit.sensor.across_std, 1e3 * fit.sensor.along_std
         rows.append(("noise of a measured point, across the ray", f"{across:.3g} mm", ""))
         rows.append(("noise of a measured point, along the ray", f"{along:.3g} mm", ""))

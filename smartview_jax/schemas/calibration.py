@@ -176,6 +176,11 @@ _Sigma = Annotated[
 ]
 
 
+_SigmaOrZero = Annotated[
+    float, Field(ge=0.0, le=1e6), Expected("a standard deviation, from 0 to 1e6")
+]
+
+
 class NoiseEntry(Entry):
     """Standard deviations of pixels (px) and reported poses (m, rad); null if infinite."""
 
@@ -186,16 +191,23 @@ class NoiseEntry(Entry):
     white_pixel: _Sigma | None = None
 
 
-class DepthSensorEntry(Entry):
-    """Bias and noise of the depth sensor whose points were fitted; lengths in m."""
+class DepthBiasEntry(Entry):
+    """The bias of a camera's depths: true depth = scale * measured depth + offset (m)."""
 
     scale: Annotated[float, Field(gt=0.0, le=100.0), Expected("true over measured depth")]
     offset: FiniteNumber
-    scale_std: _Sigma
-    offset_std: _Sigma
+
+
+class DepthSensorEntry(DepthBiasEntry):
+    """Bias and noise of the depth sensor whose points or depths were fitted; lengths in m."""
+
+    scale_std: _SigmaOrZero
+    offset_std: _SigmaOrZero
     correlation: Annotated[float, Field(ge=-1.0, le=1.0), Expected("a correlation")]
-    across_std: _Sigma
-    along_std: _Sigma
+    across_std: _Sigma | None = None
+    along_std: _SigmaOrZero
+    along_growth: _SigmaOrZero = 0.0
+    common_std: _SigmaOrZero = 0.0
 
 
 class UncertaintyEntry(Entry):
@@ -229,6 +241,7 @@ class _CalibrationFile(Entry):
     camera: CameraEntry
     target_scale: _TargetScale
     target_shape: TargetShapeEntry | None = None
+    depth_bias: DepthBiasEntry | None = None
     robot_error: RobotErrorEntry | None = None
     region: RegionEntry | None = None
     pictures: list[str] | None = None

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from .arm import ArmEntry, TransformEntry
-from .calibration import ImageSize
+from .calibration import CameraEntry, DepthSensorEntry, ImageSize
 from .entry import Entry, Expected, PrintableText, Translation
 from .target import TargetEntry
 
@@ -102,10 +102,18 @@ class PosesEntry(Entry):
         return self
 
 
+class CovariancesEntry(Entry):
+    """A table of the covariances of tracked poses, one row per view."""
+
+    file: PrintableText
+    rows: _RowCount | None = None
+
+
 class TrackedPosesEntry(Entry):
     """A table of the target's poses that a tracker measured, one row per view, without pictures.
 
-    Entries that the table's header states may be omitted, but the direction is always stated.
+    Entries that the table's header states may be omitted, but the direction is always stated. The
+    depth sensor that measured the poses goes with their covariances.
     """
 
     file: PrintableText
@@ -114,6 +122,15 @@ class TrackedPosesEntry(Entry):
     angle_unit: AngleUnit | None = None
     direction: Literal["camera_from_world", "world_from_camera"]
     rows: _RowCount | None = None
+    covariances: CovariancesEntry | None = None
+    depth_sensor: DepthSensorEntry | None = None
+    camera: CameraEntry | None = None
+
+    @model_validator(mode="after")
+    def _check_sensor(self) -> "TrackedPosesEntry":
+        if self.depth_sensor is not None and self.covariances is None:
+            raise ValueError("depth_sensor: needs covariances, the table of the poses' covariances")
+        return self
 
 
 _Unit = Annotated[
@@ -176,12 +193,46 @@ class MeasuredPointsEntry(Entry):
     unit: _Unit
 
 
+_DepthStd = Annotated[
+    float, Field(ge=0.0, le=10.0), Expected("a standard deviation in m, from 0 to 10")
+]
+
+
+class DepthNoiseEntry(Entry):
+    """Standard deviation of a depth z, and of the common error of a view's depths, m.
+
+    A depth's own is the root of constant^2 + (quadratic z^2)^2.
+    """
+
+    constant: _DepthStd
+    quadratic: _DepthStd = 0.0
+    common: _DepthStd | None = None
+
+
 class DepthPicturesEntry(Entry):
-    """Depth pictures, one per view, their unit, and the file of the camera that took them."""
+    """Depth pictures, one per view, their unit, and the file of the camera that took them.
+
+    Without a camera its lens is to be found from pixels and depths together, and the depths may
+    have a stated noise.
+    """
 
     pattern: _Pattern
     unit: _Unit
-    camera: PrintableText
+    camera: PrintableText | None = None
+    noise: DepthNoiseEntry | None = None
+
+    @model_validator(mode="after")
+    def _check_noise(self) -> "DepthPicturesEntry":
+        if self.camera is not None and self.noise is not None:
+            raise ValueError("noise: it is estimated where the camera is known; leave it out")
+        return self
+
+
+class DepthsEntry(Entry):
+    """The table `depths.csv` of depths at the detected points, and their noise if it is known."""
+
+    rows: _RowCount | None = None
+    noise: DepthNoiseEntry | None = None
 
 
 class DetectionsEntry(Entry):
@@ -239,6 +290,7 @@ class DatasetFile(Entry):
     tracked_poses: TrackedPosesEntry | None = None
     measured_points: MeasuredPointsEntry | None = None
     depth_pictures: DepthPicturesEntry | None = None
+    depths: DepthsEntry | None = None
     mount: Literal["eye_in_hand", "eye_to_hand"] = "eye_in_hand"
     poses: PosesEntry | None = None
     joints: JointsEntry | None = None
@@ -264,9 +316,16 @@ class DatasetFile(Entry):
     def _check_target(self) -> None:
         """Raise a ValueError without a target and a camera, or for a target of too many points."""
         forms = {
-            "tracked_poses": ("camera", "target", "pictures", "detections", "measured_points"),
-            "measured_points": ("camera", "pictures", "detections"),
-            "depth_pictures": ("detections", "tracked_poses", "measured_points"),
+            "tracked_poses": (
+                "camera",
+                "target",
+                "pictures",
+                "detections",
+                "measured_points",
+                "depths",
+            ),
+            "measured_points": ("camera", "pictures", "detections", "depths"),
+            "depth_pictures": ("detections", "tracked_poses", "measured_points", "depths"),
         }
         for form, foreign in forms.items():
             for name in foreign if getattr(self, form) is not None else ():

@@ -42,7 +42,7 @@ def simulate_depth_points(
     depth = points[..., 2:]
     points = points * ((depth - sensor.offset) / sensor.scale / depth)
     rays = points / np.linalg.norm(points, axis=2, keepdims=True)
-    noise = sensor.across_std * rng.normal(size=points.shape)
+    noise = (sensor.across_std or 0.0) * rng.normal(size=points.shape)
     along = sensor.along_std * rng.normal(size=depth.shape)
     noise += rays * (along - (noise * rays).sum(axis=2, keepdims=True))
     is_wrong = rng.random(points.shape[:2]) < wrong

@@ -1,5 +1,6 @@
 """Estimate the standard deviations of all errors by restricted likelihood, over several models."""
 
+from .depth_weights import with_weighed_depths as with_weighed_depths
 from .kenward_roger import joined_corrections as joined_corrections
 from .kenward_roger import p_value as p_value
 from .model_comparison import compare_models as compare_models

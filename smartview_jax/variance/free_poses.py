@@ -66,8 +66,7 @@ def fit_free_poses(
         fit = FreePoseFit(problem, solution.z, equations, sum_of_squares, shape)
         if shape is None or fits == MAX_SHAPE_FITS:
             return fit
-        visible = int(np.asarray(problem.observations.visible).sum())
-        variance = sum_of_squares / max(2 * visible - views.statistic_count, 1)
+        variance = sum_of_squares / max(problem.number_count - views.statistic_count, 1)
         change, std = _shape_step(views, solution.z, shape, variance)
         if not np.isfinite(change).all() or (np.abs(change) <= SHAPE_TOLERANCE * std).all():
             return fit

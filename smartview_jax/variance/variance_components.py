@@ -18,6 +18,7 @@ from ..engine import (
 )
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from .averaged_fit import AveragedFit, average_over_models, averaged_noise
+from .depth_weights import with_weighed_depths
 from .kenward_roger import small_sample_correction
 from .lens_terms import lens_evidence
 from .likelihood import (
@@ -77,6 +78,7 @@ def estimate_noise(
                 f"prior on {path!r}: noise='estimated' estimates its size; give a Noise instead"
             )
 
+    data = with_weighed_depths(data, start, choice, field)
     # First pass: all models on the basis that contains them, linearised at the fit with free poses.
     first = compare_models(data, start, field, choice, prior)
 

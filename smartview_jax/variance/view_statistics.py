@@ -85,9 +85,9 @@ class ViewStatistics:
         self.per_view_free: Bool[np.ndarray, "corrected 6"] = np.asarray(problem.per_view_free)
         self.shape_names: tuple[str, ...] = () if shape is None else shape_parameter_names()
         self.statistic_count: int = camera_count + len(self.shape_names) + pose_parameters
-        # White sigma: sum of squared residuals over degrees of freedom, 2 n - (camera and free
-        # poses).
-        freedom = max(2 * problem.visible_count - self.statistic_count, 1)
+        # White sigma: sum of squared residuals over degrees of freedom, the measured numbers minus
+        # those of camera and free poses.
+        freedom = max(problem.number_count - self.statistic_count, 1)
         white = np.sqrt(within_sum_of_squares / freedom)
         self.white_sigma: float = max(float(white), SIGMA_FLOOR)
         self.has_white_noise: bool = problem.has_pixels

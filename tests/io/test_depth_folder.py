@@ -89,8 +89,13 @@ def test_points_become_poses(tmp_path, measured, suffix, unit):
     np.testing.assert_allclose(data.covariance, expected.covariance, rtol=0.02, atol=1e-12)
     assert data.sensor.scale == pytest.approx(expected.sensor.scale, abs=1e-6)
     assert data.view_ids == tuple(VIEWS)
-    with pytest.raises(ValueError, match="no place for the poses' covariances"):
-        save_dataset(data, tmp_path / "again")
+    # Poses are saved with their covariances, and the sensor.
+    save_dataset(data, tmp_path / "again")
+    again = sv.load_dataset(tmp_path / "again")
+    assert again.sensor == data.sensor
+    for name in ("covariance", "sensor_changes", "point_rms"):
+        np.testing.assert_allclose(getattr(again, name), getattr(data, name), rtol=1e-12)
+    np.testing.assert_allclose(again.tracked_matrices, data.tracked_matrices, atol=1e-12)
 
 
 def test_depth_pictures_become_poses(tmp_path):
@@ -123,6 +128,26 @@ def test_depth_pictures_become_poses(tmp_path):
     assert data.camera.image_size == (320, 240)
     np.testing.assert_allclose(data.tracked_matrices[:, :3, 3], seen[:, :3, 3], atol=1e-3)
     np.testing.assert_allclose(data.tracked_matrices[:, :3, :3], seen[:, :3, :3], atol=0.02)
+    # Without the camera its lens is to be found: depths count together with the pixels.
+    description = tmp_path / "dataset.yaml"
+    content = yaml.safe_load(description.read_text())
+    together = {**content["depth_pictures"], "noise": {"constant": 1e-4}}
+    content["depth_pictures"] = together
+    description.write_text(yaml.safe_dump(content))
+    with pytest.raises(ValueError, match="noise: it is estimated where the camera is known"):
+        sv.load_dataset(tmp_path)
+    camera_file = together.pop("camera")
+    description.write_text(yaml.safe_dump(content))
+    pixels = sv.load_dataset(tmp_path)
+    assert pixels.depth_noise.constant == 1e-4
+    expected = seen[:, 2, :3] @ TARGET.T + seen[:, 2, 3, None]
+    used = pixels.depths.used
+    assert used.mean() > 0.9
+    np.testing.assert_allclose(np.asarray(pixels.depths.measured)[used], expected[used], atol=3e-4)
+    del together["noise"]
+    description.write_text(
+        yaml.safe_dump({**content, "depth_pictures": {**together, "camera": camera_file}})
+    )
     # A depth picture of another size is the file's mistake.
     cv2.imwrite(str(tmp_path / "depth" / "c.png"), np.full((120, 160), 3000, np.uint16))
     with pytest.raises(ValueError, match=r"c\.png: depth: expected 320 x 240 px.*found 160 x 120"):

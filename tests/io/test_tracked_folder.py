@@ -8,6 +8,7 @@ import yaml
 from tracked_scene import tracked
 
 import smartview_jax as sv
+from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import read_folder_description, save_dataset
@@ -48,6 +49,54 @@ def test_what_is_saved_is_loaded(data, tmp_path, mount, pose_format):
     for name in ("base_from_tool", "camera_from_world"):
         read, written = (host_matrices(getattr(part, name))[data.seen] for part in (again, data))
         np.testing.assert_allclose(read, written, atol=1e-12)
+
+
+@pytest.fixture
+def with_covariances(data, tmp_path):
+    roots = np.random.default_rng(1).normal(size=(VIEWS, 6, 6)) * [1e-3] * 6
+    whole = roots @ roots.swapaxes(1, 2) + 1e-8 * np.eye(6)
+    camera = Camera(600.0, 601.0, 320.0, 240.0, Pinhole(), (640, 480))
+    stated = dataclasses.replace(data.with_covariance(whole), camera=camera)
+    save_dataset(stated, tmp_path)
+    return tmp_path, stated
+
+
+def test_covariances_and_the_camera_are_saved(with_covariances):
+    folder, stated = with_covariances
+    again = sv.load_dataset(folder)
+    assert again.states_covariance
+    np.testing.assert_allclose(again.covariance, stated.covariance, rtol=1e-12)
+    assert float(again.camera.alpha_v) == 601.0
+    assert again.sensor is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("\na,", "\nz,", "view 'z' has no pose"),
+        ("\nb,", "\na,", "view a has more than one row"),
+        ("cov_x_rx", "cov_rx_x", "missing cov_x_rx"),
+        ("\na,", "\na,-", "view a: expected a symmetric, positive definite matrix"),
+    ],
+)
+def test_wrong_covariances_are_named(with_covariances, old, new, message):
+    folder, _ = with_covariances
+    table = folder / "tracker_covariances.csv"
+    table.write_text(table.read_text().replace(old, new, 1))
+    with pytest.raises(ValueError, match=message):
+        sv.load_dataset(folder)
+
+
+def test_a_view_without_covariance_is_named(with_covariances):
+    folder, _ = with_covariances
+    table = folder / "tracker_covariances.csv"
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text("".join(lines[:-1]))
+    with pytest.raises(ValueError, match="truncated"):
+        sv.load_dataset(folder)
+    edit(folder, tracked_poses={"covariances": {"file": table.name}})
+    with pytest.raises(ValueError, match="view e has no covariance"):
+        sv.load_dataset(folder)
 
 
 def test_inverse_poses_are_stated_by_their_direction(data, folder):

@@ -1,0 +1,164 @@
+"""Read and write the depths that a camera measured at the detected points of a data-set folder.
+
+Depth pictures registered to the pictures in which the target is detected, of the same camera, whose
+lens is to be found (with `camera:` it is known, and the folder is one of `depth_folder.py`):
+
+    pictures: {pattern: "grey/{view}.png"}
+    depth_pictures: {pattern: "depth/{view}.png", unit: mm,
+                     noise: {constant: 5e-4, quadratic: 1e-3}}
+
+Or the table `depths.csv` with the columns `view,point,depth_m`, a row for each point with a depth:
+
+    depths: {rows: 810, noise: {constant: 5e-4, quadratic: 1e-3}}
+
+Depths are along the optical axis. `noise` is the standard deviation of a single depth z, in m the
+root of constant^2 + (quadratic z^2)^2; `common`, m, of the error that all depths of a view have in
+common. What is not stated is estimated.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..argument_checks import shortened_repr
+from ..dataset import Dataset, DepthNoise
+from ..depth import points_at_pixels, read_depth_picture
+from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
+from .folder_pictures import LoadOptions, picture_files
+from .robot_readings import table_of_views
+from .view_names import with_names_of
+
+DEPTHS_FILE = "depths.csv"
+"""The name of the table of depths in a data-set folder."""
+
+_COLUMNS = ("view", "point", "depth_m")
+
+
+def with_folder_depths(
+    data: Dataset,
+    folder: Path,
+    content: Mapping[str, Any],
+    description_path: Path,
+    options: LoadOptions,
+) -> Dataset:
+    """Return the data set of a folder with the depths at its points, if it has any.
+
+    Args:
+        data: the detected points.
+        folder: of the data set.
+        content: content of its description.
+        description_path: path of the description, for error messages.
+        options: how the folder is read.
+
+    Raises:
+        ValueError: a wrong picture or table, or depths that do not belong to the target.
+        FileNotFoundError: a file is missing.
+    """
+    notes: tuple[str, ...] = ()
+    if "depth_pictures" in content:
+        entry = content["depth_pictures"]
+        depths, notes = _depths_of_pictures(data, folder, dict(content), description_path, options)
+    elif "depths" in content:
+        entry = content["depths"]
+        depths = _read_depths(folder / DEPTHS_FILE, data, entry.get("rows"))
+    else:
+        return data
+    noise = entry.get("noise")
+    try:
+        data = data.with_depths(depths, None if noise is None else DepthNoise(**noise))
+    except ValueError as error:
+        raise ValueError(f"{description_path}: {error}") from error
+    return dataclasses.replace(data, notes=(*data.notes, *notes))
+
+
+def _depths_of_pictures(
+    data: Dataset,
+    folder: Path,
+    content: dict[str, Any],
+    description_path: Path,
+    options: LoadOptions,
+) -> tuple[Float[np.ndarray, "views points"], tuple[str, ...]]:
+    """Return the depths of pictures at the detected points, and notes on pictures left out.
+
+    Depths are NaN where there is none.
+    """
+    entry, table = content["depth_pictures"], table_of_views(folder, content)
+    files = picture_files(folder, entry, data.view_ids, data.target, table, description_path)
+    pixels, notes = np.asarray(data.pixels), []
+    depths = np.full(pixels.shape[:2], np.nan)
+    for number, view in enumerate(data.view_ids):
+        if not np.isfinite(pixels[number]).any():
+            continue
+        if options.progress is not None:
+            options.progress(f"depths of view {view} ({number + 1} of {len(files)})")
+        try:
+            depths[number] = _depths_at(
+                files[view][0], entry["unit"], pixels[number], data.image_size
+            )
+        except (ValueError, FileNotFoundError) as error:
+            if options.bad_views == "raise":
+                raise
+            notes.append(f"view {view} has no depths: {error}")
+    return depths, tuple(notes)
+
+
+def _depths_at(
+    path: Path,
+    unit: str | float,
+    pixels: Float[np.ndarray, "points 2"],
+    image_size: tuple[int, int],
+) -> Float[np.ndarray, "points"]:
+    """Return the depths of a picture at some pixels, m."""
+    picture = read_depth_picture(path, unit)
+    if picture.shape != image_size[::-1]:
+        raise ValueError(
+            f"{path}: expected {image_size[0]} x {image_size[1]} px, as of the other pictures, "
+            f"found {picture.shape[1]} x {picture.shape[0]}"
+        )
+    # With x and y of zero, only the depth is averaged over the patch.
+    return points_at_pixels(picture[..., None] * [0.0, 0.0, 1.0], pixels)[:, 2]
+
+
+def _read_depths(
+    path: Path, data: Dataset, stated_rows: int | None
+) -> Float[np.ndarray, "views points"]:
+    """Return the depths of a table, m; NaN for points without a row."""
+    table = read_table(path, _COLUMNS, ())
+    refuse_truncated(path, table.rows, stated_rows)
+    rows, _ = with_names_of(table, data.view_ids)
+    index = {view: k for k, view in enumerate(data.view_ids)}
+    depths = np.full(data.visible.shape, np.nan)
+    for row in rows:
+        if (view := row["view"]) not in index:
+            raise ValueError(f"{path}: view {shortened_repr(view)} has no pose")
+        point, depth = parse_numbers(path, row, _COLUMNS[1:], view)
+        if point not in range(depths.shape[1]):
+            raise ValueError(f"{path}: view {view}: the target has no point {point:g}")
+        place = index[view], int(point)
+        if np.isfinite(depths[place]):
+            raise ValueError(f"{path}: view {view}: point {point:g} has more than one row")
+        depths[place] = depth
+    return depths
+
+
+def write_depths(data: Dataset, folder: Path) -> dict[str, Any]:
+    """Write the depths of a data set, if it has any, and return the entry that describes them.
+
+    Depths that were left out as outliers have no row.
+    """
+    if data.depths is None or data.depth_noise is None:
+        return {}
+    measured = np.asarray(data.depths.measured)
+    rows = [
+        (data.view_ids[view], int(point), float(measured[view, point]))
+        for view, point in np.argwhere(data.depths.used)
+    ]
+    write_table(folder / DEPTHS_FILE, _COLUMNS, rows)
+    noise = dataclasses.asdict(data.depth_noise)
+    if noise["common"] is None:
+        del noise["common"]
+    return {"depths": {"rows": len(rows), "noise": noise}}

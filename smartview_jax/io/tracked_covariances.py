@@ -1,0 +1,119 @@
+"""Write and read the covariances of tracked poses, and the depth sensor that measured them.
+
+    tracked_poses:
+      file: tracker.csv
+      ...
+      covariances: {file: tracker_covariances.csv, rows: 15}
+      depth_sensor: {scale: 1.02, offset: 0.001, scale_std: 0.0003, ...}
+      camera: {image_size: [640, 480], alpha_u: 600.0, ...}
+
+The table has a column `view` and 21 columns `cov_x_x`, `cov_x_y`, ..., `cov_rz_rz`: the upper half
+of each pose's covariance, of its translation x, y, z (m) and its rotation vector rx, ry, rz (rad)
+in the camera's axes, always of `camera_from_world`. If a depth sensor measured the poses, the next
+columns are the change of each pose by the sensor's scale and offset (`by_scale_x`, ...,
+`by_offset_rz`) and the RMS distance of its points from the target (`point_rms`, m).
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..argument_checks import shortened_repr
+from ..cameras import camera_from_dict, camera_to_dict
+from ..dataset import DepthSensor, PoseDataset
+from ..runtime.array_namespace import to_device
+from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
+
+COVARIANCES_FILE = "tracker_covariances.csv"
+"""The name of the file that `write_covariances` writes."""
+
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
+_UPPER = np.triu_indices(len(_AXES))
+_COVARIANCE_COLUMNS = tuple(f"cov_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*_UPPER, strict=True))
+_SENSOR_COLUMNS = (
+    *(f"by_{cause}_{axis}" for axis in _AXES for cause in ("scale", "offset")),
+    "point_rms",
+)
+
+
+def write_covariances(data: PoseDataset, folder: Path) -> dict[str, Any]:
+    """Write the covariances of a data set, if it has any, and return the entries that tell of them.
+
+    Covariances that the data set does not state are of no interest: a fit estimates them.
+    """
+    entries: dict[str, Any] = {}
+    if data.camera is not None:
+        entries["camera"] = camera_to_dict(data.camera)
+    if not data.states_covariance:
+        return entries
+    seen = np.flatnonzero(data.seen)
+    columns = [np.asarray(data.covariance)[seen][:, _UPPER[0], _UPPER[1]]]
+    names = _COVARIANCE_COLUMNS
+    if data.sensor is not None:
+        changes = np.asarray(data.sensor_changes)[seen].reshape(len(seen), -1)
+        columns += [changes, np.asarray(data.point_rms)[seen, None]]
+        names = (*names, *_SENSOR_COLUMNS)
+        entries["depth_sensor"] = dataclasses.asdict(data.sensor)
+    rows = np.concatenate(columns, axis=1)
+    ids = [data.view_ids[view] for view in seen]
+    write_table(
+        folder / COVARIANCES_FILE,
+        ("view", *names),
+        [(view, *map(float, row)) for view, row in zip(ids, rows, strict=True)],
+    )
+    entries["covariances"] = {"file": COVARIANCES_FILE, "rows": len(ids)}
+    return entries
+
+
+def with_read_covariances(data: PoseDataset, folder: Path, entry: Mapping[str, Any]) -> PoseDataset:
+    """Return a data set with the covariances that its folder states, if it states any.
+
+    Args:
+        data: the poses.
+        folder: of the data set.
+        entry: the entry `tracked_poses` of its description.
+
+    Raises:
+        FileNotFoundError: the table is missing.
+        ValueError: a view without a pose, or that has no or several covariances, a number that is
+            none, or a matrix that is no covariance; the message names the file and the view.
+    """
+    if "camera" in entry:
+        data = dataclasses.replace(data, camera=camera_from_dict(entry["camera"], None))
+    if "covariances" not in entry:
+        return data
+    path, sensor = folder / entry["covariances"]["file"], entry.get("depth_sensor")
+    names = (*_COVARIANCE_COLUMNS, *(() if sensor is None else _SENSOR_COLUMNS))
+    table = read_table(path, ("view", *names), ())
+    refuse_truncated(path, table.rows, entry["covariances"].get("rows"))
+    index = {view: k for k, view in enumerate(data.view_ids)}
+    numbers = np.full((data.view_count, len(names)), np.nan)
+    for row in table.rows:
+        if (view := row["view"]) not in index:
+            raise ValueError(f"{path}: view {shortened_repr(view)} has no pose")
+        if np.isfinite(numbers[index[view]]).all():
+            raise ValueError(f"{path}: view {view} has more than one row")
+        numbers[index[view]] = parse_numbers(path, row, names, view)
+    missing = data.seen & ~np.isfinite(numbers).all(axis=1)
+    if missing.any():
+        view = data.view_ids[int(np.argmax(missing))]
+        raise ValueError(f"{path}: view {view} has no covariance")
+    upper = len(_COVARIANCE_COLUMNS)
+    covariance = np.empty((data.view_count, len(_AXES), len(_AXES)))
+    covariance[:, _UPPER[0], _UPPER[1]] = covariance[:, _UPPER[1], _UPPER[0]] = numbers[:, :upper]
+    try:
+        data = data.with_covariance(covariance)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if sensor is None:
+        return data
+    changes = np.where(data.seen[:, None], numbers[:, upper:-1], 0.0)
+    return dataclasses.replace(
+        data,
+        sensor=DepthSensor(**sensor),
+        sensor_changes=to_device(changes.reshape(data.view_count, len(_AXES), 2)),
+        point_rms=to_device(numbers[:, -1]),
+    )

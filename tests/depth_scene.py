@@ -1,0 +1,41 @@
+"""A camera that measures depths too: small scenes whose depths are biased and noisy."""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from fit_scenes import scene_of
+
+from smartview_jax.calibration import Calibration, DepthBias
+from smartview_jax.dataset import Dataset, DepthNoise
+from smartview_jax.geometry import host_matrices
+
+BIAS = DepthBias(1.02, 1e-3)
+NOISE = DepthNoise(2e-4, 2e-3)
+
+
+class DepthScene(NamedTuple):
+    """A scene with its true calibration, its pixels, and what a depth sensor measures."""
+
+    truth: Calibration
+    data: Dataset
+    depths: np.ndarray
+
+
+@functools.cache
+def depth_scene(seed, views=8, common=0.0, **noise):
+    """The standard scene with depths, a tenth of which are missing.
+
+    Args:
+        seed, views, noise: as in `scene_of`.
+        common: standard deviation of the error that all depths of a view have in common, m.
+    """
+    scene = scene_of(seed, views, **noise)
+    poses = host_matrices(scene.calibration.camera_from_world(scene.base_from_tool))
+    points = np.asarray(scene.data.points)
+    exact = np.einsum("vk,vpk->vp", poses[:, 2, :3], points) + poses[:, 2, 3, None]
+    rng = np.random.default_rng((seed, 3))
+    depths = np.array(BIAS.measured(exact)) + NOISE.std(exact) * rng.normal(size=exact.shape)
+    depths[rng.random(exact.shape) < 0.1] = np.nan
+    depths += common * rng.normal(size=(len(depths), 1))
+    return DepthScene(scene.calibration, scene.data, depths)
