@@ -59,7 +59,10 @@ def load_samples(file: Path, mount: str | None) -> "tuple[Dataset, str]":
     """
     from ..dataset import PoseDataset
     from ..io import read_easy_handeye
+    from ..io.folder_description import DESCRIPTION_FILE
 
+    if file.name == DESCRIPTION_FILE:
+        raise ValueError(f"{file}: describes a data set: give its folder, {file.parent}")
     if mount is None:
         raise ValueError(
             f"{file}: the file does not tell where the camera is: give --mount eye_in_hand, or "

@@ -32,6 +32,7 @@ from .closure import (
     length_ratio,
     relative_motions,
 )
+from .inverted_poses import inverted_poses_doubt
 from .length_units import LENGTH_UNIT_MISTAKES, length_unit_problems
 from .mistakes import GivenPoses, Mistake, mistakes
 from .rotation_angles import (
@@ -70,9 +71,12 @@ class ConventionReport(NamedTuple):
             data are plausible as given.
         explained: whether the first of them removes most of the error.
         length_ratio_std: standard deviation of `length_ratio`; infinite if it is not determined.
-        closure_score: rotation plus translation of `closure_error` over the target's distance.
+        closure_score: rotation plus translation of `closure_error` over the target's distance; 0
+            for motions that do not determine a hand-eye rotation.
         change: what seems to have been changed between two views, as a sentence; empty if nothing
             does.
+        ambiguity: another explanation that these views cannot exclude, as a sentence; empty without
+            one.
     """
 
     problems: tuple[str, ...]
@@ -85,6 +89,7 @@ class ConventionReport(NamedTuple):
     length_ratio_std: float = math.inf
     closure_score: float = 0.0
     change: str = ""
+    ambiguity: str = ""
 
     @property
     def is_close(self) -> bool:
@@ -175,6 +180,10 @@ def check_conventions(
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
         problems = length_unit_problems(ratio, robot, camera, used)
+    ambiguity = ""
+    if comparable and is_accepted and not problems:
+        rival_score = MAX_RIVAL_SCORE_RATIO * max(given_error.score, CLOSURE_SCORE_FLOOR)
+        ambiguity = inverted_poses_doubt(robot, camera, used, in_hand, rival_score)
     return ConventionReport(
         problems,
         suspicious_views(differences),
@@ -184,7 +193,8 @@ def check_conventions(
         hypotheses,
         _is_explained(given_error, hypotheses),
         ratio_std,
-        given_error.score,
+        given_error.score if comparable else 0.0,
+        ambiguity=ambiguity,
     )
 
 

@@ -379,6 +379,15 @@ def _is_in_range(numbers: np.ndarray, true_format: _RotationFormat) -> np.ndarra
     )
 
 
+MAX_PLACES = 40
+"""Largest number of places where a picture or a pose may be missing, evenly spaced."""
+
+
+def _places(view_count: int) -> list[int]:
+    """Return the places where a picture or a pose may be missing."""
+    return np.unique(np.linspace(2, view_count - 2, MAX_PLACES).astype(int)).tolist()
+
+
 def _pairing_mistakes(view_count: int) -> Iterator[Mistake]:
     """Yield the mistakes of pictures paired with the poses of other views, in the usual orders."""
 
@@ -396,6 +405,16 @@ def _pairing_mistakes(view_count: int) -> Iterator[Mistake]:
         yield pairing_mistake(
             f"shifted_{shift}", f"each fits the pose {where} its own", np.roll(indices, -shift)
         )
+    # One picture or one pose is missing: all later ones are off by one.
+    for first in _places(view_count):
+        for shift in (1, -1):
+            order = indices.copy()
+            order[first:] = np.roll(indices[first:], -shift)
+            where = f"from the view number {first + 1} on, each fits the pose"
+            side, missing = ("after", "picture") if shift > 0 else ("before", "pose")
+            yield pairing_mistake(
+                f"{missing}_missing", f"{where} {side} its own: is a {missing} missing?", order
+            )
     yield pairing_mistake("reversed", "they fit the poses in reverse order", indices[::-1])
     for first in (0, 1) if view_count + 1 > 10 else ():
         # File names sorted as text: 1, 10, 11, 2, ... Numbering may start at 0 or 1, and either

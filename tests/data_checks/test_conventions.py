@@ -120,6 +120,8 @@ def test_wrong_units_of_length_are_named(poses, robot_factor, target_factor, tex
 def test_a_ratio_of_lengths_is_named_for_units_only_where_it_is_theirs():
     assert "feet where metres are expected" in mistaken_unit(0.31)
     assert "inches where centimetres are stated" in mistaken_unit(2.55)
+    # A file in metres that is read as millimetres is as likely as a target in millimetres.
+    assert "metres where millimetres are stated" in mistaken_unit(1000.0)
     assert mistaken_unit(0.5) == mistaken_unit(-1.0) == ""
 
 
@@ -268,6 +270,14 @@ def test_a_mistake_that_corrects_little_is_not_suggested(poses):
         (np.roll(np.arange(VIEWS), 1), "each fits the pose 1 view after its own"),
         (np.roll(np.arange(VIEWS), -2), "each fits the pose 2 views before its own"),
         (np.arange(VIEWS)[::-1], "they fit the poses in reverse order"),
+        (
+            np.r_[:4, 5:VIEWS, 4],
+            "from the view number 5 on, each fits the pose before its own: is a pose missing?",
+        ),
+        (
+            np.r_[:7, VIEWS - 1, 7 : VIEWS - 1],
+            "from the view number 8 on, each fits the pose after its own: is a picture missing?",
+        ),
         (np.array(sorted(range(VIEWS), key=str)), "one of the two is sorted as words"),
     ],
 )
