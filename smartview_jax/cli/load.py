@@ -58,8 +58,7 @@ def load_samples(file: Path, mount: str | None) -> "tuple[Dataset, str]":
         ValueError: the mount is not stated, which the file does not tell; or a wrong file.
     """
     from ..dataset import PoseDataset
-    from ..io import read_easy_handeye
-    from ..io.folder_description import DESCRIPTION_FILE
+    from ..io import DESCRIPTION_FILE, read_easy_handeye
 
     if file.name == DESCRIPTION_FILE:
         raise ValueError(f"{file}: describes a data set: give its folder, {file.parent}")

@@ -19,6 +19,7 @@ from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
 from .length_units import mistaken_unit as mistaken_unit
+from .mistakes import target_turns as target_turns
 from .questions import Findings as Findings
 from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings

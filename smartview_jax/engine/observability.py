@@ -127,7 +127,7 @@ def describe_direction(
 
 
 def _display_unit(name: str) -> tuple[float, str]:
-    """Return a parameter's value in the unit in which people read it, over its own, and the unit."""
+    """Return the factor from a parameter's own unit to the one that people read, and its name."""
     if ".translation." in name:
         return 1e3, " mm"
     if ".rotation." in name:
