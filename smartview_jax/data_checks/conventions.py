@@ -33,7 +33,7 @@ from .closure import (
     relative_motions,
 )
 from .inverted_poses import inverted_poses_doubt
-from .length_units import LENGTH_UNIT_MISTAKES, length_unit_problems
+from .length_units import LENGTH_UNIT_MISTAKES, length_unit_problems, size_doubt
 from .mistakes import OTHER_CORNER, GivenPoses, Mistake, mistakes, numbered_alike
 from .rotation_angles import (
     angle_differences,
@@ -75,8 +75,9 @@ class ConventionReport(NamedTuple):
             for motions that do not determine a hand-eye rotation.
         change: what seems to have been changed between two views, as a sentence; empty if nothing
             does.
-        ambiguity: another explanation that these views cannot exclude, as a sentence; empty without
-            one.
+        ambiguities: sentences on what these views cannot tell, although robot and camera agree.
+        tells_size: whether the motions tell the target's size; on a sphere about the target any
+            size explains them.
     """
 
     problems: tuple[str, ...]
@@ -89,7 +90,8 @@ class ConventionReport(NamedTuple):
     length_ratio_std: float = math.inf
     closure_score: float = 0.0
     change: str = ""
-    ambiguity: str = ""
+    ambiguities: tuple[str, ...] = ()
+    tells_size: bool = True
 
     @property
     def is_close(self) -> bool:
@@ -170,6 +172,7 @@ def check_conventions(
     ratio, ratio_std = length_ratio(motions) if comparable else LengthRatio()
     problems, hypotheses = (), ()
     ids = [str(view) for view in range(len(robot))] if view_ids is None else view_ids
+    tells_size = not comparable or math.isfinite(ratio_std)
     # The score divides lengths by the target's distance, so a wrong unit of the target can leave
     # it small; the ratio of the motions shows it.
     if not _is_better_scale(motions, given_error, ratio):
@@ -198,10 +201,14 @@ def check_conventions(
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
         problems = length_unit_problems(ratio, robot, camera, used)
-    ambiguity = ""
+    ambiguities = ()
     if comparable and is_accepted and not problems:
         rival_score = MAX_RIVAL_SCORE_RATIO * max(given_error.score, CLOSURE_SCORE_FLOOR)
-        ambiguity = inverted_poses_doubt(robot, camera, used, in_hand, rival_score)
+        doubts = (
+            inverted_poses_doubt(robot, camera, used, in_hand, rival_score),
+            "" if tells_size else size_doubt(camera, used),
+        )
+        ambiguities = tuple(doubt for doubt in doubts if doubt)
     return ConventionReport(
         problems,
         suspicious,
@@ -212,7 +219,8 @@ def check_conventions(
         _is_explained(given_error, hypotheses),
         ratio_std,
         given_error.score if comparable else 0.0,
-        ambiguity=ambiguity,
+        ambiguities=ambiguities,
+        tells_size=tells_size,
     )
 
 

@@ -82,3 +82,18 @@ def length_unit_problems(
         if distance > MAX_PLAUSIBLE_DISTANCE:
             problems.append(f"{template.format(distance)}: millimetres where metres are expected?")
     return tuple(problems)
+
+
+def size_doubt(camera: Poses, used: np.ndarray) -> str:
+    """Return that the target's size is taken as stated, and what an error of it does, in words.
+
+    Args:
+        camera: the camera's poses.
+        used: mask of the views to use.
+    """
+    distance = 1e3 * float(np.median(np.linalg.norm(camera[used, :3, 3], axis=1)))
+    return (
+        "these views do not tell the target's size, because the robot turns about one point: it is "
+        "taken as stated, and if it is 1 % larger, the camera or the target is up to "
+        f"{0.01 * distance:.2g} mm elsewhere. Measure the target, or vary the camera's distance"
+    )

@@ -266,7 +266,7 @@ def fit_staged(
         (
             *camera_doubts,
             *((report.change,) if report.change and not report.problems else ()),
-            *((report.ambiguity,) if report.ambiguity else ()),
+            *report.ambiguities,
             # With a wrong camera any poses explain the pictures as badly.
             *((choice.warning,) if choice and choice.warning and not camera_doubts else ()),
         ),
