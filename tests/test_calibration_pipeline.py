@@ -75,6 +75,8 @@ def test_views_on_a_sphere_about_the_target_do_not_shrink_it():
     poses = base_from_world @ np.linalg.inv(seen) @ camera_from_tool
     data = simulate(scene.calibration, poses, POINTS, 0, 0.15, 3e-4, 3e-4).data
     fit = calibrate(data, "radial", field=None)
+    assert fit.noise_estimate is not None
+    assert fit.noise_estimate.target_scale is None
     assert float(fit.calibration.target_scale) == 1.0
     error = fit.calibration.camera_from_tool.translation() - camera_from_tool[:3, 3]
     assert float(jnp.linalg.norm(error)) < 2e-3
