@@ -3,9 +3,10 @@
 `questions.py` says in which order: the poses (`usable_views.py`), the detections
 (`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
 alike (`conventions.py`, with the usual mistakes in `mistakes.py` and `length_units.py`, judged by
-`rotation_angles.py` and by the closure of motions, `closure.py`), whether something was changed
-between two views (`changes.py`), and which single views contradict the others
-(`view_consistency.py`); both judge by transforms of their own (`transform_fit.py`).
+`rotation_angles.py` and by the closure of motions, `closure.py`) and tell a wrong mount at all
+(`inverted_poses.py`), whether something was changed between two views (`changes.py`), and which
+single views contradict the others (`view_consistency.py`); both judge by transforms of their own
+(`transform_fit.py`).
 """
 
 from .camera_checks import camera_misfit as camera_misfit
