@@ -168,6 +168,14 @@ def clean_up_before_exit(timeout: float) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def require_file(path: Path) -> None:
+    """Raise a FileNotFoundError if there is no such file, or a folder in its place."""
+    if path.is_dir():
+        raise FileNotFoundError(f"{path}: is a folder, expected a file")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+
+
 def read_text(path: str | os.PathLike[str]) -> str:
     """Return the text of a UTF-8 file, without the byte-order mark that some programs write.
 
@@ -176,8 +184,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
         ValueError: it is not UTF-8; the message has the position of the first wrong byte.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
+    require_file(path)
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -193,6 +200,8 @@ def read_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
             `MAX_NODES` entries, or is not a mapping at the top level.
     """
     content = parse_yaml(read_text(path), path)
+    if content is None:
+        raise ValueError(f"{path}: the file is empty")
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected a mapping, found {type(content).__name__}")
     return content

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from fit_scenes import MANY_VIEWS, scene_of
 from jaxlie import SE3
+from scipy.spatial.transform import Rotation
+from standard_scene import POINTS, VIEWS
 
 from smartview_jax import calibrate, fit_joint, fit_staged
 from smartview_jax.calibration_pipeline import _with_start_doubts, refit_uncorrected
 from smartview_jax.engine import Prior
 from smartview_jax.joint import precompile
+from smartview_jax.simulation import simulate
 
 
 def test_calibrate_goes_all_the_way():
@@ -52,6 +55,32 @@ def test_what_either_fit_left_out_is_listed_once():
     bare = refit_uncorrected(data, fit)
     gap = bare.camera_from_tool.inverse() @ without.camera_from_tool
     assert float(jnp.linalg.norm(gap.log())) < 1e-5
+
+
+def test_views_on_a_sphere_about_the_target_do_not_shrink_it():
+    """Such views fit any size of the target, as in programs that place them on a sphere."""
+    scene = scene_of(0)
+    first = np.asarray(scene.calibration.camera_from_world(scene.base_from_tool).as_matrix())[0]
+    about = np.eye(4)
+    about[:3, 3] = first[:3, :3] @ POINTS.mean(axis=0) + first[:3, 3]
+    tilts = np.zeros((VIEWS, 4, 4))
+    rotation_vectors = np.random.default_rng(0).uniform(-0.4, 0.4, (VIEWS, 3)) * [1.0, 1.0, 0.0]
+    tilts[:, :3, :3] = Rotation.from_rotvec(rotation_vectors).as_matrix()
+    tilts[:, 3, 3] = 1.0
+    seen = about @ tilts @ np.linalg.inv(about) @ first
+    camera_from_tool, base_from_world = (
+        np.asarray(pose.as_matrix())
+        for pose in (scene.calibration.camera_from_tool, scene.calibration.base_from_world)
+    )
+    poses = base_from_world @ np.linalg.inv(seen) @ camera_from_tool
+    data = simulate(scene.calibration, poses, POINTS, 0, 0.15, 3e-4, 3e-4).data
+    fit = calibrate(data, "radial", field=None)
+    assert fit.noise_estimate is not None
+    assert fit.noise_estimate.target_scale is None
+    assert float(fit.calibration.target_scale) == 1.0
+    error = fit.calibration.camera_from_tool.translation() - camera_from_tool[:3, 3]
+    assert float(jnp.linalg.norm(error)) < 2e-3
+    assert any("do not tell the target's size" in text for text in fit.warnings)
 
 
 @pytest.mark.parametrize("field", [None, "auto"])

@@ -71,6 +71,8 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path, exists):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere\.yaml: no such file"):
         read_yaml(tmp_path / "nowhere.yaml")
+    with pytest.raises(FileNotFoundError, match="is a folder, expected a file"):
+        read_yaml(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -78,6 +80,7 @@ def test_a_missing_file_is_named(tmp_path):
     [
         ("a: [1", "not readable as YAML"),
         ("- 1\n- 2\n", "expected a mapping, found list"),
+        ("# nothing but a comment\n", "the file is empty"),
         ("a: 1\nb: 2\na: 3\n", "not readable as YAML: key 'a' comes twice"),
         ("a: " + 2000 * "[" + 2000 * "]", "not readable as YAML: nested deeper"),
         ("a: &a [*a]\n", "not readable as YAML: an alias to a node that contains it"),

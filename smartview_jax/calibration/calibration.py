@@ -452,8 +452,9 @@ class Calibration(eqx.Module):
             FileNotFoundError: the file is missing.
             ValueError: naming the file and the entry that is wrong.
         """
+        content = read_yaml(path)
         try:
-            return cls.from_dict(read_yaml(path), lens, field)
+            return cls.from_dict(content, lens, field)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 

@@ -58,8 +58,10 @@ def load_samples(file: Path, mount: str | None) -> "tuple[Dataset, str]":
         ValueError: the mount is not stated, which the file does not tell; or a wrong file.
     """
     from ..dataset import PoseDataset
-    from ..io import read_easy_handeye
+    from ..io import DESCRIPTION_FILE, read_easy_handeye
 
+    if file.name == DESCRIPTION_FILE:
+        raise ValueError(f"{file}: describes a data set: give its folder, {file.parent}")
     if mount is None:
         raise ValueError(
             f"{file}: the file does not tell where the camera is: give --mount eye_in_hand, or "

@@ -3,9 +3,10 @@
 `questions.py` says in which order: the poses (`usable_views.py`), the detections
 (`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
 alike (`conventions.py`, with the usual mistakes in `mistakes.py` and `length_units.py`, judged by
-`rotation_angles.py` and by the closure of motions, `closure.py`), whether something was changed
-between two views (`changes.py`), and which single views contradict the others
-(`view_consistency.py`); both judge by transforms of their own (`transform_fit.py`).
+`rotation_angles.py` and by the closure of motions, `closure.py`) and tell a wrong mount at all
+(`inverted_poses.py`), whether something was changed between two views (`changes.py`), and which
+single views contradict the others (`view_consistency.py`); both judge by transforms of their own
+(`transform_fit.py`).
 """
 
 from .camera_checks import camera_misfit as camera_misfit
@@ -19,6 +20,7 @@ from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
 from .length_units import mistaken_unit as mistaken_unit
+from .mistakes import target_turns as target_turns
 from .questions import Findings as Findings
 from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings

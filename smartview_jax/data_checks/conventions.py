@@ -32,8 +32,9 @@ from .closure import (
     length_ratio,
     relative_motions,
 )
-from .length_units import LENGTH_UNIT_MISTAKES, length_unit_problems
-from .mistakes import GivenPoses, Mistake, mistakes
+from .inverted_poses import inverted_poses_doubt
+from .length_units import LENGTH_UNIT_MISTAKES, length_unit_problems, size_doubt
+from .mistakes import OTHER_CORNER, GivenPoses, Mistake, mistakes, numbered_alike
 from .rotation_angles import (
     angle_differences,
     compared_views,
@@ -70,9 +71,13 @@ class ConventionReport(NamedTuple):
             data are plausible as given.
         explained: whether the first of them removes most of the error.
         length_ratio_std: standard deviation of `length_ratio`; infinite if it is not determined.
-        closure_score: rotation plus translation of `closure_error` over the target's distance.
+        closure_score: rotation plus translation of `closure_error` over the target's distance; 0
+            for motions that do not determine a hand-eye rotation.
         change: what seems to have been changed between two views, as a sentence; empty if nothing
             does.
+        ambiguities: sentences on what these views cannot tell, although robot and camera agree.
+        tells_size: whether the motions tell the target's size; on a sphere about the target any
+            size explains them.
     """
 
     problems: tuple[str, ...]
@@ -85,6 +90,8 @@ class ConventionReport(NamedTuple):
     length_ratio_std: float = math.inf
     closure_score: float = 0.0
     change: str = ""
+    ambiguities: tuple[str, ...] = ()
+    tells_size: bool = True
 
     @property
     def is_close(self) -> bool:
@@ -115,6 +122,9 @@ corrected to given score below which one counts as an explanation of so small an
 MAX_RIVAL_SCORE_RATIO = 2.0
 """Ratio to the best closure score up to which another mistake explains the data as well."""
 
+MAX_LISTED_VIEWS = 12
+"""Largest number of views that a sentence lists."""
+
 _EQUAL_POSES = 1e-9
 """Largest difference of poses (m, and entries of rotations) that is a rounding error."""
 
@@ -131,6 +141,8 @@ def check_conventions(
     camera_from_world: SE3,
     mount: str,
     weights: Float[Array, "views"] | np.ndarray | None = None,
+    turns: Float[np.ndarray, "turns 4 4"] | None = None,
+    view_ids: Sequence[str] | None = None,
 ) -> ConventionReport:
     """Compare the motion of the robot with the motion of the camera over all pairs of views.
 
@@ -139,6 +151,8 @@ def check_conventions(
         camera_from_world: from the pictures alone, `(views)`.
         mount: where the camera is stated to be, `"eye_in_hand"` or `"eye_to_hand"`.
         weights: zero leaves a view out.
+        turns: turns of the target that take its points into each other (`target_turns`).
+        view_ids: names of the views in the sentences; by default numbers.
     """
     in_hand = mount_frames(mount)[0] == "tool"
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
@@ -157,34 +171,56 @@ def check_conventions(
     given_error = closure_error(motions)
     ratio, ratio_std = length_ratio(motions) if comparable else LengthRatio()
     problems, hypotheses = (), ()
+    ids = [str(view) for view in range(len(robot))] if view_ids is None else view_ids
+    tells_size = not comparable or math.isfinite(ratio_std)
     # The score divides lengths by the target's distance, so a wrong unit of the target can leave
     # it small; the ratio of the motions shows it.
     if not _is_better_scale(motions, given_error, ratio):
         ratio, ratio_std = LengthRatio()
     is_accepted = given_error.score < MAX_CLOSURE_SCORE and 0.2 < ratio < 5.0
     if comparable and not (is_accepted and given_error.score < DOUBTED_SCORE):
-        hypotheses = _ranked_hypotheses(robot, camera, used, in_hand, motions)
+        possible, given = tuple(mistakes(in_hand, len(robot), turns)), GivenPoses(robot, camera)
+        hypotheses = _ranked_hypotheses(given, used, in_hand, motions, possible)
+        hypotheses = tuple(_naming_views(entry, given, turns, used, ids) for entry in hypotheses)
         # Of a hundred mistakes one may by chance close a little better than the truth.
         certain = hypotheses[0].closure_error.score < MAX_CERTAIN_SCORE_RATIO * given_error.score
         if is_accepted and not certain:
             hypotheses = ()
+    suspicious = suspicious_views(differences)
     if hypotheses:
         problems = _convention_problems(
             given_error, hypotheses, mismatch, median_rotation_angles(robot, camera, compared)
         )
+    if problems and not _is_explained(given_error, hypotheses):
+        views = [view for view, _ in suspicious]
+        rest = used & ~np.isin(np.arange(len(used)), views)
+        # Three views close with some wrong poses, too.
+        if 3 < rest.sum() < used.sum():
+            error = closure_error(_relative_motions(robot, camera, rest, in_hand))
+            problems = _problem_of_views(given_error, error, [ids[k] for k in views]) or problems
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
         problems = length_unit_problems(ratio, robot, camera, used)
+    ambiguities = ()
+    if comparable and is_accepted and not problems:
+        rival_score = MAX_RIVAL_SCORE_RATIO * max(given_error.score, CLOSURE_SCORE_FLOOR)
+        doubts = (
+            inverted_poses_doubt(robot, camera, used, in_hand, rival_score),
+            "" if tells_size else size_doubt(camera, used),
+        )
+        ambiguities = tuple(doubt for doubt in doubts if doubt)
     return ConventionReport(
         problems,
-        suspicious_views(differences),
+        suspicious,
         mismatch,
         ratio,
         (given_error.rotation, given_error.translation),
         hypotheses,
         _is_explained(given_error, hypotheses),
         ratio_std,
-        given_error.score,
+        given_error.score if comparable else 0.0,
+        ambiguities=ambiguities,
+        tells_size=tells_size,
     )
 
 
@@ -210,7 +246,11 @@ def _relative_motions(
 
 
 def _ranked_hypotheses(
-    robot: Poses, camera: Poses, used: np.ndarray, in_hand: bool, motions: RelativeMotions
+    given: GivenPoses,
+    used: np.ndarray,
+    in_hand: bool,
+    motions: RelativeMotions,
+    possible: Sequence[Mistake],
 ) -> tuple[ConventionHypothesis, ...]:
     """Return every mistake, alone and with another unit of length, by ascending closure error."""
     units, scales = tuple(LENGTH_UNIT_MISTAKES.values()), np.array(list(LENGTH_UNIT_MISTAKES))
@@ -218,7 +258,6 @@ def _ranked_hypotheses(
         ConventionHypothesis("length", words, ClosureError(*error))
         for words, error in zip(units, closure_errors(motions, scales).tolist(), strict=True)
     ]
-    possible, given = tuple(mistakes(in_hand, len(robot))), GivenPoses(robot, camera)
     robots, cameras = map(
         np.stack, zip(*(mistake.undo(given) for mistake in possible), strict=True)
     )
@@ -291,6 +330,46 @@ def _merge_equal(
 def _misreads_angles(mistake: Mistake) -> bool:
     """Return whether a mistake is that angles were read in another convention."""
     return "_read_as_" in mistake.name or mistake.name == "kuka_abc_for_fanuc_wpr"
+
+
+def _naming_views(
+    hypothesis: ConventionHypothesis,
+    given: GivenPoses,
+    turns: Float[np.ndarray, "turns 4 4"] | None,
+    used: np.ndarray,
+    ids: Sequence[str],
+) -> ConventionHypothesis:
+    """Return a hypothesis about the numbering with the names of its views, any other unchanged."""
+    if hypothesis.name != OTHER_CORNER or turns is None:
+        return hypothesis
+    changed = np.abs(numbered_alike(given, turns) - given.camera).max(axis=(1, 2)) > _EQUAL_POSES
+    names = _listed([ids[view] for view in np.flatnonzero(used & changed).tolist()])
+    return hypothesis._replace(description=f"{hypothesis.description}: {names}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names of views in words; of many, the first."""
+    more = f" and {len(names) - MAX_LISTED_VIEWS} more" if len(names) > MAX_LISTED_VIEWS else ""
+    return f"view{'s' * (len(names) > 1)} {', '.join(names[:MAX_LISTED_VIEWS])}{more}"
+
+
+def _problem_of_views(
+    given_error: ClosureError, error: ClosureError, names: Sequence[str]
+) -> tuple[str, ...]:
+    """Return a problem that names the views without which robot and camera move alike.
+
+    Args:
+        given_error: of all views.
+        error: of the views that are not named.
+        names: of the views that may be wrong.
+    """
+    if not (_removes_most(error, given_error) and error.score < MAX_CLOSURE_SCORE):
+        return ()
+    return (
+        f"robot and camera do not move alike as given ({_closure_error_text(given_error)}), but do "
+        f"without {_listed(names)} ({_closure_error_text(error, short=True)}): were these poses "
+        "read for these pictures? Leave them out, or correct them",
+    )
 
 
 def _is_explained(given_error: ClosureError, hypotheses: tuple[ConventionHypothesis, ...]) -> bool:

@@ -18,9 +18,12 @@ LENGTH_UNIT_MISTAKES = {
     "target's points like millimetres where centimetres are",
     25.4: "the robot's positions look like inches where millimetres are stated, or the target's "
     "points like millimetres where inches are",
-    1.0 / 0.0254: "the target's points look like inches where metres are expected",
-    1e2: "the target's points look like centimetres where metres are expected",
-    1e3: "the target's points look like millimetres where metres are expected",
+    1.0 / 0.0254: "the target's points look like inches where metres are expected, or the robot's "
+    "positions like metres where inches are stated",
+    1e2: "the target's points look like centimetres where metres are expected, or the robot's "
+    "positions like metres where centimetres are stated",
+    1e3: "the target's points look like millimetres where metres are expected, or the robot's "
+    "positions like metres where millimetres are stated",
 }
 """Explanations in words, by the ratio of camera motion to robot motion."""
 
@@ -30,7 +33,8 @@ _SMALL_UNIT_MISTAKES = {
     "target's points like inches where centimetres are",
     2.54: "the robot's positions look like inches where centimetres are stated, or the target's "
     "points like centimetres where inches are",
-    1.0 / 0.3048: "the target's points look like feet where metres are expected",
+    1.0 / 0.3048: "the target's points look like feet where metres are expected, or the robot's "
+    "positions like metres where feet are stated",
 }
 """The same for ratios that another size of the target may have, too."""
 
@@ -78,3 +82,18 @@ def length_unit_problems(
         if distance > MAX_PLAUSIBLE_DISTANCE:
             problems.append(f"{template.format(distance)}: millimetres where metres are expected?")
     return tuple(problems)
+
+
+def size_doubt(camera: Poses, used: np.ndarray) -> str:
+    """Return that the target's size is taken as stated, and what an error of it does, in words.
+
+    Args:
+        camera: the camera's poses.
+        used: mask of the views to use.
+    """
+    distance = 1e3 * float(np.median(np.linalg.norm(camera[used, :3, 3], axis=1)))
+    return (
+        "these views do not tell the target's size, because the robot turns about one point: it is "
+        "taken as stated, and if it is 1 % larger, the camera or the target is up to "
+        f"{0.01 * distance:.2g} mm elsewhere. Measure the target, or vary the camera's distance"
+    )

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from ..geometry import EULER_CONVENTIONS
@@ -80,12 +80,23 @@ class GivenPoses:
         return self._reread[key]
 
 
-def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
+SQUARE_TOLERANCE = 1e-6
+"""Relative difference of a grid's width and height that is a rounding error."""
+
+OTHER_CORNER = "numbered_from_another_corner"
+"""Name of the mistake of points that are numbered from another corner in some views."""
+
+
+def mistakes(
+    in_hand: bool, view_count: int, turns: Float[np.ndarray, "turns 4 4"] | None = None
+) -> Iterator[Mistake]:
     """Yield every known mistake, simple ones first.
 
     Args:
         in_hand: whether the camera is stated to be on the hand.
         view_count: number of views.
+        turns: turns of the target in its plane that take it into itself, the identity first; None
+            if they are not known.
     """
     other = "next to the arm (eye_to_hand)" if in_hand else "on the hand (eye_in_hand)"
     yield Mistake(
@@ -110,6 +121,12 @@ def mistakes(in_hand: bool, view_count: int) -> Iterator[Mistake]:
         lambda given: (given.robot, _mirror_camera_poses(given.camera)),
     )
     yield from _left_handed_positions()
+    if turns is not None:
+        yield Mistake(
+            OTHER_CORNER,
+            "in some views the target's points are numbered from another corner",
+            lambda given: (given.robot, numbered_alike(given, turns)),
+        )
     yield from _angle_format_mistakes()
     yield from _pairing_mistakes(view_count)
 
@@ -134,6 +151,40 @@ def _mirror_camera_poses(camera: Poses) -> Poses:
     """
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     return mirror @ camera @ np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+def numbered_alike(given: GivenPoses, turns: Float[np.ndarray, "turns 4 4"]) -> Poses:
+    """Return the camera's poses with the numbering in which it turns as the robot does."""
+    candidates = given.camera @ turns[:, None]
+    chosen = _turning_alike(candidates[..., :3, :3], given.robot[:, :3, :3])
+    # The numbering that most views have stays: the target's frame may be any of them.
+    usual = np.bincount(chosen).argmax()
+    return candidates[chosen, np.arange(len(chosen))] @ np.linalg.inv(turns[usual])
+
+
+def target_turns(
+    points: Float[np.ndarray, "views points 3"], visible: Bool[np.ndarray, "views points"]
+) -> Float[np.ndarray, "turns 4 4"] | None:
+    """Return the turns in its plane that take a grid of points into itself, the identity first.
+
+    Half a turn does, and a quarter too where the grid is as wide as high. None without points.
+
+    Args:
+        points: points of the target in its frame in each view, m.
+        visible: mask of the visible points.
+    """
+    if not visible.any():
+        return None
+    low, high = points[visible][:, :2].min(axis=0), points[visible][:, :2].max(axis=0)
+    width, height = high - low
+    is_square = abs(width - height) < SQUARE_TOLERANCE * max(width, height)
+    turns = np.tile(np.eye(4), (4, 1, 1))
+    turns[:, :3, :3] = Rotation.from_rotvec(
+        np.outer(np.arange(4), [0.0, 0.0, 0.5 * np.pi])
+    ).as_matrix()
+    centre = 0.5 * (low + high)
+    turns[:, :2, 3] = centre - turns[:, :2, :2] @ centre
+    return turns if is_square else turns[::2]
 
 
 def _left_handed_positions() -> Iterator[Mistake]:
@@ -353,19 +404,34 @@ def _fitting_rotations(
     candidates = np.stack(
         [given.reread(read_format, true_format, alternative) for alternative in (False, True)]
     )
-    # The trace of R_i^T R_j is 1 + 2 cos of the angle between two views, the camera's as well.
-    between = np.einsum("aimn,bjmn->aibj", candidates, candidates)
-    seen = np.einsum("imn,jmn->ij", given.camera[:, :3, :3], given.camera[:, :3, :3])
-    misfit = np.abs(between - seen[None, :, None, :])
-    views = np.arange(len(given.robot))
-    best, best_misfit = candidates[0], np.inf
+    return candidates[
+        _turning_alike(candidates, given.camera[:, :3, :3]), np.arange(len(given.robot))
+    ]
+
+
+def _turning_alike(
+    candidates: Float[np.ndarray, "choices views 3 3"], others: Float[np.ndarray, "views 3 3"]
+) -> Int[np.ndarray, "views"]:
+    """Return which candidate each view has if the angles between the views are to be the others'.
+
+    Args:
+        candidates: rotations of every view, of robot or camera.
+        others: rotations of the views, of the other one.
+    """
+    # The trace of R_i^T R_j is 1 + 2 cos of the angle between two views, of robot and camera.
+    expected = np.einsum("imn,jmn->ij", others, others)
+    views = np.arange(len(others))
+    best, best_misfit = np.zeros(len(others), dtype=int), np.inf
     # The view that is chosen first decides the others; a second pass asks all of them.
-    for first in (0, 1):
-        chosen = misfit[:, :, first, 0].argmin(axis=0)
-        chosen = misfit[:, :, chosen, views].sum(axis=2).argmin(axis=0)
-        total = misfit[chosen[:, None], views[:, None], chosen[None], views[None]].sum()
+    for first in range(len(candidates)):
+        between = np.einsum("aimn,mn->ai", candidates, candidates[first, 0])
+        chosen = np.abs(between - expected[:, 0]).argmin(axis=0)
+        between = np.einsum("aimn,jmn->aij", candidates, candidates[chosen, views])
+        chosen = np.abs(between - expected).sum(axis=2).argmin(axis=0)
+        rotations = candidates[chosen, views]
+        total = np.abs(np.einsum("imn,jmn->ij", rotations, rotations) - expected).sum()
         if total < best_misfit:
-            best, best_misfit = candidates[chosen, views], total
+            best, best_misfit = chosen, total
     return best
 
 
@@ -377,6 +443,15 @@ def _is_in_range(numbers: np.ndarray, true_format: _RotationFormat) -> np.ndarra
     return ((numbers[:, 1:2] >= low - 1e-9) & (numbers[:, 1:2] <= high + 1e-9)) & (
         np.abs(numbers).max(axis=1, keepdims=True) <= np.pi + 1e-9
     )
+
+
+MAX_PLACES = 40
+"""Largest number of places where a picture or a pose may be missing, evenly spaced."""
+
+
+def _places(view_count: int) -> list[int]:
+    """Return the places where a picture or a pose may be missing."""
+    return np.unique(np.linspace(2, view_count - 2, MAX_PLACES).astype(int)).tolist()
 
 
 def _pairing_mistakes(view_count: int) -> Iterator[Mistake]:
@@ -396,6 +471,16 @@ def _pairing_mistakes(view_count: int) -> Iterator[Mistake]:
         yield pairing_mistake(
             f"shifted_{shift}", f"each fits the pose {where} its own", np.roll(indices, -shift)
         )
+    # One picture or one pose is missing: all later ones are off by one.
+    for first in _places(view_count):
+        for shift in (1, -1):
+            order = indices.copy()
+            order[first:] = np.roll(indices[first:], -shift)
+            where = f"from the view number {first + 1} on, each fits the pose"
+            side, missing = ("after", "picture") if shift > 0 else ("before", "pose")
+            yield pairing_mistake(
+                f"{missing}_missing", f"{where} {side} its own: is a {missing} missing?", order
+            )
     yield pairing_mistake("reversed", "they fit the poses in reverse order", indices[::-1])
     for first in (0, 1) if view_count + 1 > 10 else ():
         # File names sorted as text: 1, 10, 11, 2, ... Numbering may start at 0 or 1, and either

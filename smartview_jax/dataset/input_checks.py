@@ -134,14 +134,28 @@ def pixel_problems(
     """Return the views with a pixel outside the picture, with the reason.
 
     Detected corners may lie up to one pixel beyond the edge.
+
+    Raises:
+        ValueError: several views have such a pixel, and none of them would with the picture's width
+            and height exchanged.
     """
     width, height = image_size
     if width <= 0 or height <= 0:
         raise ValueError(f"image_size: expected a positive width and height, found {image_size}")
-    limits = np.array([width, height], dtype=float)
-    with np.errstate(invalid="ignore"):
-        # Pixel centres are at integers, so the picture ends half a pixel beyond the outermost ones.
-        outside = seen & ((pixels < -1.0) | (pixels > limits)).any(axis=-1)
+
+    def outside_of(size: tuple[int, int]) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            # Pixel centres are at integers: the picture ends half a pixel beyond the outermost.
+            return seen & ((pixels < -1.0) | (pixels > np.array(size, dtype=float))).any(axis=-1)
+
+    outside = outside_of(image_size)
+    # A single view may have a gross error of its own.
+    if np.count_nonzero(outside.any(axis=1)) > 1 and not outside_of((height, width)).any():
+        right, bottom = pixels[seen].max(axis=0)
+        raise ValueError(
+            f"image_size: expected width and height, found {width} x {height}, but points lie up "
+            f"to ({right:.1f}, {bottom:.1f}) px: are width and height exchanged?"
+        )
     problems = {}
     for view in np.flatnonzero(outside.any(axis=1)):
         point = int(np.flatnonzero(outside[view])[0])

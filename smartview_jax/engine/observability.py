@@ -66,7 +66,8 @@ def observability(
         # At most eight components, above 5 % of the largest, for readability.
         largest = [i for i in order if abs(Vt[k, i]) > 0.05 * abs(Vt[k, order[0]])][:8]
         components = tuple((names[i], float(Vt[k, i] * inverse_norms[i])) for i in largest)
-        text = describe_direction(components, calibration)
+        is_null = bool(singular_values[k] <= RANK_TOLERANCE)
+        text = describe_direction(components, calibration, is_null)
         return Direction(float(singular_values[k]), components, text)
 
     return Observability(
@@ -83,15 +84,19 @@ def observability(
     )
 
 
-def describe_direction(components: tuple[tuple[str, float], ...], calibration: Calibration) -> str:
+def describe_direction(
+    components: tuple[tuple[str, float], ...], calibration: Calibration, is_null: bool = True
+) -> str:
     """Describe a direction as a sentence.
 
     A shift of the camera on its mount, alone or together with a shift of the target, is described
-    in the frame of the mount; every other direction as a list of parameters.
+    in the frame of the mount; every other direction as a list of parameters, scaled to 1 mm, 1
+    degree or one unit of the first.
 
     Args:
         components: the direction, as in `Direction`.
         calibration: the calibration whose parameters these are.
+        is_null: whether the data do not determine the direction at all.
     """
     camera_transform, world_transform = calibration.transform_names
     blocks = {".".join(name.split(".")[:2]) for name, _ in components}
@@ -108,9 +113,26 @@ def describe_direction(components: tuple[tuple[str, float], ...], calibration: C
         # t = translation of camera_from_mount is in camera axes; R^T t is in the axes of the mount.
         rotation = host_matrices(calibration.camera_from_mount)[:3, :3]
         axis = _describe_axis(rotation.T @ displacement)
-        return f"camera offset along the {mount}'s {axis}: all rotations share that axis"
-    listed = ", ".join(f"{name} ({value:+.2g})" for name, value in components)
+        # A direction that noise hides has no such cause.
+        cause = ": all rotations share that axis" if is_null else ""
+        return f"camera offset along the {mount}'s {axis}{cause}"
+    scaled = [
+        (name, value * factor, unit)
+        for name, value in components
+        for factor, unit in [_display_unit(name)]
+    ]
+    first = abs(scaled[0][1]) or 1.0
+    listed = ", ".join(f"{name} ({value / first:+.2g}{unit})" for name, value, unit in scaled)
     return f"a combination of parameters: {listed}"
+
+
+def _display_unit(name: str) -> tuple[float, str]:
+    """Return the factor from a parameter's own unit to the one that people read, and its name."""
+    if ".translation." in name:
+        return 1e3, " mm"
+    if ".rotation." in name:
+        return float(np.rad2deg(1.0)), " degrees"
+    return 1.0, ""
 
 
 def _describe_axis(vector: np.ndarray) -> str:

@@ -66,6 +66,8 @@ def load_dataset(
         15 1500 (640, 480)
     """
     folder = Path(folder)
+    if folder.is_file():
+        raise FileNotFoundError(f"{folder}: is a file, expected the folder of a data set")
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder}: no such folder")
     if (folder / DESCRIPTION_FILE).is_file():

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from ..argument_checks import nearest_name, require_one_of
 from ..extras import import_extra
-from ..files import write_atomically
+from ..files import require_file, write_atomically
 from ..geometry import LENGTH_UNITS
 from ..modeling import SHARP_ANGLE, Face, ObjectModel, face_plane, find_symmetry
 
@@ -53,8 +53,7 @@ def read_mesh(
         ImportError: trimesh is not installed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
+    require_file(path)
     require_one_of("unit", unit, LENGTH_UNITS)
     kind = _format_of(path)
     trimesh = import_extra("trimesh", "objects", "a mesh")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..argument_checks import NUMBER_PATTERN
+from ..files import require_file
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 """The separators that are recognised, with their names; the first is the default."""
@@ -91,8 +92,7 @@ def decoded_lines(path: Path) -> tuple[list[str], str]:
         FileNotFoundError: the file is missing.
         ValueError: it is not a text; the message says how to save it.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
+    require_file(path)
     content = path.read_bytes()
     marked = next((e for mark, e in _BYTE_ORDER_MARKS.items() if content.startswith(mark)), None)
     # UTF-8 is tried first, because text in a Windows code page is hardly ever valid UTF-8.

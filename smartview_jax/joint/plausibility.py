@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..calibration import Calibration
+from ..calibration import BOW, PRINT, SHAPE_NAMES, Calibration
 from ..cameras import lens_name
 from ..dataset import (
     MINIMUM_RELIABLE_VIEWS,
@@ -44,7 +44,7 @@ MAX_CHAIN_RMS = 20.0
 """The RMS residual of the chain, px, above which poses and pictures do not belong together."""
 
 MIN_BOW_SIGMAS = 3.0
-"""The smallest bow of the target for a warning, in standard deviations."""
+"""The smallest bow or stretch of the target for a warning, in standard deviations."""
 
 MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """Probabilities of a wrong target size above which a warning mentions the estimated size, and above
@@ -184,24 +184,44 @@ def _target_warnings(fit: JointFit) -> list[str]:
 
 
 def _shape_warnings(fit: JointFit) -> list[str]:
-    """Return a warning about the bow of the target, if it matters for the mount."""
+    """Return warnings about a target that bows or is stretched, if that matters for the mount."""
     noise_estimate = fit.noise_estimate
     if noise_estimate is None or noise_estimate.target_shape is None:
         return []
     estimate = noise_estimate.target_shape
     observations = fit.problem.seen_points
     bow, std = estimate.bow(np.asarray(observations.points)[np.asarray(observations.visible)])
+    # x is stretched by this part of the half size, and y shortened.
+    by_aspect = 2.0 / float(estimate.shape.half_size)
+    k = SHAPE_NAMES.index("aspect")
+    stretch = by_aspect * float(estimate.shape.coefficients[k])
+    stretch_std = by_aspect * float(np.sqrt(estimate.covariance[k, k]))
+    longer, other = ("x", "y") if stretch > 0.0 else ("y", "x")
     mount = f"{fit.calibration.transform_names[0]}."
     names = [name for name in fit.parameter_names if name.startswith(mount)]
     rows = [noise_estimate.parameter_names.index(name) for name in names]
-    shift = estimate.by_shape[rows] @ np.asarray(estimate.shape.coefficients)
     stds = np.array([fit.std[name] for name in names])
-    if not bow > MIN_BOW_SIGMAS * std or not (np.abs(shift) > stds).any():
-        return []
-    return [
-        f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected; taken as "
-        f"flat, it would shift {mount[:-1]} by {1e3 * np.linalg.norm(shift[:3]):.2f} mm"
-    ]
+    kinds = (
+        (
+            bow > MIN_BOW_SIGMAS * std,
+            BOW,
+            f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected; "
+            "taken as flat",
+        ),
+        (
+            abs(stretch) > MIN_BOW_SIGMAS * stretch_std,
+            PRINT,
+            f"the target is stretched by {100.0 * abs(stretch):.2f} +- {100.0 * stretch_std:.2f} % "
+            f"along its {longer} compared with its {other}, which is corrected; taken as stated",
+        ),
+    )
+    warnings = []
+    for is_certain, part, text in kinds:
+        shift = estimate.by_shape[rows, part] @ np.asarray(estimate.shape.coefficients)[part]
+        if is_certain and (np.abs(shift) > stds).any():
+            distance = 1e3 * np.linalg.norm(shift[:3])
+            warnings.append(f"{text}, it would shift {mount[:-1]} by {distance:.2f} mm")
+    return warnings
 
 
 def _scale_warnings(fit: JointFit) -> list[str]:

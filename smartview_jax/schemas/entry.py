@@ -24,6 +24,9 @@ from ..argument_checks import (
     spelling_suggestion,
 )
 
+_KIND_PREFIX = "smartview_"
+"""What the entry begins with that tells the kind of a file, such as `smartview_dataset`."""
+
 
 class Entry(BaseModel):
     """A mapping in a file: every key is known, every value of its type, nothing is converted."""
@@ -41,6 +44,12 @@ class Entry(BaseModel):
         known = list(cls.model_fields)
         unknown = [key for key in content if key not in known] if isinstance(content, dict) else []
         if unknown and cls.model_config.get("extra") == "forbid":
+            own, other = (
+                next((key for key in keys if str(key).startswith(_KIND_PREFIX)), None)
+                for keys in (known, unknown)
+            )
+            if own is not None and other is not None and own not in content:
+                raise ValueError(f"a file of the kind {own} is expected, found {other}")
             raise PydanticCustomError(
                 "unknown_entry",
                 "no entry is called {key}{hint} It has {known}",

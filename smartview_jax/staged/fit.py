@@ -31,6 +31,7 @@ from ..data_checks import (
     pose_findings,
     require_minimum_views,
     stale_views,
+    target_turns,
     unusable_views,
     views_to_use,
 )
@@ -172,7 +173,12 @@ def fit_staged(
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
     report = check_conventions(
-        data.base_from_tool, common_fit.camera_from_world, data.mount, weights
+        data.base_from_tool,
+        common_fit.camera_from_world,
+        data.mount,
+        weights,
+        target_turns(np.asarray(data.points), np.asarray(observations.visible)),
+        data.view_ids,
     )
     outlying = {}
     if choice is not None and choice.explained:
@@ -257,6 +263,7 @@ def fit_staged(
         (
             *camera_doubts,
             *((report.change,) if report.change and not report.problems else ()),
+            *report.ambiguities,
             # With a wrong camera any poses explain the pictures as badly.
             *((choice.warning,) if choice and choice.warning and not camera_doubts else ()),
         ),

@@ -7,6 +7,7 @@ from jaxlie import SE3, SO3
 from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
+from smartview_jax.data_checks import target_turns
 from smartview_jax.geometry import (
     EULER_CODECS,
     EULER_CONVENTIONS,
@@ -120,6 +121,8 @@ def test_wrong_units_of_length_are_named(poses, robot_factor, target_factor, tex
 def test_a_ratio_of_lengths_is_named_for_units_only_where_it_is_theirs():
     assert "feet where metres are expected" in mistaken_unit(0.31)
     assert "inches where centimetres are stated" in mistaken_unit(2.55)
+    # A file in metres that is read as millimetres is as likely as a target in millimetres.
+    assert "metres where millimetres are stated" in mistaken_unit(1000.0)
     assert mistaken_unit(0.5) == mistaken_unit(-1.0) == ""
 
 
@@ -268,6 +271,14 @@ def test_a_mistake_that_corrects_little_is_not_suggested(poses):
         (np.roll(np.arange(VIEWS), 1), "each fits the pose 1 view after its own"),
         (np.roll(np.arange(VIEWS), -2), "each fits the pose 2 views before its own"),
         (np.arange(VIEWS)[::-1], "they fit the poses in reverse order"),
+        (
+            np.r_[:4, 5:VIEWS, 4],
+            "from the view number 5 on, each fits the pose before its own: is a pose missing?",
+        ),
+        (
+            np.r_[:7, VIEWS - 1, 7 : VIEWS - 1],
+            "from the view number 8 on, each fits the pose after its own: is a picture missing?",
+        ),
         (np.array(sorted(range(VIEWS), key=str)), "one of the two is sorted as words"),
     ],
 )
@@ -276,6 +287,41 @@ def test_pictures_paired_in_another_order_are_named(poses, order, text):
     wrong = SE3(robot.wxyz_xyz[order])
     (problem,) = check_conventions(wrong, seen, "eye_in_hand").problems
     assert text in problem.split("next best")[0]
+
+
+@pytest.mark.parametrize("columns", [4, 3])
+def test_views_numbered_from_another_corner_are_named(poses, columns):
+    """A symmetric grid of 3 rows whose numbering begins at the opposite corner in some pictures,
+    or, where it is square, at the next one."""
+    robot, seen = poses
+    x, y = np.meshgrid(np.arange(columns), np.arange(3.0))
+    grid = 0.03 * np.stack([x, y, 0.0 * x], axis=-1)
+    turned = grid[::-1, ::-1] if columns == 4 else np.rot90(grid)
+    # The motion that takes the grid's points into their order as seen (Kabsch).
+    own, other = grid.reshape(-1, 3), turned.reshape(-1, 3)
+    rotation, _ = Rotation.align_vectors(other - other.mean(axis=0), own - own.mean(axis=0))
+    turn = np.eye(4)
+    turn[:3, :3] = rotation.as_matrix()
+    turn[:3, 3] = other.mean(axis=0) - rotation.apply(own.mean(axis=0))
+    camera, wrong = np.array(seen.as_matrix()), [1, 4, 5, 10]
+    camera[wrong] = camera[wrong] @ turn
+    points = np.tile(own, (VIEWS, 1, 1))
+    turns = target_turns(points, np.ones(points.shape[:2], dtype=bool))
+    ids = [f"p{k}" for k in range(VIEWS)]
+    report = check_conventions(robot, host_transforms(camera), "eye_in_hand", None, turns, ids)
+    text = "the target's points are numbered from another corner: views p1, p4, p5, p10"
+    assert text in report.problems[0]
+    no_points = np.zeros(points.shape[:2], dtype=bool)
+    assert target_turns(points, no_points) is None
+
+
+@pytest.mark.parametrize(("views", "exchanged"), [(6, [1, 4]), (12, [0, 3, 6, 9])])
+def test_the_views_without_which_all_agree_are_named(poses, views, exchanged):
+    robot, seen = (SE3(part.wxyz_xyz[:views]) for part in poses)
+    order = np.arange(views)
+    order[exchanged] = np.roll(exchanged, 1)
+    (problem,) = check_conventions(SE3(robot.wxyz_xyz[order]), seen, "eye_in_hand").problems
+    assert f"but do without views {', '.join(map(str, exchanged))} (" in problem
 
 
 def test_pictures_in_no_order_are_not_called_angles_in_another_unit_alone(poses):

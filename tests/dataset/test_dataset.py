@@ -192,6 +192,13 @@ def test_a_pixel_outside_the_picture_is_an_error(arrays):
         Dataset.from_arrays(**arrays)
 
 
+@pytest.mark.parametrize("bad_views", ["raise", "mask"])
+def test_an_exchanged_width_and_height_is_named(arrays, bad_views):
+    arrays |= {"pixels": arrays["pixels"] * [1.3, 0.9], "image_size": (480, 640)}
+    with pytest.raises(ValueError, match=r"480 x 640, but .*: are width and height exchanged"):
+        Dataset.from_arrays(**arrays, bad_views=bad_views)
+
+
 def test_duplicate_and_missing_ids(arrays):
     with pytest.raises(ValueError, match="view_ids: b given more than once"):
         Dataset.from_arrays(**arrays, view_ids=["a", "b", "b", "c"])

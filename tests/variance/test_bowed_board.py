@@ -1,6 +1,7 @@
 """A board that bows: its shape is found, and neither the camera nor the mount pays for it."""
 
 import dataclasses
+import re
 
 import jax
 import jax.numpy as jnp
@@ -29,9 +30,13 @@ def board(bow=0.0):
     return points
 
 
-def scene_with_bow(seed, bow):
+def scene_with_bow(seed, bow, stretch=1.0):
     scene = random_scene(
-        seed, VIEWS, board(bow), translation_noise=3e-5, rotation_noise=np.deg2rad(0.005)
+        seed,
+        VIEWS,
+        board(bow) * [stretch, 1.0, 1.0],
+        translation_noise=3e-5,
+        rotation_noise=np.deg2rad(0.005),
     )
     stated = jnp.broadcast_to(board(), scene.data.points.shape)
     return dataclasses.replace(scene, data=dataclasses.replace(scene.data, points=stated))
@@ -79,13 +84,22 @@ def test_the_bow_is_named_with_its_size(bowed):
         assert shown.value == pytest.approx(1e3 * float(estimate.shape.coefficients[0]))
 
 
+def test_a_board_that_is_printed_too_wide_is_named_with_its_stretch():
+    scene = scene_with_bow(0, 0.0, stretch=1.004)
+    fit = fit_joint(scene.data, nudged(scene.calibration))
+    (said,) = [text for text in fit.warnings if "is stretched by" in text]
+    percent, std = re.search(r"by (\S+) \+- (\S+) % along its x compared", said).groups()
+    assert abs(float(percent) - 0.4) < max(4.0 * float(std), 0.02)
+    assert float(std) < 0.1
+
+
 def test_a_flat_board_is_left_alone():
     scene = scene_with_bow(0, 0.0)
     found, flat = (
         fit_joint(scene.data, nudged(scene.calibration), robot_prior=prior)
         for prior in (None, EXACTLY_FLAT)
     )
-    assert not any("bows" in warning for warning in found.warnings)
+    assert not any("bows" in text or "stretched" in text for text in found.warnings)
     assert flat.calibration.target_shape is None
     height, std = found.noise_estimate.target_shape.bow(board())
     assert height < 4.0 * std

@@ -1,0 +1,47 @@
+"""Say whether inverted poses would explain the pictures as well as the poses that were given.
+
+Two screw motions have a common perpendicular, and half a turn about it takes each of them into its
+inverse. The two motions between three views therefore belong to a camera on the hand and to one
+next to the arm equally well, with mounts far from each other. So do the motions between any
+number of views that share a perpendicular, as on a sphere about the target without a turn about the
+line of sight.
+"""
+
+import numpy as np
+from jaxtyping import Bool
+
+from .closure import Poses, closure_error, relative_motions
+from .transform_fit import fit_transforms
+
+
+def inverted_poses_doubt(
+    robot: Poses,
+    camera: Poses,
+    used: Bool[np.ndarray, "views"],
+    in_hand: bool,
+    largest_score: float,
+) -> str:
+    """Return a sentence if the views cannot tell poses as given from inverted ones, else nothing.
+
+    Args:
+        robot: the robot's poses as given.
+        camera: the camera's poses.
+        used: mask of the views to use.
+        in_hand: whether the camera is stated to be on the hand.
+        largest_score: closure score up to which inverted poses explain the views as well.
+    """
+    inverted = np.linalg.inv(robot)
+    stated, other = (inverted, robot) if in_hand else (robot, inverted)
+    if closure_error(relative_motions(other[used], camera[used])).score > largest_score:
+        return ""
+    distances = [
+        1e3 * float(np.linalg.norm(fit_transforms(poses, camera, used).camera_from_mount[:3, 3]))
+        for poses in (stated, other)
+    ]
+    mount, place = ("tool", "next to the arm") if in_hand else ("base", "on the hand")
+    return (
+        "robot and camera move alike as given, and as well with every pose inverted "
+        f"(tool_from_base for base_from_tool, or a camera {place}): as given the camera is "
+        f"{distances[0]:.0f} mm from the {mount}, else {distances[1]:.0f} mm from tool or base. "
+        "Check the mount and the direction of the poses, or add a view turned about another axis"
+    )
