@@ -25,7 +25,7 @@ from .joint import (
     precompile,
 )
 from .rig_pipeline import calibrate_rig
-from .robot_errors import RobotError, RobotPrior
+from .robot_errors import RobotError
 from .runtime.compilation import refuse_traced
 from .runtime.double_precision import require_double_precision
 from .staged import (
@@ -224,11 +224,6 @@ def calibrate(
         )
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
-    if not staged.conventions.tells_size:
-        # The likelihood prefers the size at which the target, and all that it contradicts, vanish.
-        prior = joint_options.get("robot_prior") or RobotPrior()
-        prior = dataclasses.replace(prior, wrong_target_probability=0.0)
-        joint_options["robot_prior"] = prior
     staged, start = _with_start_doubts(staged, start, data, (*held, *priors))
     try:
         joint = fit_joint(

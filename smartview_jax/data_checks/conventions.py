@@ -20,7 +20,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..calibration import mount_frames
-from ..dataset import turns_about_one_axis
+from ..dataset import turns_about_one_axis, turns_about_one_point
 from ..geometry import host_matrices
 from .closure import (
     ClosureError,
@@ -76,8 +76,6 @@ class ConventionReport(NamedTuple):
         change: what seems to have been changed between two views, as a sentence; empty if nothing
             does.
         ambiguities: sentences on what these views cannot tell, although robot and camera agree.
-        tells_size: whether the motions tell the target's size; on a sphere about the target any
-            size explains them.
     """
 
     problems: tuple[str, ...]
@@ -91,7 +89,6 @@ class ConventionReport(NamedTuple):
     closure_score: float = 0.0
     change: str = ""
     ambiguities: tuple[str, ...] = ()
-    tells_size: bool = True
 
     @property
     def is_close(self) -> bool:
@@ -172,7 +169,6 @@ def check_conventions(
     ratio, ratio_std = length_ratio(motions) if comparable else LengthRatio()
     problems, hypotheses = (), ()
     ids = [str(view) for view in range(len(robot))] if view_ids is None else view_ids
-    tells_size = not comparable or math.isfinite(ratio_std)
     # The score divides lengths by the target's distance, so a wrong unit of the target can leave
     # it small; the ratio of the motions shows it.
     if not _is_better_scale(motions, given_error, ratio):
@@ -206,7 +202,7 @@ def check_conventions(
         rival_score = MAX_RIVAL_SCORE_RATIO * max(given_error.score, CLOSURE_SCORE_FLOOR)
         doubts = (
             inverted_poses_doubt(robot, camera, used, in_hand, rival_score),
-            "" if tells_size else size_doubt(camera, used),
+            size_doubt(camera, used) if turns_about_one_point(robot[used]) else "",
         )
         ambiguities = tuple(doubt for doubt in doubts if doubt)
     return ConventionReport(
@@ -220,7 +216,6 @@ def check_conventions(
         ratio_std,
         given_error.score if comparable else 0.0,
         ambiguities=ambiguities,
-        tells_size=tells_size,
     )
 
 

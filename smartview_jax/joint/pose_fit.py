@@ -7,7 +7,7 @@ is estimated with the robot's; `tracker_noise` finds the ratios of its parts.
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -217,7 +217,7 @@ def fit_poses(
     check_start(start, data)
     free = (TARGET_SCALE,) if scale else ()
     require_moving_robot(data, blank, fixed, priors, free)
-    calibration, consistent = _start(data, blank, start, scale)
+    calibration, consistent, ambiguities = _start(data, blank, start, scale)
     options: dict[str, Any] = {
         "fixed": (*fixed, "camera"),
         "free": free,
@@ -249,11 +249,26 @@ def fit_poses(
             break
         consistent = consistent | again
         used, fit = fit_consistent()
+    fit = dataclasses.replace(fit, warnings=(*ambiguities, *fit.warnings))
     return PoseFit.of(fit, dataclasses.replace(data, covariance=used.covariance), has_camera)
 
 
-def start_from_poses(data: PoseDataset) -> tuple[Calibration, Bool[np.ndarray, "views"]]:
-    """Return a calibration near the solution, by closed forms, and the pairs that agree with it.
+class PoseStart(NamedTuple):
+    """The start of a fit to tracked poses.
+
+    Attributes:
+        calibration: near the solution, by closed forms.
+        consistent: mask of the pairs that agree with it.
+        ambiguities: what the pairs cannot tell, in sentences.
+    """
+
+    calibration: Calibration
+    consistent: Bool[np.ndarray, "views"]
+    ambiguities: tuple[str, ...]
+
+
+def start_from_poses(data: PoseDataset) -> PoseStart:
+    """Return the start of a fit, with no choice of the user's.
 
     Raises:
         ValueError: as `fit_poses`.
@@ -298,7 +313,7 @@ def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
 
 def _start(
     data: PoseDataset, blank: Calibration, start: Mapping[str, PoseLike] | None, scale: bool
-) -> tuple[Calibration, Bool[np.ndarray, "views"]]:
+) -> PoseStart:
     """Return a calibration near the solution, and the pairs that agree with it.
 
     Args:
@@ -311,7 +326,7 @@ def _start(
     factor, consistent = robust_hand_eye(mount_from_holder, measured, data.seen, scale)
     measured = measured.copy()
     measured[:, :3, 3] *= factor
-    _check_conventions(data, measured, consistent)
+    ambiguities = _check_conventions(data, measured, consistent)
     given = known_transforms(start, data.mount)
     step3 = solve_hand_eye(
         host_transforms(mount_from_holder),
@@ -326,15 +341,19 @@ def _start(
         holder_from_world=given[1] or step3.holder_from_world,
         target_scale=to_device(np.array(factor)),
     )
-    return found, consistent
+    return PoseStart(found, consistent, ambiguities)
 
 
 def _check_conventions(
     data: PoseDataset,
     measured: Float[np.ndarray, "views 4 4"],
     consistent: Bool[np.ndarray, "views"],
-) -> None:
-    """Raise a ValueError if robot and tracker do not move alike, with the likeliest mistake."""
+) -> tuple[str, ...]:
+    """Return what the pairs cannot tell, in sentences.
+
+    Raises:
+        ValueError: robot and tracker do not move alike, with the likeliest mistake.
+    """
 
     def report_on(views: Bool[np.ndarray, "views"]) -> ConventionReport:
         poses = data.base_from_tool, host_transforms(measured)
@@ -348,6 +367,7 @@ def _check_conventions(
     report = report_on(consistent)
     if report.problems:
         raise ValueError("; ".join(report.problems))
+    return report.ambiguities
 
 
 def _contradictions(

@@ -245,11 +245,15 @@ def test_a_robot_that_never_turns_is_named_with_the_option_that_ends_it():
 
 @pytest.mark.parametrize(("views", "seed"), [(3, 0), (4, 2)])
 def test_few_pairs_do_not_make_a_tracker_perfect(views, seed):
-    """Without a prior on the tracker, a perfect one with a weak robot has endless evidence."""
+    """And three pairs fit a camera next to the arm as well as one on the hand.
+
+    Without a prior on the tracker, a perfect one with a weak robot has endless evidence.
+    """
     fit = sv.fit_poses(data_of(seed, views=views), field=None)
     translation, rotation = fit.tracker_noise
     assert translation == pytest.approx(TRACKER[0], rel=0.5)
     assert rotation == pytest.approx(TRACKER[1], rel=0.5)
+    assert any("as well with every pose inverted" in text for text in fit.warnings) == (views == 3)
 
 
 def test_a_turn_of_one_joint_tells_no_size():
