@@ -161,7 +161,11 @@ def kind_scene(kind: str, seed: int, seen_by: sv.Camera | None = None) -> KindSc
 def _round_scene(kind: str, seed: int, rng: np.random.Generator, seen_by: sv.Camera) -> KindScene:
     """Return a scene of a round part that stands on the table."""
     model = dataclasses.replace(tube(*ROUND[kind], MODEL_SIDES)[0], name=kind)
-    real, triangles = tube(*ROUND[kind], REAL_SIDES)
+    outer, inner, height = ROUND[kind]
+    # The mean radius of a polygon is r (1 - (pi / n)^2 / 3): corners on the model's circle would
+    # put the real part 0.005 px inside.
+    larger = 1.0 + (np.pi / REAL_SIDES) ** 2 / 3.0
+    real, triangles = tube(larger * outer, larger * inner, height, REAL_SIDES)
     x, y, angle = rng.uniform([-0.02, -0.02, 0.0], [0.02, 0.02, 6.28]).tolist()
     pose = _on_table(x, y, angle)
     placed = real.vertices @ pose[:3, :3].T + pose[:3, 3]

@@ -12,7 +12,7 @@ from ..modeling import Face, ObjectModel
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .curves import Curves, on_arcs
-from .outlines import OutlineSamples, SmoothEdges
+from .outlines import OutlineSamples, SmoothEdges, wall_normals
 
 EDGE_SAMPLES = 128
 """Default for the smallest number of samples along all edges together."""
@@ -69,6 +69,10 @@ class Wireframe(eqx.Module):
         tolerance: standard deviation of the object's edges from the model, m.
         sample_bends: curvatures of the rims, 1/m, towards their centres; zero on straight edges and
             outlines. None in models without rims.
+        sample_radii: radii of the smooth surface across an outline, m; zero on edges. None in
+            models without smooth surfaces.
+        sample_walls: outward normals of the round surfaces next to a rim, up to two; zero
+            elsewhere. None in models without smooth surfaces.
         smooth: smooth surfaces, whose outline depends on the viewpoint (`with_outline`); the last
             samples are kept for it. None in models without.
         curve_count: padded number of curves.
@@ -94,6 +98,8 @@ class Wireframe(eqx.Module):
     margin: Float[Array, ""]
     tolerance: Float[Array, ""]
     sample_bends: Float[Array, "S 3"] | None
+    sample_radii: Float[Array, "S"] | None
+    sample_walls: Float[Array, "S 2 3"] | None
     smooth: SmoothEdges | None
     curve_count: int = eqx.field(static=True)
 
@@ -156,7 +162,18 @@ class Wireframe(eqx.Module):
         )
         count = _rounded(len(curves.lengths) + patches, MIN_EDGES)
         bends = None if bends is None else to_device(_padded(bends, S, 3))
-        return cls(*map(to_device, arrays), sample_bends=bends, smooth=smooth, curve_count=count)
+        radii = walls = None
+        if smooth is not None:
+            radii = to_device(np.zeros(S))
+            walls = to_device(_padded(wall_normals(model, curves)[owners], S, 2, 3))
+        return cls(
+            *map(to_device, arrays),
+            sample_bends=bends,
+            sample_radii=radii,
+            sample_walls=walls,
+            smooth=smooth,
+            curve_count=count,
+        )
 
     @property
     @one_program
