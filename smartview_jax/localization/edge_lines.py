@@ -203,7 +203,13 @@ def edge_lines(
         shifts = shading_shifts(wireframe, centre, J[:, :3], along)
         points = (lookup.strengths > 0.0).astype(r.dtype).sum()
         usual = jnp.sqrt((lookup.strengths**2).sum() / jnp.maximum(points, 1.0))
-        whole = whole + (over_edges(combination[0] * shifts) * usual / _positive(strengths)) ** 2
+        by_shading = (over_edges(combination[0] * shifts) * usual / _positive(strengths)) ** 2
+        # One light shades all outlines, which may all be off alike: together they tell no more than
+        # one of them alone.
+        assert wireframe.sample_radii is not None
+        is_outline = over_edges(combination[0] * wireframe.sample_radii) > 0.0
+        outlines = jnp.maximum((is_outline & (W >= MIN_LINE_POINTS)).astype(r.dtype).sum(), 1.0)
+        whole = whole + jnp.where(is_outline, outlines, 1.0) * by_shading
     variances = jnp.stack(
         [variance / independent + whole, variance / independent + whole * tilted**2], axis=1
     )

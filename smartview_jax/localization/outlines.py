@@ -123,6 +123,19 @@ def wall_normals(model: ObjectModel, curves: Curves) -> Float[np.ndarray, "E 2 3
     return normals
 
 
+class SeenEdges(NamedTuple):
+    """Samples of the edges or of the outline that a camera sees.
+
+    Attributes:
+        points, lengths: in the object's frame, m.
+        tangents: unit directions of the edges.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    tangents: Float[np.ndarray, "n 3"]
+    lengths: Float[np.ndarray, "n"]
+
+
 class OutlineSamples(NamedTuple):
     """The arrays of `SmoothEdges` without padding, and its number of slots."""
 
@@ -162,6 +175,20 @@ class OutlineSamples(NamedTuple):
         most = _most_on_outline(middles, normals, counts, model)
         slots = int(np.ceil(ROOM * most))
         return cls(points, along, normals[owners], radii[owners], patches[owners], slots)
+
+    def seen_from(self, centre: Float[np.ndarray, "3"]) -> SeenEdges:
+        """Return the outline as a camera sees it, hidden or not, to within the mesh's facets.
+
+        Args:
+            centre: the camera's centre in the object's frame, m.
+        """
+        ray = centre - self.points
+        towards = (self.normals * ray[:, None]).sum(axis=2) > 0.0
+        chosen = towards[:, 0] != towards[:, 1]
+        tangents = np.cross(self.normals[chosen].sum(axis=1), ray[chosen])
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        lengths = np.abs((self.parts[chosen] * tangents).sum(axis=1))
+        return SeenEdges(self.points[chosen], tangents, lengths)
 
 
 def _most_on_outline(
