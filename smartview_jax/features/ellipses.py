@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 @dataclasses.dataclass(frozen=True)
 class EllipseOptions:
-    """Which ellipses are looked for among edge points, and how long.
+    """The limits of an ellipse among edge points, and of the search for it.
 
     Attributes:
         min_points: smallest number of edge points of an ellipse, and so of a chain that is

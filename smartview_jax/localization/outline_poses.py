@@ -9,7 +9,6 @@ picture. The poses are scored by how much of the outline lies on edge points of 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
@@ -71,20 +70,32 @@ def seen_hulls(model: ObjectModel, viewpoints: int) -> list[SeenHull]:
         across = np.linalg.svd(towards[None])[2][1]
         frame = np.stack([across, np.cross(-towards, across), -towards])
         flat = corners @ frame.T
-        # OpenCV takes single precision, which is enough in units of the extent.
-        border = flat[ConvexHull(flat[:, :2]).vertices, :2] / model.extent
-        m = cv2.moments(border.astype(np.float32)[:, None])
-        moments = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"]
+        middle, moments = _area_moments(flat[ConvexHull(flat[:, :2]).vertices, :2])
         values, vectors = np.linalg.eigh(moments)
         long, short = vectors[:, 1], np.array([-vectors[1, 1], vectors[0, 1]])
         turn = np.eye(3)
         turn[:2, :2] = np.stack([long, short])
-        middle = model.extent * np.array([m["m10"], m["m01"]]) / m["m00"]
         place = np.append(middle, 0.5 * (flat[:, 2].min() + flat[:, 2].max()))
         # An ellipse with the half axes a, b has the central moments a^2 / 4, b^2 / 4.
-        axes = 2.0 * model.extent * np.sqrt(values[::-1])
+        axes = 2.0 * np.sqrt(values[::-1])
         hulls.append(SeenHull(turn @ frame, frame.T @ place, axes))
     return hulls
+
+
+def _area_moments(
+    corners: Float[np.ndarray, "n 2"],
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 2"]]:
+    """Return the middle of a polygon's area, and its second moments about it, over the area."""
+    following = np.roll(corners, -1, axis=0)
+    # Of the triangles with the origin: twice the area, and the integral of p p^T.
+    doubled = corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]
+    area = 0.5 * doubled.sum()
+    both = corners + following
+    middle = doubled @ both / (6.0 * area)
+    sums = np.einsum("n,ni,nj->ij", doubled, both, both)
+    sums += np.einsum("n,ni,nj->ij", doubled, corners, corners)
+    sums += np.einsum("n,ni,nj->ij", doubled, following, following)
+    return middle, sums / (24.0 * area) - np.outer(middle, middle)
 
 
 def _poses_at(

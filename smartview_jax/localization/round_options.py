@@ -7,7 +7,7 @@ from ..features import EllipseOptions
 
 @dataclasses.dataclass(frozen=True)
 class RoundOptions:
-    """How parts without corners are searched for: by the ellipses of their rims or outlines.
+    """The limits of the search for parts without corners, by ellipses of rims or outlines.
 
     Attributes:
         ellipses: which ellipses are looked for in the pictures.

@@ -253,8 +253,7 @@ def _smooth_edges(
         padded: number of triangles with padding.
         curves: of the model.
         samples: number of samples on them; smooth edges have as many to a metre. A model without
-            edges has a quarter of them around its extent: where an outline sees all of them hidden
-            or not, they are tested against all faces.
+            edges has a quarter of them around its extent: each is tested against all its faces.
     """
     length = curves.lengths.sum() or 4.0 * np.pi * model.extent
     found = OutlineSamples.of(model, samples / length)
