@@ -12,10 +12,12 @@ import time
 from typing import NamedTuple
 
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.geometry import host_logarithms
+from smartview_jax.io.meshes import model_from_triangles
 from smartview_jax.localization import localize
 from smartview_jax.modeling import Face, ObjectModel, find_symmetry
 from smartview_jax.simulation import (
@@ -34,7 +36,7 @@ from .localization_trials import is_right
 
 SCENES = {
     "bar150": 6, "bar50": 6, "plate": 6, "channel": 6, "apart25": 6, "apart50": 6, "wedges": 2,
-    "washer": 6, "pipe": 6,
+    "washer": 12, "pipe": 12, "ring": 6,
 }  # fmt: skip
 """Number of scenes of each kind; "apart" are two long bars side by side, so many mm apart."""
 
@@ -86,6 +88,10 @@ def wedge() -> Polyhedron:
     return flat._replace(vertices=np.column_stack([x, 0.009 - y, z]))
 
 
+RING, RING_SIDES = (0.018, 0.006), 20
+"""Radii of a ring, a torus that lies on the table: of the circle in its middle and of its tube, m;
+and sides of its tube."""
+
 ROUND = {"washer": (0.02, 0.01, 0.006), "pipe": (0.015, 0.01, 0.05)}
 """Outer and inner radius, and height, of the round parts, m."""
 
@@ -120,6 +126,25 @@ def tube(outer: float, inner: float, height: float, sides: int) -> tuple[ObjectM
     return dataclasses.replace(model, symmetry=find_symmetry(model)), triangles
 
 
+def round_mesh(kind: str, sides: int, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and triangles of a round part with so many sides about its axis."""
+    if kind == "ring":
+        mesh = trimesh.creation.torus(scale * RING[0], scale * RING[1], sides, RING_SIDES)
+        return mesh.vertices, mesh.faces
+    outer, inner, height = ROUND[kind]
+    model, triangles = tube(scale * outer, scale * inner, height, sides)
+    return model.vertices, triangles
+
+
+def round_model(kind: str) -> ObjectModel:
+    """Return the model of a round part; a ring has no edges."""
+    if kind == "ring":
+        model = model_from_triangles(*round_mesh(kind, MODEL_SIDES))
+    else:
+        model = tube(*ROUND[kind], MODEL_SIDES)[0]
+    return dataclasses.replace(model, name=kind)
+
+
 SOLIDS = {
     "bar150": box(0.15, 0.01, 0.014),
     "bar50": box(0.05, 0.01, 0.014),
@@ -133,7 +158,7 @@ def kind_scene(kind: str, seed: int, seen_by: sv.Camera | None = None) -> KindSc
     """Return a scene of a kind; the same seed gives the same one."""
     # By the name, so that further kinds leave the scenes of these as they are.
     rng = np.random.default_rng((seed, sum(kind.encode())))
-    if kind in ROUND:
+    if kind in ("ring", *ROUND):
         return _round_scene(kind, seed, rng, seen_by or camera())
     solid = SOLIDS["bar150" if kind.startswith("apart") else kind]
     if kind.startswith("apart"):
@@ -160,11 +185,13 @@ def kind_scene(kind: str, seed: int, seen_by: sv.Camera | None = None) -> KindSc
 
 def _round_scene(kind: str, seed: int, rng: np.random.Generator, seen_by: sv.Camera) -> KindScene:
     """Return a scene of a round part that stands on the table."""
-    model = dataclasses.replace(tube(*ROUND[kind], MODEL_SIDES)[0], name=kind)
-    real, triangles = tube(*ROUND[kind], REAL_SIDES)
+    # The mean radius of a polygon is r (1 - (pi / n)^2 / 3): with its corners on the circle the
+    # real part would lie 0.005 px within its model.
+    vertices, triangles = round_mesh(kind, REAL_SIDES, 1.0 + (np.pi / REAL_SIDES) ** 2 / 3.0)
     x, y, angle = rng.uniform([-0.02, -0.02, 0.0], [0.02, 0.02, 6.28]).tolist()
     pose = _on_table(x, y, angle)
-    placed = real.vertices @ pose[:3, :3].T + pose[:3, 3]
+    pose[2, 3] = -vertices[:, 2].min()
+    placed = vertices @ pose[:3, :3].T + pose[:3, 3]
     cameras = viewpoints(placed.mean(axis=0), rng, 2)
     calibration = sv.Calibration.eye_in_hand(seen_by, np.eye(4), np.eye(4))
     grain = speckled(rng.uniform(0.55, 0.8), rng.uniform(0.0, 0.03), 0.003, seed=seed)
@@ -174,7 +201,7 @@ def _round_scene(kind: str, seed: int, rng: np.random.Generator, seen_by: sv.Cam
         render_solids(calibration, camera_pose, scene, exposure=1.2, seed=seed + k, samples=8)
         for k, camera_pose in enumerate(cameras)
     ]
-    return KindScene(model, [pose], pictures, cameras, calibration)
+    return KindScene(round_model(kind), [pose], pictures, cameras, calibration)
 
 
 def _side_by_side(distance: float, rng: np.random.Generator) -> list[np.ndarray]:

@@ -5,6 +5,7 @@ from .appearance import describe as describe
 from .appearance import similarities as similarities
 from .edge_points import EdgePoints as EdgePoints
 from .edge_points import edge_map as edge_map
+from .ellipses import EllipseOptions as EllipseOptions
 from .ellipses import find_ellipses as find_ellipses
 from .features import Features as Features
 from .features import find as find

@@ -180,9 +180,6 @@ def model_from_triangles(
     model = ObjectModel(
         mesh.vertices[kept], number[edges], renumbered, name=name, provenance=provenance
     )
-    # Nothing tells the pose of a smooth surface.
-    if not len(model.edges):
-        return model
     try:
         return dataclasses.replace(model, symmetry=find_symmetry(model))
     except ValueError:

@@ -26,6 +26,7 @@ from .prediction import predict_view as predict_view
 from .refinement import FIT_SAMPLES as FIT_SAMPLES
 from .refinement import RefinedPose as RefinedPose
 from .refinement import refine_pose as refine_pose
+from .round_options import RoundOptions as RoundOptions
 from .scoring import PoseScores as PoseScores
 from .scoring import SceneMaps as SceneMaps
 from .scoring import score_poses as score_poses

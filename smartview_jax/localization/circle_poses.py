@@ -5,7 +5,7 @@ its axis, which do not matter to a round part. Every rim of the model is tried o
 poses are scored by how much of the rims lies on edge points of all pictures.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,19 +16,9 @@ from ..features import IdealPlane, PictureEvidence, find_ellipses
 from ..geometry import host_exponentials
 from ..modeling import ObjectModel, SeenViews
 from .curves import closed_rims
+from .outlines import SeenEdges
+from .round_options import DEFAULT_ROUND_OPTIONS, RoundOptions
 from .wireframe import Wireframe
-
-MAX_ELLIPSES = 24
-"""Largest number of ellipses of a picture, those with the most edge points."""
-
-ROUNDNESS = 0.02
-"""Largest distance of a rim's vertices from a circle, over its radius."""
-
-SCORE_SAMPLES, GATE = 64, 6.0
-"""Samples of the wireframe for the scores; and distance from an edge, px, at which it is none."""
-
-MIN_ALIGNMENT = 0.9
-"""Smallest cosine between an edge point's gradient and the rim's normal."""
 
 
 class SeenEllipses(NamedTuple):
@@ -57,7 +47,7 @@ class Circle(NamedTuple):
     radius: float
 
 
-def circles_of(model: ObjectModel) -> list[Circle]:
+def circles_of(model: ObjectModel, options: RoundOptions = DEFAULT_ROUND_OPTIONS) -> list[Circle]:
     """Return the rims of a model that are circles."""
     circles = []
     for loop in closed_rims(model):
@@ -71,7 +61,7 @@ def circles_of(model: ObjectModel) -> list[Circle]:
         centre = middle + solution[:2] @ axes[:2]
         distances = np.linalg.norm(points - centre, axis=1)
         radius = float(distances.mean())
-        if np.abs(distances - radius).max() < ROUNDNESS * radius:
+        if np.abs(distances - radius).max() < options.roundness * radius:
             circles.append(Circle(centre, axes[2], radius))
     return circles
 
@@ -109,7 +99,11 @@ def circle_poses(
     return circles
 
 
-def seen_ellipses(evidence: Sequence[PictureEvidence], views: SeenViews) -> list[SeenEllipses]:
+def seen_ellipses(
+    evidence: Sequence[PictureEvidence],
+    views: SeenViews,
+    options: RoundOptions = DEFAULT_ROUND_OPTIONS,
+) -> list[SeenEllipses]:
     """Return the ellipses in pictures."""
     seen = []
     for picture, camera, camera_from_world in zip(
@@ -123,28 +117,31 @@ def seen_ellipses(evidence: Sequence[PictureEvidence], views: SeenViews) -> list
         normals = np.linalg.solve(by_pixels.swapaxes(1, 2), edge_points.normals[usable, :, None])
         normals = normals[:, :, 0] / np.linalg.norm(normals, axis=1)
         points = points[usable]
-        conics = find_ellipses(points, normals)[:MAX_ELLIPSES]
+        conics = find_ellipses(points, normals, options.ellipses)[: options.max_ellipses]
         seen.append(SeenEllipses(plane, points, normals, conics, camera_from_world))
     return seen
 
 
 def poses_from_circles(
-    seen: Sequence[SeenEllipses], model: ObjectModel
+    seen: Sequence[SeenEllipses],
+    model: ObjectModel,
+    options: RoundOptions = DEFAULT_ROUND_OPTIONS,
 ) -> tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses 2"]]:
     """Return world_from_object of a round model at all ellipses, and the lengths on edge points.
 
     The lengths are of its rims, px: visible, and supported by edge points of all pictures, nearer
     ones counting more.
     """
-    rims, poses = circles_of(model), [np.zeros((0, 4, 4))]
+    rims, poses = circles_of(model, options), [np.zeros((0, 4, 4))]
     for picture in seen:
         world_from_camera = np.linalg.inv(picture.camera_from_world)
         for conic in picture.conics:
             for rim in rims:
                 for circle in circle_poses(conic, picture.plane.focal_length, rim.radius):
                     poses.append(world_from_camera @ _poses_of(rim, circle))
-    proposed, wireframe = np.concatenate(poses), Wireframe.of(model, SCORE_SAMPLES)
-    lengths = [_supported(wireframe, picture, proposed) for picture in seen]
+    proposed, wireframe = np.concatenate(poses), Wireframe.of(model, options.samples)
+    visible_rims = _visible_rims(wireframe)
+    lengths = [supported_lengths(picture, proposed, visible_rims, options) for picture in seen]
     return proposed, np.sum(lengths, axis=0)
 
 
@@ -163,10 +160,8 @@ def _poses_of(rim: Circle, circle: Circle) -> Float[np.ndarray, "2 4 4"]:
     return poses
 
 
-def _supported(
-    wireframe: Wireframe, picture: SeenEllipses, poses: Float[np.ndarray, "poses 4 4"]
-) -> Float[np.ndarray, "poses 2"]:
-    """Return the visible and the supported length of the rims at poses in a picture, px."""
+def _visible_rims(wireframe: Wireframe) -> Callable[[Float[np.ndarray, "3"]], SeenEdges]:
+    """Return a function of a camera's centre in the object's frame: samples of the rims it sees."""
     # On the host: the programs of `scoring` are for thousands of poses.
     real = np.asarray(wireframe.sample_lengths) > 0.0
     points, tangents, lengths, edges = (
@@ -180,25 +175,48 @@ def _supported(
     )
     faces = np.asarray(wireframe.edge_faces)[edges]
     origins, face_normals = np.asarray(wireframe.face_points), np.asarray(wireframe.face_normals)
+
+    def seen_from(centre: Float[np.ndarray, "3"]) -> SeenEdges:
+        # n . (c - p) > 0
+        towards = ((centre - origins) * face_normals).sum(axis=1) > 0.0
+        shown = (faces & towards).any(axis=1)
+        return SeenEdges(points[shown], tangents[shown], lengths[shown])
+
+    return seen_from
+
+
+def supported_lengths(
+    picture: SeenEllipses,
+    poses: Float[np.ndarray, "poses 4 4"],
+    seen_from: Callable[[Float[np.ndarray, "3"]], SeenEdges],
+    options: RoundOptions,
+) -> Float[np.ndarray, "poses 2"]:
+    """Return the visible and the supported length of an object's edges in a picture, px.
+
+    Args:
+        picture: edge points.
+        poses: world_from_object.
+        seen_from: samples of the edges or the outline that a camera's centre in the object's frame
+            sees.
+        options: how near and how well aligned an edge point has to be.
+    """
     tree, f = KDTree(picture.points), picture.plane.focal_length
     totals = np.zeros((len(poses), 2))
     for k, pose in enumerate(picture.camera_from_world @ poses):
         R, t = pose[:3, :3], pose[:3, 3]
-        # n . (c - p) > 0 for the camera's centre c = -R^T t
-        towards = ((-R.T @ t - origins) * face_normals).sum(axis=1) > 0.0
-        shown = (faces & towards).any(axis=1)
-        p, d = points[shown] @ R.T + t, tangents[shown] @ R.T
+        seen = seen_from(-R.T @ t)
+        p, d = seen.points @ R.T + t, seen.tangents @ R.T
         if not len(p) or p[:, 2].min() <= 0.0:
             continue
         ideal = f * p[:, :2] / p[:, 2:]
         # d(x / z) = (dx - x / z dz) / z
         slope = (f * d[:, :2] - ideal * d[:, 2:]) / p[:, 2:]
         scale = np.linalg.norm(slope, axis=1)
-        gap, nearest = tree.query(ideal, distance_upper_bound=GATE)
+        gap, nearest = tree.query(ideal, distance_upper_bound=options.gate)
         found = np.isfinite(gap)
         n = picture.normals[np.where(found, nearest, 0)]
         across = np.abs(n[:, 0] * slope[:, 1] - n[:, 1] * slope[:, 0])
-        found &= across > MIN_ALIGNMENT * scale
-        px = scale * lengths[shown]
-        totals[k] = px.sum(), (px * found * (1.0 - np.minimum(gap / GATE, 1.0) ** 2)).sum()
+        found &= across > options.min_alignment * scale
+        px = scale * seen.lengths
+        totals[k] = px.sum(), (px * found * (1.0 - np.minimum(gap / options.gate, 1.0) ** 2)).sum()
     return totals

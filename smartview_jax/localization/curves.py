@@ -68,6 +68,11 @@ def is_round(model: ObjectModel) -> bool:
     return bool(on_edges) and on_edges == set(rim_vertices(model))
 
 
+def is_smooth(model: ObjectModel) -> bool:
+    """Return whether a model has faces but no edges: only its outline shows."""
+    return not len(model.edges) and bool(len(model.faces))
+
+
 def closed_rims(model: ObjectModel) -> list[Int[np.ndarray, "_"]]:
     """Return the vertices of the rims that close."""
     closed = []

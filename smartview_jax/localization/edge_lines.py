@@ -18,27 +18,20 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..cameras import AnyCamera, camera_axes
-from ..features import CLEARANCE, SMOOTHING, STANDARD_WIDTH
+from ..features import CLEARANCE
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled_optimised
 from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
 from .outlines import with_outline
 from .prediction import centre_in_object, predict_view, within_picture
+from .shading import EDGE_BLUR, shading_shifts
 from .wireframe import Wireframe
 
 EXPLAINED_DISTANCE = 2.0
 """Largest distance, px, of an edge point from the predicted edge that it explains."""
-
-EDGE_BLUR = float(np.hypot(STANDARD_WIDTH, SMOOTHING))
-"""Blur of the edges with the smoothing of the gradient, standard deviation, px.
-
-The gradient of a blurred disc of radius R peaks s^2 / 2R inside its border, because more than half
-of the neighbourhood of a point on a circle is outside the circle.
-"""
 
 MAX_RADIUS = 12
 """Largest distance, px, of an edge point from the predicted edge."""
@@ -155,6 +148,8 @@ def edge_lines(
     behind = in_sight & _is_behind(wireframe, lookup, camera_from_object, view.samples)
     visible = in_sight & ~behind
     places = view.samples
+    # The gradient of a blurred disc of radius R peaks s^2 / 2R inside its border, because more than
+    # half of the neighbourhood of a point on a circle is outside the circle.
     if view.bends is not None:
         places = places + 0.5 * EDGE_BLUR**2 * view.bends
     p = jnp.where(visible[:, None], places, 0.0)
@@ -163,7 +158,8 @@ def edge_lines(
     r, point = _nearest_along_normals(lookup, p, n, d, radius)
     has_point = visible & jnp.isfinite(r)
     r = jnp.where(has_point, r, 0.0)
-    J = _across_by_pose(wireframe, camera, camera_from_object, n, visible)
+    place = wireframe, camera, camera_from_object
+    J = _by_pose(*place, n, visible)
     edges, px = wireframe.sample_curves, jnp.where(visible, view.sample_px, 0.0)
     # A product with a 0/1 matrix compiles in a fraction of a scatter's time.
     membership = (edges[None] == jnp.arange(wireframe.curve_count)[:, None]).astype(r.dtype)
@@ -200,7 +196,20 @@ def edge_lines(
     px_per_metre = over_edges(combination[0] * jnp.linalg.norm(J[:, :3], axis=1))
     tolerance = wireframe.tolerance * px_per_metre
     tilted = jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
+    strengths = over_edges(weights * lookup.strengths[point]) / W
     whole = MODEL_SIGMA**2 + tolerance**2
+    if wireframe.smooth is not None:
+        centre, along = centre_in_object(camera_from_object), _by_pose(*place, d, visible)[:, :3]
+        shifts = shading_shifts(wireframe, centre, J[:, :3], along)
+        points = (lookup.strengths > 0.0).astype(r.dtype).sum()
+        usual = jnp.sqrt((lookup.strengths**2).sum() / jnp.maximum(points, 1.0))
+        by_shading = (over_edges(combination[0] * shifts) * usual / _positive(strengths)) ** 2
+        # One light shades all outlines, which may all be off alike: together they tell no more than
+        # one of them alone.
+        assert wireframe.sample_radii is not None
+        is_outline = over_edges(combination[0] * wireframe.sample_radii) > 0.0
+        outlines = jnp.maximum((is_outline & (W >= MIN_LINE_POINTS)).astype(r.dtype).sum(), 1.0)
+        whole = whole + jnp.where(is_outline, outlines, 1.0) * by_shading
     variances = jnp.stack(
         [variance / independent + whole, variance / independent + whole * tilted**2], axis=1
     )
@@ -208,7 +217,6 @@ def edge_lines(
     measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
     measured &= W >= MIN_LINE_POINTS
     keep = measured[:, None]
-    strengths = lookup.strengths[point]
     in_picture = (wireframe.vertex_mask & within_picture(view.vertices, camera)).sum()
     return EdgeLines(
         jnp.where(keep, numbers, 0.0),
@@ -218,7 +226,7 @@ def edge_lines(
         visible_px,
         over_edges(jnp.where(has_point, px, 0.0)),
         jnp.where(measured, found_px, 0.0),
-        jnp.where(measured, over_edges(weights * strengths) / W, 0.0),
+        jnp.where(measured, strengths, 0.0),
         jnp.sqrt(variance),
         jnp.where(measured, tolerance * jnp.sqrt(1.0 + tilted**2), 0.0),
         p,
@@ -250,14 +258,14 @@ def _is_behind(
     return nearest * depth > 1.0 + HIDING_DEPTH
 
 
-def _across_by_pose(
+def _by_pose(
     wireframe: Wireframe,
     camera: AnyCamera,
     camera_from_object: Float[Array, "4 4"],
     normals: Float[Array, "S 2"],
     visible: Bool[Array, "S"],
 ) -> Float[Array, "S 6"]:
-    """Return derivatives of the samples' positions along normals by the tangent of the pose."""
+    """Return derivatives of the samples' positions along directions by the tangent of the pose."""
     # n . pixel has the gradient g = n^T D R by the point in the object's frame, where D is the
     # pixel's derivative by the point in the camera's frame; by the tangent (v, w) it is g and p x
     # g.

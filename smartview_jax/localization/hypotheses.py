@@ -3,7 +3,8 @@
 Poses are proposed from corners and segments, scored on the edges of all pictures, reduced to
 distinct ones, refined on the edges, and scored again. In a single picture the proposals come from
 paths of corners, a small part of a large object: near the best of them, junctions far apart give
-further proposals. Round parts have no corners; the ellipses of their rims propose their poses.
+further proposals. Round parts have no corners; the ellipses of their rims, or of the outlines of
+smooth parts, propose their poses.
 Nothing is accepted here: every hypothesis is still to be fitted and judged.
 """
 
@@ -19,10 +20,12 @@ from ..modeling import ObjectModel, SeenViews
 from .circle_poses import SeenEllipses, poses_from_circles, seen_ellipses
 from .corner_paths import PicturePaths, picture_paths, poses_from_paths
 from .corner_triples import Junctions, poses_from_triples
-from .curves import is_round
+from .curves import is_round, is_smooth
 from .distinct_poses import distinct_poses
+from .outline_poses import poses_from_outlines
 from .picture_scales import at_one_scale
 from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
+from .round_options import DEFAULT_ROUND_OPTIONS, RoundOptions
 from .scoring import CHANCE_SUPPORT, PoseScores, SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe
@@ -79,6 +82,7 @@ def find_hypotheses(
     count: int = MAX_HYPOTHESES,
     *,
     workspace: Float[np.ndarray, "2 3"] | None = None,
+    round_options: RoundOptions = DEFAULT_ROUND_OPTIONS,
 ) -> list[Hypothesis]:
     """Return the poses at which objects may be, the best hypotheses first.
 
@@ -91,6 +95,7 @@ def find_hypotheses(
         workspace: two opposite corners of a box in the world, m, that contains the objects; its
             lower side is then the table or the bottom of the bin. Vertices may be outside by
             `WORKSPACE_SLACK`. None for anywhere.
+        round_options: of the search for parts without corners.
 
     Raises:
         ValueError: no pictures or no models, numbers of pictures and poses that differ, a model
@@ -100,7 +105,7 @@ def find_hypotheses(
         raise ValueError("models: expected at least one, found none")
     box = None if workspace is None else checked_box(workspace)
     evidence, views = at_one_scale(evidence, views)
-    have_corners = not all(is_round(model) for model in models)
+    have_corners = not all(is_round(model) or is_smooth(model) for model in models)
     # The proposals of the pictures are the same for all models.
     maps = SceneMaps.of(evidence, views)
     paths, edges = _picture_proposals(evidence, views) if have_corners else ([], [])
@@ -108,9 +113,11 @@ def find_hypotheses(
     hypotheses: list[Hypothesis] = []
     ellipses: list[SeenEllipses] = []
     for index, model in enumerate(models):
-        if is_round(model):
-            ellipses = ellipses or seen_ellipses(evidence, views)
-            hypotheses += _round_hypotheses(ellipses, model, index, count, box)
+        if is_round(model) or is_smooth(model):
+            ellipses = ellipses or seen_ellipses(evidence, views, round_options)
+            propose = poses_from_outlines if is_smooth(model) else poses_from_circles
+            proposals = propose(ellipses, model, round_options)
+            hypotheses += _round_hypotheses(proposals, model, index, count, box)
             continue
         proposed = [
             poses_from_paths(view_paths, model, camera_from_world)
@@ -127,7 +134,7 @@ def find_hypotheses(
 
 
 def _round_hypotheses(
-    ellipses: Sequence[SeenEllipses],
+    proposals: tuple[Float[np.ndarray, "poses 4 4"], Float[np.ndarray, "poses 2"]],
     model: ObjectModel,
     index: int,
     count: int,
@@ -135,9 +142,10 @@ def _round_hypotheses(
 ) -> list[Hypothesis]:
     """Return the best hypotheses of a model without corners: ellipses are near enough as they are.
 
-    The arguments are as in `find_hypotheses`, with the index of the model.
+    The arguments are as in `find_hypotheses`, with the index of the model, the proposed poses, and
+    their visible and supported lengths.
     """
-    poses, lengths = poses_from_circles(ellipses, model)
+    poses, lengths = proposals
     inside = _are_within(model, poses, box)
     poses, (visible, supported) = poses[inside], lengths[inside].T
     scores = supported - CHANCE_SUPPORT * visible

@@ -30,6 +30,7 @@ from .refining_together import refined_together
 from .scene import Scene
 from .search_rounds import Found, judged_in_rounds
 from .verdict import DEFAULT_OPTIONS, VerdictOptions
+from .wireframe import shows
 
 
 def localize(
@@ -139,7 +140,7 @@ def _prepared(models: ObjectModel | Sequence[ObjectModel]) -> list[Prepared]:
     if not given:
         raise ValueError("models: expected at least one, found none")
     for k, model in enumerate(given):
-        if not len(model.edges):
+        if not shows(model):
             raise ValueError(f"models: model {k} {model.name!r} has no edges, nothing to look for")
     return [Prepared.of(model) for model in given]
 

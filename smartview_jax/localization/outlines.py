@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry import spiral_directions
 from ..modeling import ObjectModel, faces_by_edge
+from .curves import Curves
 
 if TYPE_CHECKING:
     from .wireframe import Wireframe
@@ -103,6 +104,38 @@ def smooth_edges(
     )
 
 
+def wall_normals(model: ObjectModel, curves: Curves) -> Float[np.ndarray, "E 2 3"]:
+    """Return the outward normals of the round surfaces next to each edge of a rim; zero for none.
+
+    A face along the whole rim is flat; the facets of a round surface change from edge to edge.
+    """
+    normals = np.zeros((len(model.edges), 2, 3))
+    owners = faces_by_edge(model.faces)
+    faces = [owners.get(frozenset(pair), []) for pair in model.edges.tolist()]
+    for chain in np.flatnonzero(np.bincount(curves.chain) > 1):
+        edges = np.flatnonzero(curves.chain == chain)
+        along = np.concatenate([faces[edge] for edge in edges]).astype(int)
+        is_facet = np.bincount(along, minlength=len(model.faces)) == 1
+        for edge in edges:
+            facets = [face for face in faces[edge] if is_facet[face]][:2]
+            for k, face in enumerate(facets):
+                normals[edge, k] = model.plane(face).normal
+    return normals
+
+
+class SeenEdges(NamedTuple):
+    """Samples of the edges or of the outline that a camera sees.
+
+    Attributes:
+        points, lengths: in the object's frame, m.
+        tangents: unit directions of the edges.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    tangents: Float[np.ndarray, "n 3"]
+    lengths: Float[np.ndarray, "n"]
+
+
 class OutlineSamples(NamedTuple):
     """The arrays of `SmoothEdges` without padding, and its number of slots."""
 
@@ -142,6 +175,20 @@ class OutlineSamples(NamedTuple):
         most = _most_on_outline(middles, normals, counts, model)
         slots = int(np.ceil(ROOM * most))
         return cls(points, along, normals[owners], radii[owners], patches[owners], slots)
+
+    def seen_from(self, centre: Float[np.ndarray, "3"]) -> SeenEdges:
+        """Return the outline as a camera sees it, hidden or not, to within the mesh's facets.
+
+        Args:
+            centre: the camera's centre in the object's frame, m.
+        """
+        ray = centre - self.points
+        towards = (self.normals * ray[:, None]).sum(axis=2) > 0.0
+        chosen = towards[:, 0] != towards[:, 1]
+        tangents = np.cross(self.normals[chosen].sum(axis=1), ray[chosen])
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        lengths = np.abs((self.parts[chosen] * tangents).sum(axis=1))
+        return SeenEdges(self.points[chosen], tangents, lengths)
 
 
 def _most_on_outline(
@@ -191,13 +238,14 @@ def with_outline(wireframe: "Wireframe", centre: Float[Array, "3"]) -> "Wirefram
     tangents = tangents / _size(tangents)
     # The edges of a mesh run to and fro across its outline: only their part along it counts.
     lengths = jnp.abs((smooth.parts[chosen] * tangents).sum(axis=1))
-    slots = smooth.slots
+    slots, radii = smooth.slots, smooth.radii[chosen]
     return dataclasses.replace(
         wireframe,
         samples=jnp.concatenate([wireframe.samples[:-slots], points]),
         sample_tangents=jnp.concatenate([wireframe.sample_tangents[:-slots], tangents]),
         sample_lengths=jnp.concatenate([wireframe.sample_lengths[:-slots], lengths]),
         sample_curves=jnp.concatenate([wireframe.sample_curves[:-slots], smooth.curves[chosen]]),
+        sample_radii=jnp.concatenate([jnp.zeros_like(wireframe.sample_lengths[:-slots]), radii]),
     )
 
 

@@ -12,7 +12,7 @@ from ..modeling import Face, ObjectModel
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .curves import Curves, on_arcs
-from .outlines import OutlineSamples, SmoothEdges
+from .outlines import OutlineSamples, SmoothEdges, smooth_edges, wall_normals
 
 EDGE_SAMPLES = 128
 """Default for the smallest number of samples along all edges together."""
@@ -36,6 +36,11 @@ HIDING_MARGIN = 2e-3
 Measured vertices do not lie exactly in the planes of their faces, nor do touching solids fit
 exactly.
 """
+
+
+def shows(model: ObjectModel) -> bool:
+    """Return whether anything of a model shows in pictures: edges, or the outline of a surface."""
+    return bool(len(model.edges)) or bool(len(smooth_edges(model)[0]))
 
 
 class Wireframe(eqx.Module):
@@ -69,6 +74,10 @@ class Wireframe(eqx.Module):
         tolerance: standard deviation of the object's edges from the model, m.
         sample_bends: curvatures of the rims, 1/m, towards their centres; zero on straight edges and
             outlines. None in models without rims.
+        sample_radii: radii of the smooth surface across an outline, m; zero on edges. None in
+            models without smooth surfaces.
+        sample_walls: outward normals of the round surfaces next to a rim, up to two; zero
+            elsewhere. None in models without smooth surfaces.
         smooth: smooth surfaces, whose outline depends on the viewpoint (`with_outline`); the last
             samples are kept for it. None in models without.
         curve_count: padded number of curves.
@@ -94,6 +103,8 @@ class Wireframe(eqx.Module):
     margin: Float[Array, ""]
     tolerance: Float[Array, ""]
     sample_bends: Float[Array, "S 3"] | None
+    sample_radii: Float[Array, "S"] | None
+    sample_walls: Float[Array, "S 2 3"] | None
     smooth: SmoothEdges | None
     curve_count: int = eqx.field(static=True)
 
@@ -104,16 +115,16 @@ class Wireframe(eqx.Module):
         """Return the arrays of a model.
 
         Args:
-            model: with at least one edge.
+            model: with edges, or with a smooth surface, whose outline shows.
             samples: number of samples along all edges together, in proportion to their lengths;
                 doubled as often as short edges need it.
             per_edge: smallest number of samples of an edge, whatever its share of the length.
 
         Raises:
-            ValueError: the model has no edges, or edges without length, or `samples` or `per_edge`
+            ValueError: the model has neither, or edges without length, or `samples` or `per_edge`
                 is not positive.
         """
-        if not len(model.edges):
+        if not shows(model):
             raise ValueError(f"model {model.name!r} has no edges, so it cannot be searched for")
         for name, number in (("samples", samples), ("per_edge", per_edge)):
             if number < 1:
@@ -131,7 +142,8 @@ class Wireframe(eqx.Module):
         planes = [model.plane(k) for k in range(len(faces))]
         face_normals = np.array([plane.normal for plane in planes]).reshape(-1, 3)
         triangles = corners, triangle_faces, face_normals
-        smooth, patches = _smooth_edges(model, triangles, T, curves, len(owners))
+        count = len(owners) or samples
+        smooth, patches = _smooth_edges(model, triangles, T, curves, count)
         S += 0 if smooth is None else smooth.slots
         arrays = (
             _padded(model.vertices, V, 3),
@@ -156,7 +168,18 @@ class Wireframe(eqx.Module):
         )
         count = _rounded(len(curves.lengths) + patches, MIN_EDGES)
         bends = None if bends is None else to_device(_padded(bends, S, 3))
-        return cls(*map(to_device, arrays), sample_bends=bends, smooth=smooth, curve_count=count)
+        radii = walls = None
+        if smooth is not None:
+            radii = to_device(np.zeros(S))
+            walls = to_device(_padded(wall_normals(model, curves)[owners], S, 2, 3))
+        return cls(
+            *map(to_device, arrays),
+            sample_bends=bends,
+            sample_radii=radii,
+            sample_walls=walls,
+            smooth=smooth,
+            curve_count=count,
+        )
 
     @property
     @one_program
@@ -190,10 +213,11 @@ def _sampled_curves(
     if not (of_edges > 0.0).all():
         raise ValueError(f"edge {int(np.argmin(of_edges))} of model {model.name!r} has no length")
     lengths = curves.lengths
-    size, counts = samples, _counts(lengths, samples, per_edge)
+    size, counts = (samples, _counts(lengths, samples, per_edge)) if len(lengths) else (0, lengths)
     while counts is None:
         size *= 2
         counts = _counts(lengths, size, per_edge)
+    counts = np.asarray(counts, int)
     owners = np.repeat(np.arange(len(lengths)), counts)
     # The rank of each sample on its curve.
     order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -228,9 +252,11 @@ def _smooth_edges(
         triangles: corners and faces of the faces' triangles, and the faces' normals.
         padded: number of triangles with padding.
         curves: of the model.
-        samples: number of samples on them; smooth edges have as many to a metre.
+        samples: number of samples on them; smooth edges have as many to a metre. A model without
+            edges has a quarter of them around its extent: each is tested against all its faces.
     """
-    found = OutlineSamples.of(model, samples / curves.lengths.sum())
+    length = curves.lengths.sum() or 4.0 * np.pi * model.extent
+    found = OutlineSamples.of(model, samples / length)
     if found is None:
         return None, 0
     M = _rounded(len(found.points) + 1, MIN_SMOOTH)

@@ -176,8 +176,7 @@ class _Outline(NamedTuple):
         if {frozenset(targets[list(pair)].tolist()) for pair in self.edges} != self.edges:
             return None
         slack = tolerance + self.rims.sagitta.max(initial=0.0)
-        moved_faces = [face.moved(rotation, targets) for face in self.faces]
-        if not all(any(moved.equals(face, slack) for face in self.faces) for moved in moved_faces):
+        if not self.has_faces_at(rotation, targets, slack):
             return None
         # Fitted to all corners, which is more accurate than from two vertices.
         return (
@@ -185,6 +184,29 @@ class _Outline(NamedTuple):
             if self.corners_span
             else rotation
         )
+
+    def has_faces_at(
+        self,
+        rotation: Float[np.ndarray, "3 3"],
+        targets: Int[np.ndarray, "C"],
+        slack: float,
+    ) -> bool:
+        """Return whether a rotation maps each face onto one, up to a distance."""
+        by_corners: dict[frozenset[int], list[_FlatFace]] = {}
+        for face in self.faces:
+            by_corners.setdefault(face.corners, []).append(face)
+        for face in self.faces:
+            corners = frozenset(targets[list(face.corners)].tolist())
+            there = by_corners.get(corners, [])
+            if len(corners) > 2 and len(there) == 1:
+                # Its corners say where it is, but not which side is outside.
+                is_met = bool(rotation @ face.normal @ there[0].normal > 0.0)
+            else:
+                moved = face.moved(rotation, targets)
+                is_met = any(moved.equals(other, slack) for other in there)
+            if not is_met:
+                return False
+        return True
 
 
 class _FlatFace(NamedTuple):

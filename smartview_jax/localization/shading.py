@@ -1,0 +1,71 @@
+"""Say how far the shading of round surfaces may displace the edges next to it.
+
+An edge is found where the gradient of the blurred picture peaks. On a round surface the brightness
+changes with its normal, up to the very edge, which moves the peak: for a step that has the gradient
+g after a blur of s px, other brightness b(x) moves it by s^2 b''(0) / g. Neither the light nor the
+sign is known, so that this is an error of a whole edge. Its size follows from how fast the normal
+turns; a quarter turn changes the brightness by as much as the usual edge of the picture,
+sqrt(2 pi) s times the edges' RMS gradient.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..features import SMOOTHING, STANDARD_WIDTH
+from .wireframe import Wireframe
+
+EDGE_BLUR = float(np.hypot(STANDARD_WIDTH, SMOOTHING))
+"""Blur of the edges with the smoothing of the gradient, standard deviation, px."""
+
+OUTLINE_SHIFT = 0.73
+"""Displacement of an outline, over s^1.5 / sqrt(R) times the usual gradient over its own.
+
+At x px from its outline the brightness of a surface of the radius R px is b sqrt(2 x / R), which
+moves the peak by b sqrt(s / R) 2^(1/4) Gamma(3/4) / sqrt(8 pi) / g, with b = sqrt(2 pi) s g_usual.
+"""
+
+
+def shading_shifts(
+    wireframe: Wireframe,
+    centre: Float[Array, "3"],
+    across: Float[Array, "S 3"],
+    along: Float[Array, "S 3"],
+) -> Float[Array, "S"]:
+    """Return how far shading may displace samples of the edges, px, if they are as usual edges.
+
+    Weaker edges are displaced by as much more. It is zero on edges between flat faces.
+
+    Args:
+        wireframe: with its outline, of a model with smooth surfaces.
+        centre: the camera's centre in the object's frame, m.
+        across, along: derivatives of the samples' pixels across and along their edges by the point
+            in the object's frame, px/m.
+    """
+    assert wireframe.sample_radii is not None
+    assert wireframe.sample_walls is not None
+    t, walls = wireframe.sample_tangents, wireframe.sample_walls
+    # One px across the edge, on the wall, is so far along the rim that nothing moves along it:
+    # with w = t x n, x = (w - (along w / along t) t) / (across w).
+    w = jnp.cross(t[:, None], walls)
+    across_w, along_w = (jnp.einsum("sk,sfk->sf", by, w) for by in (across, along))
+    along_t = (along * t).sum(axis=1)
+    slide = jnp.abs(along_w) / _positive(jnp.abs(across_w * along_t[:, None]))
+    bends = wireframe.sample_bends
+    curvature = jnp.zeros(len(t)) if bends is None else jnp.linalg.norm(bends, axis=1)
+    ray = centre[None] - wireframe.samples
+    is_seen = (walls * ray[:, None]).sum(axis=2) > 0.0
+    # A ramp b' x on one side of an edge has b'' = b' / (sqrt(2 pi) s) once blurred.
+    turn = jnp.where(is_seen, curvature[:, None] * slide, 0.0).max(axis=1)
+    of_rims = EDGE_BLUR**2 * turn
+    # Where the rim meets the outline, the brightness ends as on an outline.
+    radii = jnp.where(turn > 0.0, jnp.abs(along_t) / _positive(curvature), 0.0)
+    radii = radii + wireframe.sample_radii * jnp.linalg.norm(across, axis=1)
+    of_outlines = OUTLINE_SHIFT * EDGE_BLUR**1.5 / jnp.sqrt(_positive(radii))
+    is_outline = wireframe.sample_radii > 0.0
+    return jnp.where(is_outline, of_outlines, jnp.minimum(of_rims, of_outlines))
+
+
+def _positive(values: Array) -> Array:
+    """Return values with zeros replaced by ones, to be divided by."""
+    return jnp.where(values > 0.0, values, 1.0)
