@@ -67,10 +67,8 @@ class Observations(eqx.Module):
             np.asarray, (self.points, self.pixels, self.base_from_tool, self.joints)
         )
         in_columns = (*repeat_last(host[:2], points, axis=1), *host[2:])
-        # One transfer for all arrays takes half as long as one transfer each.
-        arrays, visible = jax.device_put((repeat_last(in_columns, views), is_visible))
-        target_points, pixels, base_from_tool, joints = arrays
-        return Observations(target_points, pixels, visible, base_from_tool, joints)
+        target_points, pixels, base_from_tool, joints = repeat_last(in_columns, views)
+        return Observations(target_points, pixels, is_visible, base_from_tool, joints)
 
     def residuals(
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]

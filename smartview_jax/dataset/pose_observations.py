@@ -61,8 +61,7 @@ class PoseObservations(eqx.Module):
         host = jax.tree.map(
             np.asarray, (self.camera_from_world, self.whitening, self.base_from_tool, self.joints)
         )
-        arrays, visible = jax.device_put((repeat_last(host, count), visible))
-        measured, whitening, base_from_tool, joints = arrays
+        measured, whitening, base_from_tool, joints = repeat_last(host, count)
         return PoseObservations(measured, whitening, visible, base_from_tool, joints)
 
     def differences(

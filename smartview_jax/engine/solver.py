@@ -90,7 +90,7 @@ def solve(
     if solver is None:
         solver = StructuredLM()
     if isinstance(solver, StructuredLM):
-        rtol, atol = (to_device(np.array(value)) for value in (solver.rtol, solver.atol))
+        rtol, atol = (np.array(value) for value in (solver.rtol, solver.atol))
         solver = dataclasses.replace(solver, rtol=rtol, atol=atol)
         problem = padded(problem)
     else:
@@ -126,23 +126,23 @@ def padded(problem: _Problem) -> _Problem:
     if problem.observation_count >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
         return problem
     size, count = problem.parameter_count, len(problem.free)
-    free = to_device(np.concatenate([problem.free, np.full(size - count, size)]))
-    scale = to_device(np.concatenate([problem.scale.shared, np.ones(size - count)]))
+    free = np.concatenate([problem.free, np.full(size - count, size)])
+    scale = np.concatenate([problem.scale.shared, np.ones(size - count)])
     if not isinstance(problem, JointProblem):
         # A rig's views and points are padded when it is built.
         return dataclasses.replace(problem, free=free, scale=Step(scale, problem.scale.per_view))
     loss = problem.loss
     if loss is None or isinstance(loss, Cauchy):
         # Least squares is the Cauchy loss of infinite scale.
-        loss = Cauchy(to_device(np.array(np.inf if loss is None else loss.scale)))
+        loss = Cauchy(np.array(np.inf if loss is None else loss.scale))
     observations = problem.observations.padded()
     views = len(observations.visible)
     # The corrections of added views are held, without priors.
     more_views = views - len(problem.per_view_free) if len(problem.per_view_free) else 0
 
-    def with_zeros(per_view: Array) -> Array:
+    def with_zeros(per_view: Array) -> np.ndarray:
         """Append zeros for the added views."""
-        return to_device(np.pad(np.asarray(per_view), ((0, more_views), (0, 0))))
+        return np.concatenate([per_view, np.zeros((more_views, 6), per_view.dtype)])
 
     return dataclasses.replace(
         problem,
@@ -159,33 +159,30 @@ def padded(problem: _Problem) -> _Problem:
 
 def padded_step(step: Step, problem: AbstractProblem) -> Step:
     """Return a step with zeros for the parameters that were added to a padded problem."""
-    shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
-    more_views = len(problem.per_view_free) - len(per_view)
-    return Step(
-        to_device(np.pad(shared, (0, len(problem.free) - len(shared)))),
-        to_device(np.pad(per_view, ((0, more_views), (0, 0)))),
-    )
+    shared, per_view = np.zeros(len(problem.free)), np.zeros(problem.per_view_free.shape)
+    shared[: len(step.shared)], per_view[: len(step.per_view)] = step.shared, step.per_view
+    return Step(shared, per_view)
 
 
 def step_without_padding(step: Step, original: AbstractProblem) -> Step:
-    """Return a step of a padded problem without the padding."""
-    shared = without_padding(step.shared, len(original.free))
-    return Step(shared, without_padding(step.per_view, len(original.per_view_free)))
+    """Return a step of a padded problem without the padding, on the host."""
+    shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
+    return Step(shared[: len(original.free)], per_view[: len(original.per_view_free)])
 
 
 def equations_without_padding(
     equations: NormalEquations, original: AbstractProblem
 ) -> NormalEquations:
-    """Return the normal equations of a padded problem without the padding."""
+    """Return the normal equations of a padded problem without the padding, on the host."""
     free, corrected = len(original.free), len(original.per_view_free)
-    matrix = equations.matrix
+    matrix = jax.tree.map(np.asarray, equations.matrix)
     return NormalEquations(
         equations.cost,
         step_without_padding(equations.gradient, original),
         BlockArrow(
-            without_padding(matrix.shared, free, free),
-            without_padding(matrix.border, corrected, 6, free),
-            without_padding(matrix.per_view, corrected),
+            matrix.shared[:free, :free],
+            matrix.border[:corrected, :, :free],
+            matrix.per_view[:corrected],
         ),
     )
 
