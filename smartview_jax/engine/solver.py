@@ -15,7 +15,6 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
-from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
 from ..runtime.padding import repeat_last, without_padding
 from .abstract_problem import AbstractProblem, NormalEquations

@@ -10,7 +10,6 @@ calibration, which has no terms, are as certain as before.
 """
 
 import copy
-import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 
 from ..dataset import view_residuals
-from ..engine import FittedChain, Step
+from ..engine import BlockArrow, FittedChain, Step
 from ..runtime.array_namespace import to_device
 from .likelihood import LinearisedViews, StandardDeviations, marginalise
 from .view_statistics import ViewStatistics
@@ -190,15 +189,11 @@ def _with_terms(
     border = np.stack(by_shared, axis=1)
     matrix, gradient, offset = linearised.matrix, linearised.gradient, linearised.offset_from_prior
     count = len(terms)
-    return dataclasses.replace(
-        linearised,
-        matrix=eqx.tree_at(
-            lambda m: (m.shared, m.border),
-            matrix,
-            (
-                np.block([[np.asarray(matrix.shared), border], [border.T, products]]),
-                np.concatenate([matrix.border, np.stack(by_view, axis=-1)], axis=-1),
-            ),
+    return linearised._replace(
+        matrix=BlockArrow(
+            np.block([[np.asarray(matrix.shared), border], [border.T, products]]),
+            np.concatenate([matrix.border, np.stack(by_view, axis=-1)], axis=-1),
+            matrix.per_view,
         ),
         gradient=gradient._replace(shared=np.append(gradient.shared, -np.array(by_residual))),
         offset_from_prior=offset._replace(shared=np.append(offset.shared, np.zeros(count))),
