@@ -13,6 +13,7 @@ from ..geometry import as_se3, transformed_coordinates
 from ..robots import Command
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
+from ..runtime.modules import with_fields
 from ..runtime.padding import padded_counts, repeat_last, without_padding
 from .pose_observations import PoseObservations
 
@@ -47,7 +48,7 @@ class Observations(eqx.Module):
         """
         if shape is None:
             return self
-        return eqx.tree_at(lambda o: o.points, self, shape.displaced(self.points))
+        return with_fields(self, points=shape.displaced(self.points))
 
     def padded(self) -> "Observations":
         """Return the observations of a small data set with invisible views and points added.

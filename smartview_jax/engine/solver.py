@@ -3,7 +3,6 @@
 `optimum` is the same inside `jit`, `vmap` and `grad`.
 """
 
-import dataclasses
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -16,12 +15,12 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
 from ..runtime.compilation import compiled
+from ..runtime.modules import with_fields
 from ..runtime.padding import repeat_last, without_padding
 from .abstract_problem import AbstractProblem, NormalEquations
 from .losses import Cauchy
 from .parameters import Step
 from .problem import JointProblem
-from .schur import BlockArrow
 from .structured_lm import (
     StructuredLM,
     decrease_along,
@@ -90,7 +89,7 @@ def solve(
         solver = StructuredLM()
     if isinstance(solver, StructuredLM):
         rtol, atol = (np.array(value) for value in (solver.rtol, solver.atol))
-        solver = dataclasses.replace(solver, rtol=rtol, atol=atol)
+        solver = with_fields(solver, rtol=rtol, atol=atol)
         problem = padded(problem)
     else:
         # Padding would make the residuals' Jacobian singular, which not every solver allows.
@@ -129,7 +128,7 @@ def padded(problem: _Problem) -> _Problem:
     scale = np.concatenate([problem.scale.shared, np.ones(size - count)])
     if not isinstance(problem, JointProblem):
         # A rig's views and points are padded when it is built.
-        return dataclasses.replace(problem, free=free, scale=Step(scale, problem.scale.per_view))
+        return with_fields(problem, free=free, scale=Step(scale, problem.scale.per_view))
     loss = problem.loss
     if loss is None or isinstance(loss, Cauchy):
         # Least squares is the Cauchy loss of infinite scale.
@@ -143,7 +142,7 @@ def padded(problem: _Problem) -> _Problem:
         """Append zeros for the added views."""
         return np.concatenate([per_view, np.zeros((more_views, 6), per_view.dtype)])
 
-    return dataclasses.replace(
+    return with_fields(
         problem,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
@@ -178,10 +177,11 @@ def equations_without_padding(
     return NormalEquations(
         equations.cost,
         step_without_padding(equations.gradient, original),
-        BlockArrow(
-            matrix.shared[:free, :free],
-            matrix.border[:corrected, :, :free],
-            matrix.per_view[:corrected],
+        with_fields(
+            matrix,
+            shared=matrix.shared[:free, :free],
+            border=matrix.border[:corrected, :, :free],
+            per_view=matrix.per_view[:corrected],
         ),
     )
 
@@ -191,7 +191,7 @@ def chain_without_padding(chain: Any, original: AbstractProblem) -> Any:
     if not isinstance(original, JointProblem):
         return chain
     views = len(original.observations.visible)
-    return dataclasses.replace(
+    return with_fields(
         chain,
         pose_corrections=without_padding(chain.pose_corrections, len(original.per_view_free)),
         field_corrections=without_padding(chain.field_corrections, views),

@@ -73,7 +73,7 @@ def _repeat_last(array: Any, count: int, axis: int) -> Any:
 
 
 def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
-    """Run a program on arrays by views, padded in the number of views, and return its result.
+    """Run a program on arrays by views, padded in their number, and return its result on the host.
 
     Args:
         program: maps arrays whose first axis is the views to such arrays; does little per view.
@@ -81,7 +81,7 @@ def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
     """
     views = len(jax.tree.leaves(by_view)[0])
     padded = repeat_last(by_view, padded_counts(max(views, MIN_PADDED_VIEWS))[0])
-    return without_padding(program(padded), views)
+    return jax.tree.map(lambda x: np.asarray(x)[:views], program(padded))
 
 
 def in_batches(program: Callable[[Any], Any], rows: Any, size: int) -> Any:

@@ -26,6 +26,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..engine import BlockArrow, Step, inverse_cholesky_factor
 from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace
+from ..runtime.modules import with_fields
 
 ROBOT_SIGMA_FLOOR = 1e-8
 """Standard deviation, m or rad, at which an error of the robot counts as zero.
@@ -77,8 +78,8 @@ class LinearisedViews(NamedTuple):
         change = -self.offset_from_prior.shared[held]
         gradient_change = matrix.shared[:, held] @ change
         return self._replace(
-            matrix=BlockArrow(
-                matrix.shared[kept][:, kept], matrix.border[:, :, kept], matrix.per_view
+            matrix=with_fields(
+                matrix, shared=matrix.shared[kept][:, kept], border=matrix.border[:, :, kept]
             ),
             gradient=Step(
                 (gradient.shared + gradient_change)[kept],
