@@ -69,7 +69,14 @@ class Observations(eqx.Module):
         )
         in_columns = (*repeat_last(host[:2], points, axis=1), *host[2:])
         target_points, pixels, base_from_tool, joints = repeat_last(in_columns, views)
-        return Observations(target_points, pixels, is_visible, base_from_tool, joints)
+        return with_fields(
+            self,
+            points=target_points,
+            pixels=pixels,
+            visible=is_visible,
+            base_from_tool=base_from_tool,
+            joints=joints,
+        )
 
     def residuals(
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]

@@ -19,7 +19,7 @@ from ..runtime.modules import with_fields
 from ..runtime.padding import repeat_last, without_padding
 from .abstract_problem import AbstractProblem, NormalEquations
 from .losses import Cauchy
-from .parameters import Step
+from .parameters import Step, host_step
 from .problem import JointProblem
 from .structured_lm import (
     StructuredLM,
@@ -128,11 +128,13 @@ def padded(problem: _Problem) -> _Problem:
     scale = np.concatenate([problem.scale.shared, np.ones(size - count)])
     if not isinstance(problem, JointProblem):
         # A rig's views and points are padded when it is built.
-        return with_fields(problem, free=free, scale=Step(scale, problem.scale.per_view))
+        return with_fields(
+            problem, free=free, scale=host_step(scale, np.asarray(problem.scale.per_view))
+        )
     loss = problem.loss
     if loss is None or isinstance(loss, Cauchy):
         # Least squares is the Cauchy loss of infinite scale.
-        loss = Cauchy(np.array(np.inf if loss is None else loss.scale))
+        loss = with_fields(Cauchy(), scale=np.array(np.inf if loss is None else loss.scale))
     observations = problem.observations.padded()
     views = len(observations.visible)
     # The corrections of added views are held, without priors.
@@ -142,15 +144,19 @@ def padded(problem: _Problem) -> _Problem:
         """Append zeros for the added views."""
         return np.concatenate([per_view, np.zeros((more_views, 6), per_view.dtype)])
 
+    def padded_as_prior(step: Step) -> Step:
+        """Append zeros for the added views to a prior's mean or weight."""
+        return host_step(np.asarray(step.shared), with_zeros(step.per_view))
+
     return with_fields(
         problem,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
         free=free,
         per_view_free=with_zeros(problem.per_view_free),
-        prior_mean=Step(problem.prior_mean.shared, with_zeros(problem.prior_mean.per_view)),
-        prior_weight=Step(problem.prior_weight.shared, with_zeros(problem.prior_weight.per_view)),
-        scale=Step(scale, repeat_last(problem.scale.per_view, views)),
+        prior_mean=padded_as_prior(problem.prior_mean),
+        prior_weight=padded_as_prior(problem.prior_weight),
+        scale=host_step(scale, np.asarray(repeat_last(problem.scale.per_view, views))),
         loss=loss,
     )
 
@@ -159,13 +165,13 @@ def padded_step(step: Step, problem: AbstractProblem) -> Step:
     """Return a step with zeros for the parameters that were added to a padded problem."""
     shared, per_view = np.zeros(len(problem.free)), np.zeros(problem.per_view_free.shape)
     shared[: len(step.shared)], per_view[: len(step.per_view)] = step.shared, step.per_view
-    return Step(shared, per_view)
+    return host_step(shared, per_view)
 
 
 def step_without_padding(step: Step, original: AbstractProblem) -> Step:
     """Return a step of a padded problem without the padding, on the host."""
     shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
-    return Step(shared[: len(original.free)], per_view[: len(original.per_view_free)])
+    return host_step(shared[: len(original.free)], per_view[: len(original.per_view_free)])
 
 
 def equations_without_padding(
@@ -174,10 +180,10 @@ def equations_without_padding(
     """Return the normal equations of a padded problem without the padding, on the host."""
     free, corrected = len(original.free), len(original.per_view_free)
     matrix = jax.tree.map(np.asarray, equations.matrix)
-    return NormalEquations(
-        equations.cost,
-        step_without_padding(equations.gradient, original),
-        with_fields(
+    return with_fields(
+        equations,
+        gradient=step_without_padding(equations.gradient, original),
+        matrix=with_fields(
             matrix,
             shared=matrix.shared[:free, :free],
             border=matrix.border[:corrected, :, :free],

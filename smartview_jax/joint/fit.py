@@ -333,7 +333,7 @@ def _assemble_fit(
         calibration=calibration,
         covariance=common_covariance,
         pixel_sigma=float(problem.pixel_sigma) * float(np.sqrt(factor)),
-        residuals=problem.observations.pixels,
+        residuals=data.pixels,
         inliers=to_device(visible & (squares <= gate)),
         pose_corrections=chain.pose_corrections
         if len(chain.pose_corrections)

@@ -24,6 +24,7 @@ from ..engine import (
     Step,
     chain_without_padding,
     equations_without_padding,
+    host_step,
     padded,
     padded_step,
 )
@@ -96,7 +97,7 @@ class ViewStatistics:
         )
         at_start = problem.host_offset_at_start()[self.free]
         per_view_at_start = -np.nan_to_num(problem.prior_mean.per_view)
-        self._offset_at_start = Step(at_start, per_view_at_start)  # pyright: ignore[reportArgumentType]
+        self._offset_at_start = host_step(at_start, per_view_at_start)
         if shape is not None:
             self._set_shape(shape)
 
@@ -187,13 +188,14 @@ class ViewStatistics:
         diagonal = np.where(self.per_view_free, per_view, 1.0)
         penalty = shared @ offset.shared**2 + np.sum(per_view * offset.per_view**2)
         gradient, matrix = equations.gradient, equations.matrix
-        without_priors = NormalEquations(
-            equations.cost - 0.5 * penalty,
-            Step(
+        without_priors = with_fields(
+            equations,
+            cost=equations.cost - 0.5 * penalty,
+            gradient=Step(
                 gradient.shared - shared * offset.shared,
                 gradient.per_view - per_view * offset.per_view,
             ),
-            with_fields(
+            matrix=with_fields(
                 matrix,
                 shared=matrix.shared - np.diag(shared),
                 per_view=matrix.per_view - np.eye(6) * diagonal[:, None],
@@ -208,7 +210,7 @@ class ViewStatistics:
         shared, per_view = jax.tree.map(np.add, self._offset_at_start, z)
         if self.shape is not None:
             shared = np.append(shared, np.asarray(self.shape.coefficients))
-        return Step(shared, per_view)  # pyright: ignore[reportArgumentType]
+        return host_step(shared, per_view)
 
     def _without_padding(self, equations: NormalEquations) -> NormalEquations:
         """Return the equations without parameters and views that were added to the problem."""
@@ -217,10 +219,10 @@ class ViewStatistics:
         added = len(gradient.shared) - len(self.shape_names)
         kept = np.append(np.arange(len(self.free)), np.arange(added, len(gradient.shared)))
         views = len(self.per_view_free)
-        return NormalEquations(
-            equations.cost,
-            Step(gradient.shared[kept], gradient.per_view[:views]),
-            with_fields(
+        return with_fields(
+            equations,
+            gradient=Step(gradient.shared[kept], gradient.per_view[:views]),
+            matrix=with_fields(
                 matrix,
                 shared=matrix.shared[np.ix_(kept, kept)],
                 border=matrix.border[:views, :, kept],
@@ -260,7 +262,7 @@ def with_free_poses(problem: JointProblem) -> JointProblem:
     shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
     shared[free[~problem.is_camera[free]]] = 1.0 / HOLDING_SIGMA
     per_view = np.zeros(problem.per_view_free.shape)
-    return with_fields(problem, prior_weight=Step(shared, per_view))
+    return with_fields(problem, prior_weight=host_step(shared, per_view))
 
 
 def with_prior_sigmas(
@@ -275,7 +277,7 @@ def with_prior_sigmas(
     return with_fields(
         problem,
         pixel_sigma=np.asarray(sigmas.pixel),
-        prior_weight=Step(shared, per_view),
+        prior_weight=host_step(shared, per_view),
     )
 
 
