@@ -1,4 +1,3 @@
-import dataclasses
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ def undecided(world):
     """Two models that differ in one parameter: as stated, or any value within 2."""
     group_index = np.full(SHARED, -1)
     group_index[SIZE] = 0
-    views = dataclasses.replace(linearised(world, drawn(world, 0)), group_index=group_index)
+    views = linearised(world, drawn(world, 0))._replace(group_index=group_index)
     return views, {
         model: FittedCandidate(
             np.ones(3, dtype=bool),
