@@ -28,6 +28,7 @@ from .rig_pipeline import calibrate_rig
 from .robot_errors import RobotError
 from .runtime.compilation import refuse_traced
 from .runtime.double_precision import require_double_precision
+from .runtime.modules import module_of, with_fields
 from .staged import (
     StagedFit,
     check_start,
@@ -85,10 +86,10 @@ class CalibrationFit(JointFit):
             joint: the joint fit.
             pose_format: format in which the robot's controller writes poses.
         """
-        joint = dataclasses.replace(joint, pose_format=pose_format)
+        joint = with_fields(joint, pose_format=pose_format)
         values = {field.name: getattr(joint, field.name) for field in dataclasses.fields(JointFit)}
         values |= {"rejected": _all_rejected(staged, joint), "warnings": _warnings(staged, joint)}
-        return cls(**values, staged=staged, joint=joint)
+        return module_of(cls, values | {"staged": staged, "joint": joint})
 
 
 def _all_rejected(staged: StagedFit, joint: JointFit) -> tuple[Rejection, ...]:

@@ -13,6 +13,7 @@ from ..geometry import as_se3, transformed_coordinates
 from ..robots import Command
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
+from ..runtime.modules import with_fields
 from ..runtime.padding import padded_counts, repeat_last, without_padding
 from .depth_readings import DepthReadings
 from .pose_observations import PoseObservations
@@ -50,7 +51,7 @@ class Observations(eqx.Module):
         """
         if shape is None:
             return self
-        return eqx.tree_at(lambda o: o.points, self, shape.displaced(self.points))
+        return with_fields(self, points=shape.displaced(self.points))
 
     def padded(self) -> "Observations":
         """Return the observations of a small data set with invisible views and points added.
@@ -71,10 +72,18 @@ class Observations(eqx.Module):
         )
         in_columns = (*repeat_last(host[:2], points, axis=1), *host[2:])
         depths = None if self.depths is None else self.depths.padded_points(points)
-        # One transfer for all arrays takes half as long as one transfer each.
-        arrays, visible = jax.device_put((repeat_last((*in_columns, depths), views), is_visible))
-        target_points, pixels, base_from_tool, joints, depths = arrays
-        return Observations(target_points, pixels, visible, base_from_tool, joints, depths)
+        target_points, pixels, base_from_tool, joints, depths = repeat_last(
+            (*in_columns, depths), views
+        )
+        return with_fields(
+            self,
+            points=target_points,
+            pixels=pixels,
+            visible=is_visible,
+            base_from_tool=base_from_tool,
+            joints=joints,
+            depths=depths,
+        )
 
     def residuals(
         self, predicted: Float[Array, "*views points 2"], valid: Bool[Array, "*views points"]

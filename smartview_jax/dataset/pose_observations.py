@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..calibration import TargetShape
 from ..robots import Command
+from ..runtime.modules import with_fields
 from ..runtime.padding import padded_counts, repeat_last
 
 PAIRS = 3
@@ -61,9 +62,15 @@ class PoseObservations(eqx.Module):
         host = jax.tree.map(
             np.asarray, (self.camera_from_world, self.whitening, self.base_from_tool, self.joints)
         )
-        arrays, visible = jax.device_put((repeat_last(host, count), visible))
-        measured, whitening, base_from_tool, joints = arrays
-        return PoseObservations(measured, whitening, visible, base_from_tool, joints)
+        measured, whitening, base_from_tool, joints = repeat_last(host, count)
+        return with_fields(
+            self,
+            camera_from_world=measured,
+            whitening=whitening,
+            visible=visible,
+            base_from_tool=base_from_tool,
+            joints=joints,
+        )
 
     def differences(
         self, camera_from_world: SE3, target_scale: Float[Array, ""]

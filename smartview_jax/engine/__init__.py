@@ -40,6 +40,7 @@ from .parameters import Step as Step
 from .parameters import correction_names as correction_names
 from .parameters import host_retract as host_retract
 from .parameters import host_retract_transform as host_retract_transform
+from .parameters import host_step as host_step
 from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
 from .parameters import twist_by_step as twist_by_step

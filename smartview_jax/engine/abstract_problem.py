@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import to_device
+from ..runtime.modules import with_fields
 from .parameters import Step
 from .schur import BlockArrow
 
@@ -139,7 +140,7 @@ class AbstractProblem(eqx.Module):
     def with_free(self: _Problem, kept: Int[np.ndarray, "kept"]) -> _Problem:
         """Return the problem with some of its free shared parameters; the others are held."""
         scale = Step(to_device(np.asarray(self.scale.shared)[kept]), self.scale.per_view)
-        return dataclasses.replace(self, free=to_device(np.asarray(self.free)[kept]), scale=scale)
+        return with_fields(self, free=to_device(np.asarray(self.free)[kept]), scale=scale)
 
     def zero_step(self) -> Step:
         """Return the zero step."""

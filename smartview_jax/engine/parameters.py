@@ -113,6 +113,11 @@ class Step(NamedTuple):
     per_view: Float[Array, "views 6"]
 
 
+def host_step(shared: Float[np.ndarray, "shared"], per_view: Float[np.ndarray, "views 6"]) -> Step:
+    """Return a step of NumPy arrays, which every program takes as well."""
+    return Step(shared, per_view)  # pyright: ignore[reportArgumentType]
+
+
 class ParameterLayout(NamedTuple):
     """The positions of the shared parameters in the flat vector, one slice for each group.
 

@@ -8,12 +8,12 @@ residuals' standard deviation are computed in turn until they agree:
 
 from collections.abc import Callable
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from ..dataset import view_residuals
 from ..runtime.array_namespace import AnyScalar, array_namespace, as_float_array
+from ..runtime.modules import with_fields
 from .parameters import Step
 from .problem import FittedChain, JointProblem, NormalEquations
 from .solver import Solution
@@ -25,7 +25,7 @@ SIGMA_FLOOR = 1e-4
 
 def with_pixel_sigma(problem: JointProblem, sigma: AnyScalar) -> JointProblem:
     """Return the problem with a new pixel sigma, px."""
-    return eqx.tree_at(lambda p: p.pixel_sigma, problem, as_float_array(sigma))
+    return with_fields(problem, pixel_sigma=as_float_array(sigma))
 
 
 def updated_sigma(sigma: AnyScalar, factor: AnyScalar) -> AnyScalar:

@@ -4,7 +4,6 @@ Both are pure functions. Any optimistix least-squares solver can minimise `resid
 `normal_equations` is the same problem in the block structure that the library's own solver uses.
 """
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -19,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration, TargetShape
 from ..dataset import AnyObservations, Observations, PoseObservations
 from ..robot_errors import RobotError
+from ..runtime.modules import with_fields
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import BIAS_COLUMNS, DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
@@ -94,12 +94,12 @@ class JointProblem(AbstractProblem):
         """Return the problem with other observations, of the same robot."""
         error = self.parameters.start.robot_error
         prepared = None if error is None else PreparedPoses.at(error.field, observations.command)
-        return dataclasses.replace(self, observations=observations, prepared_poses=prepared)
+        return with_fields(self, observations=observations, prepared_poses=prepared)
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "JointProblem":
         """Return the problem with the robot error field at poses corrected for noise."""
         error, command = self.parameters.start.robot_error, self.observations.command
-        return dataclasses.replace(self, prepared_poses=prepare_poses(error, command, corrections))
+        return with_fields(self, prepared_poses=prepare_poses(error, command, corrections))
 
     @property
     def visible_count(self) -> int:

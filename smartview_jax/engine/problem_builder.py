@@ -20,6 +20,7 @@ from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, refuse_traced
+from ..runtime.modules import with_fields
 from .abstract_problem import AbstractBuiltProblem
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
@@ -161,7 +162,8 @@ def build_problem(
     )
     unprojectable = unprojectable_points(data, start)
     visible = to_device(np.asarray(data.visible) & ~unprojectable)
-    problem = eqx.tree_at(lambda p: p.observations.visible, problem, visible)
+    observations = with_fields(problem.observations, visible=visible)
+    problem = with_fields(problem, observations=observations)
     return BuiltProblem(
         problem,
         tuple(names[k] for k in np.flatnonzero(is_free[:shared_size])),

@@ -3,7 +3,6 @@
 `optimum` is the same inside `jit`, `vmap` and `grad`.
 """
 
-import dataclasses
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -15,14 +14,13 @@ from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
-from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
+from ..runtime.modules import with_fields
 from ..runtime.padding import repeat_last, without_padding
 from .abstract_problem import AbstractProblem, NormalEquations
 from .losses import Cauchy
-from .parameters import Step
+from .parameters import Step, host_step
 from .problem import JointProblem
-from .schur import BlockArrow
 from .structured_lm import (
     StructuredLM,
     decrease_along,
@@ -90,8 +88,8 @@ def solve(
     if solver is None:
         solver = StructuredLM()
     if isinstance(solver, StructuredLM):
-        rtol, atol = (to_device(np.array(value)) for value in (solver.rtol, solver.atol))
-        solver = dataclasses.replace(solver, rtol=rtol, atol=atol)
+        rtol, atol = (np.array(value) for value in (solver.rtol, solver.atol))
+        solver = with_fields(solver, rtol=rtol, atol=atol)
         problem = padded(problem)
     else:
         # Padding would make the residuals' Jacobian singular, which not every solver allows.
@@ -126,66 +124,70 @@ def padded(problem: _Problem) -> _Problem:
     if problem.observation_count >= MIN_UNPADDED_OBSERVATIONS or problem.mesh is not None:
         return problem
     size, count = problem.parameter_count, len(problem.free)
-    free = to_device(np.concatenate([problem.free, np.full(size - count, size)]))
-    scale = to_device(np.concatenate([problem.scale.shared, np.ones(size - count)]))
+    free = np.concatenate([problem.free, np.full(size - count, size)])
+    scale = np.concatenate([problem.scale.shared, np.ones(size - count)])
     if not isinstance(problem, JointProblem):
         # A rig's views and points are padded when it is built.
-        return dataclasses.replace(problem, free=free, scale=Step(scale, problem.scale.per_view))
+        return with_fields(
+            problem, free=free, scale=host_step(scale, np.asarray(problem.scale.per_view))
+        )
     loss = problem.loss
     if loss is None or isinstance(loss, Cauchy):
         # Least squares is the Cauchy loss of infinite scale.
-        loss = Cauchy(to_device(np.array(np.inf if loss is None else loss.scale)))
+        loss = with_fields(Cauchy(), scale=np.array(np.inf if loss is None else loss.scale))
     observations = problem.observations.padded()
     views = len(observations.visible)
     # The corrections of added views are held, without priors.
     more_views = views - len(problem.per_view_free) if len(problem.per_view_free) else 0
 
-    def with_zeros(per_view: Array) -> Array:
+    def with_zeros(per_view: Array) -> np.ndarray:
         """Append zeros for the added views."""
-        return to_device(np.pad(np.asarray(per_view), ((0, more_views), (0, 0))))
+        return np.concatenate([per_view, np.zeros((more_views, 6), per_view.dtype)])
 
-    return dataclasses.replace(
+    def padded_as_prior(step: Step) -> Step:
+        """Append zeros for the added views to a prior's mean or weight."""
+        return host_step(np.asarray(step.shared), with_zeros(step.per_view))
+
+    return with_fields(
         problem,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
         free=free,
         per_view_free=with_zeros(problem.per_view_free),
-        prior_mean=Step(problem.prior_mean.shared, with_zeros(problem.prior_mean.per_view)),
-        prior_weight=Step(problem.prior_weight.shared, with_zeros(problem.prior_weight.per_view)),
-        scale=Step(scale, repeat_last(problem.scale.per_view, views)),
+        prior_mean=padded_as_prior(problem.prior_mean),
+        prior_weight=padded_as_prior(problem.prior_weight),
+        scale=host_step(scale, np.asarray(repeat_last(problem.scale.per_view, views))),
         loss=loss,
     )
 
 
 def padded_step(step: Step, problem: AbstractProblem) -> Step:
     """Return a step with zeros for the parameters that were added to a padded problem."""
-    shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
-    more_views = len(problem.per_view_free) - len(per_view)
-    return Step(
-        to_device(np.pad(shared, (0, len(problem.free) - len(shared)))),
-        to_device(np.pad(per_view, ((0, more_views), (0, 0)))),
-    )
+    shared, per_view = np.zeros(len(problem.free)), np.zeros(problem.per_view_free.shape)
+    shared[: len(step.shared)], per_view[: len(step.per_view)] = step.shared, step.per_view
+    return host_step(shared, per_view)
 
 
 def step_without_padding(step: Step, original: AbstractProblem) -> Step:
-    """Return a step of a padded problem without the padding."""
-    shared = without_padding(step.shared, len(original.free))
-    return Step(shared, without_padding(step.per_view, len(original.per_view_free)))
+    """Return a step of a padded problem without the padding, on the host."""
+    shared, per_view = np.asarray(step.shared), np.asarray(step.per_view)
+    return host_step(shared[: len(original.free)], per_view[: len(original.per_view_free)])
 
 
 def equations_without_padding(
     equations: NormalEquations, original: AbstractProblem
 ) -> NormalEquations:
-    """Return the normal equations of a padded problem without the padding."""
+    """Return the normal equations of a padded problem without the padding, on the host."""
     free, corrected = len(original.free), len(original.per_view_free)
-    matrix = equations.matrix
-    return NormalEquations(
-        equations.cost,
-        step_without_padding(equations.gradient, original),
-        BlockArrow(
-            without_padding(matrix.shared, free, free),
-            without_padding(matrix.border, corrected, 6, free),
-            without_padding(matrix.per_view, corrected),
+    matrix = jax.tree.map(np.asarray, equations.matrix)
+    return with_fields(
+        equations,
+        gradient=step_without_padding(equations.gradient, original),
+        matrix=with_fields(
+            matrix,
+            shared=matrix.shared[:free, :free],
+            border=matrix.border[:corrected, :, :free],
+            per_view=matrix.per_view[:corrected],
         ),
     )
 
@@ -195,7 +197,7 @@ def chain_without_padding(chain: Any, original: AbstractProblem) -> Any:
     if not isinstance(original, JointProblem):
         return chain
     views = len(original.observations.visible)
-    return dataclasses.replace(
+    return with_fields(
         chain,
         pose_corrections=without_padding(chain.pose_corrections, len(original.per_view_free)),
         field_corrections=without_padding(chain.field_corrections, views),

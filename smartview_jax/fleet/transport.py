@@ -2,7 +2,7 @@
 
 Equinox registers each module that `pickle` creates as one that is being initialised, and never
 removes it: every data set and every fit that a process receives would stay in its memory for ever
-(Equinox 0.13). Here modules are created as Equinox's own unflattening does, without `__new__`.
+(Equinox 0.13). Here modules are created as Equinox's own unflattening does (`module_of`).
 """
 
 import io
@@ -10,6 +10,8 @@ import pickle
 from typing import Any
 
 import equinox as eqx
+
+from ..runtime.modules import module_of
 
 
 def to_bytes(value: Any) -> bytes:
@@ -34,13 +36,5 @@ class _Pickler(pickle.Pickler):
     def reducer_override(self, value: Any) -> Any:
         """Return how to create a module again; leave other objects to `pickle`."""
         if isinstance(value, eqx.Module):
-            return _module_of, (type(value), dict(vars(value)))
+            return module_of, (type(value), dict(vars(value)))
         return NotImplemented
-
-
-def _module_of(module_class: type, values: dict[str, Any]) -> Any:
-    """Create a module from its attributes."""
-    module = object.__new__(module_class)
-    for name, value in values.items():
-        object.__setattr__(module, name, value)
-    return module

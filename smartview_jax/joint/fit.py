@@ -51,6 +51,7 @@ from ..robot_errors import (
 )
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import refuse_traced
+from ..runtime.modules import with_fields
 from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise, with_weighed_depths
 from .gross_errors import remove_gross_errors, without_views
@@ -293,9 +294,9 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     # it changes the structure of the calibration, and so would need a new program.
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
-    fit = dataclasses.replace(fit, residuals=residuals, calibration=calibration)
+    fit = with_fields(fit, residuals=residuals, calibration=calibration)
     contradicted = () if isinstance(used_data, PoseDataset) else held_value_warnings(fit)
-    return dataclasses.replace(fit, warnings=plausibility_warnings(fit, contradicted))
+    return with_fields(fit, warnings=plausibility_warnings(fit, contradicted))
 
 
 def _assemble_fit(
@@ -350,7 +351,7 @@ def _assemble_fit(
         calibration=calibration,
         covariance=common_covariance,
         pixel_sigma=float(problem.pixel_sigma) * float(np.sqrt(factor)),
-        residuals=problem.observations.pixels,
+        residuals=data.pixels,
         inliers=to_device(visible & (squares <= gate)),
         pose_corrections=chain.pose_corrections
         if len(chain.pose_corrections)

@@ -204,7 +204,7 @@ def _groups_of_one_shape(data: Mapping[int, Dataset]) -> list[dict[int, Dataset]
 
 def _padded(data: Dataset) -> Dataset:
     """Return a data set with invisible views and points added."""
-    observations = data.observations.padded()
+    observations = jax.tree.map(to_device, data.observations.padded())
     more = tuple(f"padding {k}" for k in range(len(observations.visible) - data.view_count))
     return dataclasses.replace(
         data,

@@ -2,7 +2,9 @@
 
 XLA compiles a program for the shapes of its arguments. For a small data set compiling takes seconds
 and running takes milliseconds, so a second data set with one more view should reuse the program.
-Padding repeats the last view and the last point; no padded point is visible.
+Padding repeats the last view and the last point; no padded point is visible. Padded arrays stay on
+the host: a program takes NumPy arrays too, and to make a JAX array of each one takes as long as all
+of the program's own work.
 """
 
 from collections.abc import Callable
@@ -52,8 +54,9 @@ def repeat_last(arrays: _Tree, count: int, axis: int = 0) -> _Tree:
     """Append copies of the last entry to arrays, on the host, until they have `count` entries.
 
     Args:
-        arrays: pytree of arrays; empty arrays are unchanged, and NumPy arrays stay NumPy arrays.
-        count: number of entries wanted; arrays with as many or more are returned unchanged.
+        arrays: pytree of arrays; empty arrays are unchanged.
+        count: number of entries wanted; arrays with as many or more are returned unchanged, all
+            others become NumPy arrays.
         axis: axis of the entries.
     """
     return jax.tree.map(lambda x: _repeat_last(x, count, axis), arrays)
@@ -66,12 +69,11 @@ def _repeat_last(array: Any, count: int, axis: int) -> Any:
         return array
     whole = np.asarray(array)
     last = np.take(whole, [-1], axis=axis)
-    padded = np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis)
-    return to_device(padded) if isinstance(array, jax.Array) else padded
+    return np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis)
 
 
 def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
-    """Run a program on arrays by views, padded in the number of views, and return its result.
+    """Run a program on arrays by views, padded in their number, and return its result on the host.
 
     Args:
         program: maps arrays whose first axis is the views to such arrays; does little per view.
@@ -79,7 +81,7 @@ def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
     """
     views = len(jax.tree.leaves(by_view)[0])
     padded = repeat_last(by_view, padded_counts(max(views, MIN_PADDED_VIEWS))[0])
-    return without_padding(program(padded), views)
+    return jax.tree.map(lambda x: np.asarray(x)[:views], program(padded))
 
 
 def in_batches(program: Callable[[Any], Any], rows: Any, size: int) -> Any:

@@ -16,6 +16,7 @@ from .likelihood import (
     ROBOT_SIGMA_FLOOR,
     LinearisedViews,
     StandardDeviations,
+    kinds_of,
     marginalise,
     posterior_mode_step,
 )
@@ -235,7 +236,9 @@ def _maximum_at(
 ) -> LikelihoodMaximum:
     """Return these standard deviations as the result of a search for the maximum."""
     marginal = marginalise(views, sigmas)
-    information = np.asarray(fisher_information(views, marginal, len(sigmas.field)))
+    information = np.asarray(
+        fisher_information(views, marginal, kinds_of(views, len(sigmas.field)))
+    )
     information = information + np.diag(np.pad(prior.log_std**-2, (1, 0)))
     return LikelihoodMaximum(sigmas, float(marginal.deviance), 0.0, information, 0)
 

@@ -15,12 +15,12 @@ from jaxtyping import Bool, Float
 
 from ..runtime.array_namespace import AnyArray, array_namespace
 from .likelihood import (
+    Kinds,
     LinearisedViews,
     Marginalisation,
     StandardDeviations,
-    counts,
     gradient,
-    group_indicator,
+    kinds_of,
     marginalise,
     rows_of_views,
 )
@@ -94,7 +94,7 @@ class LikelihoodMaximum(NamedTuple):
 
 
 def fisher_information(
-    views: LinearisedViews, marginal: Marginalisation, groups: int
+    views: LinearisedViews, marginal: Marginalisation, kinds: Kinds
 ) -> Float[AnyArray, "kinds kinds"]:
     """Compute the Fisher information matrix of the logarithms of the standard deviations.
 
@@ -110,7 +110,7 @@ def fisher_information(
     Args:
         views: the linearised views.
         marginal: result of `marginalise` at the standard deviations in question.
-        groups: number of groups of the field.
+        kinds: result of `kinds_of` for the views.
     """
     # C has the blocks of `Marginalisation`, and C_vw = K_v C_ss K_w^T for two different views.
     xp = array_namespace(marginal.shared_whitening)
@@ -121,7 +121,7 @@ def fisher_information(
     # P_j as rows of weights: the groups of the field, and last the parameters with a known prior.
     has_known_prior = (views.group_index < 0).astype(float)
     shared_precisions = (
-        xp.concatenate([group_indicator(views, groups), has_known_prior[None]])
+        xp.concatenate([kinds.groups, has_known_prior[None]])
         * marginal.prior_precision.shared[None]
     )
 
@@ -133,8 +133,8 @@ def fisher_information(
     # (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S).
     shared_traces = shared_precisions @ covariance**2 @ shared_precisions.T
     weighted_gain = marginal.gain * xp.sqrt(per_view_precision)[..., None]
-    kinds = (slice(0, 3), slice(3, 6))
-    rows_of_kinds = [rows_of_views(weighted_gain[:, rows]) for rows in kinds]
+    pose_kinds = (slice(0, 3), slice(3, 6))
+    rows_of_kinds = [rows_of_views(weighted_gain[:, rows]) for rows in pose_kinds]
     products = [rows.T @ rows @ covariance for rows in rows_of_kinds]
     cross_traces = (
         xp.stack([xp.sum(covariance * product.T, axis=1) for product in products])
@@ -156,7 +156,7 @@ def fisher_information(
         ]
     )
 
-    count = counts(views, groups)
+    count = kinds.counts
     parameter_count = xp.sum(views.per_view_free, dtype=float) + len(covariance)
     # C^-1 = P_0 + sum_j P_j with P_0 the information of the pixels. C P_0 = 1 - sum_j C P_j in the
     # formula above, with N the number of marginalised parameters, gives
@@ -208,7 +208,7 @@ def maximise(
     objective = _Objective(views.with_held(is_held), start, active, prior)
     # A standard deviation estimated from n random numbers has a logarithm with standard deviation
     # of about 1 / sqrt(2 n), which is the unit of each coordinate of the search.
-    units = 1.0 / np.sqrt(2.0 * np.maximum(counts(views, len(start.field)), 1.0))
+    units = 1.0 / np.sqrt(2.0 * np.maximum(kinds_of(views, len(start.field)).counts, 1.0))
     best = initial = objective.at(np.zeros(len(units)))
     slopes = objective.slopes(best)
     damping, steps, converged = INITIAL_DAMPING, 0, not np.isfinite(initial.deviance)
@@ -273,6 +273,7 @@ class _Objective:
         prior: StandardDeviationPrior | None,
     ):
         self.views, self.prior = views, prior
+        self.kinds = kinds_of(views, len(start.field))
         self.is_active = np.concatenate([[True], active])
         self.prior_precision = np.zeros(len(self.is_active))
         if prior is not None:
@@ -303,10 +304,9 @@ class _Objective:
         """Evaluate gradient and information matrix at a point of the search."""
         sigmas, log_sigma_by_x = point.sigmas, point.log_sigma_by_x
         # Derivative of half the deviance by log(sigma): dD / d log(sigma) = sigma dD / dsigma.
-        by_sigma = gradient(self.views, sigmas, point.marginal).vector
+        by_sigma = gradient(self.views, sigmas, point.marginal, self.kinds).vector
         log_gradient = 0.5 * by_sigma * sigmas.vector + point.prior_gradient
-        groups = len(sigmas.field)
-        information = np.asarray(fisher_information(self.views, point.marginal, groups))
+        information = np.asarray(fisher_information(self.views, point.marginal, self.kinds))
         information = information + np.diag(self.prior_precision)
         # The chain rule from log(sigma) to x; each coordinate acts on one sigma.
         return _Slopes(

@@ -21,7 +21,7 @@ from .fisher_scoring import LikelihoodMaximum
 from .likelihood import (
     LinearisedViews,
     Marginalisation,
-    group_indicator,
+    kinds_of,
     marginalise,
     rows_of_views,
 )
@@ -186,7 +186,7 @@ def _derivatives_by_log_sigma(
         by_step.append(-weighted_per_view[:, rows].ravel() @ covariance_rows)
         by_covariance.append(covariance_rows.T @ (precision[:, None] * covariance_rows))
     has_known_prior = (views.group_index < 0).astype(float)
-    for members in (*group_indicator(views, groups), has_known_prior):
+    for members in (*kinds_of(views, groups).groups, has_known_prior):
         by_step.append(covariance @ (members * weighted_shared))
         by_covariance.append((covariance * (members * prior_precision.shared)) @ covariance)
     pixel_step, pixel_covariance = -sum(by_step), covariance - sum(by_covariance)

@@ -10,18 +10,16 @@ calibration, which has no terms, are as certain as before.
 """
 
 import copy
-import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
 from ..dataset import view_residuals
 from ..engine import FittedChain, Step
-from ..runtime.array_namespace import to_device
+from ..runtime.modules import with_fields
 from .likelihood import LinearisedViews, StandardDeviations, marginalise
 from .view_statistics import ViewStatistics
 
@@ -190,15 +188,11 @@ def _with_terms(
     border = np.stack(by_shared, axis=1)
     matrix, gradient, offset = linearised.matrix, linearised.gradient, linearised.offset_from_prior
     count = len(terms)
-    return dataclasses.replace(
-        linearised,
-        matrix=eqx.tree_at(
-            lambda m: (m.shared, m.border),
+    return linearised._replace(
+        matrix=with_fields(
             matrix,
-            (
-                np.block([[np.asarray(matrix.shared), border], [border.T, products]]),
-                np.concatenate([matrix.border, np.stack(by_view, axis=-1)], axis=-1),
-            ),
+            shared=np.block([[np.asarray(matrix.shared), border], [border.T, products]]),
+            border=np.concatenate([matrix.border, np.stack(by_view, axis=-1)], axis=-1),
         ),
         gradient=gradient._replace(shared=np.append(gradient.shared, -np.array(by_residual))),
         offset_from_prior=offset._replace(shared=np.append(offset.shared, np.zeros(count))),
@@ -214,6 +208,8 @@ def _with_moved_pixels(
 ) -> ViewStatistics:
     """Return the statistics with other pixels."""
     moved = copy.copy(views)
-    pixels = to_device(np.asarray(views.one_camera.observations.pixels) + change)
-    moved.problem = eqx.tree_at(lambda p: p.observations.pixels, views.one_camera, pixels)
+    problem = views.one_camera
+    observations = problem.seen_points
+    pixels = np.asarray(observations.pixels) + change
+    moved.problem = with_fields(problem, observations=with_fields(observations, pixels=pixels))
     return moved

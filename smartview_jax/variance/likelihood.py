@@ -26,6 +26,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..engine import BlockArrow, Step, inverse_cholesky_factor
 from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace
+from ..runtime.modules import with_fields
 
 ROBOT_SIGMA_FLOOR = 1e-8
 """Standard deviation, m or rad, at which an error of the robot counts as zero.
@@ -41,7 +42,7 @@ It keeps the variance of an undetermined parameter finite.
 """
 
 
-class LinearisedViews(eqx.Module):
+class LinearisedViews(NamedTuple):
     """The observations' normal equations for a pixel sigma of 1 px, and the layout of the priors.
 
     Attributes:
@@ -76,12 +77,9 @@ class LinearisedViews(eqx.Module):
         kept, matrix, gradient = ~held, self.matrix, self.gradient
         change = -self.offset_from_prior.shared[held]
         gradient_change = matrix.shared[:, held] @ change
-        return dataclasses.replace(
-            self,
-            matrix=eqx.tree_at(
-                lambda m: (m.shared, m.border),
-                matrix,
-                (matrix.shared[kept][:, kept], matrix.border[:, :, kept]),
+        return self._replace(
+            matrix=with_fields(
+                matrix, shared=matrix.shared[kept][:, kept], border=matrix.border[:, :, kept]
             ),
             gradient=Step(
                 (gradient.shared + gradient_change)[kept],
@@ -101,6 +99,18 @@ class LinearisedViews(eqx.Module):
         xp = array_namespace(self.white_sigma)
         white_sigma = xp.reshape(xp.asarray(self.white_sigma), 1)
         return xp.concatenate([white_sigma, xp.full(component_count - 1, ROBOT_SIGMA_FLOOR)])
+
+
+class Kinds(NamedTuple):
+    """The kinds of random numbers: each kind has one unknown standard deviation.
+
+    Attributes:
+        groups: one where a shared parameter belongs to a group of the field, zero elsewhere.
+        counts: number of random numbers of each kind, in the order of `StandardDeviations.vector`.
+    """
+
+    groups: Float[AnyArray, "groups shared"]
+    counts: Float[AnyArray, "kinds"]
 
 
 class StandardDeviations(NamedTuple):
@@ -124,7 +134,7 @@ class StandardDeviations(NamedTuple):
     @property
     def vector(self) -> Float[AnyArray, "kinds"]:
         """The standard deviations as a vector: pixel, translation, rotation, field."""
-        xp = array_namespace(self)
+        xp = array_namespace(*self)
         pixel_and_pose = xp.stack([self.pixel, self.translation, self.rotation])
         return xp.concatenate([pixel_and_pose, self.field])
 
@@ -144,7 +154,7 @@ class StandardDeviations(NamedTuple):
             group_index: group of each shared parameter, as in `LinearisedViews`.
             known_weight: weights of the parameters that belong to no group.
         """
-        xp = array_namespace(self)
+        xp = array_namespace(*self)
         # Index -1 (no group) reads the one at the end, which `where` then discards.
         field = xp.concatenate([self.field, xp.ones(1)])[group_index]
         pose_sigmas = xp.repeat(xp.stack([self.translation, self.rotation]), 3)
@@ -248,7 +258,7 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
     # deviance = -n log p + p R + o^T W o + h^T s + log det A - log det W
     #
     # with W in the last determinant only for priors of unknown standard deviation.
-    xp = array_namespace(views, sigmas)
+    xp = array_namespace(views.gradient.shared, *sigmas)
     has_unknown_sigma = views.group_index >= 0
     matrix, offset = views.matrix, views.offset_from_prior
     weights = sigmas.prior_weights(views.group_index, views.known_weight)
@@ -307,12 +317,23 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
 
 
 def gradient(
-    views: LinearisedViews, sigmas: StandardDeviations, marginal: Marginalisation
+    views: LinearisedViews,
+    sigmas: StandardDeviations,
+    marginal: Marginalisation,
+    kinds: Kinds | None = None,
 ) -> StandardDeviations:
     """Compute the derivative of the deviance by every standard deviation.
 
     The derivative of the best step does not contribute, since the deviance is stationary there.
+
+    Args:
+        views: the linearised views.
+        sigmas: standard deviations of all errors.
+        marginal: result of `marginalise` at these.
+        kinds: result of `kinds_of`, if it is known; None computes it.
     """
+    if kinds is None:
+        kinds = kinds_of(views, len(sigmas.field))
     # dD / d log w_j = w_j E[(o_j + s_j)^2] - 1 for the precision w_j of a prior, where the
     # posterior expectation is (o_j + s_j)^2 + C_jj with C = A^-1.
     xp = array_namespace(marginal.shared_whitening)
@@ -359,7 +380,7 @@ def gradient(
         -2.0 * by_log_precision / sigmas.pixel,
         -2.0 * xp.sum(per_view[:, :3]) / sigmas.translation,
         -2.0 * xp.sum(per_view[:, 3:]) / sigmas.rotation,
-        -2.0 * (group_indicator(views, len(sigmas.field)) @ shared) / sigmas.field,
+        -2.0 * (kinds.groups @ shared) / sigmas.field,
     )
 
 
@@ -383,15 +404,10 @@ def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> AnyScalar:
     return -2.0 * xp.sum(xp.log(xp.diagonal(whitening, axis1=-2, axis2=-1)))
 
 
-def counts(views: LinearisedViews, groups: int) -> Float[AnyArray, "kinds"]:
-    """Count the random numbers of each kind, in the order of `StandardDeviations.vector`."""
-    xp = array_namespace(views.per_view_free)
-    robot = xp.sum(views.per_view_free.reshape(-1, 2, 3), axis=(0, 2), dtype=float)
-    field = xp.sum(group_indicator(views, groups), axis=1)
-    return xp.concatenate([xp.reshape(xp.asarray(views.statistic_count), 1), robot, field])
-
-
-def group_indicator(views: LinearisedViews, groups: int) -> Float[AnyArray, "groups shared"]:
-    """Return one where a shared parameter belongs to a group of unknown sigma, zero elsewhere."""
+def kinds_of(views: LinearisedViews, groups: int) -> Kinds:
+    """Return which random numbers of the views are of which kind, with so many groups."""
     xp = array_namespace(views.group_index)
-    return (views.group_index[None] == xp.arange(groups)[:, None]).astype(float)
+    indicator = (views.group_index[None] == xp.arange(groups)[:, None]).astype(float)
+    robot = xp.sum(views.per_view_free.reshape(-1, 2, 3), axis=(0, 2), dtype=float)
+    statistics = xp.reshape(xp.asarray(views.statistic_count), 1)
+    return Kinds(indicator, xp.concatenate([statistics, robot, xp.sum(indicator, axis=1)]))

@@ -5,11 +5,9 @@ The statistics are the best free pose of each view, and the camera of the fit wi
 """
 
 import copy
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,11 +24,12 @@ from ..engine import (
     Step,
     chain_without_padding,
     equations_without_padding,
+    host_step,
     padded,
     padded_step,
 )
-from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
+from ..runtime.modules import with_fields
 from .likelihood import LinearisedViews, StandardDeviations
 from .model_selection import SHAPE_GROUPS, TARGET_SHAPE
 
@@ -98,7 +97,7 @@ class ViewStatistics:
         )
         at_start = problem.host_offset_at_start()[self.free]
         per_view_at_start = -np.nan_to_num(problem.prior_mean.per_view)
-        self._offset_at_start = Step(at_start, per_view_at_start)  # pyright: ignore[reportArgumentType]
+        self._offset_at_start = host_step(at_start, per_view_at_start)
         if shape is not None:
             self._set_shape(shape)
 
@@ -128,7 +127,7 @@ class ViewStatistics:
         stated = self._stated_problem
         assert isinstance(stated, JointProblem)
         observations = stated.observations.of_shape(shape)
-        self.problem = dataclasses.replace(self.one_camera, observations=observations)
+        self.problem = with_fields(self.one_camera, observations=observations)
 
     def with_shape(self, shape: TargetShape) -> "ViewStatistics":
         """Return the statistics for a different shape of the target."""
@@ -189,15 +188,17 @@ class ViewStatistics:
         diagonal = np.where(self.per_view_free, per_view, 1.0)
         penalty = shared @ offset.shared**2 + np.sum(per_view * offset.per_view**2)
         gradient, matrix = equations.gradient, equations.matrix
-        without_priors = eqx.tree_at(
-            lambda e: (e.cost, *e.gradient, e.matrix.shared, e.matrix.per_view),
+        without_priors = with_fields(
             equations,
-            (
-                equations.cost - 0.5 * penalty,
+            cost=equations.cost - 0.5 * penalty,
+            gradient=Step(
                 gradient.shared - shared * offset.shared,
                 gradient.per_view - per_view * offset.per_view,
-                matrix.shared - np.diag(shared),
-                matrix.per_view - np.eye(6) * diagonal[:, None],
+            ),
+            matrix=with_fields(
+                matrix,
+                shared=matrix.shared - np.diag(shared),
+                per_view=matrix.per_view - np.eye(6) * diagonal[:, None],
             ),
         )
         # From the pixel sigma of the fit to 1 px.
@@ -209,7 +210,7 @@ class ViewStatistics:
         shared, per_view = jax.tree.map(np.add, self._offset_at_start, z)
         if self.shape is not None:
             shared = np.append(shared, np.asarray(self.shape.coefficients))
-        return Step(shared, per_view)  # pyright: ignore[reportArgumentType]
+        return host_step(shared, per_view)
 
     def _without_padding(self, equations: NormalEquations) -> NormalEquations:
         """Return the equations without parameters and views that were added to the problem."""
@@ -218,15 +219,14 @@ class ViewStatistics:
         added = len(gradient.shared) - len(self.shape_names)
         kept = np.append(np.arange(len(self.free)), np.arange(added, len(gradient.shared)))
         views = len(self.per_view_free)
-        return eqx.tree_at(
-            lambda e: (*e.gradient, e.matrix.shared, e.matrix.border, e.matrix.per_view),
+        return with_fields(
             equations,
-            (
-                gradient.shared[kept],
-                gradient.per_view[:views],
-                matrix.shared[np.ix_(kept, kept)],
-                matrix.border[:views, :, kept],
-                matrix.per_view[:views],
+            gradient=Step(gradient.shared[kept], gradient.per_view[:views]),
+            matrix=with_fields(
+                matrix,
+                shared=matrix.shared[np.ix_(kept, kept)],
+                border=matrix.border[:views, :, kept],
+                per_view=matrix.per_view[:views],
             ),
         )
 
@@ -262,8 +262,7 @@ def with_free_poses(problem: JointProblem) -> JointProblem:
     shared, free = np.array(problem.prior_weight.shared), np.asarray(problem.free)
     shared[free[~problem.is_camera[free]]] = 1.0 / HOLDING_SIGMA
     per_view = np.zeros(problem.per_view_free.shape)
-    weight = Step(to_device(shared), to_device(per_view))
-    return dataclasses.replace(problem, prior_weight=weight)
+    return with_fields(problem, prior_weight=host_step(shared, per_view))
 
 
 def with_prior_sigmas(
@@ -275,10 +274,10 @@ def with_prior_sigmas(
     weights = sigmas.prior_weights(group_index[: len(free)], shared[free])
     shared[free] = weights.shared
     per_view = np.tile(weights.per_view, (len(problem.per_view_free), 1))
-    return dataclasses.replace(
+    return with_fields(
         problem,
-        pixel_sigma=to_device(sigmas.pixel),
-        prior_weight=Step(to_device(shared), to_device(per_view)),
+        pixel_sigma=np.asarray(sigmas.pixel),
+        prior_weight=host_step(shared, per_view),
     )
 
 

@@ -184,7 +184,7 @@ class InformationModel(eqx.Module):
         return dataclasses.replace(
             self,
             problem=padded(self.problem),
-            points=repeat_last(self.points, _padded_points(len(self.points))),
+            points=to_device(repeat_last(self.points, _padded_points(len(self.points)))),
             prior_information=to_device(np.zeros((0, 0))),
             parameter_names=(),
         )

@@ -38,6 +38,8 @@ def test_what_is_added_repeats_the_last_entry_and_comes_off_again():
     padded = repeat_last(arrays, 5)
     np.testing.assert_array_equal(padded["a"], [[0, 1], [2, 3], [4, 5], [4, 5], [4, 5]])
     assert padded["none"].shape == (0, 2)
+    # A JAX array for each would take longer than the program that they are padded for.
+    assert isinstance(repeat_last(jax.device_put(arrays["a"]), 5), np.ndarray)
     assert padded["flags"].dtype == bool
     for name, array in without_padding(padded, 3).items():
         np.testing.assert_array_equal(array, arrays[name])

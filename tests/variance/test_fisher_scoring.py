@@ -19,6 +19,7 @@ from smartview_jax.variance.likelihood import (
     ROBOT_SIGMA_FLOOR,
     StandardDeviations,
     gradient,
+    kinds_of,
     marginalise,
 )
 
@@ -45,7 +46,7 @@ def test_information_is_that_of_the_textbook(world, sizes):
     # By logarithms of deviations each part's derivative is twice the part.
     expected = [[0.5 * np.trace(P @ (2 * a) @ P @ (2 * b)) for b in parts] for a in parts]
     views = linearised(world, drawn(world, 1))
-    found = fisher_information(views, marginalise(views, sizes), 2)
+    found = fisher_information(views, marginalise(views, sizes), kinds_of(views, 2))
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -62,7 +63,7 @@ def test_information_is_what_second_derivatives_are_on_average(world):
         factors = np.expm1([step, -step])
         slopes = [[slopes_of_half(views, moved(TRUTH, k, f)) for f in factors] for k in range(5)]
         curved.append([(ahead - behind) / (2.0 * step) for ahead, behind in slopes])
-    told = fisher_information(views, marginalise(views, TRUTH), 2)
+    told = fisher_information(views, marginalise(views, TRUTH), kinds_of(views, 2))
     mean, error = np.mean(curved, axis=0), np.std(curved, axis=0) / np.sqrt(60)
     assert (np.abs(mean - told) < 4.0 * error + 1e-6).all()
 

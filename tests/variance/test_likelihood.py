@@ -1,5 +1,3 @@
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,6 +22,7 @@ from smartview_jax.variance.fisher_scoring import fisher_information
 from smartview_jax.variance.likelihood import (
     deviance,
     gradient,
+    kinds_of,
     marginalise,
     posterior_mode_step,
 )
@@ -112,9 +111,7 @@ def test_it_is_differentiable_by_the_observations_and_twice_by_the_sizes(world):
     step = np.zeros(SHARED)
     step[1] = 1e-4
     ahead, behind = (
-        deviance_of(
-            dataclasses.replace(views, gradient=views.gradient._replace(shared=moved_shared)), TRUTH
-        )
+        deviance_of(views._replace(gradient=views.gradient._replace(shared=moved_shared)), TRUTH)
         for moved_shared in (views.gradient.shared + step, views.gradient.shared - step)
     )
     np.testing.assert_allclose(by_views[1], (ahead - behind) / 2e-4, rtol=1e-6)
@@ -134,7 +131,7 @@ def test_numpy_and_jax_find_the_same(world):
             marginal.step,
             marginal.shared_covariance,
             gradient(views, sizes, marginal).vector,
-            fisher_information(views, marginal, 2),
+            fisher_information(views, marginal, kinds_of(views, 2)),
         )
         return jax.tree.leaves(found)
 

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from fit_scenes import thinned
@@ -26,7 +24,7 @@ def undecided(world):
     """Two models that differ in one parameter: as stated, or any value within 2."""
     group_index = np.full(SHARED, -1)
     group_index[SIZE] = 0
-    views = dataclasses.replace(linearised(world, drawn(world, 0)), group_index=group_index)
+    views = linearised(world, drawn(world, 0))._replace(group_index=group_index)
     return views, {
         model: FittedCandidate(
             np.ones(3, dtype=bool),
