@@ -148,7 +148,7 @@ def fit_joint(
     choice = ParameterChoice.of(fixed, free, priors)
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
-    require_moving_robot(data, start, fixed, priors, free)
+    require_moving_robot(data, start, choice)
     has_pixels = not isinstance(data, PoseDataset)
     if has_pixels:
         data = without_views(data, repeated_views(data))
@@ -161,7 +161,7 @@ def fit_joint(
         data: Dataset, rejected_points: tuple[Rejection, ...]
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
-        open_motion, noise_estimate = undetermined_motion(data, start, fixed, priors), None
+        open_motion, noise_estimate = undetermined_motion(data, start, choice), None
         chosen = choice.holding(*open_motion.held)
         data = _with_weighed_depths(data, start, chosen, noise, field)
         if noise == "estimated":

@@ -136,7 +136,7 @@ def fit_many(
         raise ValueError("fit_many takes the noise as given; calibrate_many estimates it")
     field, choice = checked_field_choice(field), ParameterChoice.of(fixed, free, priors)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
-    checked, held, warnings, errors = _with_checked_poses(data, starts, fixed, priors)
+    checked, held, warnings, errors = _with_checked_poses(data, starts, choice)
     options = _Options(noise, loss, choice.holding(*held), field)
     mesh = None if devices is None else Mesh(np.array(devices), (FITS_AXIS,))
     results: dict[int, _Result] = {}
@@ -328,8 +328,7 @@ def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibratio
 def _with_checked_poses(
     data: Sequence[Dataset],
     starts: Sequence[Calibration],
-    fixed: Sequence[str],
-    priors: Mapping[str, Prior] | None,
+    choice: ParameterChoice,
 ) -> tuple[dict[int, Dataset], tuple[str, ...], tuple[str, ...], dict[int, str]]:
     """Return the data without poses that were not read again, and what the checks found.
 
@@ -345,7 +344,7 @@ def _with_checked_poses(
     errors: dict[int, str] = {}
     for k, (item, start) in enumerate(zip(data, starts, strict=True)):
         try:
-            require_moving_robot(item, start, fixed, priors)
+            require_moving_robot(item, start, choice)
         except ValueError as error:
             errors[k] = str(error)
             continue
@@ -353,7 +352,7 @@ def _with_checked_poses(
         used = without_views(item, stale)
         rejections = [Rejection(item.view_ids[view], None, text) for view, text in stale.items()]
         warnings += [f"data[{k}]: {text}" for text in repetition_warnings(rejections)]
-        undetermined = undetermined_motion(used, start, fixed, priors).held
+        undetermined = undetermined_motion(used, start, choice).held
         if checked and undetermined != held:
             described = [", ".join(names) or "nothing" for names in (held, undetermined)]
             errors[k] = (

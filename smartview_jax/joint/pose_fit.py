@@ -22,7 +22,7 @@ from ..dataset import (
     PoseDataset,
     chain_residuals,
 )
-from ..engine import TARGET_SCALE, Prior
+from ..engine import TARGET_SCALE, ParameterChoice, Prior
 from ..geometry import PoseLike, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
@@ -215,14 +215,9 @@ def fit_poses(
     has_camera = camera is not None
     blank = _blank(data, camera)
     check_start(start, data)
-    free = (TARGET_SCALE,) if scale else ()
-    require_moving_robot(data, blank, fixed, priors, free)
+    choice = ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors)
+    require_moving_robot(data, blank, choice)
     calibration, consistent, ambiguities = _start(data, blank, start, scale)
-    options: dict[str, Any] = {
-        "fixed": (*fixed, "camera"),
-        "free": free,
-        "priors": priors,
-    }
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
 
     def fit_consistent() -> tuple[PoseDataset, JointFit]:
@@ -239,7 +234,7 @@ def fit_poses(
             robot_prior=prior,
             gross_errors="leave_out",
             progress=progress,
-            **options,
+            **choice.holding("camera")._asdict(),
         )
 
     used, fit = fit_consistent()
@@ -274,7 +269,7 @@ def start_from_poses(data: PoseDataset) -> PoseStart:
         ValueError: as `fit_poses`.
     """
     blank = _blank(data, None)
-    require_moving_robot(data, blank, (), None)
+    require_moving_robot(data, blank, ParameterChoice.of())
     return _start(data, blank, None, False)
 
 

@@ -10,7 +10,7 @@ A parameter that is fixed or has a prior determines the directions that contain 
 """
 
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from ..dataset import (
     turns_about_one_point,
     undetermined_twists,
 )
-from ..engine import TARGET_SCALE, Direction, Prior, describe_direction
+from ..engine import TARGET_SCALE, Direction, ParameterChoice, describe_direction
 from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
 
@@ -56,22 +56,16 @@ class UndeterminedMotion(NamedTuple):
     held: tuple[str, ...]
 
 
-def require_moving_robot(
-    data: Dataset,
-    start: Calibration,
-    fixed: Collection[str],
-    priors: Mapping[str, Prior] | None,
-    free: Collection[str] = (),
-) -> None:
+def require_moving_robot(data: Dataset, start: Calibration, choice: ParameterChoice) -> None:
     """Raise a ValueError if the usable views' poses cannot determine a calibration.
 
     They are all equal; or never rotate, while neither translation is fixed or has a prior; or only
     turn about one point, while the target's size is free without a prior.
     """
-    place_is_given = given_places(start.transform_names, fixed, priors or {})
+    place_is_given = given_places(start.transform_names, choice.fixed, choice.priors)
     poses = host_matrices(data.base_from_tool)[data.usable_views()]
     require_motion(poses, start.transform_names[0], place_is_given)
-    size_is_open = TARGET_SCALE in free and TARGET_SCALE not in (priors or {})
+    size_is_open = TARGET_SCALE in choice.free and TARGET_SCALE not in choice.priors
     if size_is_open and not place_is_given and turns_about_one_point(poses):
         raise ValueError(
             "the robot only turns about one point: these poses tell nothing of lengths, and "
@@ -82,14 +76,14 @@ def require_moving_robot(
 
 
 def undetermined_motion(
-    data: Dataset, start: Calibration, fixed: Collection[str], priors: Mapping[str, Prior] | None
+    data: Dataset, start: Calibration, choice: ParameterChoice
 ) -> UndeterminedMotion:
     """Find the directions that usable views, fixed parameters and priors do not determine.
 
     Args:
         data: the views to fit.
         start: the calibration at which directions are expressed.
-        fixed, priors: as for `fit_joint`.
+        choice: the parameters that the user holds, frees or gives priors.
     """
     names = tuple(
         f"{name}.{part}.{axis}"
@@ -103,7 +97,7 @@ def undetermined_motion(
     if len(robot) < 2 or not np.isfinite(robot).all():
         return empty
     directions = _parameter_directions(undetermined_twists(robot), robot, start)
-    known = np.array([_is_selected(name, (*fixed, *(priors or ()))) for name in names])
+    known = np.array([_is_selected(name, (*choice.fixed, *choice.priors)) for name in names])
     # Combinations of the directions without any change of a known parameter.
     if len(directions) and known.any():
         combinations, part, _ = np.linalg.svd(directions[:, known])
