@@ -50,10 +50,10 @@ The effect of a smaller rotation is mostly the robot's error, which more views d
 robot with an error of 0.1 mm would determine the camera's position to 3 cm; a ruler does better.
 """
 
-MIN_SHIFT = 1e-2
+MIN_SHIFT = 3e-3
 """The smallest motion besides a turn about one point, RMS in m, from which a size is estimated.
 
-From it a robot with an error of 0.1 mm determines the target's size to 1 %; a ruler does better.
+From less a robot with an error of 0.1 mm determines the target's size to 3 %; a ruler does better.
 """
 
 _REPEATED, _DUPLICATE = "its pose repeats view", "its picture and pose are given before, in view"

@@ -7,11 +7,11 @@
       depth_sensor: {scale: 1.02, offset: 0.001, scale_std: 0.0003, ...}
       camera: {image_size: [640, 480], alpha_u: 600.0, ...}
 
-The table has a column `view` and 21 columns `cov_x_x`, `cov_x_y`, ..., `cov_rz_rz`: the upper half
+The table has a column `view` and 21 columns "cov_x_x", "cov_x_y", ..., "cov_rz_rz": the upper half
 of each pose's covariance, of its translation x, y, z (m) and its rotation vector rx, ry, rz (rad)
 in the camera's axes, always of `camera_from_world`. If a depth sensor measured the poses, the next
-columns are the change of each pose by the sensor's scale and offset (`by_scale_x`, ...,
-`by_offset_rz`) and the RMS distance of its points from the target (`point_rms`, m).
+columns are the change of each pose by the sensor's scale and offset ("by_scale_x", ...,
+"by_offset_rz") and the RMS distance of its points from the target (`point_rms`, m).
 """
 
 import dataclasses

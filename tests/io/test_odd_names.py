@@ -13,6 +13,7 @@ import pytest
 from test_layers import FILES, PACKAGE, tree_of
 
 import smartview_jax as sv
+from smartview_jax.dataset import DepthNoise, PoseDataset
 from smartview_jax.detection import Detection
 from smartview_jax.editor.document import Document, apply_change
 from smartview_jax.editor.edit_history import EditHistory
@@ -105,6 +106,25 @@ def model(name, part):
 def dataset_folder(folder, name):
     sv.save_dataset(data(name), folder)
     return sv.load_dataset(folder).view_ids[0]
+
+
+def depths(folder, name):
+    given = data(name)
+    at_points = np.where(np.asarray(given.visible), 0.4, np.nan)
+    sv.save_dataset(given.with_depths(at_points, DepthNoise(1e-3, 0.0)), folder)
+    again = sv.load_dataset(folder)
+    assert again.depths.used.any(axis=1).all()
+    return again.view_ids[0]
+
+
+def tracked_covariances(folder, name):
+    covariance = np.tile(1e-6 * np.eye(6), (len(POSES), 1, 1))
+    poses = PoseDataset.from_poses(POSES, POSES).with_covariance(covariance)
+    object.__setattr__(poses, "view_ids", (name, "other", "third"))
+    sv.save_dataset(poses, folder)
+    again = sv.load_dataset(folder)
+    np.testing.assert_allclose(again.covariance, covariance)
+    return again.view_ids[0]
 
 
 def description(folder, name):
@@ -235,6 +255,8 @@ def growing(folder, name):
 
 PAIRS = {
     "data set": dataset_folder,
+    "depths": depths,
+    "covariances of tracked poses": tracked_covariances,
     "description": description,
     "kept detections": kept_detections,
     "object views": object_views,
@@ -276,7 +298,9 @@ WRITERS = {
     "joint/rig_estimate.py save_rig": "(names of cameras, which Rig limits)",
     "io/object_views.py write_object_views": "object views",
     "io/pose_log.py write_pose_log": "times of pictures",
+    "io/point_depths.py write_depths": "depths",
     "io/poses.py write_poses": "data set",
+    "io/tracked_covariances.py write_covariances": "covariances of tracked poses",
     "io/viewpoints.py write_viewpoints": "viewpoints in JSON",
     "io/visp.py write_visp_pose": "(one pose)",
     "recordings/import_bag.py write": "(views are numbered)",
