@@ -1,6 +1,5 @@
 """Build the least-squares problem of several arms from the problem of each arm alone."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ from ..calibration import Calibration
 from ..dataset import Rig
 from ..geometry import host_matrices, host_transforms
 from ..runtime.array_namespace import to_device
+from ..runtime.modules import with_fields
 from .abstract_problem import AbstractBuiltProblem
 from .arms_problem import ArmInRig, ArmsProblem
 from .parameters import POSE_CORRECTIONS, Step, host_retract_transform, parameter_mask
@@ -369,4 +369,4 @@ def _with_all_free(problem: RigProblem) -> RigProblem:
     """Return the problem of one arm with all its shared parameters free, in their own units."""
     size = problem.parameter_count
     scale = Step(to_device(np.ones(size)), problem.scale.per_view)
-    return dataclasses.replace(problem, free=to_device(np.arange(size)), scale=scale)
+    return with_fields(problem, free=to_device(np.arange(size)), scale=scale)

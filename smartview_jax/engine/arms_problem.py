@@ -9,7 +9,6 @@ target in another arm's base follows from both,
 and the arms' equations are added up by this chain rule.
 """
 
-import dataclasses
 import itertools
 from typing import Any
 
@@ -23,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry import host_adjoints, host_logarithms, host_matrices
 from ..robot_errors import RobotError
+from ..runtime.modules import with_fields
 from .abstract_problem import AbstractRigProblem, NormalEquations
 from .parameters import (
     Step,
@@ -175,10 +175,10 @@ class ArmsProblem(AbstractRigProblem):
     def with_noise_corrections(self, corrections: Float[np.ndarray, "states 6"]) -> "ArmsProblem":
         """Return the problem with the robots' error fields at poses corrected for noise."""
         arms = [
-            dataclasses.replace(arm, problem=arm.problem.with_noise_corrections(corrections[rows]))
+            with_fields(arm, problem=arm.problem.with_noise_corrections(corrections[rows]))
             for arm, rows in zip(self.arms, self.states_of_arms, strict=True)
         ]
-        return dataclasses.replace(self, arms=tuple(arms))
+        return with_fields(self, arms=tuple(arms))
 
     @property
     def states_of_arms(self) -> tuple[slice, ...]:

@@ -194,7 +194,7 @@ def _shape_warnings(fit: JointFit) -> list[str]:
     # x is stretched by this part of the half size, and y shortened.
     by_aspect = 2.0 / float(estimate.shape.half_size)
     k = SHAPE_NAMES.index("aspect")
-    stretch = by_aspect * float(estimate.shape.coefficients[k])
+    stretch = by_aspect * float(np.asarray(estimate.shape.coefficients)[k])
     stretch_std = by_aspect * float(np.sqrt(estimate.covariance[k, k]))
     longer, other = ("x", "y") if stretch > 0.0 else ("y", "x")
     mount = f"{fit.calibration.transform_names[0]}."
