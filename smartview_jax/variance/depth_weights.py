@@ -125,9 +125,9 @@ def _common_std(
     ]
     design = np.column_stack([np.ones(len(views)), predicted - predicted.mean()])
 
-    def deviance(log_std: float) -> float:
+    def deviance(logarithm: float) -> float:
         """Return -2 log of the restricted likelihood."""
-        root = np.sqrt(variances + np.exp(2.0 * log_std))
+        root = np.sqrt(variances + np.exp(2.0 * logarithm))
         q, r = np.linalg.qr(design / root[:, None])
         rest = means / root - q @ (q.T @ (means / root))
         return float(
@@ -140,8 +140,9 @@ def _common_std(
     best = tried[int(np.argmin([deviance(one) for one in tried]))]
     step = tried[1] - tried[0]
     bounds = max(best - step, smallest), min(best + step, largest)
-    found = minimize_scalar(deviance, bounds=bounds, method="bounded").x
-    return 0.0 if deviance(smallest) <= deviance(found) else float(np.exp(found))
+    found = minimize_scalar(deviance, bounds=bounds, method="bounded")
+    log_std = float(found.x)  # pyright: ignore[reportAttributeAccessIssue]
+    return 0.0 if deviance(smallest) <= deviance(log_std) else float(np.exp(log_std))
 
 
 def _variance_by_pixels(
