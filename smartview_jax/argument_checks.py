@@ -19,6 +19,12 @@ def shortened_repr(value: object) -> str:
     return _REPR.repr(value)
 
 
+def listed(names: Sequence[str], most: int) -> str:
+    """Return names separated by commas, such as "a, b and 3 more" of more than so many."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
+
+
 def spelling_suggestion(word: object, known: Iterable[str]) -> str:
     """Return a suggestion of the most similar known name; empty if none is similar."""
     close = difflib.get_close_matches(str(word)[:100], list(known), n=1)

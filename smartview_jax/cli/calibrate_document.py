@@ -106,8 +106,7 @@ def _robot_errors(joint: "JointFit") -> dict[str, Any] | None:
             str(candidate.name): candidate.probability for candidate in estimate.candidates
         },
         "pixel_std_px": noise.pixel,
-        # Without a separate model of whole-view errors, all pixel noise is within views.
-        "within_view_std_px": noise.pixel if noise.white_pixel is None else noise.white_pixel,
+        "within_view_std_px": noise.within_view_pixel,
         "position_std_mm": 1e3 * noise.translation,
         "angle_std_deg": float(np.rad2deg(noise.rotation)),
         "converged": estimate.converged,

@@ -20,7 +20,7 @@ from .terminal import errors_reported, progress_line
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..viewpoints import InformationModel, StopRule, ViewLimits
+    from ..viewpoints import InformationModel, Situation, StopRule, ViewLimits
 
 
 @dataclass(frozen=True)
@@ -194,10 +194,6 @@ def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> 
         return model
     near = to_device(readings)
     return eqx.tree_at(lambda m: m.near, model, near, is_leaf=lambda leaf: leaf is None)
-
-
-if TYPE_CHECKING:
-    from ..viewpoints import Situation, ViewLimits
 
 
 def next_views(

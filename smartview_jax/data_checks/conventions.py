@@ -19,6 +19,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..argument_checks import listed
 from ..calibration import mount_frames
 from ..dataset import turns_about_one_axis, turns_about_one_point
 from ..geometry import host_matrices
@@ -338,14 +339,13 @@ def _naming_views(
     if hypothesis.name != OTHER_CORNER or turns is None:
         return hypothesis
     changed = np.abs(numbered_alike(given, turns) - given.camera).max(axis=(1, 2)) > _EQUAL_POSES
-    names = _listed([ids[view] for view in np.flatnonzero(used & changed).tolist()])
+    names = _listed_views([ids[view] for view in np.flatnonzero(used & changed).tolist()])
     return hypothesis._replace(description=f"{hypothesis.description}: {names}")
 
 
-def _listed(names: Sequence[str]) -> str:
+def _listed_views(names: Sequence[str]) -> str:
     """Return names of views in words; of many, the first."""
-    more = f" and {len(names) - MAX_LISTED_VIEWS} more" if len(names) > MAX_LISTED_VIEWS else ""
-    return f"view{'s' * (len(names) > 1)} {', '.join(names[:MAX_LISTED_VIEWS])}{more}"
+    return f"view{'s' * (len(names) > 1)} {listed(names, MAX_LISTED_VIEWS)}"
 
 
 def _problem_of_views(
@@ -362,8 +362,8 @@ def _problem_of_views(
         return ()
     return (
         f"robot and camera do not move alike as given ({_closure_error_text(given_error)}), but do "
-        f"without {_listed(names)} ({_closure_error_text(error, short=True)}): were these poses "
-        "read for these pictures? Leave them out, or correct them",
+        f"without {_listed_views(names)} ({_closure_error_text(error, short=True)}): were these "
+        "poses read for these pictures? Leave them out, or correct them",
     )
 
 

@@ -29,6 +29,9 @@ STEEPEST = 2.0
 SMALLEST_STD = 1e-6
 """Smallest standard deviation of a depth, m: exact depths count as if they had this noise."""
 
+MAD_TO_SIGMA = 1.4826
+"""Ratio of the standard deviation of a normal variable to its median absolute deviation."""
+
 _ROUNDS, _SUBSETS = 20, 100
 
 
@@ -215,8 +218,7 @@ def _robust_std(off: Float[np.ndarray, "seen"], rank: int) -> float:
         rank: number of parameters of the fit; as many of the differences may be zero.
     """
     half = np.sort(off)[min((len(off) + rank) // 2, len(off) - 1)]
-    # 1.4826 medians of absolute differences are a standard deviation of a normal distribution.
-    return 1.4826 * float(half)
+    return MAD_TO_SIGMA * float(half)
 
 
 def _likeliest_noise(

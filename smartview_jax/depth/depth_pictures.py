@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..cameras import Camera
+from ..dataset import MAD_TO_SIGMA
 from ..detection import picture_bytes
 from ..geometry import LENGTH_UNITS
 from ..runtime.array_namespace import to_device
@@ -154,5 +155,4 @@ def _near(
 ) -> np.ndarray:
     """Return which depths are near a function of the pixels, by their own scatter."""
     off = np.abs(depths - design @ values)
-    # 1.4826 medians of absolute differences are a standard deviation of a normal distribution.
-    return off <= OUTLYING * 1.4826 * max(float(np.median(off)), 1e-12)
+    return off <= OUTLYING * MAD_TO_SIGMA * max(float(np.median(off)), 1e-12)

@@ -23,9 +23,6 @@ from .schur import BlockArrow
 VIEWS_AT_ONCE = 8
 """Number of views that are linearised together, so that memory does not grow with all points."""
 
-BIAS_COLUMNS = 2
-"""Number of the sensor's own parameters: scale and offset."""
-
 
 class DepthEquations(eqx.Module):
     """The terms of the normal equations that the depths of every view add.

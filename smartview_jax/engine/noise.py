@@ -50,6 +50,12 @@ class Noise:
                 raise ValueError(f"Noise.{name}: expected a positive number, found {value}")
 
     @property
+    def within_view_pixel(self) -> float:
+        """Standard deviation of u and of v about the view's best pose, px."""
+        # Without a separate model of whole-view errors, all pixel noise is within views.
+        return self.pixel if self.white_pixel is None else self.white_pixel
+
+    @property
     def has_pose_prior(self) -> bool:
         """Whether reported poses have a finite standard deviation, of translation or rotation.
 

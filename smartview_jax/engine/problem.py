@@ -20,9 +20,9 @@ from ..dataset import AnyObservations, Observations, PoseObservations
 from ..robot_errors import RobotError
 from ..runtime.modules import with_fields
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
-from .depth_equations import BIAS_COLUMNS, DepthEquations, depth_residuals, linearise_depths
+from .depth_equations import DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
-from .parameters import Parameters, Step, host_values
+from .parameters import DEPTH_BIAS_NAMES, Parameters, Step, host_values
 from .pose_jacobians import PoseJacobians, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
@@ -112,7 +112,7 @@ class JointProblem(AbstractProblem):
 
         Of tracked poses it is the number of their coordinates.
         """
-        depths = getattr(self.observations, "depths", None)
+        depths = self.seen_points.depths if self.has_depths else None
         used = 0 if depths is None else int((depths.used & self.observations.visible).sum())
         return 2 * self.visible_count + used
 
@@ -269,12 +269,13 @@ class JointProblem(AbstractProblem):
         bends = 0 if shape is None else len(shape.coefficients)
         twist = self._shared_jacobian(pose_jacobians)[:, _TWIST]
         # Bias and scale are shared parameters themselves; the shape's coefficients come after them.
-        direct = np.zeros((BIAS_COLUMNS + 1, layout.size))
-        direct[:BIAS_COLUMNS, layout.depth_bias] = np.eye(BIAS_COLUMNS)
-        direct[BIAS_COLUMNS, layout.target_scale] = 1.0
+        bias = len(DEPTH_BIAS_NAMES)
+        direct = np.zeros((bias + 1, layout.size))
+        direct[:bias, layout.depth_bias] = np.eye(bias)
+        direct[bias, layout.target_scale] = 1.0
         taken = self._take_free(jnp.asarray(direct)) * self.scale.shared[None]
         upper = jnp.pad(taken, ((0, bends), (0, bends)))
-        upper = upper.at[BIAS_COLUMNS + 1 :, len(self.free) :].set(jnp.eye(bends))
+        upper = upper.at[bias + 1 :, len(self.free) :].set(jnp.eye(bends))
         by_parameters = jnp.concatenate(
             [
                 jnp.broadcast_to(upper[None], (len(cost), *upper.shape)),

@@ -24,15 +24,26 @@ from ..runtime.modules import with_fields
 from .abstract_problem import AbstractBuiltProblem
 from .losses import AbstractLoss, loss_by_name
 from .noise import Noise
-from .parameters import ROBOT_ERROR, TARGET_SCALE, Parameters, Step, parameter_mask, parameter_names
+from .parameters import (
+    DEPTH_BIAS_NAMES,
+    ROBOT_ERROR,
+    TARGET_SCALE,
+    Parameters,
+    Step,
+    parameter_mask,
+    parameter_names,
+)
 from .prepared_poses import prepare_poses
 from .priors import ParameterChoice, ParameterOptions, Prior
 from .problem import JointProblem
 
-TYPICAL_DEPTH_BIAS = {
-    "depth_bias.scale": Prior(mean=1.0, std=TYPICAL_SCALE_STD),
-    "depth_bias.offset": Prior(mean=0.0, std=TYPICAL_OFFSET_STD),
-}
+TYPICAL_DEPTH_BIAS = dict(
+    zip(
+        DEPTH_BIAS_NAMES,
+        (Prior(mean=1.0, std=TYPICAL_SCALE_STD), Prior(mean=0.0, std=TYPICAL_OFFSET_STD)),
+        strict=True,
+    )
+)
 """Priors of the bias of the depths that a camera measures."""
 
 
@@ -119,8 +130,8 @@ def build_problem(
     if start.depth_bias is not None:
         choice = choice._replace(priors=TYPICAL_DEPTH_BIAS | choice.priors)
         data = _with_known_depth_noise(data, noise_model)
-    own = Parameters(start)
-    shared_size = own.layout.size
+    shared = Parameters(start)
+    shared_size = shared.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
     default_fixed = [TARGET_SCALE]
     if field == "auto" and start.robot_error is not None:
@@ -139,7 +150,7 @@ def build_problem(
     )
     about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
     if prior_centre is not None and about_start.any():
-        centre = np.asarray(_values_at(own, with_depth_bias(prior_centre, data)))
+        centre = np.asarray(_values_at(shared, with_depth_bias(prior_centre, data)))
         mean[:shared_size][about_start] = centre[about_start]
     if noise_model is not None:
         # The correction of a view with too few points to determine its pose is held, unless a prior
@@ -149,7 +160,7 @@ def build_problem(
     # Arrays are created by NumPy, because every JAX operation on the host would be compiled.
     units = np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
     problem = JointProblem(
-        parameters=own,
+        parameters=shared,
         observations=data.observations,
         pixel_sigma=to_device(np.array(noise_model.pixel if noise_model else 1.0)),
         free=to_device(np.flatnonzero(is_free[:shared_size])),
@@ -231,9 +242,8 @@ def _with_known_depth_noise(data: Dataset, noise: Noise | None) -> Dataset:
     assert depths is not None
     if noise is None or not noise.has_pose_prior or depths.is_weighed:
         return data
-    pixel = noise.pixel if noise.white_pixel is None else noise.white_pixel
     common = 0.0 if stated is None else stated.common or 0.0
-    return dataclasses.replace(data, depths=depths.weighed(pixel, common))
+    return dataclasses.replace(data, depths=depths.weighed(noise.within_view_pixel, common))
 
 
 def _is_same_field(first: AbstractField, second: AbstractField) -> bool:

@@ -256,9 +256,8 @@ def _with_weighed_depths(
     """Return the data with depths that count relative to the pixels' noise, stated or not."""
     if not isinstance(noise, Noise):
         return with_weighed_depths(data, start, choice, field)
-    pixel = noise.pixel if noise.white_pixel is None else noise.white_pixel
     own_field = start.field if field == "auto" else field
-    return with_weighed_depths(data, start, choice, own_field, pixel)
+    return with_weighed_depths(data, start, choice, own_field, noise.within_view_pixel)
 
 
 def _embedded(

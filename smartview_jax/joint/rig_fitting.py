@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import require_instance
+from ..argument_checks import listed, require_instance
 from ..calibration import Calibration
 from ..dataset import (
     MINIMUM_RELIABLE_VIEWS,
@@ -246,11 +246,9 @@ def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
     warnings = [] if fit.result.converged else [fit.result.message]
     undetermined = [name for name in fit.parameter_names if not np.isfinite(fit.std[name])]
     if undetermined:
-        more = len(undetermined) - MAX_LISTED
-        listed = ", ".join(undetermined[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
         warnings.append(
-            f"the data do not determine {listed}: turn the robot about other axes, hold them by "
-            "fixed=, or give priors"
+            f"the data do not determine {listed(undetermined, MAX_LISTED)}: turn the robot about "
+            "other axes, hold them by fixed=, or give priors"
         )
     for arm, built in fit.built_by_arm.items():
         named = f"{arm}: " if fit.bases else ""

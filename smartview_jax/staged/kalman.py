@@ -27,15 +27,12 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..dataset import Observations
+from ..dataset import MAD_TO_SIGMA, Observations
 from ..geometry import transformed_coordinates
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import repeat_last, without_padding
 from .kalman_pass import PassResult, PassSettings, run_pass
 from .staged_fit import CommonCameraOptions
-
-MAD_TO_SIGMA = 1.4826
-"""Ratio of the standard deviation of a normal variable to its median absolute deviation."""
 
 _GATING_CHANGE_THRESHOLD = 3.0
 """Change of the state, in its standard deviations, below which the outlier gate is switched on.

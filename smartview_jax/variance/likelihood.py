@@ -405,7 +405,7 @@ def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> AnyScalar:
 
 
 def kinds_of(views: LinearisedViews, groups: int) -> Kinds:
-    """Return which random numbers of the views are of which kind, with so many groups."""
+    """Return the kind of each random number of the views, given the number of groups."""
     xp = array_namespace(views.group_index)
     indicator = (views.group_index[None] == xp.arange(groups)[:, None]).astype(float)
     robot = xp.sum(views.per_view_free.reshape(-1, 2, 3), axis=(0, 2), dtype=float)

@@ -85,7 +85,7 @@ class ViewStatistics:
         self.shape_names: tuple[str, ...] = () if shape is None else shape_parameter_names()
         self.statistic_count: int = camera_count + len(self.shape_names) + pose_parameters
         # White sigma: sum of squared residuals over degrees of freedom, the measured numbers minus
-        # those of camera and free poses.
+        # the parameters of camera and free poses.
         freedom = max(problem.number_count - self.statistic_count, 1)
         white = np.sqrt(within_sum_of_squares / freedom)
         self.white_sigma: float = max(float(white), SIGMA_FLOOR)
