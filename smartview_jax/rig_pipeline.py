@@ -9,7 +9,13 @@ import numpy as np
 from .argument_checks import require_instance
 from .calibration import Calibration, host_mount_from_holder, transform_names
 from .cameras import AbstractLens, Camera
-from .data_checks import minimum_points, unusable_views
+from .data_checks import (
+    SeenTarget,
+    TargetFindings,
+    minimum_points,
+    target_findings,
+    unusable_views,
+)
 from .dataset import Dataset, Rig
 from .geometry import PoseLike, host_matrices, host_transforms, mean_pose
 from .joint import JointOptions, RigFit, fit_rig, remove_gross_errors
@@ -45,8 +51,9 @@ def calibrate_rig(
 
     Raises:
         TypeError: an argument of a wrong type.
-        ValueError: a camera that cannot be calibrated; the message names it. An option of
-            `fit_joint` that a rig does not have.
+        ValueError: a camera that cannot be calibrated, or cameras that see their common target at
+            different places; the message names them. An option of `fit_joint` that a rig does not
+            have.
     """
     if unknown := sorted(set(joint_options) - set(RIG_OPTIONS)):
         raise ValueError(
@@ -73,6 +80,9 @@ def calibrate_rig(
         staged |= {**of_arm, **of_few}
         starts |= _consistent_starts(part, of_arm)
         starts |= {name: start.calibration for name, start in of_few.items()}
+    findings = shared_target_findings(rig, staged)
+    if findings.problems:
+        raise ValueError("; ".join(findings.problems))
     used, rejected = {}, []
     for name, data in rig.cameras.items():
         inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
@@ -89,7 +99,21 @@ def calibrate_rig(
         rejected=rejected,
         **{**joint_options, "fixed": fixed},
     )
-    return dataclasses.replace(fit, warnings=_warnings(staged, fit))
+    return dataclasses.replace(fit, warnings=(*findings.doubts, *_warnings(staged, fit)))
+
+
+def shared_target_findings(
+    rig: Rig, staged: Mapping[str, StagedFit | FewViewsStart]
+) -> TargetFindings:
+    """Return the findings about targets that several cameras see, by the cameras' own fits."""
+    seen = {}
+    for name, fit in staged.items():
+        if isinstance(fit, StagedFit):
+            views = np.array(fit.views)
+            poses = host_matrices(fit.step2.camera_from_world)[views]
+            place = host_matrices(fit.calibration.holder_from_world)
+            seen[name] = SeenTarget(views, poses, place)
+    return target_findings(rig, seen)
 
 
 def usable_view_counts(rig: Rig, known: Mapping[str, Camera]) -> dict[str, int]:

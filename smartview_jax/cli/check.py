@@ -1,7 +1,7 @@
 """Define `smartview check`, which looks at a data set before anything is calibrated with it."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..cameras import Camera
     from ..data_checks import ConventionReport
     from ..dataset import Dataset, Rig
+    from ..staged import StagedFit
 
 MIN_VIEWS = 10
 """Fewest usable views for which no more are requested."""
@@ -99,12 +100,14 @@ class CheckedData(NamedTuple):
         problems: reasons why the data cannot be calibrated.
         doubts: views and figures that do not fit, although most do.
         document: all of it as values for programs.
+        staged: the staged fit; None if there is none.
     """
 
     lines: tuple[str, ...]
     problems: tuple[str, ...]
     doubts: tuple[str, ...]
     document: dict[str, Any]
+    staged: "StagedFit | None"
 
 
 def _checked(
@@ -128,28 +131,33 @@ def _checked(
             f"usable views: {figures.usable_views}; its place follows from the target that "
             f"{reference} sees"
         )
-        problems, doubts = (), ()
+        problems, doubts, staged = Agreement((), (), None)
     else:
         lines += _motion(figures)
         # The data with repetitions: if all poses are equal, no view is left without them.
         reported = {view for view, _ in data.masked_views}
-        problems, doubts = _agreement(given, reported, camera)
+        problems, doubts, staged = _agreement(given, reported, camera)
     document = _document(name, data, figures, problems, doubts)
-    return CheckedData(tuple(lines), problems, doubts, document)
+    return CheckedData(tuple(lines), problems, doubts, document, staged)
 
 
 def _print_lines(checked: CheckedData) -> None:
     """Print what was found, problems and doubts last."""
     for text in checked.lines:
         typer.echo(text)
-    for kind, texts in (("problem", checked.problems), ("doubt", checked.doubts)):
+    _print_findings(checked.problems, checked.doubts)
+
+
+def _print_findings(problems: Iterable[str], doubts: Iterable[str]) -> None:
+    """Print problems, then doubts, a line each."""
+    for kind, texts in (("problem", problems), ("doubt", doubts)):
         for text in texts:
             typer.echo(f"{kind}: {text}")
 
 
 def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]") -> bool:
     """Check the data of several cameras, and return whether all can be calibrated."""
-    from ..rig_pipeline import reference_camera, usable_view_counts
+    from ..rig_pipeline import reference_camera, shared_target_findings, usable_view_counts
 
     counts = {c: n for c, n in usable_view_counts(rig, known).items() if n >= 3}
     checked = {
@@ -157,14 +165,18 @@ def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]")
         for camera, data in rig.cameras.items()
     }
     shared = sum(len(cameras) > 1 for cameras in rig.seeing)
-    doubts = _lonely_cameras(rig)
-    ready = not any(found.problems for found in checked.values())
+    together = shared_target_findings(
+        rig, {camera: found.staged for camera, found in checked.items() if found.staged is not None}
+    )
+    doubts = [*together.doubts, *_lonely_cameras(rig)]
+    ready = not together.problems and not any(found.problems for found in checked.values())
     if json:
         document = {
             "data_set": name,
             "states": rig.view_count,
             "states_seen_by_several": shared,
             "cameras": {camera: found.document for camera, found in checked.items()},
+            "problems": list(together.problems),
             "doubts": doubts,
             "can_be_calibrated": ready,
         }
@@ -177,8 +189,7 @@ def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]")
     )
     for found in checked.values():
         _print_lines(found)
-    for text in doubts:
-        typer.echo(f"doubt: {text}")
+    _print_findings(together.problems, doubts)
     if ready:
         any_doubt = bool(doubts) or any(found.doubts for found in checked.values())
         except_for = ", apart from these doubts" if any_doubt else ""
@@ -311,10 +322,12 @@ class Agreement(NamedTuple):
     Attributes:
         problems: reasons why the data cannot be calibrated.
         doubts: views and figures that do not fit, although most do.
+        staged: the staged fit; None if there is none.
     """
 
     problems: tuple[str, ...]
     doubts: tuple[str, ...]
+    staged: "StagedFit | None"
 
 
 def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | None") -> Agreement:
@@ -334,7 +347,7 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
         lens = "opencv4" if camera is None else camera.lens
         fit = fit_staged(data, lens, camera=camera, conventions="report")
     except ValueError as error:
-        return Agreement((str(error),), ())
+        return Agreement((str(error),), (), None)
     problems = fit.conventions.problems
     reasons = {data.view_ids[view]: text for view, text in fit.conventions.suspicious_views}
     # Where robot and camera do not move alike, every view's disagreement is a consequence.
@@ -346,7 +359,7 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     if not problems and not fit.conventions.change:
         doubts += _doubts_of_motion(fit.conventions, camera is not None)
-    return Agreement(problems, (*doubts, *fit.warnings))
+    return Agreement(problems, (*doubts, *fit.warnings), fit)
 
 
 def _doubts_of_motion(report: "ConventionReport", camera_is_known: bool) -> list[str]:

@@ -6,7 +6,7 @@ alike (`conventions.py`, with the usual mistakes in `mistakes.py` and `length_un
 `rotation_angles.py` and by the closure of motions, `closure.py`) and tell a wrong mount at all
 (`inverted_poses.py`), whether something was changed between two views (`changes.py`), and which
 single views contradict the others (`view_consistency.py`); both judge by transforms of their own
-(`transform_fit.py`).
+(`transform_fit.py`). `rig_checks.py` compares the cameras of a rig.
 """
 
 from .camera_checks import camera_misfit as camera_misfit
@@ -24,6 +24,9 @@ from .mistakes import target_turns as target_turns
 from .questions import Findings as Findings
 from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings
+from .rig_checks import SeenTarget as SeenTarget
+from .rig_checks import TargetFindings as TargetFindings
+from .rig_checks import target_findings as target_findings
 from .target_checks import collinear_views as collinear_views
 from .target_checks import mismatched_views as mismatched_views
 from .usable_views import MINIMUM_POINTS as MINIMUM_POINTS

@@ -25,6 +25,9 @@ ONE_ARM = "arm"
 NAME = re.compile(r"[\w-]+")
 """The names of cameras, targets and arms, which are parts of parameters' names."""
 
+SIZE_TOLERANCE = 1e-6
+"""Relative difference of two stated sizes, and of the points so scaled, that is rounding."""
+
 SAME_POSE_TOLERANCE = 1e-9
 """Largest difference, m or no unit, between the poses that two data sets have for one state."""
 
@@ -84,8 +87,8 @@ class Rig:
         Raises:
             TypeError: a data set of another type.
             ValueError: no camera; an unusable name; depths at the points; states whose poses
-                differ; one arm with different joints; one target at two places; or arms without a
-                target in common.
+                differ; one arm with different joints; one target at two places or of two sizes; or
+                arms without a target in common.
         """
         if not cameras:
             raise ValueError("Rig: expected at least one camera, found none")
@@ -107,6 +110,7 @@ class Rig:
         self.targets: Mapping[str, str] = MappingProxyType(
             _checked_targets(cameras, targets, self.arms)
         )
+        _require_equal_sizes(cameras, self.targets)
         ids = {
             name: [self.state_name(name, view) for view in data.view_ids]
             for name, data in cameras.items()
@@ -316,6 +320,30 @@ def _checked_targets(
             )
     _require_connected_arms(targets, arms)
     return dict(targets)
+
+
+def _require_equal_sizes(cameras: Mapping[str, Dataset], targets: Mapping[str, str]) -> None:
+    """Raise a ValueError if two cameras state the same target in different sizes."""
+    first: dict[str, str] = {}
+    for name, data in cameras.items():
+        other = first.setdefault(targets[name], name)
+        ours, theirs = _stated_points(data), _stated_points(cameras[other])
+        if ours is None or theirs is None or ours.shape != theirs.shape:
+            continue
+        ratio = np.vdot(theirs, ours) / max(np.vdot(theirs, theirs), np.finfo(float).tiny)
+        is_copy = np.allclose(ours, ratio * theirs, rtol=0.0, atol=SIZE_TOLERANCE * abs(ours).max())
+        if is_copy and abs(ratio - 1.0) > SIZE_TOLERANCE:
+            raise ValueError(
+                f"Rig: camera {name!r} states the target {targets[name]!r} {ratio:.6g} times as "
+                f"large as camera {other!r} does: state one size, or name two targets (targets=)"
+            )
+
+
+def _stated_points(data: Dataset) -> Float[np.ndarray, "points 3"] | None:
+    """Return the target's points if they are the same in all views, else None."""
+    points = np.asarray(data.points)
+    known = points[0]
+    return known if (points == known).all() and np.isfinite(known).all() else None
 
 
 def _default_targets(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) -> dict[str, str]:

@@ -41,6 +41,7 @@ from .parameters import correction_names as correction_names
 from .parameters import host_retract as host_retract
 from .parameters import host_retract_transform as host_retract_transform
 from .parameters import host_step as host_step
+from .parameters import is_size as is_size
 from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
 from .parameters import twist_by_step as twist_by_step
@@ -64,6 +65,7 @@ from .problem_builder import with_free_camera_poses as with_free_camera_poses
 from .problem_builder import with_lens as with_lens
 from .rig_builder import BuiltRig as BuiltRig
 from .rig_builder import build_rig as build_rig
+from .rig_builder import rig_parameter_names as rig_parameter_names
 from .rig_problem import CameraGroup as CameraGroup
 from .rig_problem import RigProblem as RigProblem
 from .schur import BlockArrow as BlockArrow

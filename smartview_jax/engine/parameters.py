@@ -66,6 +66,11 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
     return (*camera, *transforms, TARGET_SCALE, *fields, *bias, *correction_names(view_ids))
 
 
+def is_size(name: str) -> bool:
+    """Return whether a parameter is the scale of a target; of a rig, after the target's name."""
+    return name.split(".")[-1] == TARGET_SCALE
+
+
 def correction_names(view_ids: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the pose corrections of some views, six for each."""
     return tuple(

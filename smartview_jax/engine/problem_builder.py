@@ -30,6 +30,7 @@ from .parameters import (
     TARGET_SCALE,
     Parameters,
     Step,
+    is_size,
     parameter_mask,
     parameter_names,
 )
@@ -268,7 +269,7 @@ def prior_means_and_weights(
     means no prior.
     """
     mean, weight = np.full(len(names), np.nan), np.zeros(len(names))
-    is_size = np.array([name.split(".")[-1] == TARGET_SCALE for name in names])
+    of_size = np.array([is_size(name) for name in names])
     groups = () if field is None else field.groups
     if noise is not None:
         if len(noise.field) != len(groups):
@@ -292,7 +293,7 @@ def prior_means_and_weights(
         weight[selected] = 1.0 / prior.std
         if prior.mean is not None:
             mean[selected] = prior.mean
-        if (sizes := selected & is_size).any():
+        if (sizes := selected & of_size).any():
             # The parameter is the logarithm, whose standard deviation is relative.
             size = target_scale if prior.mean is None else prior.mean
             if not size > 0.0:

@@ -20,6 +20,7 @@ from .parameters import (
     Parameters,
     Step,
     correction_names,
+    is_size,
     parameter_mask,
     parameter_names,
 )
@@ -112,7 +113,7 @@ def build_rig(
 
     corrections = correction_names(rig.view_ids)
     whole, size = (*names, *corrections), len(names)
-    held = [name for name in names if name.split(".")[-1] == TARGET_SCALE]
+    held = [name for name in names if is_size(name)]
     if field == "auto" and error is not None:
         held.append(ROBOT_ERROR)
     is_free = ~parameter_mask(whole, held) | parameter_mask(whole, choice.free)

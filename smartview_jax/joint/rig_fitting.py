@@ -271,12 +271,13 @@ def _estimate_warnings(fit: RigFit, arm: str, prior: RobotPrior) -> list[str]:
     if estimate is None:
         return []
     warnings = []
-    size = estimate.target_scale
-    if size is not None and size.probability >= MIN_SCALE_PROBABILITY:
-        warnings.append(
-            f"the target may be {size.scale:.4f} +- {size.std:.4f} of its stated size (probability "
-            f"{size.probability:.2f}): measure it"
-        )
+    for name, size in estimate.target_scales.items():
+        if size.probability >= MIN_SCALE_PROBABILITY:
+            target = " ".join(["the target", *name.split(".")[:-1]])
+            warnings.append(
+                f"{target} may be {size.scale:.4f} +- {size.std:.4f} of its stated size "
+                f"(probability {size.probability:.2f}): measure it"
+            )
     if not is_plausible(noise, prior):
         warnings.append(
             f"the robot's poses err by {1e3 * noise.translation:.3g} mm and "

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..calibration import TargetShape
-from ..engine import ROBOT_ERROR, TARGET_SCALE, AbstractBuiltProblem, Noise, Step, solve
+from ..engine import ROBOT_ERROR, AbstractBuiltProblem, Noise, Step, is_size, solve
 from ..robot_errors import AbstractField, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
@@ -105,7 +105,9 @@ def average_over_models(
         report_progress: called with a line of text.
     """
     probabilities = drop_negligible(first.probabilities)
-    free_scale = any(model.free_scale for model in probabilities)
+    free_sizes = {size for model in probabilities for size in model.free_sizes}
+    tested_sizes = tuple(filter(is_size, first.views.group_names))
+    sizes = tuple(size for size in tested_sizes if size in free_sizes)
     field_probabilities = _by_field(probabilities)
     listed = ", ".join(f"{name} {p:.2f}" for name, p in field_probabilities.items())
     report_progress(f"errors of the robot: {listed}")
@@ -116,15 +118,14 @@ def average_over_models(
     )
     # The problem keeps the field that contains all models, with unused groups held at zero, so that
     # all fits of a calibration share one compiled program.
-    built = first.built.holding(_held_names(first, fitted_field, free_scale))
-    scale_is_group = free_scale and first.target_scale is not None
+    built = first.built.holding(_held_names(first, fitted_field, {*tested_sizes} - free_sizes))
     within = first.views.within_sum_of_squares
     sigmas = averaged_models(first.linearised, first.views.group_names, first.fitted, probabilities)
     predicted_views, predicted = first.views.moved(
         first.z, posterior_mode_step(first.linearised, sigmas)
     )
     shape = predicted_views.shape
-    views = ViewStatistics(built, pose_parameters, within, scale_is_group, shape)
+    views = ViewStatistics(built, pose_parameters, within, sizes, shape)
     average = _iterate_to_convergence(
         views,
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
@@ -147,7 +148,7 @@ def _by_field(probabilities: Mapping[ModelName, float]) -> dict[str, float]:
 
 
 def _held_names(
-    first: ModelComparison, fitted_field: AbstractField | None, free_scale: bool
+    first: ModelComparison, fitted_field: AbstractField | None, unused_sizes: set[str]
 ) -> set[str]:
     """Return the parameters of the comparison's problem that the fitted model does not have."""
     groups = () if fitted_field is None else tuple(name for name, _ in fitted_field.groups)
@@ -155,7 +156,7 @@ def _held_names(
         name
         for name in first.built.shared_names
         if (name.startswith(f"{ROBOT_ERROR}.") and name.split(".")[1] not in groups)
-        or (name == TARGET_SCALE and first.target_scale is not None and not free_scale)
+        or name in unused_sizes
     }
 
 
@@ -187,9 +188,10 @@ def _iterate_to_convergence(
         linearised = views.linearised_at_fit(problem, solution.z, equations)
         iterations += 1
         search_start = sigmas
-        if TARGET_SCALE in views.group_names:
-            # Its prior differs between the average and the models.
-            search_start = sigmas._replace(field=np.append(sigmas.field[:-1], prior.median[-1]))
+        if sizes := sum(map(is_size, views.group_names)):
+            # Their priors differ between the average and the models.
+            field = np.append(sigmas.field[:-sizes], prior.median[-sizes:])
+            search_start = sigmas._replace(field=field)
         fitted = fit_candidates(
             linearised, models, views.group_names, search_start, prior, wrong_target_probability
         )

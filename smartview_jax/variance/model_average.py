@@ -1,4 +1,4 @@
-"""Average over models of the robot's error and of the target's size, and add their disagreement.
+"""Average over models of the robot's error and of targets' sizes, and add their disagreement.
 
 If the data do not decide between two models, the estimate lies between theirs, and its covariance
 has to cover both. The covariance over all models is the average of the covariances within the
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from ..engine import TARGET_SCALE
+from ..engine import is_size
 from .likelihood import ROBOT_SIGMA_FLOOR, LinearisedViews, StandardDeviations, marginalise
 from .model_selection import FittedCandidate, ModelName, average_standard_deviations
 
@@ -24,30 +24,35 @@ def averaged_models(
 ) -> StandardDeviations:
     """Return the standard deviations of the averaged model.
 
-    The target's size is estimated in some models, and as stated in the others. Its prior standard
+    A target's size is estimated in some models, and as stated in the others. Its prior standard
     deviation is chosen so that the most probable size is the models' average.
 
     Args:
         views: the linearised views.
-        groups: names of the groups, with `TARGET_SCALE` last if the scale is a parameter.
+        groups: names of the groups, with the targets' sizes last if they are parameters.
         fitted: the models.
         probabilities: their probabilities.
     """
     sigmas = average_standard_deviations(fitted, probabilities)
-    if TARGET_SCALE not in groups:
-        return sigmas
-    group = groups.index(TARGET_SCALE)
-    probability = sum(p for name, p in probabilities.items() if name.free_scale)
-    if not 0.0 < probability < 1.0:
+    possible = {
+        group: sum(p for model, p in probabilities.items() if size in model.free_sizes)
+        for group, size in enumerate(groups)
+        if is_size(size)
+    }
+    for group, probability in possible.items():
         prior_std = ROBOT_SIGMA_FLOOR if probability == 0.0 else _prior_std(fitted, group)
-        return _with_group(sigmas, group, prior_std)
+        sigmas = _with_group(sigmas, group, prior_std)
+    undecided = {group: p for group, p in possible.items() if 0.0 < p < 1.0}
+    if not undecided:
+        return sigmas
     # Data alone give the logarithm x +- s; the stated size has the logarithm 0. With a prior 0 +- t
     # the mode is x t^2 / (s^2 + t^2), which is the average p x for t^2 = s^2 p / (1 - p).
-    prior_std = _prior_std(fitted, group)
-    free = marginalise(views, _with_group(sigmas, group, prior_std))
-    variance = float(free.shared_covariance.diagonal()[views.group_index == group][0])
-    precision = (1.0 - probability) / (probability * variance) + prior_std**-2
-    return _with_group(sigmas, group, precision**-0.5)
+    variances = marginalise(views, sigmas).shared_covariance.diagonal()
+    for group, probability in undecided.items():
+        variance = float(variances[views.group_index == group][0])
+        precision = (1.0 - probability) / (probability * variance) + _prior_std(fitted, group) ** -2
+        sigmas = _with_group(sigmas, group, precision**-0.5)
+    return sigmas
 
 
 def between_models_covariance(

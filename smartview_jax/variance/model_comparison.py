@@ -1,6 +1,6 @@
 """Compare models of the robot's error by their evidence, on one linearisation of the views."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -17,6 +17,7 @@ from ..engine import (
     ParameterChoice,
     Step,
     build_problem,
+    is_size,
     solve,
 )
 from ..geometry import host_matrices
@@ -62,7 +63,7 @@ class ModelComparison(NamedTuple):
         fitted: the models, each with the standard deviations that maximise its posterior.
         probabilities: posterior probabilities of the models.
         candidates: the same for the result.
-        target_scale: evidence on the target's size; None if it is not estimated.
+        target_scales: evidence on each target's size that is tested, by the parameter's name.
     """
 
     basis: AbstractField | None
@@ -74,7 +75,7 @@ class ModelComparison(NamedTuple):
     fitted: Mapping[ModelName, FittedCandidate]
     probabilities: Mapping[ModelName, float]
     candidates: tuple[CandidateResult, ...]
-    target_scale: TargetScaleEvidence | None
+    target_scales: Mapping[str, TargetScaleEvidence]
 
     @property
     def evidence(self) -> RobotEvidence:
@@ -117,14 +118,18 @@ class RequestedModels(NamedTuple):
         return Noise(1.0, 1.0, 1.0, field=(1.0,) * (len(self.basis.groups) if self.basis else 0))
 
 
-def tests_target_scale(choice: ParameterChoice, prior: RobotPrior, data: Dataset | Rig) -> bool:
-    """Return whether the target's size is compared with the stated size.
+def tested_sizes(
+    sizes: Iterable[str], choice: ParameterChoice, prior: RobotPrior, data: Dataset | Rig
+) -> tuple[str, ...]:
+    """Return which targets' sizes are compared with the stated ones.
 
-    Not if the user decides on it, or the robot's motion tells nothing of any size.
+    Not one that the user decides on, and none if the robot's motion tells nothing of any size.
     """
-    if prior.wrong_target_probability == 0.0 or choice.states(TARGET_SCALE):
-        return False
-    return not turns_about_one_point(host_matrices(data.base_from_tool)[data.usable_views()])
+    tested = tuple(size for size in sizes if not choice.states(size))
+    if prior.wrong_target_probability == 0.0 or not tested:
+        return ()
+    poses = host_matrices(data.base_from_tool)[data.usable_views()]
+    return () if turns_about_one_point(poses) else tested
 
 
 @on_one_blas_thread
@@ -151,13 +156,13 @@ def compare_models(
         requested = RequestedModels(None, start.field, candidate_models(None, None))
     else:
         requested = RequestedModels.of(field, data, len(data.usable_views()), prior)
-    basis, test_scale = requested.basis, tests_target_scale(choice, prior, data)
+    basis, sizes = requested.basis, tested_sizes((TARGET_SCALE,), choice, prior, data)
     built = build_problem(
         data,
         start,
         noise=requested.unit_noise,
         field=basis,
-        **(choice.freeing(TARGET_SCALE) if test_scale else choice)._asdict(),
+        **choice.freeing(*sizes)._asdict(),
     )
     shape = None
     if not prior.target_is_flat:
@@ -167,7 +172,7 @@ def compare_models(
         free_fit = fit_free_poses(built, data.usable_views(), shape, start_of_free)
         within_sum_of_squares, fits = free_fit.sum_of_squares, fits + 1
         shape = free_fit.shape
-        views = ViewStatistics(built, poses, within_sum_of_squares, test_scale, shape)
+        views = ViewStatistics(built, poses, within_sum_of_squares, sizes, shape)
         sigma_prior = standard_deviation_prior(
             prior, basis, views.group_names, shape, views.has_white_noise
         )
@@ -256,9 +261,7 @@ def compared_at(
         fitted,
         probabilities,
         _candidate_results(fitted, probabilities, views.white_sigma),
-        target_scale_evidence(built, linearised, z, fitted, probabilities)
-        if any(model.free_scale for model in probabilities)
-        else None,
+        target_scale_evidence(built, linearised, z, fitted, probabilities),
     )
 
 
@@ -305,12 +308,11 @@ def linearised_at_mode(
     """
     step = posterior_mode_step(linearised, sigmas)
     moved, start = views.moved(z, step)
-    if TARGET_SCALE in names:
-        # Poses are proportional to the scale, whose logarithm is the parameter: a step d of the
-        # linear model is a factor of 1 + d.
-        k = names.index(TARGET_SCALE)
-        factor = np.clip(1.0 + step.shared[k], *TARGET_SCALE_LIMITS)
-        start.shared[k] = np.asarray(z.shared)[k] + np.log(factor)
+    # Poses are proportional to the scale, whose logarithm is the parameter: a step d of the linear
+    # model is a factor of 1 + d.
+    sizes = [k for k, name in enumerate(names) if is_size(name)]
+    factors = np.clip(1.0 + step.shared[sizes], *TARGET_SCALE_LIMITS)
+    start.shared[sizes] = np.asarray(z.shared)[sizes] + np.log(factors)
     if not all(np.isfinite(part).all() for part in start):
         return views, z, linearised
     views = moved.with_noise_corrections(np.asarray(start.per_view))
@@ -325,7 +327,7 @@ def _candidate_results(
     white_sigma: float,
 ) -> tuple[CandidateResult, ...]:
     """Return all models tried, with probabilities and likelihood ratios to white noise alone."""
-    white_noise_deviance = fitted[ModelName(WHITE_NOISE, False)].maximum.deviance
+    white_noise_deviance = fitted[ModelName(WHITE_NOISE)].maximum.deviance
     return tuple(
         CandidateResult(
             name,
@@ -343,21 +345,38 @@ def target_scale_evidence(
     z: Step,
     fitted: Mapping[ModelName, FittedCandidate],
     model_probabilities: Mapping[ModelName, float],
-) -> TargetScaleEvidence:
-    """Estimate the target's size by the most probable model in which its scale is free."""
-    free_scale_probabilities = {
-        name: probability for name, probability in model_probabilities.items() if name.free_scale
+) -> dict[str, TargetScaleEvidence]:
+    """Estimate each target's size by the most probable model in which it is free, by its name."""
+    sizes = {size: None for model in model_probabilities for size in model.free_sizes}
+    return {
+        size: _size_evidence(size, built, views, z, fitted, model_probabilities) for size in sizes
     }
-    best = max(free_scale_probabilities, key=lambda name: free_scale_probabilities[name])
+
+
+def _size_evidence(
+    size: str,
+    built: AbstractBuiltProblem,
+    views: LinearisedViews,
+    z: Step,
+    fitted: Mapping[ModelName, FittedCandidate],
+    model_probabilities: Mapping[ModelName, float],
+) -> TargetScaleEvidence:
+    """Estimate one target's size by the most probable model in which it is free."""
+    probabilities = {
+        model: probability
+        for model, probability in model_probabilities.items()
+        if size in model.free_sizes
+    }
+    best = max(probabilities, key=lambda model: probabilities[model])
     marginal = marginalise(views, fitted[best].maximum.sigmas)
-    index = built.shared_names.index(TARGET_SCALE)
+    index = built.shared_names.index(size)
     # The parameter is the logarithm of the scale, but poses are proportional to the scale itself:
     # a step d of the linear model is a factor of 1 + d.
     value = built.problem.host_start_values()[np.asarray(built.problem.free)[index]]
     linearised_scale = np.exp(value + np.asarray(z.shared)[index])
     scale = linearised_scale * np.clip(1.0 + marginal.step.shared[index], *TARGET_SCALE_LIMITS)
     std = linearised_scale * np.sqrt(marginal.shared_covariance[index, index])
-    return TargetScaleEvidence(sum(free_scale_probabilities.values()), float(scale), float(std))
+    return TargetScaleEvidence(sum(probabilities.values()), float(scale), float(std))
 
 
 def noise_from_sigmas(

@@ -16,6 +16,7 @@ Reference: Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging: a t
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ from jaxtyping import Bool
 
 from ..calibration import TargetShape
 from ..dataset import Dataset, Rig
-from ..engine import TARGET_SCALE
+from ..engine import TARGET_SCALE, is_size
 from ..robot_errors import (
     AbstractField,
     CombinedField,
@@ -80,6 +81,13 @@ TARGET_GROUPS = (*SHAPE_GROUPS, TARGET_SCALE)
 MIN_WEAK_ROBOT_EXCESS = 2.0
 """Standard deviations above the median of the good robot's prior at which a robot may be weak."""
 
+MAX_COMBINED_SIZES = 3
+"""Number of targets up to which each combination of wrong sizes is a model of its own.
+
+Of more targets, none, one or all are tried: each combination costs as much as all models of the
+robot error.
+"""
+
 MIN_MODEL_PROBABILITY = 0.01
 """Probability below which a model is left out of the average."""
 
@@ -88,14 +96,14 @@ WHITE_NOISE = "white"
 
 
 class ModelName(NamedTuple):
-    """The name of a model: its robot error field, and whether the target's scale is free."""
+    """The name of a model: its robot error field, and the targets' sizes that it estimates."""
 
     field: str
-    free_scale: bool
+    free_sizes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Return the name as results show it."""
-        return f"{self.field} with {TARGET_SCALE}" if self.free_scale else self.field
+        return f"{self.field} with {', '.join(self.free_sizes)}" if self.free_sizes else self.field
 
 
 class FittedCandidate(NamedTuple):
@@ -204,30 +212,35 @@ def fit_candidates(
     Args:
         views: views linearised with the basis.
         models: result of `candidate_models`.
-        groups: names of the basis' groups, in order, and `TARGET_SCALE` last where the target's
-            scale is a parameter.
+        groups: names of the basis' groups, in order, and last the targets' sizes that are tested.
         initial: standard deviations at which the searches begin.
         prior: prior of the standard deviations of all groups.
         wrong_target_probability: prior probability that the target does not have its stated size.
     """
     # Every model is a mask on the same statistics, so the views are linearised once.
     fitted: dict[ModelName, FittedCandidate] = {}
-    for free_scale in (False, True) if TARGET_SCALE in groups else (False,):
-        scale_log_odds = (
-            np.log(wrong_target_probability / (1.0 - wrong_target_probability))
-            if free_scale
-            else 0.0
-        )
+    size_odds = wrong_target_probability / (1.0 - wrong_target_probability)
+    for free_sizes in _choices_of_sizes(groups):
+        # The probability is zero only if no size is tested.
+        size_log_odds = len(free_sizes) * np.log(size_odds) if free_sizes else 0.0
         for name, model in models.items():
             # The target's shape is in all models: its size is estimated, not selected.
-            model_groups = model.groups | set(SHAPE_GROUPS)
-            model_groups |= {TARGET_SCALE} if free_scale else set()
+            model_groups = model.groups | {*SHAPE_GROUPS, *free_sizes}
             active = np.array([True, True, *(group in model_groups for group in groups)])
             maximum, evidence = fit_good_or_weak_robot(views, initial, active, prior)
-            log_weight = float(evidence + model.log_odds + scale_log_odds)
+            log_weight = float(evidence + model.log_odds + size_log_odds)
             if np.isfinite(log_weight):
-                fitted[ModelName(name, free_scale)] = FittedCandidate(active, maximum, log_weight)
+                fitted[ModelName(name, free_sizes)] = FittedCandidate(active, maximum, log_weight)
     return fitted
+
+
+def _choices_of_sizes(groups: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return which targets' sizes to estimate: none, each combination, or all of many."""
+    sizes = tuple(filter(is_size, groups))
+    counts = range(len(sizes) + 1)
+    if len(sizes) > MAX_COMBINED_SIZES:
+        counts = (0, 1, len(sizes))
+    return [chosen for count in counts for chosen in combinations(sizes, count)]
 
 
 def fit_good_or_weak_robot(
@@ -338,7 +351,7 @@ def standard_deviation_prior(
     Args:
         prior: prior of the robot's errors.
         field: field that has the groups.
-        group_names: names of the groups, with `TARGET_SCALE` last if the scale is among them.
+        group_names: names of the groups, with the targets' sizes last if they are among them.
         shape: shape of the target, if it has groups; they come before the scale.
         has_white_noise: whether the effective pixel sigma is hardly larger than the white one;
             otherwise nothing is known of it.
@@ -350,10 +363,11 @@ def standard_deviation_prior(
         relative = np.array([prior.target_bow_median, prior.target_print_median])
         median = np.append(median, float(shape.half_size) * relative)
         log_std = np.append(log_std, np.full(2, np.log(prior.target_geometric_std)))
-    if TARGET_SCALE in group_names:
-        # The standard deviation of the scale is known, not estimated: a log-normal prior with a
-        # negligible spread holds it.
-        median, log_std = np.append(median, prior.wrong_target_scale_std), np.append(log_std, 0.01)
+    # The standard deviation of a size is known, not estimated: a log-normal prior with a negligible
+    # spread holds it.
+    sizes = sum(map(is_size, group_names))
+    median = np.append(median, np.full(sizes, prior.wrong_target_scale_std))
+    log_std = np.append(log_std, np.full(sizes, 0.01))
     return StandardDeviationPrior(
         median,
         log_std,

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..dataset import Rig
 from ..engine import (
-    TARGET_SCALE,
     BuiltRig,
     Noise,
     ParameterChoice,
@@ -18,6 +17,8 @@ from ..engine import (
     Step,
     build_problem,
     build_rig,
+    is_size,
+    rig_parameter_names,
     solve,
 )
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
@@ -36,7 +37,7 @@ from .model_comparison import (
     likeliest_white_noise,
     linearised_at_mode,
     target_scale_evidence,
-    tests_target_scale,
+    tested_sizes,
 )
 from .model_selection import (
     encompassing_field,
@@ -70,7 +71,7 @@ class RigNoiseEstimate(NamedTuple):
         field: robot error field; None if the views need none.
         relative_sigmas: factor on the pixel sigma of each camera.
         candidates: all models of the robot error that were tried.
-        target_scale: evidence on the target's size; None if it was not estimated.
+        target_scales: evidence on each target's size that was tested, by the parameter's name.
         converged: whether the standard deviations converged.
         built: the problem of the averaged model, with its standard deviations as priors.
         step: its solution.
@@ -84,7 +85,7 @@ class RigNoiseEstimate(NamedTuple):
     field: AbstractField | None
     relative_sigmas: dict[str, float]
     candidates: tuple[CandidateResult, ...]
-    target_scale: TargetScaleEvidence | None
+    target_scales: Mapping[str, TargetScaleEvidence]
     converged: bool
     built: BuiltRig
     step: Step
@@ -121,11 +122,12 @@ def estimate_rig_noise(
     second = average_over_models(first, choice.fixed, prior, poses, report)
     average, built = second.average, second.built
     assert isinstance(built, BuiltRig)
-    target_scale = first.target_scale
-    if TARGET_SCALE in second.views.group_names:
-        target_scale = target_scale_evidence(
+    target_scales = {
+        **first.target_scales,
+        **target_scale_evidence(
             built, average.views, average.z, average.fitted, average.probabilities
-        )
+        ),
+    }
     # The problem has the field that contains all models, and priors of these standard deviations.
     problem = with_prior_sigmas(
         second.views.with_noise_corrections(average.noise_corrections).problem,
@@ -138,7 +140,7 @@ def estimate_rig_noise(
         second.field,
         relative,
         first.candidates,
-        target_scale,
+        target_scales,
         average.converged,
         dataclasses.replace(built, problem=problem),
         average.z,
@@ -192,8 +194,9 @@ def _compare(
         The comparison, and the factor on the pixel sigma of each camera.
     """
     requested = RequestedModels.of(field, rig, len(rig.view_ids), prior)
-    one_target, basis = len(set(rig.targets.values())) == 1, requested.basis
-    test_scale = one_target and tests_target_scale(choice, prior, rig)
+    names = rig_parameter_names(rig, starts)
+    sizes = {name: None for own in names.values() for name in own if is_size(name)}
+    tested, basis = tested_sizes(sizes, choice, prior, rig), requested.basis
     # In units of each camera's own noise, so that none outweighs the others.
     reference = float(np.sqrt(np.mean([camera.pixel_sigma**2 for camera in cameras.values()])))
     relative = {name: camera.pixel_sigma / reference for name, camera in cameras.items()}
@@ -204,10 +207,10 @@ def _compare(
         noise=requested.unit_noise,
         field=basis,
         relative_sigmas=relative,
-        **(choice.freeing(TARGET_SCALE) if test_scale else choice)._asdict(),
+        **choice.freeing(*tested)._asdict(),
     )
     poses = sum(camera.pose_parameters for camera in cameras.values())
-    views = ViewStatistics(built, poses, within, test_scale)
+    views = ViewStatistics(built, poses, within, tested)
     sigma_prior = standard_deviation_prior(prior, basis, views.group_names)
     initial = initial_standard_deviations(sigma_prior, views.initial_sigma)
     linearisation = _linearised(built, views, initial, sigma_prior, prior)

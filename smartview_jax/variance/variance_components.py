@@ -87,18 +87,18 @@ def estimate_noise(
     second = average_over_models(first, choice.fixed, prior, poses, report_progress)
     built, views, average, fitted_field = second.built, second.views, second.average, second.field
     chain, linearised, maximum = average.chain, average.views, average.maximum
-    scale_is_group = TARGET_SCALE in views.group_names
-    free_scale = any(model.free_scale for model in drop_negligible(first.probabilities))
+    size_is_group = TARGET_SCALE in views.group_names
+    free_size = any(model.free_sizes for model in drop_negligible(first.probabilities))
     # At the better parameters of the second pass a free size may have become improbable.
-    no_free_size = scale_is_group and not any(name.free_scale for name in average.probabilities)
-    is_degenerate = (free_scale or field == "auto") and not is_possible(chain, data)
+    no_free_size = size_is_group and not any(model.free_sizes for model in average.probabilities)
+    is_degenerate = (free_size or field == "auto") and not is_possible(chain, data)
     if is_degenerate:
         report_progress("degenerate fit (target or motion shrunk): refit without this model")
     if no_free_size or is_degenerate:
         return estimate_noise(
             data,
             start,
-            field=field if free_scale else None,
+            field=field if free_size else None,
             progress=progress,
             robot_prior=dataclasses.replace(prior, wrong_target_probability=0.0),
             **parameters,
@@ -116,9 +116,9 @@ def estimate_noise(
         parameter_names,
         prior.wrong_lens_probability,
     )
-    target_scale, scale_std = first.target_scale, None
-    if scale_is_group:
-        target_scale = target_scale_evidence(
+    target_scales, scale_std = first.target_scales, None
+    if size_is_group:
+        target_scales = target_scale_evidence(
             built, linearised, average.z, average.fitted, average.probabilities
         )
         scale_std = float(maximum.sigmas.field[views.group_names.index(TARGET_SCALE)])
@@ -134,7 +134,7 @@ def estimate_noise(
             else error.converted_to(fitted_field),
         ),
         first.candidates,
-        target_scale,
+        target_scales.get(TARGET_SCALE),
         scale_std,
         _target_shape_estimate(average, maximum.sigmas),
         None

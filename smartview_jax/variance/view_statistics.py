@@ -16,7 +16,6 @@ from ..calibration import BOW, PRINT, SHAPE_NAMES, TargetShape
 from ..engine import (
     ROBOT_ERROR,
     SIGMA_FLOOR,
-    TARGET_SCALE,
     AbstractBuiltProblem,
     AbstractProblem,
     JointProblem,
@@ -69,14 +68,14 @@ class ViewStatistics:
         built: AbstractBuiltProblem,
         pose_parameters: int,
         within_sum_of_squares: float,
-        scale_is_group: bool = False,
+        sizes: tuple[str, ...] = (),
         shape: TargetShape | None = None,
     ):
         problem = built.problem
         self._stated_problem = problem
         self.problem: AbstractProblem = problem
         self.shape: TargetShape | None = None
-        self.group_names: tuple[str, ...] = _group_names(built, scale_is_group, shape)
+        self.group_names: tuple[str, ...] = _group_names(built, sizes, shape)
         self.group_index: Int[np.ndarray, "shared"] = _group_index(built, self.group_names, shape)
         self.free: Int[np.ndarray, "free"] = np.asarray(problem.free)
         camera_count = int(np.sum(np.asarray(problem.is_camera)[self.free]))
@@ -310,21 +309,21 @@ def shape_parameter_names() -> tuple[str, ...]:
 
 
 def _group_names(
-    built: AbstractBuiltProblem, scale_is_group: bool, shape: TargetShape | None
+    built: AbstractBuiltProblem, sizes: tuple[str, ...], shape: TargetShape | None
 ) -> tuple[str, ...]:
     """Return the names of the groups of unknown standard deviation that have free parameters.
 
     Args:
         built: problem with the names of its parameters.
-        scale_is_group: whether the target's scale is a group, the last one.
-        shape: shape of the target, whose groups come before the scale; None if it is held.
+        sizes: names of the targets' sizes that are groups, the last ones.
+        shape: shape of the target, whose groups come before the sizes; None if it is held.
     """
     error = built.problem.robot_error
     groups = () if error is None else error.field.groups
     free_groups = {name.split(".")[1] for name in built.shared_names if _is_field_name(name)}
     names = tuple(name for name, _ in groups if name in free_groups)
     names = names if shape is None else (*names, *SHAPE_GROUPS)
-    return (*names, TARGET_SCALE) if scale_is_group else names
+    return (*names, *sizes)
 
 
 def _group_index(

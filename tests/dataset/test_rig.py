@@ -112,3 +112,13 @@ def test_arms_that_a_third_one_connects_are_one_rig(data):
     targets = {"a": "table", "b": "table", "c": "wall", "d": "wall"}
     rig = Rig(cameras, targets, {"a": "one", "b": "two", "c": "two", "d": "three"})
     assert rig.arm_names == ("one", "two", "three")
+
+
+def test_one_target_has_one_size(data):
+    """Stated points that differ by a factor; other points are another part of the target."""
+    larger = dataclasses.replace(data, points=1.02 * data.points)
+    match = "camera 'right' states the target 'target' 1.02 times as large as camera 'left' does"
+    with pytest.raises(ValueError, match=match):
+        Rig({"left": data, "right": larger})
+    Rig({"left": data, "right": larger}, {"left": "table", "right": "wall"})
+    Rig({"left": data, "right": dataclasses.replace(data, points=data.points + 0.1)})

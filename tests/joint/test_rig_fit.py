@@ -211,12 +211,35 @@ def test_reasons_to_doubt_are_said(fit):
     (text,) = rig_warnings(weak, prior)
     assert "the robot's poses err by 50 mm" in text
     size = TargetScaleEvidence(0.9, 0.98, 0.001)
-    larger = fit.noise_estimate._replace(target_scale=size, converged=False)
+    sizes = {"target_scale": size, "wall.target_scale": size}
+    larger = fit.noise_estimate._replace(target_scales=sizes, converged=False)
     texts = rig_warnings(dataclasses.replace(fit, noise_estimates={"arm": larger}), prior)
     assert texts[0] == (
         "the target may be 0.9800 +- 0.0010 of its stated size (probability 0.90): measure it"
     )
-    assert texts[1].startswith("the estimate of the errors' sizes did not converge")
+    assert texts[1].startswith("the target wall may be 0.9800 +- 0.0010 of its stated size")
+    assert texts[2].startswith("the estimate of the errors' sizes did not converge")
+
+
+def test_a_wrong_size_of_one_of_two_targets_is_found(scene):
+    """The wall's target is stated 3 % too large; the table's as it is."""
+    truth, data = scene.calibrations, dict(scene.rig.cameras)
+    data["camera2"] = dataclasses.replace(data["camera2"], points=1.03 * data["camera2"].points)
+    rig = Rig(data, {"camera1": "table", "camera2": "wall"})
+    fit = fit_rig(rig, {name: nudged(start) for name, start in truth.items()})
+    size = fit.noise_estimate.target_scales["wall.target_scale"]
+    assert size.probability > 0.99
+    assert abs(size.scale - 1.0 / 1.03) < 4.0 * size.std < 0.01
+    (warning,) = fit.warnings
+    assert warning.startswith("the target wall may be 0.97")
+    assert "table.target_scale" not in fit.parameter_names
+    for name, calibration in fit.calibrations.items():
+        error = (
+            calibration.camera_from_tool.translation() - truth[name].camera_from_tool.translation()
+        )
+        for axis, offset in zip("xyz", error, strict=True):
+            path = f"{name}.camera_from_tool.translation.{axis}"
+            assert abs(float(offset)) < fit.confidence_half_width(path, 0.999)
 
 
 def test_few_states_are_said():

@@ -106,8 +106,8 @@ def test_the_errors_found_are_in_the_units_people_use(moved_view):
     scene = random_scene(0, VIEWS, POINTS, pixel_noise=0.0)
     noise = Noise(0.4, 1e-4, np.deg2rad(0.02), field=(1e-3, 1e-3), white_pixel=0.1)
     tried = (
-        CandidateResult(ModelName("white", False), 0.1, 0.0, noise),
-        CandidateResult(ModelName("position", False), 0.9, 31.4, noise),
+        CandidateResult(ModelName("white"), 0.1, 0.0, noise),
+        CandidateResult(ModelName("position"), 0.9, 31.4, noise),
     )
     field = LinearInPosition.from_poses(scene.data.base_from_tool)
     error = RobotError(field, jnp.full(18, 1e-3))

@@ -14,7 +14,7 @@ from smartview_jax.variance.likelihood import ROBOT_SIGMA_FLOOR, StandardDeviati
 from smartview_jax.variance.model_average import averaged_models, between_models_covariance
 from smartview_jax.variance.model_selection import FittedCandidate, ModelName
 
-STATED, OTHER = ModelName("white", False), ModelName("white", True)
+STATED, OTHER = ModelName("white"), ModelName("white", (TARGET_SCALE,))
 SIZE = CAMERA
 """Index of the parameter that plays the size of the target, which is stated to be zero."""
 

@@ -136,11 +136,14 @@ def test_evidence_is_the_mass_of_the_posterior(world):
     np.testing.assert_allclose(differences, 0.0, atol=0.25)
 
 
-WHITE, POSE = ModelName("white", False), ModelName("pose", False)
+WHITE, POSE = ModelName("white"), ModelName("pose")
 
 
 def test_a_model_is_named_by_its_field_and_by_a_free_scale():
-    assert [str(WHITE), str(POSE._replace(free_scale=True))] == ["white", "pose with target_scale"]
+    assert [str(WHITE), str(POSE._replace(free_sizes=("target_scale",)))] == [
+        "white",
+        "pose with target_scale",
+    ]
 
 
 def test_sizes_are_averaged_by_their_variances():
@@ -162,7 +165,7 @@ def test_weights_are_probabilities_and_small_ones_are_dropped():
     def tried(log_weight):
         return FittedCandidate(np.ones(3, dtype=bool), None, log_weight)
 
-    rare = ModelName("position", True)
+    rare = ModelName("position", ("target_scale",))
     found = posterior_probabilities({WHITE: tried(1000.0), POSE: tried(999.0), rare: tried(990.0)})
     share = np.exp([0.0, -1.0, -10.0])
     np.testing.assert_allclose(list(found.values()), share / share.sum())

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from ...calibration import Calibration
 from ...dataset import Rig
-from ...engine import TARGET_SCALE, reduced_equations, solve
+from ...engine import is_size, reduced_equations, solve
 from ...geometry import host_matrices, host_transforms
 from ...joint import RigFit, fit_rig, relative_pose
 from ...robot_errors import LinearInPose
@@ -166,12 +166,12 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
     own = np.where(problem.per_view_free, np.asarray(problem.prior_weight.per_view), 0.0)
     is_field = np.array([name.startswith("robot_error.") for name in names], dtype=bool)
-    is_size = np.array([name.split(".")[-1] == TARGET_SCALE for name in names], dtype=bool)
+    of_size = np.array([is_size(name) for name in names], dtype=bool)
     precisions = {
         ROBOT_NOISE: np.einsum("ski,sk,skj->ij", gain, own**2, gain),
         SYSTEMATIC_ROBOT_ERROR: np.diag(np.where(is_field, weight, 0.0) ** 2),
-        TARGET_SIZE: np.diag(np.where(is_size, weight, 0.0) ** 2),
-        OTHER_PRIORS: np.diag(np.where(is_field | is_size, 0.0, weight) ** 2),
+        TARGET_SIZE: np.diag(np.where(of_size, weight, 0.0) ** 2),
+        OTHER_PRIORS: np.diag(np.where(is_field | of_size, 0.0, weight) ** 2),
     }
     parts = {cause: covariance @ inner @ covariance for cause, inner in precisions.items()}
     # The pixels' part is what remains of P, as P is the inverse of the sum of all precisions.

@@ -1,0 +1,233 @@
+"""Check that cameras which share a target see it at one place, and with their own pictures.
+
+In a state that two cameras on one hand saw, or two cameras next to the arm, their relative pose
+follows from their pictures alone, without the robot. It is the same in all states unless the target
+of one camera lies elsewhere than the other's. So a displaced target is seen as exactly as pictures
+tell, however weak the robot is.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import fdtrc
+
+from ..dataset import Rig
+from ..geometry import (
+    host_adjoints,
+    host_exponentials,
+    host_logarithms,
+    host_transformed,
+    mean_matrix,
+)
+from .closure import Poses
+from .mistakes import target_turns
+from .transform_fit import Matrix, misfit_text, misfits
+
+MIN_COMMON_STATES = 6
+"""Fewest states in common that tell a displaced target from noise."""
+
+MAX_CHANCE = 1e-6
+"""Probability of a displacement by chance below which it is said, as of arms that disagree."""
+
+MAX_LEFT_OVER = 0.5
+"""Largest share of the misfit that an explanation may leave over: it must explain most of it."""
+
+MAX_STEPS = 20
+"""Largest number of steps in which a displacement is fitted."""
+
+MIN_STEP = 1e-9
+"""Step, m or rad, below which the fit of a displacement has converged."""
+
+
+class SeenTarget(NamedTuple):
+    """The target as one camera of a rig sees it.
+
+    Attributes:
+        views: indices of the camera's views that are used.
+        camera_from_world: pose of the target in the camera in each of these views, m.
+        holder_from_world: place of the target as the camera and the robot tell it, m.
+    """
+
+    views: Int[np.ndarray, "used"]
+    camera_from_world: Poses
+    holder_from_world: Matrix
+
+
+class TargetFindings(NamedTuple):
+    """The findings about the targets that several cameras see, a sentence each.
+
+    Attributes:
+        problems: reasons why the cameras cannot be calibrated together.
+        doubts: reasons to look at the data.
+    """
+
+    problems: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def target_findings(rig: Rig, seen: Mapping[str, SeenTarget]) -> TargetFindings:
+    """Compare the places of each target for every pair of cameras that share it.
+
+    Args:
+        rig: data sets of the cameras.
+        seen: the target as each camera sees it; cameras that are not listed are not compared.
+    """
+    problems: list[str] = []
+    doubts = _copies(rig)
+    for first, second in combinations(seen, 2):
+        if rig.targets[first] != rig.targets[second] or rig.arms[first] != rig.arms[second]:
+            continue
+        turned = _numbering(rig, first, second, seen)
+        if turned is not None:
+            problems.append(turned)
+            continue
+        displacement = _displacement(*_in_common(rig, first, second, seen))
+        if displacement is None:
+            continue
+        points = _points(rig, second)
+        is_far = _moved_by(displacement, points) > 0.5 * _half_size(points)
+        (problems if is_far else doubts).append(
+            f"cameras {first!r} and {second!r} see the target {rig.targets[first]!r} at two "
+            f"places, {misfit_text(misfits(displacement[None])[0])} apart, in the states that both "
+            "saw: if there are two targets, give them names (targets=); else the target was moved, "
+            "or the pictures of a state were taken at different moments"
+        )
+    return TargetFindings(tuple(problems), tuple(doubts))
+
+
+def _copies(rig: Rig) -> list[str]:
+    """Return a doubt for each pair of cameras whose pixels are equal in all common states."""
+    doubts = []
+    for first, second in combinations(rig.cameras, 2):
+        names = first, second
+        views = _common_views([rig.state_index[name] for name in names])
+        visible, pixels = (
+            [np.asarray(of_camera)[own] for of_camera, own in zip(values, views, strict=True)]
+            for values in (
+                [rig.cameras[name].visible for name in names],
+                [rig.cameras[name].pixels for name in names],
+            )
+        )
+        mask = visible[0]
+        if (
+            mask.any()
+            and np.array_equal(mask, visible[1])
+            and np.array_equal(pixels[0][mask], pixels[1][mask])
+        ):
+            doubts.append(
+                f"cameras {first!r} and {second!r} have the same pixels in all {len(mask)} states "
+                "that both saw: is one a copy of the other?"
+            )
+    return doubts
+
+
+def _common_views(states: Sequence[Int[np.ndarray, "views"]]) -> list[Int[np.ndarray, "common"]]:
+    """Return the views of two cameras in the states that both saw.
+
+    Args:
+        states: the state of each of their views.
+    """
+    first, second = states
+    return list(np.intersect1d(first, second, return_indices=True)[1:])
+
+
+def _in_common(
+    rig: Rig, first: str, second: str, seen: Mapping[str, SeenTarget]
+) -> tuple[Poses, Poses, Matrix]:
+    """Return the target's poses in both cameras in common states, and its displacement roughly."""
+    states = [rig.state_index[name][seen[name].views] for name in (first, second)]
+    ours, theirs = _common_views(states)
+    start = np.linalg.inv(seen[first].holder_from_world) @ seen[second].holder_from_world
+    return seen[first].camera_from_world[ours], seen[second].camera_from_world[theirs], start
+
+
+def _points(rig: Rig, camera: str) -> Float[np.ndarray, "points 3"]:
+    """Return all points that a camera sees on its target, m."""
+    data = rig.cameras[camera]
+    return np.asarray(data.points)[np.asarray(data.visible)]
+
+
+def _half_size(points: Float[np.ndarray, "points 3"]) -> float:
+    """Return the root mean square distance of the points from their middle, m."""
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+
+
+def _moved_by(displacement: Matrix, points: Float[np.ndarray, "points 3"]) -> float:
+    """Return by how far a displacement moves the points, m (root mean square)."""
+    moved = host_transformed(displacement, points) - points
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+
+def _numbering(rig: Rig, first: str, second: str, seen: Mapping[str, SeenTarget]) -> str | None:
+    """Return the problem of points that two cameras number from different corners, or None."""
+    data = rig.cameras[second]
+    turns = target_turns(np.asarray(data.points), np.asarray(data.visible))
+    if turns is None:
+        return None
+    points = _points(rig, second)
+    place = np.linalg.inv(seen[first].holder_from_world) @ seen[second].holder_from_world
+    left_over = np.array([_moved_by(np.linalg.inv(turn) @ place, points) for turn in turns])
+    best = int(np.argmin(left_over))
+    if best == 0 or left_over[best] > MAX_LEFT_OVER * left_over[0]:
+        return None
+    degrees = best * 360 // len(turns)
+    return (
+        f"camera {second!r}: the points of the target {rig.targets[second]!r} are numbered from "
+        f"another corner than camera {first!r}'s, {degrees} degrees about: so turned, the cameras "
+        f"place it {1e3 * left_over[best]:.3g} mm apart, as given {1e3 * left_over[0]:.3g} mm "
+        "(root mean square of its points). Number them alike, or give each camera a target of its "
+        "own (targets=)"
+    )
+
+
+def _displacement(first: Poses, second: Poses, start: Matrix) -> Matrix | None:
+    """Return where the second camera's target lies in the first's, or None for the same place.
+
+    With K the pose of the first camera in the second and M the displacement, the target's poses in
+    the two cameras satisfy `second = K first M` in every state. Both are fitted by least squares,
+    and M is tested against the identity by an F test of the squares that it takes away.
+
+    Args:
+        first, second: poses of the target in the cameras, in the states that both saw.
+        start: M, roughly.
+    """
+    count = len(first)
+    if count < MIN_COMMON_STATES:
+        return None
+    displacement = start
+    for _ in range(MAX_STEPS):
+        residual = _residual(first, second, displacement)
+        # A displacement exp(m) M moves the second camera's poses by the twist Ad(first) m, in the
+        # axes of the first camera; an error of K moves all alike.
+        design = np.concatenate(
+            [np.tile(np.eye(6), (count, 1, 1)), host_adjoints(first)], axis=2
+        ).reshape(-1, 12)
+        weight = np.tile(1.0 / _spread(residual), count)
+        step = np.linalg.lstsq(weight[:, None] * design, weight * residual.ravel(), rcond=None)[0]
+        displacement = host_exponentials(step[6:]) @ displacement
+        if np.abs(step[6:]).max() < MIN_STEP:
+            break
+    moved, stated = (_residual(first, second, m) for m in (displacement, np.eye(4)))
+    spread = _spread(moved)
+    squares, squares_as_stated = (np.sum((r / spread) ** 2) for r in (moved, stated))
+    if not squares < MAX_LEFT_OVER * squares_as_stated:
+        return None
+    freedom = 6 * count - 12
+    ratio = (squares_as_stated - squares) / 6.0 / (squares / freedom)
+    return displacement if fdtrc(6, freedom, ratio) < MAX_CHANCE else None
+
+
+def _residual(first: Poses, second: Poses, displacement: Matrix) -> Float[np.ndarray, "states 6"]:
+    """Return the twists by which the relative poses of the cameras differ from their mean."""
+    relative = second @ np.linalg.inv(first @ displacement)
+    mean = mean_matrix(relative, np.ones(len(relative)))
+    return host_logarithms(np.linalg.inv(mean) @ relative)
+
+
+def _spread(residual: Float[np.ndarray, "states 6"]) -> Float[np.ndarray, "6"]:
+    """Return the root mean square of each component, nowhere zero."""
+    spread = np.sqrt(np.mean(residual**2, axis=0))
+    return np.maximum(spread, 1e-6 * spread.max() + np.finfo(float).tiny)
