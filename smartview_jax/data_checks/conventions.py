@@ -178,7 +178,7 @@ def check_conventions(
     if comparable and not (is_accepted and given_error.score < DOUBTED_SCORE):
         possible, given = tuple(mistakes(in_hand, len(robot), turns)), GivenPoses(robot, camera)
         hypotheses = _ranked_hypotheses(given, used, in_hand, motions, possible)
-        hypotheses = tuple(_naming_views(entry, given, turns, used, ids) for entry in hypotheses)
+        hypotheses = _naming_views(hypotheses, given, turns, used, ids)
         # Of a hundred mistakes one may by chance close a little better than the truth.
         certain = hypotheses[0].closure_error.score < MAX_CERTAIN_SCORE_RATIO * given_error.score
         if is_accepted and not certain:
@@ -250,9 +250,10 @@ def _ranked_hypotheses(
 ) -> tuple[ConventionHypothesis, ...]:
     """Return every mistake, alone and with another unit of length, by ascending closure error."""
     units, scales = tuple(LENGTH_UNIT_MISTAKES.values()), np.array(list(LENGTH_UNIT_MISTAKES))
+    of_units = [ClosureError(*error) for error in closure_errors(motions, scales).tolist()]
     hypotheses = [
-        ConventionHypothesis("length", words, ClosureError(*error))
-        for words, error in zip(units, closure_errors(motions, scales).tolist(), strict=True)
+        ConventionHypothesis("length", words, error)
+        for words, error in zip(units, of_units, strict=True)
     ]
     robots, cameras = map(
         np.stack, zip(*(mistake.undo(given) for mistake in possible), strict=True)
@@ -269,11 +270,11 @@ def _ranked_hypotheses(
     for mistake, error, own in zip(possible, errors.tolist(), in_units.tolist(), strict=True):
         alone = ClosureError(*error)
         hypotheses.append(ConventionHypothesis(mistake.name, mistake.description, alone))
-        for words, numbers in zip(units, own, strict=True):
+        for words, unit_alone, numbers in zip(units, of_units, own, strict=True):
             combined = ClosureError(*numbers)
             # Two mistakes at once are considered only if they leave less than a tenth of the
-            # closure error of the first alone.
-            if combined.score < 0.1 * alone.score:
+            # closure error of either alone.
+            if combined.score < 0.1 * min(alone.score, unit_alone.score):
                 hypotheses.append(
                     ConventionHypothesis(
                         mistake.name, f"{mistake.description}, and {words}", combined
@@ -329,18 +330,27 @@ def _misreads_angles(mistake: Mistake) -> bool:
 
 
 def _naming_views(
-    hypothesis: ConventionHypothesis,
+    hypotheses: tuple[ConventionHypothesis, ...],
     given: GivenPoses,
     turns: Float[np.ndarray, "turns 4 4"] | None,
     used: np.ndarray,
     ids: Sequence[str],
-) -> ConventionHypothesis:
-    """Return a hypothesis about the numbering with the names of its views, any other unchanged."""
-    if hypothesis.name != OTHER_CORNER or turns is None:
-        return hypothesis
+) -> tuple[ConventionHypothesis, ...]:
+    """Return the hypotheses, of which those about the numbering name the views that they change.
+
+    Without a view to change there is none.
+    """
+    if turns is None:
+        return hypotheses
     changed = np.abs(numbered_alike(given, turns) - given.camera).max(axis=(1, 2)) > _EQUAL_POSES
-    names = _listed_views([ids[view] for view in np.flatnonzero(used & changed).tolist()])
-    return hypothesis._replace(description=f"{hypothesis.description}: {names}")
+    names = [ids[view] for view in np.flatnonzero(used & changed).tolist()]
+    return tuple(
+        entry._replace(description=f"{entry.description}: {_listed_views(names)}")
+        if entry.name == OTHER_CORNER
+        else entry
+        for entry in hypotheses
+        if names or entry.name != OTHER_CORNER
+    )
 
 
 def _listed_views(names: Sequence[str]) -> str:
@@ -414,12 +424,16 @@ def _convention_problems(
             f"{r.description} ({_closure_error_text(r.closure_error)})" for r in (best, *rivals[:3])
         )
         return (f"{as_given}; {1 + len(rivals)} mistakes explain it about as well: {several}",)
+    explained = (
+        f"{as_given}, but do if {best.description} ({_closure_error_text(best.closure_error)})"
+    )
     runner_up = next(other for other in hypotheses[1:] if other.name != best.name)
-    best_text = _closure_error_text(best.closure_error)
+    if runner_up.closure_error.score > 0.5 * given_error.score:
+        return (f"{explained}; no other mistake that is known explains it",)
     runner_up_text = _closure_error_text(runner_up.closure_error, short=True)
     return (
-        f"{as_given}, but do if {best.description} ({best_text}); the next best explanation, that "
-        f"{runner_up.description}, leaves {runner_up_text}",
+        f"{explained}; the next best explanation, that {runner_up.description}, leaves "
+        f"{runner_up_text}",
     )
 
 
