@@ -105,10 +105,12 @@ class ChangeReport(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether no calibration can be right for the views before the change and after it."""
-        return (
-            self.score > MAX_CLOSURE_SCORE
-            and self.changes[0].score < MAX_CORRECTED_SCORE_RATIO * self.score
-        )
+        return self.score > MAX_CLOSURE_SCORE and self.explains_most
+
+    @property
+    def explains_most(self) -> bool:
+        """Whether robot and camera agree far better with the change."""
+        return self.changes[0].score < MAX_CORRECTED_SCORE_RATIO * self.score
 
     def sentence(self, mount: str, view_ids: Sequence[str]) -> str:
         """Return in words what changed, from which view on, and what to do.

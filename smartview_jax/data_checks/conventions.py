@@ -141,6 +141,7 @@ def check_conventions(
     weights: Float[Array, "views"] | np.ndarray | None = None,
     turns: Float[np.ndarray, "turns 4 4"] | None = None,
     view_ids: Sequence[str] | None = None,
+    tracked: bool = False,
 ) -> ConventionReport:
     """Compare the motion of the robot with the motion of the camera over all pairs of views.
 
@@ -151,6 +152,7 @@ def check_conventions(
         weights: zero leaves a view out.
         turns: turns of the target that take its points into each other (`target_turns`).
         view_ids: names of the views in the sentences; by default numbers.
+        tracked: whether a tracker gave the camera's poses, without pictures.
     """
     in_hand = mount_frames(mount)[0] == "tool"
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
@@ -176,7 +178,10 @@ def check_conventions(
         ratio, ratio_std = LengthRatio()
     is_accepted = given_error.score < MAX_CLOSURE_SCORE and 0.2 < ratio < 5.0
     if comparable and not (is_accepted and given_error.score < DOUBTED_SCORE):
-        possible, given = tuple(mistakes(in_hand, len(robot), turns)), GivenPoses(robot, camera)
+        possible, given = (
+            tuple(mistakes(in_hand, len(robot), turns, tracked)),
+            GivenPoses(robot, camera),
+        )
         hypotheses = _ranked_hypotheses(given, used, in_hand, motions, possible)
         hypotheses = _naming_views(hypotheses, given, turns, used, ids)
         # Of a hundred mistakes one may by chance close a little better than the truth.
@@ -206,6 +211,10 @@ def check_conventions(
             size_doubt(camera, used) if turns_about_one_point(robot[used]) else "",
         )
         ambiguities = tuple(doubt for doubt in doubts if doubt)
+    if tracked:
+        problems, ambiguities = (
+            tuple(map(_of_tracked_poses, texts)) for texts in (problems, ambiguities)
+        )
     return ConventionReport(
         problems,
         suspicious,
@@ -217,6 +226,13 @@ def check_conventions(
         ratio_std,
         given_error.score if comparable else 0.0,
         ambiguities=ambiguities,
+    )
+
+
+def _of_tracked_poses(text: str) -> str:
+    """Return a sentence about pictures as one about tracked poses."""
+    return text.replace("the target's points", "the tracked positions").replace(
+        "the pictures", "the tracked poses"
     )
 
 

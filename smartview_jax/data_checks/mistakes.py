@@ -88,7 +88,10 @@ OTHER_CORNER = "numbered_from_another_corner"
 
 
 def mistakes(
-    in_hand: bool, view_count: int, turns: Float[np.ndarray, "turns 4 4"] | None = None
+    in_hand: bool,
+    view_count: int,
+    turns: Float[np.ndarray, "turns 4 4"] | None = None,
+    tracked: bool = False,
 ) -> Iterator[Mistake]:
     """Yield every known mistake, simple ones first.
 
@@ -97,14 +100,51 @@ def mistakes(
         view_count: number of views.
         turns: turns of the target in its plane that take it into itself, the identity first; None
             if they are not known.
+        tracked: whether a tracker gave the camera's poses, which may be written wrongly as well.
     """
     other = "next to the arm (eye_to_hand)" if in_hand else "on the hand (eye_in_hand)"
+    tracker = ", or the tracked poses as target_from_camera" if tracked else ""
     yield Mistake(
         "inverted",
         "every pose is inverted: they were given as tool_from_base where base_from_tool is "
-        f"expected, or the camera is {other}",
+        f"expected, or the camera is {other}{tracker}",
         lambda given: (np.linalg.inv(given.robot), given.camera),
     )
+    yield from _mistakes_of_matrices()
+    if tracked:
+        yield from map(_of_tracker, _mistakes_of_matrices())
+    yield Mistake(
+        "mirrored",
+        "the tracked poses or the robot's are in a left-handed frame, positions and rotations "
+        "alike (one axis counts backwards)"
+        if tracked
+        else "the pictures are mirrored (left and right, or top and bottom, are swapped), or the "
+        "robot's frame is left-handed, positions and rotations alike (one axis counts backwards)",
+        lambda given: (given.robot, _mirror_camera_poses(given.camera)),
+    )
+    if turns is not None:
+        yield Mistake(
+            OTHER_CORNER,
+            "in some views the target's points are numbered from another corner",
+            lambda given: (given.robot, numbered_alike(given, turns)),
+        )
+    yield from _angle_format_mistakes()
+    yield from _pairing_mistakes(view_count)
+
+
+def _of_tracker(mistake: Mistake) -> Mistake:
+    """Return a mistake in the robot's poses as one in the tracked poses."""
+
+    def undo(given: GivenPoses) -> tuple[Poses, Poses]:
+        """Return the poses with the tracked ones corrected."""
+        camera, robot = mistake.undo(GivenPoses(given.camera, given.robot))
+        return robot, camera
+
+    return Mistake(f"tracker_{mistake.name}", f"in the tracked poses {mistake.description}", undo)
+
+
+def _mistakes_of_matrices() -> Iterator[Mistake]:
+    """Yield the mistakes in which poses are written, whoever measured them."""
     yield _rotation_mistake(
         "transposed", "the rotations are transposed, the positions are not", lambda r: r.inv()
     )
@@ -114,21 +154,7 @@ def mistakes(
             f"quaternions in the order {true} were read as {read}",
             lambda r, order=order: Rotation.from_quat(r.as_quat()[:, order]),
         )
-    yield Mistake(
-        "mirrored",
-        "the pictures are mirrored (left and right, or top and bottom, are swapped), or the "
-        "robot's frame is left-handed, positions and rotations alike (one axis counts backwards)",
-        lambda given: (given.robot, _mirror_camera_poses(given.camera)),
-    )
     yield from _left_handed_positions()
-    if turns is not None:
-        yield Mistake(
-            OTHER_CORNER,
-            "in some views the target's points are numbered from another corner",
-            lambda given: (given.robot, numbered_alike(given, turns)),
-        )
-    yield from _angle_format_mistakes()
-    yield from _pairing_mistakes(view_count)
 
 
 def _rotation_mistake(

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera, Pinhole
-from ..data_checks import ConventionReport, check_conventions
+from ..data_checks import ConventionReport, check_conventions, find_change
 from ..dataset import (
     PoseDataset,
     chain_residuals,
@@ -254,7 +254,7 @@ class PoseStart(NamedTuple):
     Attributes:
         calibration: near the solution, by closed forms.
         consistent: mask of the pairs that agree with it.
-        ambiguities: what the pairs cannot tell, in sentences.
+        ambiguities: what changed between the pairs, and what they cannot tell, in sentences.
     """
 
     calibration: Calibration
@@ -344,15 +344,22 @@ def _check_conventions(
     measured: Float[np.ndarray, "views 4 4"],
     consistent: Bool[np.ndarray, "views"],
 ) -> tuple[str, ...]:
-    """Return what the pairs cannot tell, in sentences.
+    """Return in sentences what changed between the pairs, and what they cannot tell.
 
     Raises:
         ValueError: robot and tracker do not move alike, with the likeliest mistake.
     """
+    camera_from_world = host_transforms(measured)
 
     def report_on(views: Bool[np.ndarray, "views"]) -> ConventionReport:
-        poses = data.base_from_tool, host_transforms(measured)
-        return check_conventions(*poses, data.mount, views.astype(float))
+        return check_conventions(
+            data.base_from_tool,
+            camera_from_world,
+            data.mount,
+            views.astype(float),
+            view_ids=data.view_ids,
+            tracked=True,
+        )
 
     # With a mistake in all pairs some agree by chance.
     if consistent.sum() < MIN_SHARE_WITHOUT_DOUBT * data.seen.sum():
@@ -362,7 +369,15 @@ def _check_conventions(
     report = report_on(consistent)
     if report.problems:
         raise ValueError("; ".join(report.problems))
-    return report.ambiguities
+    change = find_change(
+        host_mount_from_holder(data.mount, data.base_from_tool),
+        camera_from_world,
+        data.seen,
+        report.length_ratio,
+    )
+    if change is None or not change.explains_most:
+        return report.ambiguities
+    return (change.sentence(data.mount, data.view_ids), *report.ambiguities)
 
 
 def _contradictions(

@@ -121,6 +121,40 @@ def test_wrong_units_of_length_are_named(poses, robot_factor, target_factor, tex
     assert "explain it about as well" not in problem
 
 
+def transposed(seen):
+    seen[:, :3, :3] = seen[:, :3, :3].swapaxes(1, 2)
+
+
+def quaternion_read_as_xyzw(seen):
+    quaternions = Rotation.from_matrix(seen[:, :3, :3]).as_quat()
+    seen[:, :3, :3] = Rotation.from_quat(np.roll(quaternions, 1, axis=1)).as_matrix()
+
+
+def y_backwards(seen):
+    seen[:, 1, 3] *= -1.0
+
+
+def in_millimetres(seen):
+    seen[:, :3, 3] *= 1e3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (transposed, "in the tracked poses the rotations are transposed, the positions are not"),
+        (quaternion_read_as_xyzw, "in the tracked poses quaternions in the order wxyz were read"),
+        (y_backwards, "in the tracked poses the positions are in a left-handed frame, or y has"),
+        (in_millimetres, "the tracked positions look like millimetres where metres are expected"),
+    ],
+)
+def test_mistakes_of_a_tracker_are_not_put_on_the_robot(poses, wrong, text):
+    robot, seen = poses
+    tracked = np.array(seen.as_matrix())
+    wrong(tracked)
+    report = check_conventions(robot, host_transforms(tracked), "eye_in_hand", tracked=True)
+    assert text in report.problems[0].split("next best")[0]
+
+
 def test_a_ratio_of_lengths_is_named_for_units_only_where_it_is_theirs():
     assert "feet where metres are expected" in mistaken_unit(0.31)
     assert "inches where centimetres are stated" in mistaken_unit(2.55)

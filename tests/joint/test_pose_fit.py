@@ -13,6 +13,7 @@ from smartview_jax.dataset import PoseDataset
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_adjoints, host_exponentials, host_logarithms, host_matrices
 from smartview_jax.joint import TrackerPrior
+from smartview_jax.joint.pose_fit import start_from_poses
 from smartview_jax.joint.robust_hand_eye import robust_hand_eye
 from smartview_jax.simulation import random_scene
 
@@ -294,3 +295,14 @@ def test_pairs_in_no_order_are_refused():
     mixed = PoseDataset.from_poses(data.base_from_tool, data.tracked_matrices[order])
     with pytest.raises(ValueError, match="do not move alike as given"):
         sv.fit_poses(mixed, field=None)
+
+
+def test_a_target_that_was_moved_between_two_pairs_is_named():
+    """By 20 mm, from the ninth pair on; there is no such change where every other pair is wrong."""
+    robot, later = tracked(3)
+    later[8:, :3, 3] += later[8:, :3, :3] @ [0.02, 0.0, 0.0]
+    (text,) = start_from_poses(PoseDataset.from_poses(robot, later)).ambiguities
+    assert text.startswith("from view 8 on, the views contradict the earlier ones, as if the targ")
+    robot, turned_over = tracked(4)
+    turned_over[1::2, :3, :2] *= -1.0
+    assert start_from_poses(PoseDataset.from_poses(robot, turned_over)).ambiguities == ()
