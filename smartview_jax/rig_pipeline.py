@@ -99,7 +99,9 @@ def calibrate_rig(
         rejected=rejected,
         **{**joint_options, "fixed": fixed},
     )
-    return dataclasses.replace(fit, warnings=(*findings.doubts, *_warnings(staged, fit)))
+    # A wrong camera makes the places of a target differ as well, so it is named before them.
+    of_cameras = [f"{name}: {text}" for name, one in staged.items() for text in one.warnings]
+    return dataclasses.replace(fit, warnings=(*of_cameras, *findings.doubts, *fit.warnings))
 
 
 def shared_target_findings(
@@ -261,9 +263,3 @@ def _with_target_at(reference: Calibration, data: Dataset, staged: StagedFit) ->
         camera_from_mount=mean_pose(host_transforms(mounts)),
         holder_from_world=reference.holder_from_world,
     )
-
-
-def _warnings(staged: Mapping[str, StagedFit | FewViewsStart], fit: RigFit) -> tuple[str, ...]:
-    """Return the doubts of the staged fits, with the camera's name, and of the joint fit."""
-    of_cameras = [f"{name}: {text}" for name, one in staged.items() for text in one.warnings]
-    return (*of_cameras, *fit.warnings)

@@ -7,15 +7,16 @@ estimate.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
 from scipy.special import fdtrc
 
-from ..calibration import Calibration
 from ..cameras import Pinhole
 from ..engine import (
+    AbstractProblem,
     FittedChain,
     JointProblem,
     Step,
@@ -26,6 +27,8 @@ from ..engine import (
     with_lens,
 )
 from ..runtime.array_namespace import to_device
+from ..runtime.modules import with_fields
+from .arm_fit import SolvedArm
 from .joint_fit import JointFit
 from .parameter_estimates import display_unit, displayed_values
 
@@ -44,6 +47,9 @@ MAX_NAMED_VALUES = 3
 RICHER_LENS = "opencv4"
 """Lens that is tried if a camera without distortion was held."""
 
+MIN_VIEWS_FOR_LENS = 3
+"""Fewest views that tell a lens, so that a held one can be tested."""
+
 PINHOLE_COUNT = 4
 """Number of pinhole parameters of a camera, which come before the lens's."""
 
@@ -52,24 +58,45 @@ class _Refit(NamedTuple):
     """A fit with more free parameters than the fit under test.
 
     Attributes:
-        calibration: its calibration.
+        problem: its problem.
+        chain: the chain of every view, or of every camera of a rig.
         difference: difference of every free shared parameter from the fit under test, by name.
         std: standard deviations of these parameters.
         cost: half the sum of squared whitened residuals, with the residuals of the priors.
-        rms: RMS residual, px.
         freedom: number of residuals minus number of parameters.
     """
 
-    calibration: Calibration
+    problem: AbstractProblem
+    chain: Any
     difference: dict[str, float]
     std: dict[str, float]
     cost: float
-    rms: float
     freedom: int
 
-    def text(self, name: str) -> str:
-        """Return the value of a parameter with its standard deviation and unit."""
-        value, unit = displayed_values(self.calibration)[name]
+    def is_better(self, cost: float, held_count: int) -> bool:
+        """Return whether it is better than the fit under test by more than chance, by an F test.
+
+        Args:
+            cost: of the fit under test.
+            held_count: number of parameters that are held there.
+        """
+        gain = (cost - self.cost) / held_count / (self.cost / self.freedom)
+        return bool(gain > 0.0 and fdtrc(held_count, self.freedom, gain) < MAX_P_VALUE)
+
+    def contradicted(self, names: Sequence[str]) -> list[str]:
+        """Return which of some parameters differ from the fit under test, the farthest first."""
+        sigmas = {name: abs(self.difference[name]) / self.std[name] for name in names}
+        farthest = sorted(sigmas, key=lambda name: -sigmas[name])[:MAX_NAMED_VALUES]
+        return [name for name in farthest if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
+
+    def text(self, name: str, values: Mapping[str, tuple[float, str]]) -> str:
+        """Return the value of a parameter with its standard deviation and unit.
+
+        Args:
+            name: its name.
+            values: value and unit of each parameter in this fit.
+        """
+        value, unit = values[name]
         std = display_unit(name)[0] * self.std[name]
         return f"{value:.6g} +- {std:.2g} {unit}".rstrip()
 
@@ -112,28 +139,83 @@ def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[s
         held = np.union1d(shifted, PINHOLE_COUNT + np.arange(count))
     # The estimated target shape may compensate for wrong held values, so both shapes are tried.
     free = np.union1d(np.asarray(problem.free), held)
-    refits = (_refit(shaped, z, free) for shaped in (problem, _with_stated_shape(problem, fit)))
+    all_names = parameter_names(problem.parameters.start)
+    refits = (
+        _refit(shaped, all_names, z, free) for shaped in (problem, _with_stated_shape(problem, fit))
+    )
     determined = [refit for refit in refits if refit is not None]
     if not determined:
         return []
     refit = min(determined, key=lambda candidate: candidate.cost)
-    gain = (before - refit.cost) / len(held) / (refit.cost / refit.freedom)
-    if not (gain > 0.0 and fdtrc(len(held), refit.freedom, gain) < MAX_P_VALUE):
+    contradicted = refit.contradicted([all_names[k] for k in held])
+    if not (contradicted and refit.is_better(before, len(held))):
         return []
-    names = [parameter_names(problem.parameters.start)[k] for k in held]
-    sigmas = {name: abs(refit.difference[name]) / refit.std[name] for name in names}
-    contradicted = sorted(sigmas, key=lambda name: -sigmas[name])[:MAX_NAMED_VALUES]
-    contradicted = [name for name in contradicted if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
-    if not contradicted:
-        return []
-    values = displayed_values(problem.parameters.start)
-    listed = ", ".join(
-        f"{name} {refit.text(name)} (held at {values[name][0]:.6g})" for name in contradicted
+    assert isinstance(refit.problem, JointProblem)
+    text = _contradiction_text(
+        contradicted,
+        refit,
+        displayed_values(refit.chain.calibration),
+        displayed_values(problem.parameters.start),
     )
     return [
-        f"the pictures contradict held parameters: estimated {listed}; freed, the residual falls "
-        f"from {rms:.3g} to {refit.rms:.3g} px RMS: correct or free them"
+        f"{text}; freed, the residual falls from {rms:.3g} to "
+        f"{_rms(refit.problem, refit.chain):.3g} px RMS: correct or free them"
     ]
+
+
+def _contradiction_text(
+    names: Sequence[str],
+    refit: _Refit,
+    estimated: Mapping[str, tuple[float, str]],
+    held: Mapping[str, tuple[float, str]],
+) -> str:
+    """Return in words which held values the pictures contradict.
+
+    Args:
+        names: names of the parameters.
+        refit: the fit in which they are free.
+        estimated, held: value and unit of each parameter in that fit and as held.
+    """
+    listed = ", ".join(
+        f"{name} {refit.text(name, estimated)} (held at {held[name][0]:.6g})" for name in names
+    )
+    return f"the pictures contradict held parameters: estimated {listed}"
+
+
+def held_camera_warnings(arm: SolvedArm) -> tuple[str, ...]:
+    """Return a warning if the pictures of a rig contradict cameras that are known and held.
+
+    Args:
+        arm: the fit of the cameras of one arm.
+    """
+    problem, z = arm.built.problem, arm.solution.z
+    own = arm.built.camera_names.values()
+    names = tuple(dict.fromkeys(name for of_camera in own for name in of_camera))
+    free = np.asarray(problem.free)
+    # One or two views do not tell a lens.
+    told = tuple(
+        f"{name}.camera."
+        for name, data in arm.rig.cameras.items()
+        if len(data.usable_views()) >= MIN_VIEWS_FOR_LENS
+    )
+    is_held = ~np.isin(np.arange(len(names)), free)
+    held = [k for k in np.flatnonzero(is_held).tolist() if names[k].startswith(told)]
+    if not held:
+        return ()
+    refit = _refit(problem, names, z, np.union1d(free, held))
+    if refit is None:
+        return ()
+    contradicted = refit.contradicted([names[k] for k in held])
+    if not (contradicted and refit.is_better(arm.solution.costs[-1], len(held))):
+        return ()
+    start = problem.host_start_values()
+    # Rounding errors of a coefficient that is zero would look like a value.
+    stated = {names[k]: (round(float(start[k]), 12), display_unit(names[k])[1]) for k in held}
+    estimated = {
+        name: (value + refit.difference[name], unit) for name, (value, unit) in stated.items()
+    }
+    text = _contradiction_text(contradicted, refit, estimated, stated)
+    return (f"{text}: correct them, or leave out these cameras (camera=, --camera)",)
 
 
 def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -> list[str]:
@@ -149,35 +231,39 @@ def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -
     without = dataclasses.replace(
         problem, prior_weight=problem.prior_weight._replace(shared=to_device(weight))
     )
-    refit = _refit(without, z, free)
+    names = parameter_names(problem.parameters.start)
+    refit = _refit(without, names, z, free)
     if refit is None:
         return []
-    names = parameter_names(problem.parameters.start)
+    estimated = displayed_values(refit.chain.calibration)
     sentences = []
     for name, std, offset in zip((names[k] for k in with_prior), stds, offsets, strict=True):
         difference = refit.difference[name] + offset
         if not abs(difference) > MIN_DIFFERENCE_SIGMAS * np.hypot(std, refit.std[name]):
             continue
         factor, _ = display_unit(name)
-        mean = displayed_values(refit.calibration)[name][0] - factor * difference
+        mean = estimated[name][0] - factor * difference
         sentences.append(
             f"the pictures contradict the prior on {name}, {mean:.6g} +- {factor * std:.2g}: "
-            f"estimated {refit.text(name)} without it; correct or remove it"
+            f"estimated {refit.text(name, estimated)} without it; correct or remove it"
         )
     return sentences
 
 
-def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Refit | None:
+def _refit(
+    problem: AbstractProblem, names: Sequence[str], z: Step, free: Int[np.ndarray, "free"]
+) -> _Refit | None:
     """Fit again with other free parameters; None if a parameter is then undetermined.
 
     Args:
         problem: the problem, in the parameters' own units.
+        names: names of its shared parameters.
         z: final step of the fit under test.
         free: indices of the parameters to free.
     """
-    start = np.zeros(problem.parameters.layout.size)
+    start = np.zeros(problem.parameter_count)
     start[np.asarray(problem.free)] = np.asarray(z.shared)
-    released = dataclasses.replace(
+    released = with_fields(
         problem,
         free=to_device(free),
         scale=problem.scale._replace(shared=to_device(np.ones(len(free)))),
@@ -193,16 +279,18 @@ def _refit(problem: JointProblem, z: Step, free: Int[np.ndarray, "free"]) -> _Re
     correlation = matrix / np.outer(norms, norms)
     if np.linalg.matrix_rank(correlation, hermitian=True) < len(free):
         return None
-    freedom = max(2 * _visible_count(problem) - len(free), 1)
+    freedom = max(2 * problem.visible_count - len(free), 1)
     cost = solution.costs[-1]
     variance = 2.0 * cost / freedom * np.diagonal(np.linalg.inv(correlation)) / norms**2
-    names = [parameter_names(problem.parameters.start)[k] for k in free]
+    if not (variance > 0.0).all():
+        return None
+    own = np.array(names)[free].tolist()
     return _Refit(
-        solution.chain.calibration,
-        dict(zip(names, map(float, estimate - start[free]), strict=True)),
-        dict(zip(names, map(float, np.sqrt(variance)), strict=True)),
+        released,
+        solution.chain,
+        dict(zip(own, map(float, estimate - start[free]), strict=True)),
+        dict(zip(own, map(float, np.sqrt(variance)), strict=True)),
         cost,
-        _rms(released, solution.chain),
         freedom,
     )
 
@@ -242,8 +330,3 @@ def _rms(problem: JointProblem, chain: FittedChain) -> float:
     visible = np.asarray(problem.observations.visible)
     square = float(squared_residuals(problem, chain)[visible].mean())
     return float(np.sqrt(square)) * float(problem.pixel_sigma)
-
-
-def _visible_count(problem: JointProblem) -> int:
-    """Return the number of visible points."""
-    return int(np.asarray(problem.observations.visible).sum())

@@ -37,6 +37,7 @@ from ..runtime.array_namespace import to_device
 from ..staged import with_region
 from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
+from .held_parameters import held_camera_warnings
 from .plausibility import MIN_SCALE_PROBABILITY
 from .rig_fit import RigFit
 from .several_arms import JoinedArms, added_by_estimation, join_arms
@@ -109,7 +110,8 @@ def fit_rig(
     joined = join_arms(rig, arms, choice.priors) if several else None
     fit = _assembled(rig, arms, joined, tuple(rejected))
     disagreement = () if joined is None else joined.disagreement
-    return dataclasses.replace(fit, warnings=(*rig_warnings(fit, prior), *disagreement))
+    held = [text for arm in arms.values() for text in held_camera_warnings(arm)]
+    return dataclasses.replace(fit, warnings=(*held, *rig_warnings(fit, prior), *disagreement))
 
 
 def _named(progress: Callable[[str], None] | None, arm: str) -> Callable[[str], None] | None:

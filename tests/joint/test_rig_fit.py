@@ -63,6 +63,23 @@ def test_one_camera_is_fitted_as_alone():
     assert rig.parameter_names[-1] == "base_from_world.rotation.z"
 
 
+def test_a_known_camera_that_the_pictures_contradict_is_named():
+    """With the estimate that the fit of one camera names."""
+    data, start = scene_of(0, translation_noise=1e-4).data, paper_calibration()
+    camera = dataclasses.replace(start.camera, alpha_u=1.01 * start.camera.alpha_u)
+    start = dataclasses.replace(start, camera=camera)
+    alone = fit_joint(data, start, noise=NOISE, fixed=("camera",))
+    rig = fit_rig(Rig({"only": data}), {"only": start}, noise=NOISE, fixed=("only.camera",))
+    expected = next(text for text in alone.warnings if "contradict held parameters" in text)
+    (text,) = rig.warnings
+    assert "estimated only.camera.alpha_u" in text
+    assert text.split(": correct")[0].replace("only.", "") == expected.split("; freed")[0]
+    true = fit_rig(
+        Rig({"only": data}), {"only": paper_calibration()}, noise=NOISE, fixed=("only.camera",)
+    )
+    assert true.warnings == ()
+
+
 def test_cameras_of_one_arm_know_it_better_together(scene, fit):
     """Each camera alone has eight views; the errors of the arm show in all sixteen."""
     for name, truth in scene.calibrations.items():
