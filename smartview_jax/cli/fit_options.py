@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -53,7 +53,8 @@ StartOption = Annotated[
     typer.Option(
         help="Start of the joint fit: a calibration.yaml, or a rough transform as "
         "camera_from_tool=x,y,z,yaw,pitch,roll in m and degrees, such as "
-        "camera_from_tool=0,0.05,0.06,90,0,0 (or its inverse, tool_from_camera). May be repeated."
+        "camera_from_tool=0,0.05,0.06,90,0,0 (or its inverse, tool_from_camera). Of several "
+        "cameras: a folder with left.yaml and so on, or left.camera_from_tool=... May be repeated."
     ),
 ]
 
@@ -268,6 +269,43 @@ def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, S
     )
     changed = {parts[name]: pose for name, pose in transforms.items()}
     return dataclasses.replace(Calibration.load(files[0]), **changed)
+
+
+def parse_rig_start(
+    texts: Sequence[str], mounts: Mapping[str, str]
+) -> "dict[str, Calibration | dict[str, SE3]] | None":
+    """Return the starts of a rig's cameras by name; None without any.
+
+    Args:
+        texts: a folder with a calibration for each camera, or CAMERA.NAME=x,y,z,yaw,pitch,roll.
+        mounts: mount of each camera, by its name.
+
+    Raises:
+        ValueError: two folders, a folder without the calibration of a camera, an unknown camera, or
+            a transform that its mount does not have.
+    """
+    folders = [Path(text) for text in texts if "=" not in text]
+    if len(folders) > 1:
+        raise ValueError(f"--start: one folder of calibrations, found {folders[1]} too")
+    own: dict[str, list[str]] = {name: [] for name in mounts}
+    for folder in folders:
+        for name, listed in own.items():
+            file = folder / f"{name}.yaml"
+            if not file.is_file():
+                raise ValueError(f"--start: {file}: missing, the calibration of camera {name}")
+            listed.append(str(file))
+    for text in texts:
+        if "=" not in text:
+            continue
+        name, _, transform = text.partition(".")
+        if name not in own or "=" in name:
+            raise ValueError(
+                f"--start: expected CAMERA.TRANSFORM=... with a camera of {', '.join(own)}, found "
+                f"{text!r}"
+            )
+        own[name].append(transform)
+    starts = {name: _parse_start(listed, mounts[name]) for name, listed in own.items()}
+    return {name: start for name, start in starts.items() if start is not None} or None
 
 
 def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":

@@ -37,7 +37,6 @@ from .given_start import check_start as check_start
 from .given_start import known_transforms as known_transforms
 from .given_start import merged_start as merged_start
 from .given_start import require_picture_size as require_picture_size
-from .given_start import start_without as start_without
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
@@ -47,6 +46,7 @@ from .staged_fit import CommonCameraOptions as CommonCameraOptions
 from .staged_fit import StagedFit as StagedFit
 from .staged_fit import with_region as with_region
 from .start_checks import start_doubts as start_doubts
+from .start_checks import with_start_doubts as with_start_doubts
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views
 from .weng import estimate_view_poses as estimate_view_poses
