@@ -175,10 +175,13 @@ def _refuse_other_options(settings: CalibrateSettings) -> None:
 
 def _what_it_holds(file: Path, fit: "RigFit") -> str:
     """Return what a file of the result has, in words."""
-    from ..joint import RIG_FILE
+    from ..joint import JOINT_SUFFIX, RIG_FILE
 
     if file.name == RIG_FILE:
         return "the covariance of all cameras together"
+    if file.name.endswith(JOINT_SUFFIX):
+        arm = file.name.removesuffix(JOINT_SUFFIX)
+        return f"the covariance of all cameras of {arm} together"
     is_camera = file.stem in fit.calibrations
     kept = "the calibration of this camera" if is_camera else "where these arms are"
     return f"{kept}, with its covariance"
