@@ -40,7 +40,7 @@ RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior")
 
 
 class StagedKnowledge(NamedTuple):
-    """What is known of a rig's cameras before they are calibrated.
+    """The knowledge of a rig's cameras before they are calibrated.
 
     Attributes:
         cameras: known cameras by name.
