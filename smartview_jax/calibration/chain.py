@@ -50,6 +50,15 @@ def transform_names(mount: str) -> tuple[str, str]:
     return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
 
 
+def chain_transform_names(mount: str) -> tuple[str, ...]:
+    """Return the names of all transforms of a chain: of two arms, the one between the bases too.
+
+    Raises:
+        ValueError: an unknown mount.
+    """
+    return (*transform_names(mount), *(() if mount in ONE_ARM_MOUNTS else (BASES,)))
+
+
 def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
     """Return the robot's part of the chain, from the target's holder to the camera's mount.
 

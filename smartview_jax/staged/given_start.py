@@ -6,7 +6,13 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import BASES, Calibration, host_mount_from_holder, transform_names
+from ..calibration import (
+    BASES,
+    Calibration,
+    chain_transform_names,
+    host_mount_from_holder,
+    transform_names,
+)
 from ..cameras import Camera
 from ..dataset import Dataset
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
@@ -23,7 +29,7 @@ def require_picture_size(what: str, camera: Camera, image_size: tuple[int, int])
 
 def check_start(start: Calibration | Mapping[str, PoseLike] | None, data: Dataset) -> None:
     """Raise a ValueError for a start that is not of these data, before anything is fitted."""
-    names = (*transform_names(data.mount), *((BASES,) if data.hands is not None else ()))
+    names = chain_transform_names(data.mount)
     if isinstance(start, Calibration):
         require_picture_size("the start's camera", start.camera, data.image_size)
         if start.mount != data.mount:

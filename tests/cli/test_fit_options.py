@@ -184,6 +184,16 @@ def test_a_camera_info_of_ros_is_the_camera_again(folder, tmp_path, lens):
     np.testing.assert_allclose(read.project(points)[0], camera.project(points)[0], atol=1e-9)
 
 
+def test_the_bases_of_two_arms_may_be_known():
+    given = {"start": ["base_from_other_base=0.9,0,0,180,0,0"], "fixed": ["base_from_other_base"]}
+    known = parse_fit_options("opencv4", "hand_to_hand", FitKnowledge(**given))
+    assert known.fixed == ("base_from_other_base",)
+    pose = host_matrices(known.start["base_from_other_base"])
+    np.testing.assert_allclose(pose[:3, 3], [0.9, 0.0, 0.0])
+    with pytest.raises(ValueError, match="no parameter is called 'base_from_other_base'"):
+        options(fixed=["base_from_other_base"])
+
+
 MOUNTS = {"wrist": "eye_in_hand", "fixed": "eye_to_hand"}
 
 

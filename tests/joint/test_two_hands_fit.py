@@ -112,6 +112,25 @@ def test_a_few_words_for_calibrate():
         assert (np.abs(error) < 2.0 * np.array(widths)).all()
 
 
+def test_bases_that_are_known_are_held():
+    """As from the maker of both arms; by priors, so that the program of the other tests serves."""
+    scene = two_hands(3)
+    truth = scene.calibration
+    fit = sv.calibrate(
+        scene.data,
+        camera=truth.camera,
+        start={"base_from_other_base": truth.base_from_other_base},
+        priors={"base_from_other_base": sv.Prior(std=1e-9)},
+        noise=NOISE,
+        field=None,
+    )
+    assert fit.warnings == ()
+    found = fit.calibration.base_from_other_base
+    assert np.abs(transform_error(found, truth.base_from_other_base)).max() < 1e-8
+    error = transform_error(fit.calibration.camera_from_tool, truth.camera_from_tool)
+    assert error @ np.linalg.solve(covariance_of(fit, "camera_from_tool"), error) < chi2.ppf(0.999, 6)
+
+
 def test_what_the_data_assume_of_the_bases_does_not_matter():
     """Neither for predictions, which are by what both arms report, nor for a bound."""
     scene = two_hands(0)
