@@ -110,6 +110,7 @@ def calibrate_rig(
             of_arm[name], given[name] = with_start_doubts(
                 of_arm[name], given[name], part.cameras[name], _own_paths(rig, name, paths)
             )
+        _refuse_unused_places(part, few, start or {})
         own_starts = _consistent_starts(part, of_arm, StagedKnowledge(known, given))
         of_few = {
             name: _placed_by_target(part, name, known[name], of_arm, own_starts, report)
@@ -318,6 +319,23 @@ def _placing_camera(
                 f"starts place it differently, by {difference:.2g}: give one of them"
             )
     return first
+
+
+def _refuse_unused_places(rig: Rig, few: Mapping[str, int], start: RigStart) -> None:
+    """Raise a ValueError for a target's pose that is given for a camera with few views.
+
+    Args:
+        rig: data sets of one arm's cameras.
+        few: number of usable views of the cameras that have fewer than three.
+        start: the starts as they were given.
+    """
+    for name in few:
+        own, place = start.get(name), transform_names(rig.cameras[name].mount)[1]
+        if isinstance(own, Mapping) and place in own:
+            raise ValueError(
+                f"camera {name!r}: start: {place}: its few views start from the target that "
+                "another camera tells: give it for that camera"
+            )
 
 
 def _with_given_mount(calibration: Calibration, start: AnyStart) -> Calibration:

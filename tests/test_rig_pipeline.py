@@ -140,6 +140,7 @@ def test_starts_of_another_rig_are_refused():
     three = Rig({**rig.cameras, "third": rig.cameras["left"]})
     for cameras, start, message in (
         (rig, {"top": LEFT}, "start: expected cameras of left, right, found top"),
+        (rig, {"right": {"base_from_world": np.eye(4)}}, "give it for that camera"),
         (rig, {"left": {"camera_from_base": np.eye(4)}}, "camera 'left': start: expected camera_f"),
         (three, {"left": LEFT, "third": other}, "cameras 'left' and 'third' see one target, 'targ"),
     ):

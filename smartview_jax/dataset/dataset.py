@@ -229,7 +229,10 @@ class Dataset(eqx.Module):
     ) -> "Dataset":
         """Return the data set of this camera on a hand for a target that another arm carries.
 
-        A fit then finds where both bases are to each other, too.
+        A fit then finds where both bases are to each other, too. The errors of both arms add up to
+        one error in each view, of one hand's pose in the other's frame: its noise, stated or
+        estimated, is about the point midway between the hands, where rotation and translation are
+        independent if both arms err alike.
 
         Args:
             other_base_from_other_tool: `(views)` poses of the hand with the target, as the arm

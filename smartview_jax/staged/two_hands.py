@@ -8,9 +8,9 @@ base of the camera's, each picture gives the equation
 
 For a given rotation of B it is an equation X A Z = C, whose rotations follow from the largest
 singular value of a matrix of 9 x 9 numbers (Shah, Solving the robot-world/hand-eye calibration
-problem using the Kronecker product, 2013); this value says how well the rotation of B fits. So all
-rotations are tried on a grid, the best are refined, and the translations are linear. Reference for
-the equation: Wu, Wang, Qi and Ren, Simultaneous hand-eye, tool-flange, and robot-robot calibration
+problem using the Kronecker product, 2013); this value says how well the rotation of B fits. So many
+rotations are tried, the best are refined, and the translations are linear. Reference for the
+equation: Wu, Wang, Qi and Ren, Simultaneous hand-eye, tool-flange, and robot-robot calibration
 for comanipulation by solving the AXB = YCZ problem, 2016.
 """
 

@@ -128,7 +128,9 @@ def test_bases_that_are_known_are_held():
     found = fit.calibration.base_from_other_base
     assert np.abs(transform_error(found, truth.base_from_other_base)).max() < 1e-8
     error = transform_error(fit.calibration.camera_from_tool, truth.camera_from_tool)
-    assert error @ np.linalg.solve(covariance_of(fit, "camera_from_tool"), error) < chi2.ppf(0.999, 6)
+    assert error @ np.linalg.solve(covariance_of(fit, "camera_from_tool"), error) < chi2.ppf(
+        0.999, 6
+    )
 
 
 def test_what_the_data_assume_of_the_bases_does_not_matter():
