@@ -7,6 +7,9 @@ too, as sensors by time of flight have. Compared are OpenCV's `calibrateCamera` 
 `calibrateHandEye` (Park), `sv.calibrate` on the pixels, and on pixels and depths. In the last case
 the board is 2 % larger than stated, the robot is poor, and the sensor was calibrated before: its
 scale is known to 0.2 %, its offset to 0.5 mm. `benchmarks.depth` prints it.
+
+All cases have the same draws, so they do not confirm each other: of the first 30 the mean NEES is
+7.2 to 8.1 in each of the first three cases, by chance; of the next 170 it is 6.2 to 6.4.
 """
 
 import dataclasses
@@ -24,7 +27,7 @@ from smartview_jax.geometry import host_matrices, host_transformed
 from smartview_jax.simulation import paper_calibration, random_target_scene
 from smartview_jax.targets import Chessboard
 
-DRAWS, VIEWS = 30, 15
+DRAWS, VIEWS = 200, 15
 CAMERA = sv.Camera(600.0, 600.0, 322.0, 238.0, sv.cameras.Radial(-0.1), (640, 480))
 BIAS, NOISE = DepthBias(1.02, 1e-3), DepthNoise(5e-4, 1e-3)
 BOARD, SQUARE = (9, 6), 0.025
@@ -69,11 +72,13 @@ CASES = (
     Case("board 2 % larger, robot 1 mm", 0.1, 1e-3, np.deg2rad(0.1), 0.0, 1.02, KNOWN_SENSOR),
 )
 
-MAX_ROTATION_RATIO, MAX_NEES_CHANGE, MAX_BIAS_ERROR = 1.0, 1.0, 0.1
-"""Claims: rotation error with depths over the one without, change of the hand-eye transform's mean
-NEES by the depths, and error of the scale over the bias where no error is common.
+MAX_ROTATION_RATIO, MEAN_NEES, MAX_BIAS_ERROR = 1.0, (5.2, 7.2), 0.1
+"""Claims: rotation error with depths over the one without, mean NEES of the hand-eye transform with
+and without depths, and error of the scale over the bias where no error is common.
 
-The mean of 30 values of NEES scatters by 0.63 about 6, for both fits alike.
+The mean of 200 values of NEES scatters by 0.25 about 6 if the covariances are right, and is a
+little larger because the noise is estimated from 15 views. It is claimed where the board has its
+stated size.
 """
 
 PIXELS, BOTH = "sv.calibrate, pixels", "sv.calibrate, pixels and depths"
@@ -116,7 +121,8 @@ def run(smoke: bool = False) -> bool:
         if smoke:
             continue
         holds &= bool(_rms(both[:, 1]) < MAX_ROTATION_RATIO * _rms(pixels[:, 1]))
-        holds &= bool(both[:, 3].mean() - pixels[:, 3].mean() <= MAX_NEES_CHANGE)
+        for found in (pixels, both) if case.true_size == 1.0 else ():
+            holds &= MEAN_NEES[0] < float(found[:, 3].mean()) < MEAN_NEES[1]
         if case.common == 0.0 and case.priors is None:
             off = np.abs(both[:, 6] - float(BIAS.scale)).max() / (float(BIAS.scale) - 1.0)
             holds &= bool(off <= MAX_BIAS_ERROR)

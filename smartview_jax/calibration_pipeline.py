@@ -1,9 +1,9 @@
 """Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Unpack, overload
+from typing import Unpack, cast, overload
 
 import equinox as eqx
 import numpy as np
@@ -24,7 +24,7 @@ from .joint import (
     fit_joint,
     precompile,
 )
-from .rig_pipeline import calibrate_rig
+from .rig_pipeline import RigStart, calibrate_rig
 from .robot_errors import RobotError
 from .runtime.compilation import refuse_traced
 from .runtime.double_precision import require_double_precision
@@ -36,9 +36,8 @@ from .staged import (
     kalman_filter,
     merged_start,
     require_picture_size,
-    start_doubts,
-    start_without,
     views_to_use,
+    with_start_doubts,
 )
 
 DEFAULT_LENS = "opencv4"
@@ -138,6 +137,7 @@ def calibrate(
     lens: str | AbstractLens = DEFAULT_LENS,
     *,
     camera: Mapping[str, Camera] | None = None,
+    start: RigStart | None = None,
     progress: Callable[[str], None] | None = None,
     **joint_options: Unpack[JointOptions],
 ) -> RigFit: ...
@@ -148,7 +148,7 @@ def calibrate(
     lens: str | AbstractLens = DEFAULT_LENS,
     *,
     camera: Camera | Mapping[str, Camera] | None = None,
-    start: Calibration | Mapping[str, PoseLike] | None = None,
+    start: Calibration | Mapping[str, PoseLike] | RigStart | None = None,
     step2: str = "kalman",
     progress: Callable[[str], None] | None = None,
     **joint_options: Unpack[JointOptions],
@@ -166,6 +166,7 @@ def calibrate(
             `camera_from_tool` from a drawing; by default the staged fit's. A transform alone moves
             the other one so that the first usable view stays as it is. A transform that the
             pictures contradict is named in `warnings`, and used only where it is held.
+            Of a rig, such a start for some of the cameras, by the camera's name.
         step2: `"kalman"`, the paper's filter, or `"batch"`, which is faster on many points.
         progress: called with a line of text for each stage.
         joint_options: options of `fit_joint`, by keyword.
@@ -182,11 +183,16 @@ def calibrate(
         [-19.  60. -90.] mm
     """
     if isinstance(data, Rig):
-        if start is not None or step2 != "kalman":
-            raise ValueError("calibrate: a rig takes no start and no step2; `fit_rig` takes starts")
+        if step2 != "kalman":
+            raise ValueError("calibrate: a rig takes no step2")
+        if isinstance(start, Calibration):
+            raise TypeError("start: expected starts by camera for a rig, found a Calibration")
         if isinstance(camera, Camera):
             raise TypeError("camera: expected known cameras by name for a rig, found a Camera")
-        return calibrate_rig(data, lens, cameras=camera, progress=progress, **joint_options)
+        starts = cast(RigStart | None, start)
+        return calibrate_rig(
+            data, lens, cameras=camera, start=starts, progress=progress, **joint_options
+        )
     refuse_traced("calibrate", data, camera)
     # The second thread has settings of its own: it would compile everything before the refusal.
     require_double_precision()
@@ -200,6 +206,7 @@ def calibrate(
     require_one_of("step2", step2, STEP2_METHODS)
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
+    start = cast(Calibration | Mapping[str, PoseLike] | None, start)
     # A start from other data would otherwise show only as a fit that goes astray.
     check_start(start, data)
     # Errors in the data are raised before the precompilation, which cannot be interrupted.
@@ -225,7 +232,7 @@ def calibrate(
         )
         # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
         precompilation.exception()
-    staged, start = _with_start_doubts(staged, start, data, (*held, *priors))
+    staged, start = with_start_doubts(staged, start, data, (*held, *priors))
     try:
         joint = fit_joint(
             data,
@@ -247,35 +254,6 @@ def calibrate(
             raise
         raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
     return CalibrationFit.of(staged, joint, data.pose_format)
-
-
-def _with_start_doubts(
-    staged: StagedFit,
-    start: Calibration | Mapping[str, PoseLike] | None,
-    data: Dataset,
-    used_paths: Sequence[str],
-) -> tuple[StagedFit, Calibration | Mapping[str, PoseLike] | None]:
-    """Return the staged fit with warnings about the start, and the start without what is doubted.
-
-    Args:
-        staged: the staged fit.
-        start: the start as it was given.
-        data: the data set.
-        used_paths: paths of parameters that keep the start, or whose priors may be about it.
-    """
-    poses = staged.step2.camera_from_world
-    doubts = start_doubts(start, staged.calibration, poses, staged.inliers, data)
-    if start is None or not doubts:
-        return staged, start
-    used = {name for name in doubts if any(path.split(".")[0] == name for path in used_paths)}
-    warnings = (
-        text if name in used else f"{text}; the fit does without it"
-        for name, text in doubts.items()
-    )
-    return (
-        dataclasses.replace(staged, warnings=(*staged.warnings, *warnings)),
-        start_without(start, doubts.keys() - used, staged.calibration),
-    )
 
 
 def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, PoseLike]:

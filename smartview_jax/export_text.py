@@ -20,7 +20,7 @@ Pose = Float[np.ndarray, "7"]
 
 _FRAME_NAME_PATTERN = re.compile(r"[A-Za-z0-9_/~][A-Za-z0-9_/~.-]{0,199}")
 
-MOUNT_FRAMES = {"eye_in_hand": "tool0", "eye_to_hand": "base_link"}
+MOUNT_FRAMES = {"eye_in_hand": "tool0", "eye_to_hand": "base_link", "hand_to_hand": "tool0"}
 """ROS's usual frame of the mount, by where the camera is: the robot's tool, or its base."""
 
 _COEFFICIENTS = {
@@ -190,8 +190,8 @@ def easy_handeye_text(
     Raises:
         ValueError: a name that ROS does not accept.
     """
-    in_hand = mount == "eye_in_hand"
-    mounts = {**MOUNT_FRAMES, mount: parent}
+    in_hand = mount != "eye_to_hand"
+    mounts = {**MOUNT_FRAMES, "eye_in_hand" if in_hand else mount: parent}
     frames = {
         "robot_base_frame": mounts["eye_to_hand"],
         "robot_effector_frame": mounts["eye_in_hand"],

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Unpack
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
@@ -17,13 +17,44 @@ from .data_checks import (
     unusable_views,
 )
 from .dataset import Dataset, Rig
+from .engine import with_lens
 from .geometry import PoseLike, host_matrices, host_transforms, mean_pose
 from .joint import JointOptions, RigFit, fit_rig, remove_gross_errors
 from .runtime.double_precision import require_double_precision
-from .staged import FewViewsStart, StagedFit, fit_staged, start_by_target
+from .staged import (
+    FewViewsStart,
+    StagedFit,
+    check_start,
+    fit_staged,
+    known_transforms,
+    merged_start,
+    start_by_target,
+    with_start_doubts,
+)
+
+AnyStart = Calibration | Mapping[str, PoseLike] | None
+"""The start of a camera: a calibration, or some of its transforms by name."""
+
+RigStart = Mapping[str, Calibration | Mapping[str, PoseLike]]
+"""The starts of some of a rig's cameras, by their names."""
+
+SAME_PLACE = 1e-6
+"""Largest difference, m or no unit, of two poses that are meant to be one target's."""
 
 RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior")
 """The options of `fit_joint` that `fit_rig` has too."""
+
+
+class StagedKnowledge(NamedTuple):
+    """The knowledge of a rig's cameras before they are calibrated.
+
+    Attributes:
+        cameras: known cameras by name.
+        starts: start of each camera, None without one.
+    """
+
+    cameras: Mapping[str, Camera]
+    starts: Mapping[str, AnyStart]
 
 
 def calibrate_rig(
@@ -31,6 +62,7 @@ def calibrate_rig(
     lens: str | AbstractLens,
     *,
     cameras: Mapping[str, Camera] | None = None,
+    start: RigStart | None = None,
     progress: Callable[[str], None] | None = None,
     **joint_options: Unpack[JointOptions],
 ) -> RigFit:
@@ -46,6 +78,9 @@ def calibrate_rig(
             camera whose target another camera on the same arm sees in three or more.
         lens: lens model of all cameras.
         cameras: known cameras by name, which are held.
+        start: where the joint fit starts, for some of the cameras by name, as `calibrate` takes it
+            for one camera; of a calibration its camera and its transforms. Of one target one pose
+            can be given.
         progress: called with a line of text for each stage.
         joint_options: options of `fit_rig`, by keyword.
 
@@ -66,7 +101,9 @@ def calibrate_rig(
         raise ValueError(
             f"camera: expected cameras of {', '.join(rig.cameras)}, found {', '.join(strangers)}"
         )
+    given = _checked_starts(rig, start, lens)
     report = progress or (lambda _: None)
+    paths = (*joint_options.get("fixed", ()), *(joint_options.get("priors") or {}))
     staged: dict[str, StagedFit | FewViewsStart] = {}
     starts: dict[str, Calibration] = {}
     for arm in rig.arm_names:
@@ -75,11 +112,23 @@ def calibrate_rig(
         few = {name: count for name, count in counts.items() if count < 3}
         _require_known(few, known)
         many = [name for name in part.cameras if name not in few]
-        of_arm = _staged_fits(part, many, lens, known, report)
-        of_few = {name: _placed_by_target(part, name, known[name], of_arm, report) for name in few}
+        of_arm = _staged_fits(part, many, lens, StagedKnowledge(known, given), report)
+        for name in of_arm:
+            of_arm[name], given[name] = with_start_doubts(
+                of_arm[name], given[name], part.cameras[name], _own_paths(rig, name, paths)
+            )
+        _refuse_unused_places(part, few, start or {})
+        own_starts = _consistent_starts(part, of_arm, StagedKnowledge(known, given))
+        of_few = {
+            name: _placed_by_target(part, name, known[name], of_arm, own_starts, report)
+            for name in few
+        }
         staged |= {**of_arm, **of_few}
-        starts |= _consistent_starts(part, of_arm)
-        starts |= {name: start.calibration for name, start in of_few.items()}
+        starts |= own_starts
+        starts |= {
+            name: _with_given_mount(found.calibration, given[name])
+            for name, found in of_few.items()
+        }
     findings = shared_target_findings(rig, staged)
     if findings.problems:
         raise ValueError("; ".join(findings.problems))
@@ -147,6 +196,7 @@ def _placed_by_target(
     name: str,
     camera: Camera,
     staged: Mapping[str, StagedFit],
+    starts: Mapping[str, Calibration],
     report: Callable[[str], None],
 ) -> FewViewsStart:
     """Return the place of a known camera with few views, from the target's that others tell.
@@ -161,7 +211,7 @@ def _placed_by_target(
             f"same arm sees its target {rig.targets[name]!r} in 3 views or more"
         )
     report(f"{name}: from the place of its target that {reference} tells")
-    place = staged[reference].calibration.holder_from_world
+    place = starts[reference].holder_from_world
     try:
         return start_by_target(rig.cameras[name], camera, place)
     except ValueError as error:
@@ -195,7 +245,7 @@ def _staged_fits(
     rig: Rig,
     cameras: Sequence[str],
     lens: str | AbstractLens,
-    known: Mapping[str, Camera],
+    knowledge: StagedKnowledge,
     report: Callable[[str], None],
 ) -> dict[str, StagedFit]:
     """Return the staged fit of each camera alone, or from the target's place that others tell.
@@ -203,7 +253,9 @@ def _staged_fits(
     Args:
         rig: data sets of one arm's cameras.
         cameras: names of the cameras to fit.
-        lens, known, report: as for `calibrate_rig`.
+        lens: lens model of all cameras.
+        knowledge: what is known of the cameras.
+        report: called with a line of text.
 
     Raises:
         ValueError: a camera that cannot be calibrated; the message names it.
@@ -211,13 +263,13 @@ def _staged_fits(
     staged: dict[str, StagedFit] = {}
     errors: dict[str, ValueError] = {}
 
-    def fit(name: str, start: dict[str, PoseLike] | None) -> None:
+    def fit(name: str, start: AnyStart) -> None:
         """Fit one camera, or keep the error."""
         try:
             staged[name] = fit_staged(
                 rig.cameras[name],
                 lens,
-                camera=known.get(name),
+                camera=knowledge.cameras.get(name),
                 start=start,
                 progress=lambda text: report(f"{name}: {text}"),
             )
@@ -226,7 +278,7 @@ def _staged_fits(
             errors.setdefault(name, error)
 
     for name in cameras:
-        fit(name, None)
+        fit(name, knowledge.starts[name])
     for name in list(errors):
         most = _reference(rig, name, staged)
         if most is not None:
@@ -238,14 +290,122 @@ def _staged_fits(
     return {name: staged[name] for name in cameras}
 
 
-def _consistent_starts(rig: Rig, staged: Mapping[str, StagedFit]) -> dict[str, Calibration]:
-    """Return the calibrations of the staged fits, with one pose for each target."""
-    starts = {name: fit.calibration for name, fit in staged.items()}
+def _consistent_starts(
+    rig: Rig, staged: Mapping[str, StagedFit], knowledge: StagedKnowledge
+) -> dict[str, Calibration]:
+    """Return the calibrations of the staged fits, or what is given, with one pose for each target.
+
+    Args:
+        rig: data sets of one arm's cameras.
+        staged: the cameras' staged fits.
+        knowledge: what is known of the cameras.
+    """
+    starts = {
+        name: merged_start(
+            fit.calibration,
+            knowledge.starts[name],
+            rig.cameras[name],
+            knowledge.cameras.get(name),
+        )
+        for name, fit in staged.items()
+    }
     for name in staged:
-        first = _reference(rig, name, staged)
+        first = _placing_camera(rig, name, staged, knowledge.starts)
         if first is not None and name != first:
-            starts[name] = _with_target_at(starts[first], rig.cameras[name], staged[name])
+            placed = _with_target_at(starts[first], rig.cameras[name], staged[name])
+            starts[name] = _with_given_mount(
+                dataclasses.replace(placed, camera=starts[name].camera), knowledge.starts[name]
+            )
     return starts
+
+
+def _placing_camera(
+    rig: Rig, camera: str, staged: Mapping[str, StagedFit], starts: Mapping[str, AnyStart]
+) -> str | None:
+    """Return which camera tells where a camera's target is: one with a given pose, or most views.
+
+    Raises:
+        ValueError: two cameras are given different poses of it.
+    """
+    target = rig.targets[camera]
+    poses = {
+        name: pose
+        for name in staged
+        if rig.targets[name] == target
+        and (pose := known_transforms(starts[name], rig.cameras[name].mount)[1]) is not None
+    }
+    if not poses:
+        return _reference(rig, camera, staged)
+    first, *others = poses
+    for other in others:
+        difference = np.abs(host_matrices(poses[first]) - host_matrices(poses[other])).max()
+        if difference > SAME_PLACE:
+            raise ValueError(
+                f"start: cameras {first!r} and {other!r} see one target, {target!r}, but their "
+                f"starts place it differently, by {difference:.2g}: give one of them"
+            )
+    return first
+
+
+def _refuse_unused_places(rig: Rig, few: Mapping[str, int], start: RigStart) -> None:
+    """Raise a ValueError for a target's pose that is given for a camera with few views.
+
+    Args:
+        rig: data sets of one arm's cameras.
+        few: number of usable views of the cameras that have fewer than three.
+        start: the starts as they were given.
+    """
+    for name in few:
+        own, place = start.get(name), transform_names(rig.cameras[name].mount)[1]
+        if isinstance(own, Mapping) and place in own:
+            raise ValueError(
+                f"camera {name!r}: start: {place}: its few views start from the target that "
+                "another camera tells: give it for that camera"
+            )
+
+
+def _with_given_mount(calibration: Calibration, start: AnyStart) -> Calibration:
+    """Return a calibration with the camera's transform of a start, if it has one."""
+    mount = known_transforms(start, calibration.mount)[0]
+    return (
+        calibration if mount is None else dataclasses.replace(calibration, camera_from_mount=mount)
+    )
+
+
+def _checked_starts(
+    rig: Rig, start: RigStart | None, lens: str | AbstractLens
+) -> dict[str, AnyStart]:
+    """Return the start of each camera, None without one; a calibration with the lens to fit.
+
+    Raises:
+        ValueError: a start of a camera that the rig does not have, or not of its data.
+    """
+    given = dict(start or {})
+    if strangers := sorted(set(given) - set(rig.cameras)):
+        raise ValueError(
+            f"start: expected cameras of {', '.join(rig.cameras)}, found {', '.join(strangers)}"
+        )
+    for name, own in given.items():
+        try:
+            check_start(own, rig.cameras[name])
+        except ValueError as error:
+            raise ValueError(f"camera {name!r}: {error}") from error
+        if isinstance(own, Calibration):
+            bare = Calibration(own.camera, own.camera_from_mount, own.holder_from_world, own.mount)
+            given[name] = with_lens(bare, lens)
+    return {name: given.get(name) for name in rig.cameras}
+
+
+def _own_paths(rig: Rig, camera: str, paths: Sequence[str]) -> tuple[str, ...]:
+    """Return the paths of a rig's parameters that concern a camera, in its own names."""
+    several = len(set(rig.targets.values())) > 1
+    prefixes = (f"{camera}.", f"{rig.targets[camera]}." if several else "")
+    return tuple(
+        path.removeprefix(prefix)
+        for path in paths
+        for prefix in prefixes
+        if path.startswith(prefix)
+    )
 
 
 def _with_target_at(reference: Calibration, data: Dataset, staged: StagedFit) -> Calibration:

@@ -82,8 +82,10 @@ def at_time_offset(
         seconds: offset to add to these times, s.
 
     Raises:
-        ValueError: the numbers of times and views differ, or a time was not logged.
+        ValueError: the numbers of times and views differ, a time was not logged, or two arms.
     """
+    if data.hands is not None:
+        raise ValueError("data: expected the poses of one arm, found those of two")
     times = np.asarray(picture_times, dtype=float)
     if times.shape != (data.view_count,):
         raise ValueError(

@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 from standard_scene import POINTS, VIEWS
 
 from smartview_jax import calibrate, fit_joint, fit_staged
-from smartview_jax.calibration_pipeline import _with_start_doubts, refit_uncorrected
+from smartview_jax.calibration_pipeline import refit_uncorrected
 from smartview_jax.engine import Prior
 from smartview_jax.joint import precompile
 from smartview_jax.simulation import simulate
+from smartview_jax.staged import with_start_doubts
 
 
 def test_calibrate_goes_all_the_way():
@@ -140,7 +141,7 @@ def test_a_start_the_other_way_round_is_named_first_and_not_used():
 def test_a_start_that_is_held_or_in_a_prior_is_kept_though_it_is_doubted(used_paths):
     scene = scene_of(6)
     start = {"camera_from_tool": scene.calibration.camera_from_tool.inverse()}
-    staged, kept = _with_start_doubts(fit_staged(scene.data), start, scene.data, used_paths)
+    staged, kept = with_start_doubts(fit_staged(scene.data), start, scene.data, used_paths)
     assert kept == start
     assert staged.warnings[-1].startswith("the start's camera_from_tool does not belong to these")
     assert "does without it" not in staged.warnings[-1]

@@ -1,4 +1,4 @@
-"""A camera of a rig with one or two views starts from the target that its neighbours placed."""
+"""Starts of the cameras of a rig: from the target that their neighbours placed, or as given."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import pytest
 from fit_scenes import POINTS, scene_of, scene_with
 from scipy.stats import chi2
 
-from smartview_jax import Noise, Rig, calibrate
+from smartview_jax import Noise, Prior, Rig, calibrate
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 from smartview_jax.simulation import paper_calibration
 
@@ -94,3 +94,57 @@ def test_what_few_views_need_is_said():
     blind = rig.with_cameras({**rig.cameras, "right": rig.cameras["right"].mask_views([0, 1])})
     with pytest.raises(ValueError, match="camera 'right': no view with 4 points"):
         calibrate(blind, "radial", camera=known, noise=NOISE)
+
+
+def test_a_place_that_is_given_is_held():
+    """Of a camera with many views, and of one with few; the target stays where the pictures say."""
+    known = {"right": RIGHT.camera}
+    moved = host_transforms(
+        host_exponentials(np.array([2e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        @ host_matrices(RIGHT.camera_from_mount)
+    )
+    start = {
+        "left": {"camera_from_tool": LEFT.camera_from_mount},
+        "right": {"camera_from_tool": moved},
+    }
+    # Priors, and not fixed paths, so that the program of the other tests serves here as well.
+    held = {f"{name}.camera_from_tool": Prior(std=1e-9) for name in start}
+    fit = calibrate(
+        rig_with_few_views(0, 2), "radial", camera=known, start=start, priors=held, noise=NOISE
+    )
+    for name, given in (("left", LEFT.camera_from_mount), ("right", moved)):
+        found = fit.calibrations[name].camera_from_mount
+        np.testing.assert_allclose(found.wxyz_xyz, given.wxyz_xyz, atol=1e-8)
+    place = fit.calibrations["left"].holder_from_world.translation()
+    np.testing.assert_allclose(place, LEFT.holder_from_world.translation(), atol=2e-3)
+
+
+def test_a_start_that_the_pictures_contradict_is_named_and_not_used():
+    rig, known = rig_with_few_views(0, 2), {"right": RIGHT.camera}
+    start = {"left": {"camera_from_tool": LEFT.camera_from_mount.inverse()}}
+    fit = calibrate(rig, "radial", camera=known, start=start, noise=NOISE)
+    (text,) = (text for text in fit.warnings if "start" in text)
+    assert text.startswith("left: the start's camera_from_tool does not belong to these data")
+    assert text.endswith("the fit does without it")
+    without = calibrate(rig, "radial", camera=known, noise=NOISE)
+    np.testing.assert_allclose(fit.covariance, without.covariance, rtol=1e-6, atol=1e-18)
+
+
+def test_starts_of_another_rig_are_refused():
+    rig, known = rig_with_few_views(0, 2), {"right": RIGHT.camera}
+    other = dataclasses.replace(
+        LEFT,
+        holder_from_world=host_transforms(np.eye(4)),
+        camera_from_mount=RIGHT.camera_from_mount,
+    )
+    three = Rig({**rig.cameras, "third": rig.cameras["left"]})
+    for cameras, start, message in (
+        (rig, {"top": LEFT}, "start: expected cameras of left, right, found top"),
+        (rig, {"right": {"base_from_world": np.eye(4)}}, "give it for that camera"),
+        (rig, {"left": {"camera_from_base": np.eye(4)}}, "camera 'left': start: expected camera_f"),
+        (three, {"left": LEFT, "third": other}, "cameras 'left' and 'third' see one target, 'targ"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            calibrate(cameras, "radial", camera=known, start=start, noise=NOISE)
+    with pytest.raises(TypeError, match="start: expected starts by camera for a rig, found"):
+        calibrate(rig, "radial", camera=known, start=LEFT)

@@ -36,6 +36,8 @@ from ..runtime.array_namespace import AnyArray, as_float_array
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import over_padded_views, padded_counts, repeat_last, without_padding
 from .chain import (
+    BASES,
+    ONE_ARM_MOUNTS,
     chain_matrices,
     chain_of_transforms,
     host_mount_from_holder,
@@ -63,12 +65,15 @@ class Calibration(eqx.Module):
         camera_from_mount: `camera_from_tool`, or `camera_from_base` for eye-to-hand.
         holder_from_world: `base_from_world`, or `tool_from_world` for eye-to-hand.
         target_scale: true size of the target over its stated size.
-        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        mount: `"eye_in_hand"`, `"eye_to_hand"`, or `"hand_to_hand"` for a camera on the hand of one
+            arm and the target on the hand of another.
         robot_error: model of the error of reported poses; None if they are assumed to be exact.
         region: region from which the target was seen in the fitted data; None if not fitted.
         target_shape: deviation of the target's points from their stated places; None if there is
             none.
         depth_bias: bias of the depths that the camera measures; None if it measures none.
+        base_from_other_base: base of the arm that carries the target in the base of the camera's
+            arm, of a hand-to-hand calibration; None for others.
 
     For example:
 
@@ -90,6 +95,7 @@ class Calibration(eqx.Module):
     region: ViewedRegion | None
     target_shape: TargetShape | None
     depth_bias: DepthBias | None
+    base_from_other_base: SE3 | None
 
     def __init__(
         self,
@@ -102,11 +108,12 @@ class Calibration(eqx.Module):
         region: ViewedRegion | None = None,
         target_shape: TargetShape | None = None,
         depth_bias: DepthBias | None = None,
+        base_from_other_base: SE3 | None = None,
     ):
         """Store the parts of the chain; arguments as the class's attributes.
 
         Raises:
-            ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+            ValueError: an unknown mount.
         """
         # Refuse an unknown mount before any fit starts.
         mount_frames(mount)
@@ -120,15 +127,15 @@ class Calibration(eqx.Module):
         self.region = region
         self.target_shape = target_shape
         self.depth_bias = depth_bias
+        self.base_from_other_base = base_from_other_base
 
     def __repr__(self) -> str:
         # A traced calibration, inside `jit`, has no figures to show.
         if is_traced(self):
             return super().__repr__()
-        transforms = (self.camera_from_mount, self.holder_from_world)
         parts = [
             f"{name}: {transform_text(host_matrices(transform))}"
-            for name, transform in zip(self.transform_names, transforms, strict=True)
+            for name, transform in self.transforms.items()
         ]
         if self.robot_error is not None:
             parts.append(f"robot error: {type(self.robot_error.field).__name__}")
@@ -170,6 +177,36 @@ class Calibration(eqx.Module):
             target_scale,
         )
 
+    @classmethod
+    def hand_to_hand(
+        cls,
+        camera: Camera,
+        camera_from_tool: PoseLike,
+        other_tool_from_world: PoseLike,
+        base_from_other_base: PoseLike,
+        target_scale: ScalarLike = 1.0,
+    ) -> "Calibration":
+        """Return the calibration of a camera on one arm's hand, with a target on another's.
+
+        The chain is `camera_from_tool @ tool_from_base @ base_from_other_base @
+        other_base_from_other_tool @ other_tool_from_world`.
+
+        Args:
+            camera: intrinsics and lens.
+            camera_from_tool: camera on the hand of its arm.
+            other_tool_from_world: target on the hand of the other arm.
+            base_from_other_base: base of the other arm in the base of the camera's arm.
+            target_scale: true size of the target over its stated size.
+        """
+        return cls(
+            camera,
+            as_se3(camera_from_tool),
+            as_se3(other_tool_from_world),
+            "hand_to_hand",
+            target_scale,
+            base_from_other_base=as_se3(base_from_other_base),
+        )
+
     def true_points(self, points: Float[AnyArray, "*points 3"]) -> Float[Array, "*points 3"]:
         """Return the true positions of target points in its frame, with its true shape and size.
 
@@ -181,8 +218,17 @@ class Calibration(eqx.Module):
         return self.target_scale * points
 
     @property
+    def transforms(self) -> dict[str, SE3]:
+        """All transforms by their public names."""
+        mount_name, holder_name = self.transform_names
+        ends = {mount_name: self.camera_from_mount, holder_name: self.holder_from_world}
+        return (
+            ends if self.base_from_other_base is None else ends | {BASES: self.base_from_other_base}
+        )
+
+    @property
     def camera_from_tool(self) -> SE3:
-        """The hand-eye transform (eye-in-hand)."""
+        """The hand-eye transform (eye-in-hand and hand-to-hand)."""
         return self._transform("camera_from_mount", "camera_from_tool")
 
     @property
@@ -199,6 +245,11 @@ class Calibration(eqx.Module):
     def tool_from_world(self) -> SE3:
         """The pose of the target in the tool frame (eye-to-hand)."""
         return self._transform("holder_from_world", "tool_from_world")
+
+    @property
+    def other_tool_from_world(self) -> SE3:
+        """The pose of the target in the frame of the hand that carries it (hand-to-hand)."""
+        return self._transform("holder_from_world", "other_tool_from_world")
 
     def _transform(self, attribute: str, name: str) -> SE3:
         """Return a transform by its public name, if this mount has it.
@@ -231,16 +282,19 @@ class Calibration(eqx.Module):
         """Return the extrinsics at the given robot poses, `(*views)`, by the chain of Eq. 10.
 
         Args:
-            base_from_tool: what the robot reports: poses, or `arm.command(joints)`.
+            base_from_tool: what the robot reports: poses, or `arm.command(joints)`. Hand-to-hand:
+                the `command` of a data set, or poses of the camera's hand in the other hand.
             corrected: apply the robot error, if one was fitted; False uses the reported poses.
         """
-        reported, error = as_command(base_from_tool), self.robot_error if corrected else None
+        reported = self.with_bases(as_command(base_from_tool))
+        error = self.robot_error if corrected else None
         return chain_of_transforms(
             self.camera_from_mount, self.holder_from_world, self.mount, error, reported
         )
 
     def camera_from_world_matrices(self, reported: Command) -> Float[AnyArray, "views 4 4"]:
         """Return the extrinsics `(views)` of `camera_from_world` as matrices."""
+        reported = self.with_bases(reported)
         camera_from_mount, holder_from_world = self.camera_from_mount, self.holder_from_world
         chain = camera_from_mount, holder_from_world, self.mount, self.robot_error
         if is_traced(self, reported):
@@ -254,6 +308,26 @@ class Calibration(eqx.Module):
             @ host_matrices(mount_from_holder)
             @ host_matrices(holder_from_world)
         )
+
+    def with_bases(self, reported: Command) -> Command:
+        """Return what two arms report with the pose of one hand in the other's frame.
+
+        What one arm reports is returned as it is.
+        """
+        base, hands = self.base_from_other_base, reported.hands
+        if base is None or hands is None:
+            return reported
+        if is_traced(base, hands):
+            return Command(hands.other_tool_from_tool(base), reported.joints, hands)
+        return Command(hands.host_other_tool_from_tool(base), reported.joints, hands)
+
+    def require_one_arm(self, function: str) -> None:
+        """Raise a ValueError if two arms move camera and target, for a function that takes one."""
+        if self.mount not in ONE_ARM_MOUNTS:
+            raise ValueError(
+                f"{function}: expected a calibration of one arm, found {self.mount}: with a camera "
+                "on one hand and the target on another there is no fixed world"
+            )
 
     def command_for(
         self,
@@ -271,7 +345,7 @@ class Calibration(eqx.Module):
                 fitted. The result is NaN if no solution is found there.
 
         Raises:
-            ValueError: the errors of an arm were fitted, and `near` is not given.
+            ValueError: the errors of an arm were fitted, and `near` is not given; or two arms.
         """
         return self.robot_command_for(
             camera_from_world, corrected=corrected, near=near
@@ -285,6 +359,7 @@ class Calibration(eqx.Module):
         near: JointsLike | None = None,
     ) -> Command:
         """Return the command of `command_for`, with joint angles if an arm's errors were fitted."""
+        self.require_one_arm("command_for")
         actual_pose = self._base_from_tool_for(camera_from_world)
         # Without robot error the reported pose is the true one. With it, the error depends on the
         # pose that is asked for, so the robot error model has to be inverted.

@@ -1,6 +1,7 @@
 """Compute the chain of transforms from the target to the camera (Eq. 10), and name its frames.
 
-The camera is on the hand, or on the base next to the arm.
+The camera is on the hand, or on the base next to the arm; or on the hand of one arm while another
+arm's hand carries the target.
 """
 
 import numpy as np
@@ -16,15 +17,24 @@ from ..runtime.compilation import compiled
 _FRAMES: dict[str, tuple[str, str]] = {
     "eye_in_hand": ("tool", "base"),
     "eye_to_hand": ("base", "tool"),
+    "hand_to_hand": ("tool", "other_tool"),
 }
 """Frames of the camera's mount and of the target's holder, by mount."""
+
+BASES = "base_from_other_base"
+"""Name of the transform between the bases of two arms, of a camera on one hand and the target on
+the other."""
+
+
+ONE_ARM_MOUNTS = ("eye_in_hand", "eye_to_hand")
+"""The mounts of a camera and a target that one arm moves against each other."""
 
 
 def mount_frames(mount: str) -> tuple[str, str]:
     """Return the frame of the camera's mount and the frame of the target's holder.
 
     Raises:
-        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+        ValueError: `mount` is not `"eye_in_hand"`, `"eye_to_hand"` or `"hand_to_hand"`.
     """
     require_one_of("mount", mount, _FRAMES)
     return _FRAMES[mount]
@@ -34,10 +44,19 @@ def transform_names(mount: str) -> tuple[str, str]:
     """Return the names of `camera_from_mount` and `holder_from_world` for a mount.
 
     Raises:
-        ValueError: `mount` is not `"eye_in_hand"` or `"eye_to_hand"`.
+        ValueError: `mount` is not `"eye_in_hand"`, `"eye_to_hand"` or `"hand_to_hand"`.
     """
     mount_frame, holder_frame = mount_frames(mount)
     return f"camera_from_{mount_frame}", f"{holder_frame}_from_world"
+
+
+def chain_transform_names(mount: str) -> tuple[str, ...]:
+    """Return the names of all transforms of a chain: of two arms, the one between the bases too.
+
+    Raises:
+        ValueError: an unknown mount.
+    """
+    return (*transform_names(mount), *(() if mount in ONE_ARM_MOUNTS else (BASES,)))
 
 
 def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
@@ -47,12 +66,13 @@ def mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
     """
     # Eye-in-hand: tool_from_base, the inverse of the reported pose. Eye-to-hand: the camera is
     # on the base and the target on the tool, so the reported pose itself is the link between them.
+    # Hand-to-hand: as eye-in-hand, with the other hand in the place of the base.
     return base_from_tool.inverse() if mount_frames(mount)[0] == "tool" else base_from_tool
 
 
 def host_mount_from_holder(mount: str, base_from_tool: SE3) -> SE3:
     """Return what `mount_from_holder` returns, computed with NumPy."""
-    if mount != "eye_in_hand":
+    if mount_frames(mount)[0] != "tool":
         return base_from_tool
     return host_transforms(mount_from_holder_matrices(mount, host_matrices(base_from_tool)))
 
@@ -61,7 +81,7 @@ def mount_from_holder_matrices(
     mount: str, base_from_tool: Float[np.ndarray, "*views 4 4"]
 ) -> Float[np.ndarray, "*views 4 4"]:
     """Return what `mount_from_holder` returns, of matrices."""
-    return np.linalg.inv(base_from_tool) if mount == "eye_in_hand" else base_from_tool
+    return np.linalg.inv(base_from_tool) if mount_frames(mount)[0] == "tool" else base_from_tool
 
 
 @compiled

@@ -10,7 +10,7 @@ from ..argument_checks import require_readable
 from ..cameras import AbstractLens, camera_from_dict, camera_to_dict
 from ..geometry import region_from_dict, region_to_dict, transform_from_dict, transform_to_dict
 from ..robot_errors import AbstractField, robot_error_from_dict, robot_error_to_dict
-from .chain import transform_names
+from .chain import BASES, transform_names
 from .depth_bias import DepthBias
 from .target_shape import shape_from_dict, shape_to_dict
 
@@ -47,8 +47,7 @@ def content_of(
         "mount": calibration.mount,
         "camera": camera_to_dict(calibration.camera),
     }
-    transforms = (calibration.camera_from_mount, calibration.holder_from_world)
-    for name, transform in zip(calibration.transform_names, transforms, strict=True):
+    for name, transform in calibration.transforms.items():
         content[name] = transform_to_dict(transform)
     content["target_scale"] = float(calibration.target_scale)
     if calibration.target_shape is not None:
@@ -90,6 +89,8 @@ def parts_of(
     camera_from_mount, holder_from_world = (
         transform_from_dict(name, content[name]) for name in transform_names(content["mount"])
     )
+    is_between_hands = content["mount"] == "hand_to_hand"
+    bases = transform_from_dict(BASES, content[BASES]) if is_between_hands else None
     error, region = content.get("robot_error"), content.get("region")
     shape, bias = content.get("target_shape"), content.get("depth_bias")
     return {
@@ -102,4 +103,5 @@ def parts_of(
         "region": None if region is None else region_from_dict(region),
         "target_shape": None if shape is None else shape_from_dict(shape),
         "depth_bias": None if bias is None else DepthBias(bias["scale"], bias["offset"]),
+        "base_from_other_base": bases,
     }

@@ -65,13 +65,12 @@ def fit_entries(name: str, run: str, given: str, joint: "JointFit") -> dict[str,
 
 def calibration_entries(calibration: "Calibration") -> dict[str, Any]:
     """Return camera, transforms and target scale, as calibration files have them."""
-    transforms = (calibration.camera_from_mount, calibration.holder_from_world)
     return {
         "mount": calibration.mount,
         "camera": camera_to_dict(calibration.camera),
         "transforms": {
             name: transform_document(transform)
-            for name, transform in zip(calibration.transform_names, transforms, strict=True)
+            for name, transform in calibration.transforms.items()
         },
         "target_scale": float(calibration.target_scale),
     }

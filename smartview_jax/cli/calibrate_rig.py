@@ -3,18 +3,21 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from ..files import file_transaction, refuse_unwritable
 from .calibrate_folder import CalibrateSettings, command_line, loaded_folder, run_name
+from .fit_options import parse_rig_start
 from .json_document import print_document, transform_document
 from .terminal import progress_line
 
 if TYPE_CHECKING:
-    from ..cameras import Camera
     from ..dataset import Rig
     from ..evaluation import HeldOutErrors, RigErrorBudget
     from ..joint import RigFit
+
+
+_Known = TypeVar("_Known")
 
 
 class RigResult(NamedTuple):
@@ -119,14 +122,23 @@ def _calibrated_rig(
     if settings.known.camera is not None:
         known = read_cameras(settings.known.camera, tuple(rig.cameras))
         notes.append(f"known cameras, held: {', '.join(known)}, from {settings.known.camera}")
-    fit = calibrate(rig, settings.lens, camera=known, progress=progress)
+    mounts = {camera: data.mount for camera, data in rig.cameras.items()}
+    start = parse_rig_start(settings.known.start or (), mounts)
+    if start is not None:
+        notes.append(f"start given for {', '.join(start)}")
+    fit = calibrate(rig, settings.lens, camera=known, start=start, progress=progress)
     scores, used = None, without_rejected_rig_views(rig, fit)
     if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_VIEWS:
         notes.append(f"held-out error needs at least {MIN_HELD_OUT_VIEWS} usable states: left out")
     elif settings.held_out:
         scores = held_out(
             used,
-            lambda part: calibrate(part, settings.lens, camera=_of_cameras(part, known)),
+            lambda part: calibrate(
+                part,
+                settings.lens,
+                camera=_of_cameras(part, known),
+                start=_of_cameras(part, start),
+            ),
             progress=lambda text: progress(f"held-out: {text}"),
         )
         # What failed for all cameras is said once.
@@ -141,30 +153,35 @@ def _calibrated_rig(
     return RigResult(rig, name, fit, scores, tuple(notes), budget)
 
 
-def _of_cameras(rig: "Rig", known: "dict[str, Camera] | None") -> "dict[str, Camera] | None":
-    """Return the known cameras that a rig has."""
+def _of_cameras(rig: "Rig", known: dict[str, _Known] | None) -> dict[str, _Known] | None:
+    """Return what is known of the cameras that a rig has."""
     return known and {name: camera for name, camera in known.items() if name in rig.cameras}
 
 
 def _refuse_other_options(settings: CalibrateSettings) -> None:
     """Raise a ValueError for an option that a rig does not have."""
     known = dataclasses.asdict(settings.known)
-    given = [f"--{name}" for name, value in known.items() if value is not None and name != "camera"]
+    taken = ("camera", "start")
+    given = [f"--{name}" for name, value in known.items() if value and name not in taken]
     given += ["--noise"] * (settings.noise != "estimated")
     given += ["--mount"] * (settings.mount is not None)
     if given:
         raise ValueError(
             f"{given[0]}: not for several cameras together, which take --lens, --bad-views, "
-            "--held-out, --diagnose, --camera and --out; sv.calibrate(sv.Rig(...)) takes the rest"
+            "--held-out, --diagnose, --camera, --start and --out; sv.calibrate(sv.Rig(...)) takes "
+            "the rest"
         )
 
 
 def _what_it_holds(file: Path, fit: "RigFit") -> str:
     """Return what a file of the result has, in words."""
-    from ..joint import RIG_FILE
+    from ..joint import JOINT_SUFFIX, RIG_FILE
 
     if file.name == RIG_FILE:
         return "the covariance of all cameras together"
+    if file.name.endswith(JOINT_SUFFIX):
+        arm = file.name.removesuffix(JOINT_SUFFIX)
+        return f"the covariance of all cameras of {arm} together"
     is_camera = file.stem in fit.calibrations
     kept = "the calibration of this camera" if is_camera else "where these arms are"
     return f"{kept}, with its covariance"

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..cameras import Camera
     from ..data_checks import ConventionReport
     from ..dataset import Dataset, Rig
+    from ..robots import HandPoses
     from ..staged import StagedFit
 
 MIN_VIEWS = 10
@@ -133,7 +134,7 @@ def _checked(
         )
         problems, doubts, staged = Agreement((), (), None)
     else:
-        lines += _motion(figures)
+        lines += _motion(figures) if data.hands is None else _motions_of_hands(data, data.hands)
         # The data with repetitions: if all poses are equal, no view is left without them.
         reported = {view for view, _ in data.masked_views}
         problems, doubts, staged = _agreement(given, reported, camera)
@@ -285,6 +286,20 @@ def _motion(figures: DatasetFigures) -> list[str]:
         f"the tool moved by {vector_text(extent_mm, 0)} mm along x, y, z",
         f"largest rotation between two views: {largest:.0f} degrees{advice}",
     ]
+
+
+def _motions_of_hands(data: "Dataset", hands: "HandPoses") -> list[str]:
+    """Return in words how far each of two hands moved and turned between the views."""
+    import dataclasses
+
+    lines = [f"usable views: {len(data.usable_views())}"]
+    for name, poses in (
+        ("camera", hands.base_from_tool),
+        ("target", hands.other_base_from_other_tool),
+    ):
+        alone = dataclasses.replace(data, base_from_tool=poses, hands=None)
+        lines += [f"hand with the {name}: {text}" for text in _motion(_figures(alone))[1:]]
+    return lines
 
 
 def _document(

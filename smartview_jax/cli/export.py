@@ -163,7 +163,7 @@ def _mounted(content: dict[str, Any], parent: str | None) -> "tuple[np.ndarray, 
     from ..export_text import MOUNT_FRAMES, inverse_pose
 
     mount = content["mount"]
-    name = "camera_from_tool" if mount == "eye_in_hand" else "camera_from_base"
+    name = "camera_from_base" if mount == "eye_to_hand" else "camera_from_tool"
     return inverse_pose(_pose(content[name])), parent or MOUNT_FRAMES[mount]
 
 
@@ -211,7 +211,7 @@ def _robot_text(path: Path, arm: str | None, parent: str | None, child: str) -> 
     from .robot_commands import named_arm
 
     loaded = Calibration.load(path)
-    on_hand = loaded.mount == "eye_in_hand"
+    on_hand = loaded.mount != "eye_to_hand"
     # A fixed camera is on the base link, whose name does not change.
     if parent is not None and not on_hand:
         raise ValueError("--parent: with robot_urdf a fixed camera is on base_link")

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -53,7 +53,8 @@ StartOption = Annotated[
     typer.Option(
         help="Start of the joint fit: a calibration.yaml, or a rough transform as "
         "camera_from_tool=x,y,z,yaw,pitch,roll in m and degrees, such as "
-        "camera_from_tool=0,0.05,0.06,90,0,0 (or its inverse, tool_from_camera). May be repeated."
+        "camera_from_tool=0,0.05,0.06,90,0,0 (or its inverse, tool_from_camera). Of several "
+        "cameras: a folder with left.yaml and so on, or left.camera_from_tool=... May be repeated."
     ),
 ]
 
@@ -107,7 +108,7 @@ def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
 
     Args:
         lens: name of the lens model, without a known camera.
-        mount: `"eye_in_hand"` or `"eye_to_hand"`, which names the transforms.
+        mount: where camera and target are, which names the transforms.
         known: file of a known camera and texts of the other options.
 
     Raises:
@@ -147,7 +148,7 @@ def _units_by_name(lens: str, mount: str, camera: "Camera | None") -> dict[str, 
     """Return the names of the parameters of such a fit, with the unit in which each is shown."""
     import numpy as np
 
-    from ..calibration import Calibration
+    from ..calibration import BASES, Calibration, chain_transform_names
     from ..cameras import Camera, lens_by_name
     from ..geometry import host_transforms
     from ..joint import displayed_values
@@ -156,7 +157,8 @@ def _units_by_name(lens: str, mount: str, camera: "Camera | None") -> dict[str, 
     template = camera or Camera(1e3, 1e3, 320.0, 240.0, lens_by_name(lens), (640, 480))
     # By NumPy: jaxlie's identity would be a program to compile.
     anywhere = host_transforms(np.eye(4))
-    calibration = Calibration(template, anywhere, anywhere, mount)
+    bases = anywhere if BASES in chain_transform_names(mount) else None
+    calibration = Calibration(template, anywhere, anywhere, mount, base_from_other_base=bases)
     return {name: unit for name, (_, unit) in displayed_values(calibration).items()}
 
 
@@ -254,7 +256,7 @@ def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, S
     """
     import dataclasses
 
-    from ..calibration import Calibration, transform_names
+    from ..calibration import BASES, Calibration, chain_transform_names
 
     files = [text for text in texts if "=" not in text]
     if len(files) > 1:
@@ -263,11 +265,47 @@ def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, S
     if not files:
         return transforms or None
     # Transforms of the options replace the file's, in whatever order they were given.
-    parts = dict(
-        zip(transform_names(mount), ("camera_from_mount", "holder_from_world"), strict=True)
-    )
+    attributes = ("camera_from_mount", "holder_from_world", BASES)
+    parts = dict(zip(chain_transform_names(mount), attributes, strict=False))
     changed = {parts[name]: pose for name, pose in transforms.items()}
     return dataclasses.replace(Calibration.load(files[0]), **changed)
+
+
+def parse_rig_start(
+    texts: Sequence[str], mounts: Mapping[str, str]
+) -> "dict[str, Calibration | dict[str, SE3]] | None":
+    """Return the starts of a rig's cameras by name; None without any.
+
+    Args:
+        texts: a folder with a calibration for each camera, or CAMERA.NAME=x,y,z,yaw,pitch,roll.
+        mounts: mount of each camera, by its name.
+
+    Raises:
+        ValueError: two folders, a folder without the calibration of a camera, an unknown camera, or
+            a transform that its mount does not have.
+    """
+    folders = [Path(text) for text in texts if "=" not in text]
+    if len(folders) > 1:
+        raise ValueError(f"--start: one folder of calibrations, found {folders[1]} too")
+    own: dict[str, list[str]] = {name: [] for name in mounts}
+    for folder in folders:
+        for name, listed in own.items():
+            file = folder / f"{name}.yaml"
+            if not file.is_file():
+                raise ValueError(f"--start: {file}: missing, the calibration of camera {name}")
+            listed.append(str(file))
+    for text in texts:
+        if "=" not in text:
+            continue
+        name, _, transform = text.partition(".")
+        if name not in own or "=" in name:
+            raise ValueError(
+                f"--start: expected CAMERA.TRANSFORM=... with a camera of {', '.join(own)}, found "
+                f"{text!r}"
+            )
+        own[name].append(transform)
+    starts = {name: _parse_start(listed, mounts[name]) for name, listed in own.items()}
+    return {name: start for name, start in starts.items() if start is not None} or None
 
 
 def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":
@@ -276,10 +314,10 @@ def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":
     Raises:
         ValueError: a text without a name, or a transform that the mount does not have.
     """
-    from ..calibration import transform_names
+    from ..calibration import chain_transform_names
     from ..io import parse_rough_pose
 
-    names, transforms = transform_names(mount), {}
+    names, transforms = chain_transform_names(mount), {}
     for text in texts:
         name, _, pose = text.partition("=")
         # Drawings state either direction: camera_from_tool or its inverse, tool_from_camera.

@@ -12,6 +12,8 @@ from .robot_commands import CommandSheet, RobotOptions
 from .terminal import progress_line
 
 if TYPE_CHECKING:
+    from ..dataset import Rig
+    from ..joint import RigEstimate
     from ..viewpoints import StatePlan, StopRule, ViewLimits
 
 
@@ -27,7 +29,7 @@ def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
             first views.
     """
     from ..io import is_rig_folder
-    from ..joint import RIG_FILE, is_rig
+    from ..joint import JOINT_SUFFIX, RIG_FILE, is_rig
 
     if not (paths[-1].is_dir() and is_rig_folder(paths[-1])):
         return False
@@ -39,7 +41,8 @@ def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
     if len(paths) != 2 or not is_rig(paths[0]):
         raise ValueError(
             f"{paths[-1]} has several cameras: expected the folder that calibrate wrote for it, "
-            f"with {RIG_FILE}, and this folder"
+            f"with {RIG_FILE}, and this folder; of several arms, the file of the arm to plan for, "
+            f"such as left{JOINT_SUFFIX}"
         )
     return True
 
@@ -50,7 +53,7 @@ def plan_rig(
     """Print commands of the states to take next, best first, and the error they lead to.
 
     Args:
-        paths: the folder of the calibrations, and the data-set folder.
+        paths: the folder of the calibrations, or the file of one arm's, and the data-set folder.
         limits: limits of the views of each camera.
         stop: when the plan stops.
         robot: the robot's arm and readings.
@@ -63,8 +66,9 @@ def plan_rig(
     folder = paths[0] if paths[0].is_dir() else paths[0].parent
     with progress_line() as progress:
         progress("reading the calibrations and their data set")
-        estimate = load_rig_estimate(folder)
+        estimate = load_rig_estimate(paths[0])
         rig = load_rig(paths[1], "mask", progress, keep_detections=False)
+        rig = rig.of_arm(_arm_of(rig, estimate, paths))
         sigmas = {n: load_estimate(folder / f"{n}.yaml").pixel_sigma for n in rig.cameras}
         calibration = next(iter(estimate.calibrations.values()))
         arm, readings = robot.arm_and_readings(calibration)
@@ -93,6 +97,21 @@ def plan_rig(
         give_no_commands(entries, json)
 
 
+def _arm_of(rig: "Rig", estimate: "RigEstimate", paths: Sequence[Path]) -> str:
+    """Return the arm of the calibrated cameras.
+
+    Raises:
+        ValueError: they are not the cameras of one arm of the data.
+    """
+    for arm in rig.arm_names:
+        if set(rig.of_arm(arm).cameras) == set(estimate.calibrations):
+            return arm
+    raise ValueError(
+        f"{paths[0]}: expected the cameras of one arm of {paths[1]}, which has "
+        f"{', '.join(rig.cameras)}; found {', '.join(estimate.calibrations)}"
+    )
+
+
 def _seen_words(found: "StatePlan", names: Sequence[str]) -> list[str]:
     """Return which cameras see their target in each state."""
     lines = []
@@ -102,5 +121,6 @@ def _seen_words(found: "StatePlan", names: Sequence[str]) -> list[str]:
             for other, fractions in found.seen.items()
             if other != camera
         ]
-        lines.append(f"{name}: a view of {camera}; of the target {', '.join(others)}")
+        rest = f"; of the target {', '.join(others)}" if others else ""
+        lines.append(f"{name}: a view of {camera}{rest}")
     return lines

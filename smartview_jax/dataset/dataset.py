@@ -11,10 +11,10 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..argument_checks import spelling_suggestion
-from ..calibration import mount_frames
-from ..geometry import PoseLike, as_se3, check_rigid
-from ..robots import Command, SerialArm
+from ..argument_checks import require_one_of, spelling_suggestion
+from ..calibration import ONE_ARM_MOUNTS
+from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
+from ..robots import Command, HandPoses, SerialArm
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import is_traced, refuse_traced
 from .dataset_text import dataset_text
@@ -48,7 +48,7 @@ class Dataset(eqx.Module):
         points, pixels, visible, base_from_tool: as in `Observations`, padded to one shape.
         view_ids: one name per view.
         image_size: width and height, px.
-        mount: `"eye_in_hand"` or `"eye_to_hand"`.
+        mount: `"eye_in_hand"`, `"eye_to_hand"`, or `"hand_to_hand"`, which `between_hands` makes.
         masked_views: view id and reason of every view that is kept but not used.
         pictures: one file per view, if known.
         target: the description of the target, if known (a class of `targets`).
@@ -59,6 +59,9 @@ class Dataset(eqx.Module):
             None if it is not known.
         depths: depths that the camera measured at the points; None without a depth sensor.
         depth_noise: standard deviation of these depths.
+        hands: poses of two hands, one with the camera and one with the target. `base_from_tool` is
+            then the pose of the camera's hand in the other hand's frame, for assumed places of the
+            bases (`with_bases`). None for one arm.
 
     For example:
 
@@ -85,6 +88,7 @@ class Dataset(eqx.Module):
     pose_format: str | None = eqx.field(static=True, default=None)
     depths: DepthReadings | None = None
     depth_noise: DepthNoise | None = eqx.field(static=True, default=None)
+    hands: HandPoses | None = None
 
     @classmethod
     def from_arrays(
@@ -130,7 +134,7 @@ class Dataset(eqx.Module):
                 message names the view.
         """
         refuse_traced("Dataset.from_arrays", points, pixels, base_from_tool, joints)
-        mount_frames(mount)
+        require_one_of("mount", mount, ONE_ARM_MOUNTS)
         if bad_views not in ("raise", "mask"):
             raise ValueError(f"bad_views is 'raise' or 'mask'; found {bad_views!r}")
         # Copied, because masked pixels are overwritten below.
@@ -201,6 +205,8 @@ class Dataset(eqx.Module):
             ValueError: a wrong shape, or a view whose reported pose differs from the forward
                 kinematics; the message names it.
         """
+        if self.hands is not None:
+            raise ValueError("with_joints: expected the poses of one arm, found those of two")
         computed = forward_kinematics(joints, arm, self.view_ids)
         masked = {view for view, _ in self.masked_views}
         used = np.array([view not in masked for view in self.view_ids], dtype=bool)
@@ -215,6 +221,72 @@ class Dataset(eqx.Module):
             joints=to_device(readings),
             arm=arm,
         )
+
+    def between_hands(
+        self,
+        other_base_from_other_tool: PoseLike,
+        base_from_other_base: PoseLike | None = None,
+    ) -> "Dataset":
+        """Return the data set of this camera on a hand for a target that another arm carries.
+
+        A fit then finds where both bases are to each other, too. The errors of both arms add up to
+        one error in each view, of one hand's pose in the other's frame: its noise, stated or
+        estimated, is about the point midway between the hands, where rotation and translation are
+        independent if both arms err alike.
+
+        Args:
+            other_base_from_other_tool: `(views)` poses of the hand with the target, as the arm
+                that carries it reported them, in its own base.
+            base_from_other_base: approximate base of this arm in the base of the camera's arm; by
+                default `calibrate` searches for it.
+
+        Raises:
+            ValueError: a wrong shape, a pose that is not rigid (the message names the view), or a
+                data set whose target is not seen from a hand, or that has an arm's joints.
+        """
+        if self.mount != "eye_in_hand" or self.joints is not None:
+            found = self.mount if self.joints is None else "a data set with joints"
+            raise ValueError(
+                f"between_hands: expected an eye_in_hand data set without joints, found {found}"
+            )
+        matrices = pose_matrices(other_base_from_other_tool, self.view_count)
+        masked = {view for view, _ in self.masked_views}
+        for view, text in check_rigid(matrices, self.view_ids).items():
+            if view not in masked:
+                raise ValueError(f"other_base_from_other_tool: view {view}: {text}")
+        unmasked = np.array([view not in masked for view in self.view_ids], dtype=bool)
+        matrices = np.where(unmasked[:, None, None], matrices, np.eye(4))
+        hands = HandPoses(self.base_from_tool, as_se3(matrices))
+        between = dataclasses.replace(self, mount="hand_to_hand", hands=hands)
+        return between.with_bases(
+            as_se3(np.eye(4) if base_from_other_base is None else base_from_other_base)
+        )
+
+    @property
+    def base_from_other_base(self) -> SE3 | None:
+        """The assumed base of the other arm in the base of the camera's; None for one arm."""
+        if self.hands is None:
+            return None
+        own, other, relative = (
+            host_matrices(SE3(np.asarray(poses.wxyz_xyz)[0]))  # pyright: ignore[reportArgumentType]
+            for poses in (
+                self.hands.base_from_tool,
+                self.hands.other_base_from_other_tool,
+                self.base_from_tool,
+            )
+        )
+        return as_se3(own @ np.linalg.inv(relative) @ np.linalg.inv(other))
+
+    def with_bases(self, base_from_other_base: SE3) -> "Dataset":
+        """Return the data set of two arms with their bases at given places; of one arm as it is.
+
+        Args:
+            base_from_other_base: base of the arm with the target in the base of the camera's arm.
+        """
+        if self.hands is None:
+            return self
+        poses = self.hands.host_other_tool_from_tool(base_from_other_base)
+        return dataclasses.replace(self, base_from_tool=SE3(to_device(poses.wxyz_xyz)))
 
     def with_depths(
         self, depths: np.ndarray | Array | None, noise: DepthNoise | None = None
@@ -280,6 +352,7 @@ class Dataset(eqx.Module):
             self.base_from_tool,
             self.joints,
             self.depths,
+            self.hands,
         )
 
     @property
@@ -356,7 +429,7 @@ class Dataset(eqx.Module):
 
     def _arrays_of(self, index: np.ndarray) -> dict[str, Any]:
         """Return the arrays of the given views, by name."""
-        names = ("points", "pixels", "visible", "base_from_tool", "joints", "depths")
+        names = ("points", "pixels", "visible", "base_from_tool", "joints", "depths", "hands")
         arrays = tuple(getattr(self, name) for name in names)
         return dict(zip(names, of_views(arrays, index), strict=True))
 

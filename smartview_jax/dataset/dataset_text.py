@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxlie import SE3
 
 from ..geometry import vector_text
 
@@ -50,11 +51,23 @@ def _points_line(data: "Dataset") -> str:
 
 def _robot_line(data: "Dataset") -> str:
     """Return how far the tool moved, and whether joint readings are known."""
+    if data.hands is not None:
+        spans = (
+            _span(data, poses)
+            for poses in (data.hands.base_from_tool, data.hands.other_base_from_other_tool)
+        )
+        return f"two arms: camera over {', target over '.join(spans)}"
     readings = "" if data.joints is None else f", readings of {data.joints.shape[1]} joints"
-    positions = np.asarray(data.base_from_tool.wxyz_xyz)[data.usable_views(1), 4:]
-    if len(positions) < 2:
+    if len(data.usable_views(1)) < 2:
         return f"robot: poses{readings}"
-    return f"robot: poses over {vector_text(1e3 * np.ptp(positions, axis=0), 0)} mm{readings}"
+    return f"robot: poses over {_span(data, data.base_from_tool)}{readings}"
+
+
+def _span(data: "Dataset", poses: SE3) -> str:
+    """Return how far a hand moved between the views that are used."""
+    positions = np.asarray(poses.wxyz_xyz)[data.usable_views(1), 4:]
+    extent = np.ptp(positions, axis=0) if len(positions) else np.zeros(3)
+    return f"{vector_text(1e3 * extent, 0)} mm"
 
 
 def _start(text: str) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration, TargetShape
 from ..cameras import Camera
 from ..geometry import as_se3, transformed_coordinates
-from ..robots import Command
+from ..robots import Command, HandPoses
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.modules import with_fields
@@ -29,6 +29,7 @@ class Observations(eqx.Module):
         base_from_tool: poses reported by the robot, one transform per view.
         joints: readings of the robot's joints, rad or m; None if unknown.
         depths: depths measured at the points; None without a depth sensor.
+        hands: poses of two hands, one with the camera and one with the target; None for one arm.
     """
 
     points: Float[Array, "*views points 3"]
@@ -37,11 +38,12 @@ class Observations(eqx.Module):
     base_from_tool: SE3
     joints: Float[Array, "*views joints"] | None = None
     depths: DepthReadings | None = None
+    hands: HandPoses | None = None
 
     @property
     def command(self) -> Command:
         """The commands reported by the robot, with joint readings if they are known."""
-        return Command(self.base_from_tool, self.joints)
+        return Command(self.base_from_tool, self.joints, self.hands)
 
     def of_shape(self, shape: TargetShape | None) -> "Observations":
         """Return the observations of a target whose points are displaced by a shape.
@@ -72,8 +74,9 @@ class Observations(eqx.Module):
         )
         in_columns = (*repeat_last(host[:2], points, axis=1), *host[2:])
         depths = None if self.depths is None else self.depths.padded_points(points)
-        target_points, pixels, base_from_tool, joints, depths = repeat_last(
-            (*in_columns, depths), views
+        hands = jax.tree.map(np.asarray, self.hands)
+        target_points, pixels, base_from_tool, joints, depths, hands = repeat_last(
+            (*in_columns, depths, hands), views
         )
         return with_fields(
             self,
@@ -83,6 +86,7 @@ class Observations(eqx.Module):
             base_from_tool=base_from_tool,
             joints=joints,
             depths=depths,
+            hands=hands,
         )
 
     def residuals(

@@ -9,7 +9,8 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..calibration import mount_frames
+from ..argument_checks import require_one_of
+from ..calibration import ONE_ARM_MOUNTS
 from ..cameras import Camera
 from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
 from ..robots import SerialArm
@@ -85,7 +86,7 @@ class PoseDataset(Dataset):
             ValueError: a wrong shape, a duplicate id, or a pose that is not rigid; the message
                 names the view.
         """
-        mount_frames(mount)
+        require_one_of("mount", mount, ONE_ARM_MOUNTS)
         tracked = getattr(camera_from_world, "wxyz_xyz", camera_from_world)
         count = len(np.asarray(tracked))
         ids = checked_view_ids(view_ids, count)

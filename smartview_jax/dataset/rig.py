@@ -40,7 +40,7 @@ class Rig:
 
     Several arms each have states, joints and errors of their own. Cameras on their hands must see a
     target in common, which tells where the bases are to each other (`RigFit.base`). A camera on one
-    hand that looks at a target on another is not provided for.
+    hand that looks at a target on another has a data set of its own (`Dataset.between_hands`).
 
     Attributes:
         cameras: data set of each camera, by its name.
@@ -96,6 +96,11 @@ class Rig:
             require_instance(f"Rig: camera {name!r}", data, Dataset)
             if isinstance(data, PoseDataset):
                 raise TypeError(f"Rig: camera {name!r}: tracked poses have no pixels")
+            if data.hands is not None:
+                raise ValueError(
+                    f"Rig: camera {name!r}: a camera on one arm's hand that sees a target on "
+                    "another's is calibrated alone, by calibrate(data)"
+                )
             if data.depths is not None:
                 raise ValueError(
                     f"Rig: camera {name!r}: depths count in the fit of one camera only; drop them "

@@ -25,7 +25,7 @@ from jax.flatten_util import ravel_pytree
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
-from ..calibration import Calibration, DepthBias
+from ..calibration import BASES, Calibration, DepthBias
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import to_device
@@ -38,6 +38,11 @@ TARGET_SCALE = "target_scale"
 
 DEPTH_BIAS_NAMES = ("depth_bias.scale", "depth_bias.offset")
 """Names of the bias of the depths that a camera measures."""
+
+BASES_NAMES = tuple(
+    f"{BASES}.{part}.{axis}" for part in ("translation", "rotation") for axis in _AXES
+)
+"""Names of the transform between the bases of two arms."""
 
 ROBOT_ERROR = "robot_error"
 """First part of the names of the robot error field's coefficients."""
@@ -60,10 +65,12 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
         for part in ("translation", "rotation")
         for axis in _AXES
     ]
+    bases = [] if calibration.base_from_other_base is None else list(BASES_NAMES)
     error = calibration.robot_error
     fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
     bias = [] if calibration.depth_bias is None else list(DEPTH_BIAS_NAMES)
-    return (*camera, *transforms, TARGET_SCALE, *fields, *bias, *correction_names(view_ids))
+    shared = (*camera, *transforms, TARGET_SCALE, *fields, *bias, *bases)
+    return (*shared, *correction_names(view_ids))
 
 
 def is_size(name: str) -> bool:
@@ -133,6 +140,7 @@ class ParameterLayout(NamedTuple):
         target_scale: the target's scale.
         field: coefficients of the robot error field.
         depth_bias: scale and offset of depths; empty without a depth sensor.
+        bases: step of `base_from_other_base`; empty for one arm.
         size: number of shared parameters.
     """
 
@@ -142,21 +150,24 @@ class ParameterLayout(NamedTuple):
     target_scale: slice
     field: slice
     depth_bias: slice
+    bases: slice
     size: int
 
     @classmethod
-    def of_sizes(cls, camera: int, field: int, depth_bias: int) -> "ParameterLayout":
-        """Return the layout for given numbers of parameters of camera, field and depth bias."""
+    def of_sizes(cls, camera: int, field: int, depth_bias: int, bases: int) -> "ParameterLayout":
+        """Return the layout for given numbers of parameters."""
         mount, holder, scale = camera + 6, camera + 12, camera + 13
         end = scale + field
+        last = end + depth_bias
         return cls(
             slice(0, camera),
             slice(camera, mount),
             slice(mount, holder),
             slice(holder, scale),
             slice(scale, end),
-            slice(end, end + depth_bias),
-            end + depth_bias,
+            slice(end, last),
+            slice(last, last + bases),
+            last + bases,
         )
 
 
@@ -175,8 +186,9 @@ class Parameters(eqx.Module):
         camera_size = sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
         error = self.start.robot_error
         bias_size = 0 if self.start.depth_bias is None else len(DEPTH_BIAS_NAMES)
+        bases_size = 0 if self.start.base_from_other_base is None else len(BASES_NAMES)
         return ParameterLayout.of_sizes(
-            camera_size, 0 if error is None else error.field.size, bias_size
+            camera_size, 0 if error is None else error.field.size, bias_size, bases_size
         )
 
     def values(self) -> Float[Array, "shared"]:
@@ -185,7 +197,7 @@ class Parameters(eqx.Module):
         The value of the target's scale is its logarithm.
         """
         start = self.start
-        error, bias = start.robot_error, start.depth_bias
+        error, bias, bases = start.robot_error, start.depth_bias, start.base_from_other_base
         return jnp.concatenate(
             [
                 ravel_pytree(start.camera)[0],
@@ -196,6 +208,7 @@ class Parameters(eqx.Module):
                 jnp.log(start.target_scale)[None],
                 jnp.zeros(0) if error is None else error.coefficients,
                 *([] if bias is None else [bias.scale[None], bias.offset[None]]),
+                *([] if bases is None else [bases.translation(), jnp.zeros(3)]),
             ]
         )
 
@@ -210,6 +223,9 @@ class Parameters(eqx.Module):
         if bias is not None:
             by_scale, by_offset = shared[layout.depth_bias]
             bias = DepthBias(bias.scale + by_scale, bias.offset + by_offset)
+        bases = start.base_from_other_base
+        if bases is not None:
+            bases = retract_transform(bases, shared[layout.bases])
         calibration = Calibration(
             rebuild(camera_values + shared[layout.camera]),
             retract_transform(start.camera_from_mount, shared[layout.mount]),
@@ -218,6 +234,7 @@ class Parameters(eqx.Module):
             start.target_scale * jnp.exp(shared[layout.target_scale][0]),
             error,
             depth_bias=bias,
+            base_from_other_base=bases,
         )
         return calibration, step.per_view
 
@@ -230,7 +247,10 @@ class Parameters(eqx.Module):
         for place, before, after in (
             (layout.mount, start.camera_from_mount, other.camera_from_mount),
             (layout.holder, start.holder_from_world, other.holder_from_world),
+            (layout.bases, start.base_from_other_base, other.base_from_other_base),
         ):
+            if before is None or after is None:
+                continue
             rotation = slice(place.start + 3, place.stop)
             step = step.at[rotation].set(rotation_vector_between(before, after))
         return step
@@ -252,7 +272,10 @@ def host_values(start: Calibration) -> Float[np.ndarray, "shared"]:
     scale = np.log(np.asarray(start.target_scale))[None]
     coefficients = np.zeros(0) if error is None else np.asarray(error.coefficients)
     bias = np.zeros(0) if start.depth_bias is None else start.depth_bias.host_values
-    return np.concatenate([*camera, mount, rotation, holder, rotation, scale, coefficients, bias])
+    between = start.base_from_other_base
+    bases = [] if between is None else [np.asarray(between.wxyz_xyz)[4:], rotation]
+    values = [*camera, mount, rotation, holder, rotation, scale, coefficients, bias, *bases]
+    return np.concatenate(values)
 
 
 def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Calibration:
@@ -276,6 +299,9 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
     bias = start.depth_bias
     if bias is not None:
         bias = DepthBias(*(bias.host_values + shared[layout.depth_bias]))
+    bases = start.base_from_other_base
+    if bases is not None:
+        bases = host_retract_transform(bases, shared[layout.bases])
     return Calibration(
         jax.tree.unflatten(structure, camera),
         host_retract_transform(start.camera_from_mount, shared[layout.mount]),
@@ -284,6 +310,7 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
         np.asarray(start.target_scale) * np.exp(shared[layout.target_scale][0]),
         error,
         depth_bias=bias,
+        base_from_other_base=bases,
     )
 
 

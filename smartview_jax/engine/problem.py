@@ -23,7 +23,7 @@ from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
 from .parameters import DEPTH_BIAS_NAMES, Parameters, Step, host_values
-from .pose_jacobians import PoseJacobians, linearise_poses
+from .pose_jacobians import PoseJacobians, corrections_at_tool, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
 from .tracked_poses import linearise_tracked_poses
@@ -140,7 +140,8 @@ class JointProblem(AbstractProblem):
     def is_camera(self) -> Bool[np.ndarray, "shared"]:
         """Mask of the parameters of the camera and of its depths among the shared ones."""
         layout, index = self.parameters.layout, np.arange(self.parameter_count)
-        return (index < layout.camera.stop) | (index >= layout.depth_bias.start)
+        is_bias = (index >= layout.depth_bias.start) & (index < layout.depth_bias.stop)
+        return (index < layout.camera.stop) | is_bias
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""
@@ -177,9 +178,10 @@ class JointProblem(AbstractProblem):
     def _corrected_poses(self, z: Step) -> tuple[Calibration, SE3]:
         """Return the calibration and the corrected robot poses at a scaled step."""
         calibration, corrections = self.calibration(z)
-        poses, error = self.observations.base_from_tool, calibration.robot_error
+        poses = calibration.with_bases(self.observations.command).base_from_tool
+        error = calibration.robot_error
         if len(corrections):
-            poses = poses @ SE3.exp(-corrections)
+            poses = poses @ corrections_at_tool(self.observations.command, -corrections)
         if error is not None and self.prepared_poses is not None:
             poses = poses @ self.prepared_poses.error(error.field, error.coefficients)
         return calibration, poses
@@ -292,7 +294,7 @@ class JointProblem(AbstractProblem):
         return linearise_poses(
             self.parameters,
             self.unscaled_step(z),
-            self.observations.base_from_tool,
+            self.observations.command,
             self.prepared_poses,
         )
 

@@ -119,6 +119,12 @@ def build_problem(
     choice = ParameterChoice.of(**parameters)
     if start.mount != data.mount:
         raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
+    if (data.hands is None) != (start.base_from_other_base is None):
+        raise ValueError(
+            "base_from_other_base: a start has it for the data of two arms, and only for these"
+        )
+    if start.base_from_other_base is not None:
+        data = data.with_bases(start.base_from_other_base)
     field = checked_field_choice(field)
     start = with_depth_bias(with_field(with_lens(start, lens), field), data)
     views = data.usable_views()
@@ -202,6 +208,7 @@ def with_free_camera_poses(
         data,
         base_from_tool=host_mount_from_holder("eye_in_hand", camera_from_world),
         mount="eye_in_hand",
+        hands=None,
     )
     return repositioned, identity_start
 

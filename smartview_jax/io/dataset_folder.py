@@ -22,6 +22,15 @@ an unknown key is an error. A board printed by Kalibr can refer to Kalibr's own 
 described in `tracked_poses.py`, one of a depth sensor in `depth_folder.py`, and depths at the
 points of pictures, from a camera whose lens is to be found, in `point_depths.py`.
 
+For a camera on the hand of one arm and the target on the hand of another, `mount` is
+`hand_to_hand`, `poses` has what the camera's arm reported and `other_poses` what the other one did,
+by view, each in its own base:
+
+    mount: hand_to_hand
+    poses: {file: poses.csv, codec: ur, length_unit: m, angle_unit: rad, direction: base_from_tool}
+    other_poses: {file: other_poses.csv, codec: kuka_abc, length_unit: mm, angle_unit: deg,
+                  direction: base_from_tool}
+
 A truncated file may still be valid YAML or CSV. Therefore `save_dataset` writes the number of
 `rows` of every table, and `end_mark: true`, which requires the last line `end: smartview_dataset`.
 A file written by hand needs neither.
@@ -38,8 +47,8 @@ from jaxlie import SE3
 from ..dataset import Dataset, PoseDataset, Rig
 from ..detection import checked_pixels
 from ..files import read_yaml
-from ..geometry import PoseLike, as_se3, pose_codec
-from ..targets import AbstractTarget, target_to_dict
+from ..geometry import PoseLike, as_se3, host_matrices, pose_codec
+from ..targets import AbstractTarget, StackedTarget, target_to_dict
 from .depth_folder import read_depth_pictures, read_points_folder
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .folder_description import (
@@ -55,7 +64,14 @@ from .joints import joints_entry, refuse_unreadable_joints, write_joints
 from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 from .point_depths import with_folder_depths, write_depths
-from .poses import POSES_FILE, poses_entry, refuse_unreadable_poses, write_poses
+from .poses import (
+    OTHER_POSES_FILE,
+    POSES_FILE,
+    poses_entry,
+    read_poses,
+    refuse_unreadable_poses,
+    write_poses,
+)
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .tracked_poses import read_tracked_folder, write_tracked_poses
 
@@ -64,6 +80,60 @@ def load_dataset_folder(
     folder: Path, options: LoadOptions, holder_from_world: PoseLike | None = None
 ) -> Dataset:
     """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
+    data = _load_one_arm(folder, options, holder_from_world)
+    content = read_yaml(folder / DESCRIPTION_FILE)
+    if content.get("mount") != "hand_to_hand":
+        return data
+    return _between_hands(data, folder, content["other_poses"], options.bad_views)
+
+
+def _between_hands(data: Dataset, folder: Path, entry: dict[str, Any], bad_views: str) -> Dataset:
+    """Return the data set of a camera on a hand with the poses of the arm that carries the target.
+
+    Args:
+        data: the data set, with the poses of the camera's arm.
+        folder: of the data set.
+        entry: the entry `other_poses`.
+        bad_views: as for `load_dataset`.
+
+    Raises:
+        ValueError: a wrong value, or a view without a pose; the message names the file.
+    """
+    other, path = read_poses(folder, entry, bad_views, "other_poses"), folder / entry["file"]
+    place = {view: k for k, view in enumerate(other.view_ids)}
+    if missing := [view for view in data.view_ids if view not in place]:
+        raise ValueError(f"{path}: no pose for the view {', '.join(missing[:5])}")
+    index = [place[view] for view in data.view_ids]
+    wrong = [k for k, view in enumerate(data.view_ids) if view in other.masked_views]
+    masked = [(data.view_ids[k], other.masked_views[data.view_ids[k]]) for k in wrong]
+    known = {view for view, _ in data.masked_views}
+    new = tuple(entry for entry in masked if entry[0] not in known)
+    data = dataclasses.replace(data.mask_views(wrong), masked_views=(*data.masked_views, *new))
+    try:
+        return data.between_hands(host_matrices(other.poses)[index])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _require_one_numbering(target: AbstractTarget, path: Path) -> None:
+    """Raise a ValueError for a target whose points have several numberings.
+
+    The motion of one arm tells which numberings agree; the motions of two do not, as long as it is
+    not known where their bases are.
+    """
+    board = target.board if isinstance(target, StackedTarget) else target
+    if len(board.symmetries) > 1:
+        raise ValueError(
+            f"{path}: target: a target on another hand must not look the same when turned, as this "
+            f"{type(board).__name__} does: take a ChArUco board or an AprilGrid, or a chessboard "
+            "with an odd and an even number of squares"
+        )
+
+
+def _load_one_arm(
+    folder: Path, options: LoadOptions, holder_from_world: PoseLike | None
+) -> Dataset:
+    """Read a data set, of two arms without the poses of the second."""
     # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
     from ..schemas.dataset import DATASET_SCHEMA
     from ..schemas.validation import validate_content
@@ -86,6 +156,8 @@ def load_dataset_folder(
         camera = camera._replace(holder_from_world=as_se3(holder_from_world))
     readings = read_robot_readings(folder, content, description_path, options.bad_views)
     if "pictures" in content:
+        if description.mount == "hand_to_hand":
+            _require_one_numbering(camera.target, description_path)
         files = picture_files(
             folder,
             content["pictures"],
@@ -245,10 +317,19 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         poses = {POSES_FILE: (data.view_ids, data.base_from_tool)}
         write_described_folder(folder, poses, entries, pose_format)
         return
+    hands, of_other = data.hands, {}
+    if hands is not None:
+        data = dataclasses.replace(data, base_from_tool=hands.base_from_tool)
+        other = hands.other_base_from_other_tool
+        refuse_unreadable_poses(folder, data.view_ids, other, OTHER_POSES_FILE)
+        of_other = {"other_poses": poses_entry(data.view_count, pose_format, OTHER_POSES_FILE)}
     if target is None or not is_described(data):
         raise ValueError("save_dataset: the data set needs a target that describes its points")
     refuse_unreadable_robot(folder, data, pose_format)
     rows = write_visible_points(folder / DETECTIONS_FILE, data)
+    if hands is not None:
+        other = hands.other_base_from_other_tool
+        write_poses(folder, data.view_ids, other, pose_format, OTHER_POSES_FILE)
     write_dataset_folder(
         folder,
         data.view_ids,
@@ -260,6 +341,7 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
             "detections": {"rows": rows},
             **write_depths(data, folder),
             **written_joints(folder, data),
+            **of_other,
         },
         pose_format,
     )

@@ -56,6 +56,8 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
     path = folder / DESCRIPTION_FILE
     content = read_yaml(path)
     description = validate_content(content, DATASET_SCHEMA, path)
+    if description.mount == "hand_to_hand":
+        raise ValueError(f"{path}: mount: expected one arm, found hand_to_hand, views of two arms")
     if description.camera is None:
         form = "tracked_poses" if description.target is None else "measured_points"
         raise ValueError(f"{path}: {form}: expected a data set with pictures of a target")
@@ -84,9 +86,11 @@ def described_camera(
     except ValueError as error:
         # Both read parts of the file and do not know its name.
         raise ValueError(f"{path}: {error}") from error
+    # Pictures of a target on another hand are read as those of a camera on a hand.
+    mount = "eye_in_hand" if description.mount == "hand_to_hand" else description.mount
     return FolderDescription(
         target,
-        description.mount,
+        mount,
         (width, height),
         pose,
         folder / DETECTIONS_FILE,

@@ -32,6 +32,9 @@ from .viewpoints import read_viewpoints
 POSES_FILE = "poses.csv"
 """The name of the file that `write_poses` writes."""
 
+OTHER_POSES_FILE = "other_poses.csv"
+"""The name of the file with the poses of a second arm, which carries the target."""
+
 
 class ReadPoses(NamedTuple):
     """The poses of a file, by view.
@@ -138,19 +141,22 @@ def refuse_unreadable_poses(
     refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
 
 
-def poses_entry(count: int | None, pose_format: str = "matrix") -> dict[str, Any]:
+def poses_entry(
+    count: int | None, pose_format: str = "matrix", file: str = POSES_FILE
+) -> dict[str, Any]:
     """Return the entry `poses` of a description.
 
     Args:
         count: number of the table's rows; None for a table that will grow.
         pose_format: one of `POSE_CODECS`.
+        file: name of the table.
 
     Raises:
         ValueError: an unknown format.
     """
     codec = pose_codec(pose_format)
     return {
-        "file": POSES_FILE,
+        "file": file,
         "codec": codec.name,
         "length_unit": codec.units[0],
         "angle_unit": codec.units[1],

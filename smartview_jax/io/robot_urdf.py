@@ -65,7 +65,7 @@ def robot_urdf(
             joint, links[k], links[1 + k], origins[k], _motion(actual.prismatic[k], limits)
         )
     lines += _joint(f"{tool}_fixed", links[count], tool, origins[count])
-    mount = tool if calibration.mount == "eye_in_hand" else BASE_LINK
+    mount = BASE_LINK if calibration.mount == "eye_to_hand" else tool
     camera_pose = pose_matrix(mount_from_camera(calibration))
     lines += _joint(f"{camera}_fixed", mount, camera, camera_pose)
     return "\n".join([*lines, "</robot>"]) + "\n"

@@ -30,6 +30,7 @@ from .pose_fit import tracked_pose_errors as tracked_pose_errors
 from .precompile import precompile as precompile
 from .relative_pose import RelativePose as RelativePose
 from .relative_pose import relative_pose as relative_pose
+from .rig_estimate import JOINT_SUFFIX as JOINT_SUFFIX
 from .rig_estimate import RIG_FILE as RIG_FILE
 from .rig_estimate import RigEstimate as RigEstimate
 from .rig_estimate import is_rig as is_rig

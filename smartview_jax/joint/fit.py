@@ -146,6 +146,8 @@ def fit_joint(
         require_instance("solver", solver, optx.AbstractLeastSquaresSolver, hint)
     field, all_data = checked_field_choice(field), data
     choice = ParameterChoice.of(fixed, free, priors)
+    if start.base_from_other_base is not None:
+        data = data.with_bases(start.base_from_other_base)
     if inliers is not None:
         data = data.with_visible(np.asarray(data.visible) & np.asarray(inliers))
     require_moving_robot(data, start, choice)

@@ -141,7 +141,7 @@ def _headings(calibration: Calibration) -> list[tuple[str, str]]:
     camera = calibration.camera
     width, height = camera.image_size
     lens = lens_name(camera.lens)
-    transforms = [(name, f"{name} (+- 95 %)") for name in calibration.transform_names]
+    transforms = [(name, f"{name} (+- 95 %)") for name in calibration.transforms]
     return [("camera", f"camera, {lens}, {width} x {height} px (+- 95 %)"), *transforms]
 
 

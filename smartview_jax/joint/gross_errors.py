@@ -121,7 +121,11 @@ def remove_gross_errors(
         poses,
         to_device(trusted.astype(float)),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(
-            Calibration(start.camera, camera_from_mount, holder_from_world, data.mount),
+            dataclasses.replace(
+                start.uncorrected,
+                camera_from_mount=camera_from_mount,
+                holder_from_world=holder_from_world,
+            ),
             located_data.observations,
             to_device(visible & ~outside),
         ),

@@ -47,7 +47,8 @@ class JointFit(eqx.Module):
         residuals: measured minus predicted through the chain *without* pose corrections, px.
         inliers: observations within the chi-square gate around the fit; the others were used too.
         rejected: observations left out: view id, point index (None for a whole view), reason.
-        pose_corrections: one twist per view, translation (m) then rotation (rad), at the tool.
+        pose_corrections: one twist per view, translation (m) then rotation (rad), at the tool; of
+            two arms, about the point midway between their hands.
         field_corrections: one twist per view at the tool, from the reported pose to the pose
             corrected by the robot error field; zero without a field.
         observability: the directions that the data do not determine.

@@ -308,6 +308,8 @@ def _require_same_structure(data: Sequence[Dataset], starts: Sequence[Calibratio
     if not data:
         raise ValueError("fit_many: expected at least one data set, found none")
     for k, item in enumerate(data):
+        if item.hands is not None:
+            raise ValueError(f"data[{k}]: two arms are fitted by fit_joint and calibrate_many only")
         if item.depths is not None:
             raise ValueError(
                 f"data[{k}]: depths count in fit_joint and calibrate_many only; drop them by "

@@ -77,8 +77,7 @@ def _parameter_values(calibration: Calibration) -> dict[str, float]:
         for key, value in vars(camera.lens).items()
         if np.ndim(value) == 0
     }
-    transforms = (calibration.camera_from_mount, calibration.holder_from_world)
-    for name, transform in zip(calibration.transform_names, transforms, strict=True):
+    for name, transform in calibration.transforms.items():
         matrix = host_matrices(transform)
         # The last three numbers of a transform's logarithm are its rotation vector.
         rotation_vector = host_logarithms(matrix)[3:]

@@ -51,7 +51,9 @@ def precompile(
     # A fit without visible points ends at once, at the priors; only the array shapes matter.
     problem = build_problem(
         data.with_visible(np.zeros(data.visible.shape, dtype=bool)),
-        Calibration(camera, identity, identity, data.mount),
+        Calibration(
+            camera, identity, identity, data.mount, base_from_other_base=data.base_from_other_base
+        ),
         noise=noise_model,
         field=field,
         priors={"camera": Prior(std=1.0)},

@@ -5,7 +5,7 @@ than each camera's own covariance says.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,6 +26,9 @@ RIG_FILE = "rig.joint.yaml"
 No camera's file is called so, since the name of a camera has no point.
 """
 
+JOINT_SUFFIX = ".joint.yaml"
+"""End of the names of these files: each of several arms has one, called by the arm's name."""
+
 
 class RigEstimate(NamedTuple):
     """The calibrations of a rig's cameras, with the joint covariance of their parameters.
@@ -45,35 +48,46 @@ class RigEstimate(NamedTuple):
     noise: Noise
 
     @classmethod
-    def of(cls, fit: "RigFit") -> "RigEstimate":
+    def of(cls, fit: "RigFit", arm: str | None = None) -> "RigEstimate":
         """Return the part of a fit that its files have.
 
+        Args:
+            fit: joint fit of a rig.
+            arm: name of one of several arms, whose cameras are taken; as they are known by the fit
+                of all. Their parameters are named as in the fit of this arm alone.
+
         Raises:
-            ValueError: a parameter is undetermined, and the message names it; or several arms.
+            ValueError: a parameter is undetermined, and the message names it; or several arms and
+                none or an unknown one is named.
         """
-        if len(fit.noises) > 1:
+        if arm is None and len(fit.noises) > 1:
             raise ValueError(
                 f"expected the fit of a rig with one arm, found {', '.join(fit.noises)}: pictures "
-                "are localised in the frames of one robot"
+                "are localised, and states planned, in the frames of one robot: name it"
             )
-        if undetermined := undetermined_parameters(fit):
+        arm = next(iter(fit.noises)) if arm is None else arm
+        if arm not in fit.noises:
+            raise ValueError(f"expected an arm of {', '.join(fit.noises)}, found {arm!r}")
+        names, covariance, std = fit.of_arm(arm)
+        undetermined = [n for n, own in zip(names, std, strict=True) if not np.isfinite(own)]
+        if undetermined:
             raise ValueError(
                 f"the data do not determine {', '.join(undetermined)}; add views or a prior"
             )
-        return cls(
-            fit.calibrations,
-            np.asarray(fit.covariance),
-            fit.parameter_names,
-            _camera_names(fit),
-            fit.noise,
-        )
+        calibrations = _calibrations_of(fit, arm)
+        camera_names = _camera_names(fit, arm)
+        return cls(calibrations, np.asarray(covariance), names, camera_names, fit.noises[arm])
 
 
-def _camera_names(fit: "RigFit") -> dict[str, tuple[str, ...]]:
-    """Return the rig's name of each parameter of each camera's calibration, for one arm."""
-    (built,) = fit.built_by_arm.values()
-    names = {}
-    for camera, calibration in fit.calibrations.items():
+def _calibrations_of(fit: "RigFit", arm: str) -> dict[str, Calibration]:
+    """Return the calibrations of one arm's cameras."""
+    return {name: own for name, own in fit.calibrations.items() if fit.arms[name] == arm}
+
+
+def _camera_names(fit: "RigFit", arm: str) -> dict[str, tuple[str, ...]]:
+    """Return the arm's name of each parameter of each of its cameras' calibrations."""
+    built, names = fit.built_by_arm[arm], {}
+    for camera, calibration in _calibrations_of(fit, arm).items():
         # The least-squares problem may have more terms of the robot's error than the result.
         local = parameter_names(built.starts[camera])
         number_of = dict(zip(local, built.camera_names[camera], strict=True))
@@ -81,36 +95,40 @@ def _camera_names(fit: "RigFit") -> dict[str, tuple[str, ...]]:
     return names
 
 
-def undetermined_parameters(fit: "RigFit") -> list[str]:
-    """Return the names of parameters whose standard deviation is infinite or unknown."""
-    return [name for name in fit.parameter_names if not np.isfinite(fit.std[name])]
+def rig_files(arms: Iterable[str]) -> dict[str, str]:
+    """Return the name of the file of each arm's cameras; of the only arm, `RIG_FILE`."""
+    names = list(arms)
+    return {arm: RIG_FILE if len(names) == 1 else f"{arm}{JOINT_SUFFIX}" for arm in names}
 
 
 def save_rig(fit: "RigFit", folder: Path, run: str | None) -> None:
-    """Write the file of a rig; without uncertainty if a parameter is undetermined."""
+    """Write the file of a rig, or of each arm; without uncertainty of an undetermined parameter."""
     # The validation library is imported only where files are read or written.
     from ..schemas.calibrated_rig import CALIBRATED_RIG_SCHEMA, END_MARK
     from ..schemas.validation import write_validated
 
-    known = not undetermined_parameters(fit)
-    content = {
-        "smartview_rig": 1,
-        "run": run,
-        "cameras": {name: f"{name}.yaml" for name in fit.calibrations},
-        "parameters_of": {name: list(own) for name, own in _camera_names(fit).items()},
-        "uncertainty": rig_uncertainty_to_dict(fit) if known else None,
-        "end": END_MARK,
-    }
-    write_validated(folder / RIG_FILE, content, CALIBRATED_RIG_SCHEMA)
+    for arm, file in rig_files(fit.noises).items():
+        known = np.isfinite(fit.of_arm(arm)[2]).all()
+        content = {
+            "smartview_rig": 1,
+            "run": run,
+            "cameras": {name: f"{name}.yaml" for name in _calibrations_of(fit, arm)},
+            "parameters_of": {name: list(own) for name, own in _camera_names(fit, arm).items()},
+            "uncertainty": rig_uncertainty_to_dict(fit, arm) if known else None,
+            "end": END_MARK,
+        }
+        write_validated(folder / file, content, CALIBRATED_RIG_SCHEMA)
 
 
-def rig_uncertainty_to_dict(fit: "RigFit") -> dict[str, Any]:
-    """Return the joint covariance and the noise of a rig as plain numbers."""
+def rig_uncertainty_to_dict(fit: "RigFit", arm: str) -> dict[str, Any]:
+    """Return the joint covariance and the noise of an arm's cameras as plain numbers."""
+    names, covariance, _ = fit.of_arm(arm)
+    noise = fit.noises[arm]
     return {
-        "parameters": list(fit.parameter_names),
-        "covariance": [[float(x) for x in row] for row in np.asarray(fit.covariance)],
-        "noise": noise_to_dict(fit.noise),
-        "pixel_sigma": float(fit.noise.pixel),
+        "parameters": list(names),
+        "covariance": [[float(x) for x in row] for row in np.asarray(covariance)],
+        "noise": noise_to_dict(noise),
+        "pixel_sigma": float(noise.pixel),
         "smallest_singular_value": float(fit.smallest_singular_value),
     }
 
@@ -119,7 +137,8 @@ def load_rig_estimate(path: str | os.PathLike[str]) -> RigEstimate:
     """Read the calibrations of a rig with their joint covariance, as `RigFit.save` wrote them.
 
     Args:
-        path: the folder, or the file `rig.joint.yaml` in it.
+        path: the folder, or the file `rig.joint.yaml` in it; of several arms, the file of one arm,
+            such as `left.joint.yaml`.
 
     Raises:
         FileNotFoundError: a file is missing.
@@ -180,6 +199,6 @@ def load_calibrated_rig(
 
 
 def is_rig(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is the folder of a calibrated rig, or its file `rig.joint.yaml`."""
+    """Return whether a path is the folder of a calibrated rig, or a file `rig.joint.yaml` in it."""
     place = Path(path)
-    return (place / RIG_FILE).is_file() if place.is_dir() else place.name == RIG_FILE
+    return (place / RIG_FILE).is_file() if place.is_dir() else place.name.endswith(JOINT_SUFFIX)

@@ -27,7 +27,7 @@ from ..geometry import host_matrices
 from ..variance import RigNoiseEstimate
 from .joint_fit import half_width
 from .relative_pose import RelativePose, relative_base, relative_pose
-from .rig_estimate import RIG_FILE, save_rig
+from .rig_estimate import rig_files, save_rig
 from .saved_estimate import SavedEstimate
 from .several_arms import own_jacobians
 
@@ -168,7 +168,7 @@ class RigFit(eqx.Module):
         """
         calibration = self.calibrations[self._checked(camera)]
         built = self.built_by_arm[self.arms[camera]]
-        names, known, std = self._of_arm(self.arms[camera])
+        names, known, std = self.of_arm(self.arms[camera])
         own, alone = built.camera_names[camera], parameter_names(built.starts[camera])
         local = dict(zip(own, alone, strict=True))
         kept = [k for k, name in enumerate(names) if name in local]
@@ -191,7 +191,7 @@ class RigFit(eqx.Module):
             Observability(rank, len(kept), directions, (), smallest),
         )
 
-    def _of_arm(
+    def of_arm(
         self, arm: str
     ) -> tuple[tuple[str, ...], Float[np.ndarray, "own own"], Float[np.ndarray, "own"]]:
         """Return the names of one arm's free parameters, their covariance and standard deviations.
@@ -266,10 +266,10 @@ class RigFit(eqx.Module):
         """Write a calibration file for each camera, `left.yaml`, and their joint covariance.
 
         Each camera's file has its own covariance and is read by `Calibration.load` and
-        `load_estimate`; `rig.joint.yaml` has the joint covariance, for `load_rig_estimate`. Of
-        several arms, the pose of every other base in the first one is written in its place, such
-        as base_left_from_base_right.yaml, which `RelativePose.load` reads. All are written, or
-        none.
+        `load_estimate`; `rig.joint.yaml` has the joint covariance, for `load_rig_estimate`. Each of
+        several arms has such a file of its own, `left.joint.yaml`, and the pose of every other base
+        in the first one is written, such as base_left_from_base_right.yaml, which
+        `RelativePose.load` reads. All are written, or none.
 
         Args:
             folder: of the files; created if it does not exist.
@@ -287,15 +287,13 @@ class RigFit(eqx.Module):
                 )
             for name, base in self._named_bases():
                 base.save(place / f"{name}.yaml", run)
-            if len(self.noises) == 1:
-                save_rig(self, place, run)
+            save_rig(self, place, run)
 
     @property
     def file_names(self) -> tuple[str, ...]:
         """The names of the files that `save` writes."""
         stems = (*self.calibrations, *(path for path, _ in self._named_bases()))
-        joint = (RIG_FILE,) if len(self.noises) == 1 else ()
-        return (*(f"{stem}.yaml" for stem in stems), *joint)
+        return (*(f"{stem}.yaml" for stem in stems), *rig_files(self.noises).values())
 
     def _named_bases(self) -> list[tuple[str, RelativePose]]:
         """Return the pose of every other base in the base of the first arm, by its name."""

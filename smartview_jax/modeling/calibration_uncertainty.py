@@ -240,7 +240,7 @@ def _view_jacobians(
     layout, count = parameters.layout, len(command.base_from_tool.wxyz_xyz)
     step = Step(jnp.zeros(layout.size), jnp.zeros((count, 6)))
     # The chain of Eq. 10 and its derivatives come from the joint fit.
-    poses = linearise_poses(parameters, step, command.base_from_tool, prepared)
+    poses = linearise_poses(parameters, step, command, prepared)
     # The target's scale does not affect other objects, which are measured in metres. The order is
     # the one of `Parameters`: camera, both transforms, scale, field.
     chained = layout.size - layout.camera.stop

@@ -258,6 +258,7 @@ def calibration_of_views(
 
 def _in_base(calibration: Calibration) -> Calibration:
     """Return the calibration with the base frame in the place of its world."""
+    calibration.require_one_arm("pictures of several cameras")
     # The chain of a camera next to the arm ends at the base, wherever the robot is.
     is_fixed = calibration.mount == "eye_to_hand"
     return Calibration(

@@ -147,6 +147,7 @@ class SeenViews(NamedTuple):
         """
         if isinstance(calibration, RigViews):
             return cls._of_rig(calibration, poses)
+        calibration.require_one_arm("objects in pictures")
         if poses is None:
             raise ValueError("poses: expected the reported pose of each view, found None")
         checked = as_checked_command(poses)

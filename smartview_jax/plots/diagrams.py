@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d import Axes3D
 
-from ..calibration import Calibration
+from ..calibration import Calibration, mount_frames
 from ..dataset import Dataset
 from ..geometry import host_matrices
 from .figures import BLUE, GREEN, GREY, RED, PlotFigure
@@ -16,6 +16,8 @@ AXIS_LENGTH = 0.12
 def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> PlotFigure:
     """Draw base, tool, camera and world frame of one view in their true places, as in Fig. 4.
 
+    For a camera on one hand and a target on another, the other hand is in the place of the base.
+
     The links between them are the transforms of the chain: grey if the robot reports them, blue if
     they are calibrated.
 
@@ -24,23 +26,24 @@ def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> Pl
         calibration: the calibration.
         view: index of the view.
     """
-    eye_in_hand = calibration.mount == "eye_in_hand"
-    base_from_tool = host_matrices(data.command.base_from_tool)[view]
+    eye_in_hand = mount_frames(calibration.mount)[0] == "tool"
+    base = mount_frames(calibration.mount)[1] if eye_in_hand else "base"
+    base_from_tool = host_matrices(calibration.with_bases(data.command).base_from_tool)[view]
     camera_from_world = np.asarray(calibration.camera_from_world_matrices(data.command))[view]
     holder_from_world = host_matrices(calibration.holder_from_world)
     # With a fixed camera the tool carries the target.
     base_from_world = holder_from_world if eye_in_hand else base_from_tool @ holder_from_world
     # All in the base's frame; the camera through the target, as the whole chain predicts it.
     base_from_frame = {
-        "base": np.eye(4),
+        base: np.eye(4),
         "tool": base_from_tool,
         "camera": base_from_world @ np.linalg.inv(camera_from_world),
         "world (target)": base_from_world,
     }
     mount, holder = calibration.transform_names
-    links = [("base", "tool", "base_from_tool", GREY)]
-    links.append(("tool" if eye_in_hand else "base", "camera", mount, BLUE))
-    links.append(("base" if eye_in_hand else "tool", "world (target)", holder, BLUE))
+    links = [(base, "tool", f"{base}_from_tool", GREY)]
+    links.append(("tool" if eye_in_hand else base, "camera", mount, BLUE))
+    links.append((base if eye_in_hand else "tool", "world (target)", holder, BLUE))
     links.append(("camera", "world (target)", "camera_from_world", RED))
     figure = PlotFigure(figsize=(7.0, 5.6), layout="constrained")
     axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
@@ -58,7 +61,7 @@ def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> Pl
         x, y, z = (float(number) for number in middle)
         axes.text(x, y, z, name, fontsize=8, color=colour)
     axes.set_aspect("equal")
-    axes.set_xlabel("x of the base (mm)")
+    axes.set_xlabel(f"x of the {base.replace('_', ' ')} (mm)")
     axes.set_ylabel("y (mm)")
     axes.set_zlabel("z (mm)")
     return figure

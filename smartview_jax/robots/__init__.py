@@ -3,6 +3,7 @@
 from .command import MAX_TOOL_COORDINATE as MAX_TOOL_COORDINATE
 from .command import Command as Command
 from .command import CommandLike as CommandLike
+from .command import HandPoses as HandPoses
 from .command import JointsLike as JointsLike
 from .command import as_command as as_command
 from .general_inverse_kinematics import joints_for_pose as joints_for_pose

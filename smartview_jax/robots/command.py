@@ -7,13 +7,44 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..geometry import PoseLike, as_se3
+from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
 
 MAX_TOOL_COORDINATE = 10.0
 """Largest plausible coordinate of the tool in the base frame, m.
 
 No arm is that long; a larger number is in another unit, such as millimetres.
 """
+
+
+class HandPoses(eqx.Module):
+    """The poses of two hands, one with the camera and one with the target, each in its own base.
+
+    Attributes:
+        base_from_tool: pose `(*views)` of the hand with the camera, as its arm reported it.
+        other_base_from_other_tool: pose `(*views)` of the hand with the target, as the other arm
+            reported it.
+    """
+
+    base_from_tool: SE3
+    other_base_from_other_tool: SE3
+
+    def other_tool_from_tool(self, base_from_other_base: SE3) -> SE3:
+        """Return the poses of the camera's hand in the frame of the target's hand.
+
+        Args:
+            base_from_other_base: base of the target's arm in the base of the camera's.
+        """
+        return (base_from_other_base @ self.other_base_from_other_tool).inverse() @ (
+            self.base_from_tool
+        )
+
+    def host_other_tool_from_tool(self, base_from_other_base: SE3) -> SE3:
+        """Return `other_tool_from_tool`, computed with NumPy."""
+        base, own, other = map(
+            host_matrices,
+            (base_from_other_base, self.base_from_tool, self.other_base_from_other_tool),
+        )
+        return host_transforms(np.linalg.inv(base @ other) @ own)
 
 
 class Command(eqx.Module):
@@ -24,10 +55,13 @@ class Command(eqx.Module):
     Attributes:
         base_from_tool: pose `(*views)` by the controller's own forward kinematics.
         joints: joint readings, rad (m for a prismatic joint); None where they are not known.
+        hands: poses of two hands, from which a calibration that knows where both bases are computes
+            `base_from_tool`, the pose of one hand in the other; None for one arm.
     """
 
     base_from_tool: SE3
     joints: Float[Array, "*views joints"] | None = None
+    hands: HandPoses | None = None
 
 
 JointsLike: TypeAlias = Float[Array, "*views joints"] | np.ndarray

@@ -281,8 +281,17 @@ class EyeToHandFile(_CalibrationFile):
     tool_from_world: TransformEntry
 
 
-CALIBRATION_SCHEMA: TypeAdapter[EyeInHandFile | EyeToHandFile] = TypeAdapter(
-    Annotated[EyeInHandFile | EyeToHandFile, Field(discriminator="mount")]
+class HandToHandFile(_CalibrationFile):
+    """A camera on the tool of one arm and a target on the tool of another."""
+
+    mount: Literal["hand_to_hand"]
+    camera_from_tool: TransformEntry
+    other_tool_from_world: TransformEntry
+    base_from_other_base: TransformEntry
+
+
+CALIBRATION_SCHEMA: TypeAdapter[EyeInHandFile | EyeToHandFile | HandToHandFile] = TypeAdapter(
+    Annotated[EyeInHandFile | EyeToHandFile | HandToHandFile, Field(discriminator="mount")]
 )
 
 

@@ -291,8 +291,9 @@ class DatasetFile(Entry):
     measured_points: MeasuredPointsEntry | None = None
     depth_pictures: DepthPicturesEntry | None = None
     depths: DepthsEntry | None = None
-    mount: Literal["eye_in_hand", "eye_to_hand"] = "eye_in_hand"
+    mount: Literal["eye_in_hand", "eye_to_hand", "hand_to_hand"] = "eye_in_hand"
     poses: PosesEntry | None = None
+    other_poses: PosesEntry | None = None
     joints: JointsEntry | None = None
     pictures: PicturesEntry | None = None
     detections: DetectionsEntry | None = None
@@ -307,11 +308,32 @@ class DatasetFile(Entry):
         self._check_target()
         if self.poses is None and self.joints is None:
             raise ValueError("expected an entry 'poses', 'joints', or both")
+        self._check_hands()
         if self.base_from_world is not None and self.mount == "eye_to_hand":
             raise ValueError("base_from_world: the target is on the tool: give tool_from_world")
         if self.tool_from_world is not None and self.mount == "eye_in_hand":
             raise ValueError("tool_from_world: the target is fixed: give base_from_world")
         return self
+
+    def _check_hands(self) -> None:
+        """Raise a ValueError for poses of a second arm without this mount, or the reverse."""
+        if (self.mount == "hand_to_hand") != (self.other_poses is not None):
+            raise ValueError(
+                "other_poses: expected the poses of the arm that carries the target for mount "
+                f"hand_to_hand, and only there; mount is {self.mount}"
+            )
+        if self.mount != "hand_to_hand":
+            return
+        for name in (
+            "joints",
+            "tracked_poses",
+            "measured_points",
+            "depth_pictures",
+            "base_from_world",
+            "tool_from_world",
+        ):
+            if getattr(self, name) is not None:
+                raise ValueError(f"{name}: a data set with mount hand_to_hand has none")
 
     def _check_target(self) -> None:
         """Raise a ValueError without a target and a camera, or for a target of too many points."""

@@ -54,3 +54,5 @@ from .solid_scenes import render_solids as render_solids
 from .textures import labelled as labelled
 from .textures import matt as matt
 from .textures import speckled as speckled
+from .two_hand_scenes import random_two_hand_scene as random_two_hand_scene
+from .two_hand_scenes import two_hand_calibration as two_hand_calibration

@@ -6,8 +6,9 @@
 
 `fit.py` runs the three, with the checks of the room data_checks between them. `two_poses.py` lets
 the robot choose between the two poses of a small flat target; `start_checks.py` checks a given
-start; `few_views.py` places a camera by a target whose place is known; `interpolation.py` is the
-comparison method of the paper's Table 1.
+start; `few_views.py` places a camera by a target whose place is known; `two_hands.py` places the
+bases of two arms, one with the camera and one with the target; `interpolation.py` is the comparison
+method of the paper's Table 1.
 """
 
 from ..data_checks import ConventionHypothesis as ConventionHypothesis
@@ -37,7 +38,6 @@ from .given_start import check_start as check_start
 from .given_start import known_transforms as known_transforms
 from .given_start import merged_start as merged_start
 from .given_start import require_picture_size as require_picture_size
-from .given_start import start_without as start_without
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
@@ -47,6 +47,7 @@ from .staged_fit import CommonCameraOptions as CommonCameraOptions
 from .staged_fit import StagedFit as StagedFit
 from .staged_fit import with_region as with_region
 from .start_checks import start_doubts as start_doubts
+from .start_checks import with_start_doubts as with_start_doubts
 from .weng import ViewCalibrations as ViewCalibrations
 from .weng import calibrate_views as calibrate_views
 from .weng import estimate_view_poses as estimate_view_poses

@@ -48,9 +48,10 @@ from ..hand_eye import HandEyeResult, solve_hand_eye
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
-from .given_start import known_transforms
+from .given_start import known_bases, known_transforms
 from .kalman import kalman_filter
 from .staged_fit import CommonCameraFit, CommonCameraOptions, StagedFit, with_region
+from .two_hands import place_bases
 from .two_poses import choose_poses
 from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
 
@@ -112,6 +113,11 @@ def fit_staged(
         [-19.  60. -88.] mm
     """
     refuse_traced("fit_staged", data, camera)
+    if data.hands is not None:
+        bases = known_bases(start)
+        if bases is None:
+            bases = place_bases(data.hands, *_camera_poses_of_views(data, lens, camera))
+        data = data.with_bases(bases)
     known = known_transforms(start, data.mount)
     say = progress or (lambda _: None)
     if conventions not in ("raise", "report"):
@@ -221,7 +227,7 @@ def fit_staged(
         common_fit.camera_from_world,
         to_device(agreeing.astype(float)),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(
-            Calibration(common_fit.camera, camera_from_mount, holder_from_world, data.mount),
+            _calibration(data, common_fit.camera, camera_from_mount, holder_from_world),
             observations,
             common_fit.inliers,
         ),
@@ -240,8 +246,8 @@ def fit_staged(
         known,
     )
     _log.info("Step 2: %.3f px RMS; Step 3: %d views", float(common_fit.rms), int(consistent.sum()))
-    calibration = Calibration(
-        common_fit.camera, step3.camera_from_mount, step3.holder_from_world, data.mount
+    calibration = _calibration(
+        data, common_fit.camera, step3.camera_from_mount, step3.holder_from_world
     )
     # Views with an uncertain pose do not enter Step 3, but their points are good observations.
     trusted = consistent.copy()
@@ -268,6 +274,37 @@ def fit_staged(
             *((choice.warning,) if choice and choice.warning and not camera_doubts else ()),
         ),
     )
+
+
+def _calibration(
+    data: Dataset, camera: Camera, camera_from_mount: SE3, holder_from_world: SE3
+) -> Calibration:
+    """Return a calibration of the data's mount; of two arms with the bases where the data say."""
+    ends = camera_from_mount, holder_from_world
+    return Calibration(camera, *ends, data.mount, base_from_other_base=data.base_from_other_base)
+
+
+def _camera_poses_of_views(
+    data: Dataset, lens: str | AbstractLens, camera: Camera | None
+) -> tuple[SE3, Bool[np.ndarray, "views"]]:
+    """Return where each view was taken from by its picture alone (Steps 1 and 2).
+
+    Returns:
+        `camera_from_world`, and a mask of the views whose pose is known.
+    """
+    unusable = unusable_views(data, minimum_points(camera))
+    require_minimum_views(data, unusable, minimum_points(camera))
+    observations, used = mask_unusable_views(data, unusable)
+    step1 = _run_step1(observations, data.image_size, used, lens, camera)
+    common_fit = kalman_filter(
+        observations,
+        step1.camera,
+        step1.camera_from_world,
+        step1.inliers,
+        CommonCameraOptions(hold_camera=camera is not None),
+        None,
+    )
+    return common_fit.camera_from_world, used
 
 
 def _camera_doubts(

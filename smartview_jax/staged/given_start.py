@@ -6,7 +6,13 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from jaxlie import SE3
 
-from ..calibration import Calibration, host_mount_from_holder, transform_names
+from ..calibration import (
+    BASES,
+    Calibration,
+    chain_transform_names,
+    host_mount_from_holder,
+    transform_names,
+)
 from ..cameras import Camera
 from ..dataset import Dataset
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
@@ -23,7 +29,7 @@ def require_picture_size(what: str, camera: Camera, image_size: tuple[int, int])
 
 def check_start(start: Calibration | Mapping[str, PoseLike] | None, data: Dataset) -> None:
     """Raise a ValueError for a start that is not of these data, before anything is fitted."""
-    names = transform_names(data.mount)
+    names = chain_transform_names(data.mount)
     if isinstance(start, Calibration):
         require_picture_size("the start's camera", start.camera, data.image_size)
         if start.mount != data.mount:
@@ -53,7 +59,13 @@ def merged_start(
     if not start:
         return found
     mount_name, holder_name = transform_names(data.mount)
-    given = {name: host_matrices(as_se3(pose)) for name, pose in start.items()}
+    # The staged fit has the bases of two arms where they are given.
+    given = {name: host_matrices(as_se3(pose)) for name, pose in start.items() if name != BASES}
+    if not given:
+        return found
+    data = (
+        data if found.base_from_other_base is None else data.with_bases(found.base_from_other_base)
+    )
     # One view is enough: both transforms of the staged fit agree with all views alike.
     view = int(data.usable_views()[0])
     # camera_from_world = camera_from_mount @ mount_from_holder @ holder_from_world, of that view
@@ -90,6 +102,13 @@ def start_without(
         camera_from_mount=(found if mount_name in names else start).camera_from_mount,
         holder_from_world=(found if holder_name in names else start).holder_from_world,
     )
+
+
+def known_bases(start: Calibration | Mapping[str, PoseLike] | None) -> SE3 | None:
+    """Return `base_from_other_base` of a start of two arms; None if it has none."""
+    if isinstance(start, Calibration):
+        return start.base_from_other_base
+    return as_se3(start[BASES]) if start and BASES in start else None
 
 
 def known_transforms(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration, mount_from_holder_matrices
+from ..calibration import Calibration, mount_frames, mount_from_holder_matrices
 from ..cameras import Camera
 from ..data_checks import ConventionReport
 from ..dataset import Dataset
@@ -132,7 +132,7 @@ def with_region(
     holder_from_world = host_matrices(calibration.holder_from_world)
     if not len(used) or not np.isfinite([camera_from_mount, holder_from_world]).all():
         return calibration
-    in_hand = calibration.mount == "eye_in_hand"
+    in_hand = mount_frames(calibration.mount)[0] == "tool"
     # Eq. 10 inverted, without the camera: world <- holder <- mount <- camera.
     mount_from_holder = mount_from_holder_matrices(calibration.mount, base_from_tool)
     world_from_mount = np.linalg.inv(mount_from_holder @ holder_from_world)

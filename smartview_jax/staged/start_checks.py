@@ -9,7 +9,8 @@ that brings the points most of the way to where they are seen.
 What the robot's motion leaves undetermined is taken from the start, so that nothing contradicts it.
 """
 
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,8 @@ from ..calibration import Calibration, transform_names
 from ..data_checks import median_reprojection_errors
 from ..dataset import Dataset
 from ..geometry import PoseLike, as_se3, host_logarithms, host_matrices
-from .given_start import known_transforms, merged_start
+from .given_start import known_transforms, merged_start, start_without
+from .staged_fit import StagedFit
 
 Matrix = Float[np.ndarray, "4 4"]
 """A homogeneous matrix, m."""
@@ -118,6 +120,35 @@ def start_doubts(
             if difference:
                 doubts[name] = f"{as_given}. {difference}"
     return doubts
+
+
+def with_start_doubts(
+    staged: StagedFit,
+    start: Calibration | Mapping[str, PoseLike] | None,
+    data: Dataset,
+    used_paths: Sequence[str],
+) -> tuple[StagedFit, Calibration | Mapping[str, PoseLike] | None]:
+    """Return the staged fit with warnings about the start, and the start without what is doubted.
+
+    Args:
+        staged: the staged fit.
+        start: the start as it was given.
+        data: the data set.
+        used_paths: paths of parameters that keep the start, or whose priors may be about it.
+    """
+    poses = staged.step2.camera_from_world
+    doubts = start_doubts(start, staged.calibration, poses, staged.inliers, data)
+    if start is None or not doubts:
+        return staged, start
+    used = {name for name in doubts if any(path.split(".")[0] == name for path in used_paths)}
+    warnings = (
+        text if name in used else f"{text}; the fit does without it"
+        for name, text in doubts.items()
+    )
+    return (
+        dataclasses.replace(staged, warnings=(*staged.warnings, *warnings)),
+        start_without(start, doubts.keys() - used, staged.calibration),
+    )
 
 
 def _off_by(given: float, answer: float) -> str:

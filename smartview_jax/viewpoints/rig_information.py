@@ -93,21 +93,27 @@ class RigInformationModel:
         return cls(rig, dict(calibrations), build, prior, built.shared_names)
 
     @classmethod
-    def from_fit(cls, fit: RigFit, rig: Rig) -> "RigInformationModel":
+    def from_fit(cls, fit: RigFit, rig: Rig, arm: str | None = None) -> "RigInformationModel":
         """Return a model whose knowledge before any further state is the covariance of a fit.
 
         Args:
             fit: joint fit of the rig.
             rig: the data that it was given.
+            arm: name of one of several arms, whose states are to be planned for its own cameras.
 
         Raises:
-            ValueError: the fit leaves a parameter undetermined, or the rig has several arms.
+            ValueError: the fit leaves a parameter undetermined, or the rig has several arms and
+                none of them is named.
         """
-        rig.require_one_arm("RigInformationModel")
-        for name in fit.parameter_names:
-            if not np.isfinite(fit.std[name]):
-                raise ValueError(f"fit: its data do not determine {name}; add states or a prior")
-        return cls.from_estimate(RigEstimate.of(fit), rig, fit.pixel_sigmas)
+        if arm is None:
+            rig.require_one_arm("RigInformationModel")
+        try:
+            estimate = RigEstimate.of(fit, arm)
+        except ValueError as error:
+            raise ValueError(f"fit: {error}") from error
+        part = rig if arm is None else rig.of_arm(arm)
+        sigmas = {name: fit.pixel_sigmas[name] for name in part.cameras}
+        return cls.from_estimate(estimate, part, sigmas)
 
     @classmethod
     def from_estimate(

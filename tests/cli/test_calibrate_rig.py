@@ -83,11 +83,12 @@ def test_a_calibration_for_each_camera_and_one_report(
 ):
     out, fitted = tmp_path / "out", []
 
-    def known_fit(part, lens, camera, progress=None):
+    def known_fit(part, lens, camera, start, progress=None):
         """The fit of these data; fits of the folds take as long, and are not tested here."""
         fitted.append(part)
         assert lens == "opencv4"
         assert camera is None
+        assert start is None
         return fit
 
     monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
@@ -144,19 +145,23 @@ def test_folders_of_the_cameras_are_one_rig(rig, folders):
     assert loaded.view_ids == rig.view_ids
 
 
-def test_cameras_may_be_known(rig, fit, tmp_path, monkeypatch):
-    """The fit and those of the folds hold them."""
+def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
+    """The fit and those of the folds hold the cameras, and have the starts."""
     fit.calibrations["camera2"].save(tmp_path / "camera2.yaml")
-    held = []
+    held, starts = [], []
 
-    def known_fit(part, lens, camera, progress=None):
+    def known_fit(part, lens, camera, start, progress=None):
         held.append(camera)
+        starts.append(start)
         return fit
 
     monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
-    settings = CalibrateSettings(known=FitKnowledge(camera=tmp_path))
+    given = ["camera1.camera_from_tool=0,0,0.1,0,0,0"]
+    settings = CalibrateSettings(known=FitKnowledge(camera=tmp_path, start=given))
     result = _calibrated_rig(rig, "cell", settings, lambda _: None)
     assert len(held) == 6
+    assert all(set(start) == {"camera1"} for start in starts)
+    assert "start given for camera1" in result.notes
     (name,) = held[0]
     assert name == "camera2"
     assert all(eqx.tree_equal(known, held[0]) for known in held)

@@ -11,7 +11,7 @@ from jaxlie import SE3, SO3
 
 from smartview_jax import Calibration, load_dataset
 from smartview_jax.cameras import Fisheye, OpenCV4
-from smartview_jax.cli.fit_options import FitKnowledge, parse_fit_options
+from smartview_jax.cli.fit_options import FitKnowledge, parse_fit_options, parse_rig_start
 from smartview_jax.files import read_yaml
 from smartview_jax.geometry import host_logarithms, host_matrices
 from smartview_jax.io import read_camera, ros_camera_info, save_dataset
@@ -182,3 +182,46 @@ def test_a_camera_info_of_ros_is_the_camera_again(folder, tmp_path, lens):
     assert read.image_size == camera.image_size
     points = jnp.array([[0.05, -0.03, 0.3], [-0.1, 0.02, 0.25]])
     np.testing.assert_allclose(read.project(points)[0], camera.project(points)[0], atol=1e-9)
+
+
+def test_the_bases_of_two_arms_may_be_known():
+    given = {"start": ["base_from_other_base=0.9,0,0,180,0,0"], "fixed": ["base_from_other_base"]}
+    known = parse_fit_options("opencv4", "hand_to_hand", FitKnowledge(**given))
+    assert known.fixed == ("base_from_other_base",)
+    pose = host_matrices(known.start["base_from_other_base"])
+    np.testing.assert_allclose(pose[:3, 3], [0.9, 0.0, 0.0])
+    with pytest.raises(ValueError, match="no parameter is called 'base_from_other_base'"):
+        options(fixed=["base_from_other_base"])
+
+
+MOUNTS = {"wrist": "eye_in_hand", "fixed": "eye_to_hand"}
+
+
+def test_the_starts_of_several_cameras(folder, tmp_path):
+    """A folder that `calibrate` wrote for a rig, with a transform of the options in the place."""
+    truth = Calibration.load(folder / "truth.yaml")
+    truth.save(tmp_path / "wrist.yaml")
+    dataclasses.replace(truth, mount="eye_to_hand").save(tmp_path / "fixed.yaml")
+    one = parse_rig_start(["wrist.tool_from_camera=0.1,0,0,0,0,0"], MOUNTS)
+    assert set(one) == {"wrist"}
+    np.testing.assert_allclose(one["wrist"]["camera_from_tool"].translation(), [-0.1, 0.0, 0.0])
+    both = parse_rig_start([str(tmp_path), "fixed.tool_from_world=0,0,0.2,0,0,0"], MOUNTS)
+    assert [start.mount for start in both.values()] == list(MOUNTS.values())
+    np.testing.assert_allclose(
+        both["wrist"].holder_from_world.wxyz_xyz, truth.holder_from_world.wxyz_xyz
+    )
+    np.testing.assert_allclose(both["fixed"].tool_from_world.translation(), [0.0, 0.0, 0.2])
+    assert parse_rig_start([], MOUNTS) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("camera_from_tool=0,0,0,0,0,0", "expected CAMERA.TRANSFORM=... with a camera of wrist, f"),
+        ("fixed.camera_from_tool=0,0,0,0,0,0", "expected camera_from_base or tool_from_world"),
+        (".", "wrist.yaml: missing, the calibration of camera wrist"),
+    ],
+)
+def test_wrong_starts_of_several_cameras_are_named(text, message):
+    with pytest.raises(ValueError, match=message):
+        parse_rig_start([text], MOUNTS)

@@ -274,7 +274,7 @@ def test_wrong_arguments_are_named(scene, fit):
     starts = dict(fit.calibrations)
     with pytest.raises(ValueError, match="starts: expected the cameras camera1, camera2, found"):
         fit_rig(scene.rig, {"camera1": starts["camera1"]})
-    with pytest.raises(ValueError, match="a rig takes no start"):
+    with pytest.raises(ValueError, match="start: expected cameras of camera1, camera2, found"):
         calibrate(scene.rig, start={"camera_from_tool": np.eye(4)})
     with pytest.raises(ValueError, match="a rig takes noise, field"):
         calibrate(scene.rig, loss="huber")

@@ -17,7 +17,14 @@ from arms_scene import (
 from jaxlie import SE3
 from scipy.stats import chi2
 
-from smartview_jax import Prior, RelativePose, error_budget, fit_rig, load_estimate
+from smartview_jax import (
+    Prior,
+    RelativePose,
+    error_budget,
+    fit_rig,
+    load_estimate,
+    load_rig_estimate,
+)
 from smartview_jax.engine import STEP_NAMES, build_rig
 from smartview_jax.geometry import (
     host_exponentials,
@@ -25,10 +32,14 @@ from smartview_jax.geometry import (
     host_matrices,
     host_transforms,
 )
+from smartview_jax.joint import RigEstimate, is_rig
 from smartview_jax.joint.relative_pose import relative_base
-from smartview_jax.viewpoints import RigInformationModel
+from smartview_jax.viewpoints import RigInformationModel, StopRule, ViewLimits, plan_states
 
 STATE = 5
+
+MOUNT = tuple(f"camera_from_tool.{name}" for name in STEP_NAMES)
+"""Names of the parameters of a camera's place on its hand."""
 
 RIGHT_NOISE = 5.0
 """Noise of the right arm as a multiple of the left one's."""
@@ -165,7 +176,7 @@ def test_a_target_that_was_moved_between_the_arms_views_is_said():
 
 def test_the_bases_are_saved_with_the_cameras(fit, tmp_path):
     fit.save(tmp_path / "out", run="tried")
-    names = ("base_left_from_base_right", "left_table", "right_table")
+    names = ("base_left_from_base_right", "left.joint", "left_table", "right.joint", "right_table")
     assert sorted(path.stem for path in (tmp_path / "out").iterdir()) == list(names)
     path = tmp_path / "out" / f"{names[0]}.yaml"
     read, base = RelativePose.load(path), fit.base("left", "right")
@@ -215,3 +226,46 @@ def test_starts_and_problems_of_other_rigs_are_refused():
         error_budget(rig, arms_fit())
     with pytest.raises(ValueError, match="RigInformationModel: expected a rig with one arm"):
         RigInformationModel.from_fit(arms_fit(), rig)
+    with pytest.raises(ValueError, match="fit: expected an arm of left, right, found 'middle'"):
+        RigInformationModel.from_fit(arms_fit(), rig, "middle")
+    with pytest.raises(ValueError, match="expected the fit of a rig with one arm, found left, ri"):
+        RigEstimate.of(arms_fit())
+
+
+def test_each_arm_has_a_file_of_its_cameras_together(tmp_path):
+    """With the covariance that the fit of all arms gives them, in their own base."""
+    fit = arms_fit()
+    fit.save(tmp_path)
+    for arm in ("left", "right"):
+        read = load_rig_estimate(tmp_path / f"{arm}.joint.yaml")
+        expected = RigEstimate.of(fit, arm)
+        assert set(read.calibrations) == {f"{arm}_table", f"{arm}_wall"}
+        assert read.parameter_names == expected.parameter_names
+        np.testing.assert_allclose(read.covariance, expected.covariance, rtol=1e-12)
+        wall = fit.estimate(f"{arm}_wall")
+        rows = [read.parameter_names.index(f"{arm}_wall.{name}") for name in MOUNT]
+        own = [wall.parameter_names.index(name) for name in MOUNT]
+        np.testing.assert_allclose(
+            read.covariance[np.ix_(rows, rows)], wall.covariance[np.ix_(own, own)], rtol=1e-9
+        )
+    assert is_rig(tmp_path / "left.joint.yaml")
+    assert not is_rig(tmp_path)
+
+
+def test_the_next_states_of_one_arm_are_planned():
+    """From what the fit of all arms tells of its cameras, in its own base."""
+    rig, fit = arms_scene(0, FOUR_CAMERAS, 4)[0], arms_fit()
+    model = RigInformationModel.from_fit(fit, rig, "right")
+    names, covariance, _ = fit.of_arm("right")
+    rows = [names.index(name) for name in model.parameter_names]
+    known = np.asarray(model.prior_information) @ covariance[np.ix_(rows, rows)]
+    np.testing.assert_allclose(known, np.eye(len(rows)), atol=1e-5)
+    found = plan_states(model, ViewLimits(), StopRule(1, least_gain=0.0))
+    assert set(found.seen) == {"right_table", "right_wall"}
+    assert found.view_of[0] in found.seen
+    assert found.plan.values[0] < found.plan.before
+    # The command is of the right arm: its camera sees the whole target from there.
+    truth, data = fit.calibrations[found.view_of[0]], rig.cameras[found.view_of[0]]
+    pixels, valid = truth.project(found.commands.base_from_tool, np.asarray(data.points)[0])
+    assert np.asarray(valid).all()
+    assert ((np.asarray(pixels) > 0.0) & (np.asarray(pixels) < data.image_size)).all()

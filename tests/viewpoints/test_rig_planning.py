@@ -211,7 +211,7 @@ def test_after_a_fit_its_covariance_is_what_is_known(tmp_path_factory):
             expected = fit.pixel_sigmas[camera]
             assert float(sigma * built.problem.pixel_sigma) == pytest.approx(expected, rel=1e-12)
     open_one = dataclasses.replace(fit, std={**fit.std, "camera1.camera.u0": np.inf})
-    with pytest.raises(ValueError, match=r"its data do not determine camera1\.camera\.u0"):
+    with pytest.raises(ValueError, match=r"fit: the data do not determine camera1\.camera\.u0"):
         RigInformationModel.from_fit(open_one, rig)
 
 

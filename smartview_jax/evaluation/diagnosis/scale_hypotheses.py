@@ -14,7 +14,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array
 
-from ...calibration import Calibration
+from ...calibration import Calibration, mount_frames
 from ...dataset import Dataset
 from ...engine import TARGET_SCALE as TARGET_SCALE
 from ...engine import parameter_names
@@ -174,7 +174,7 @@ def _with_stated_target(fit: JointFit) -> JointFit:
 
 def _scale_center(calibration: Calibration) -> Array:
     """Return the point, in the tool's frame, that a wrong target scale keeps in proportion."""
-    if calibration.mount == "eye_in_hand":
+    if mount_frames(calibration.mount)[0] == "tool":
         return calibration.camera_from_mount.inverse().translation()
     return calibration.holder_from_world.translation()
 

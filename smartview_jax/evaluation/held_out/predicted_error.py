@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ...calibration import Calibration
 from ...dataset import Dataset
+from ...engine import corrections_at_tool
 from ...joint import JointFit, SavedEstimate
 from ...robots import Command
 from ...runtime.array_namespace import to_device
@@ -178,14 +178,15 @@ def _pose_noise_variance(
     points: Float[Array, "views points 3"],
 ) -> Float[Array, "views points"]:
     """Return the variance of pixels, u and v together, due to white noise of the reported poses."""
-    error = calibration.robot_error
+    error, command = calibration.robot_error, calibration.with_bases(command)
     # The noise is added to the smooth correction, so the corrected pose is perturbed.
     poses = command.base_from_tool if error is None else error.actual_pose(command)
 
     def pixels(correction: Float[Array, "6"]) -> Float[Array, "views points 2"]:
         # tool_from_base = exp(correction) @ reported, so its inverse has exp(-correction) behind.
         twists = jnp.broadcast_to(-correction, (*poses.get_batch_axes(), 6))
-        projected, valid = calibration.project(poses @ SE3.exp(twists), points, corrected=False)
+        noisy = poses @ corrections_at_tool(command, twists)
+        projected, valid = calibration.project(noisy, points, corrected=False)
         return jnp.where(valid[..., None], projected, 0.0)
 
     # sum_k (sigma_k d(pixel) / d(correction_k))^2, at zero.

@@ -1,0 +1,98 @@
+"""A folder of a camera on one hand and a target on another: two tables of poses."""
+
+import numpy as np
+import pytest
+from text_files import edit
+from two_hands_scene import two_hands
+
+from smartview_jax import Calibration, load_dataset, save_dataset
+from smartview_jax.geometry import host_matrices
+from smartview_jax.io.folder_description import read_folder_description
+
+
+@pytest.fixture
+def folder(tmp_path):
+    save_dataset(two_hands(0).data, tmp_path, "ur")
+    return tmp_path
+
+
+def test_what_was_saved_is_loaded(folder):
+    data, loaded = two_hands(0).data, load_dataset(folder)
+    assert (loaded.mount, loaded.view_ids) == ("hand_to_hand", data.view_ids)
+    np.testing.assert_allclose(loaded.pixels, data.pixels, atol=1e-9)
+    for name in ("base_from_tool", "other_base_from_other_tool"):
+        read, written = (host_matrices(getattr(d.hands, name)) for d in (loaded, data))
+        np.testing.assert_allclose(read, written, atol=1e-12)
+    # Where the bases are is not in the folder.
+    np.testing.assert_allclose(host_matrices(loaded.base_from_other_base), np.eye(4), atol=1e-12)
+
+
+def test_the_tables_are_matched_by_name(folder):
+    """The second table in another order, and with a state that has no picture."""
+    path = folder / "other_poses.csv"
+    head, *rows = path.read_text().splitlines()
+    rows = [*rows[::-1], rows[0].replace("0,", "extra,", 1)]
+    path.write_text("\n".join([head, *rows]) + "\n")
+    edit(folder / "dataset.yaml", "rows: 10}\nend", "rows: 11}\nend")
+    loaded = load_dataset(folder)
+    expected = host_matrices(two_hands(0).data.hands.other_base_from_other_tool)
+    read = host_matrices(loaded.hands.other_base_from_other_tool)
+    np.testing.assert_allclose(read, expected, atol=1e-12)
+
+
+def test_a_view_without_a_pose_of_the_other_arm_is_named(folder):
+    path = folder / "other_poses.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:3], *lines[4:]]) + "\n")
+    edit(folder / "dataset.yaml", "rows: 10}\nend", "rows: 9}\nend")
+    with pytest.raises(ValueError, match=r"other_poses\.csv: no pose for the view 2"):
+        load_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("mount: hand_to_hand", "mount: eye_in_hand", "other_poses: expected the poses of the arm"),
+        (
+            "mount: hand_to_hand",
+            "mount: hand_to_hand\nbase_from_world: {translation: [0, 0, 0], "
+            "yaw_pitch_roll_deg: [0, 0, 0]}",
+            "base_from_world: a data set with mount hand_to_hand has none",
+        ),
+        ("other_poses:", "others:", "others"),
+    ],
+)
+def test_wrong_descriptions_are_named(folder, old, new, message):
+    edit(folder / "dataset.yaml", old, new)
+    with pytest.raises(ValueError, match=message):
+        load_dataset(folder)
+
+
+def test_a_symmetric_board_is_refused(folder):
+    """Two arms do not tell the numberings of its corners apart before their bases are known."""
+    edit(folder / "dataset.yaml", "detections: {rows:", "pictures: {pattern: '{view}.png'}\nx: {r:")
+    text = (folder / "dataset.yaml").read_text()
+    lines = [line for line in text.splitlines() if not line.startswith("x:")]
+    (folder / "dataset.yaml").write_text("\n".join(lines).replace("rows: 5", "rows: 6") + "\n")
+    with pytest.raises(ValueError, match="must not look the same when turned, as this Chessboard"):
+        load_dataset(folder)
+
+
+def test_no_view_is_planned_or_captured_for_two_arms(folder):
+    with pytest.raises(ValueError, match=r"dataset\.yaml: mount: expected one arm"):
+        read_folder_description(folder)
+
+
+def test_a_calibration_file_has_three_transforms(tmp_path):
+    truth = two_hands(0).calibration
+    truth.save(tmp_path / "calibration.yaml")
+    read = Calibration.load(tmp_path / "calibration.yaml")
+    assert read.mount == "hand_to_hand"
+    for name, transform in truth.transforms.items():
+        np.testing.assert_allclose(
+            read.transforms[name].wxyz_xyz, transform.wxyz_xyz, rtol=0.0, atol=1e-15
+        )
+    assert "base_from_other_base" in repr(read)
+    edit(tmp_path / "calibration.yaml", "base_from_other_base", "other_base")
+    with pytest.raises(ValueError, match="base_from_other_base"):
+        Calibration.load(tmp_path / "calibration.yaml")

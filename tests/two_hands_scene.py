@@ -1,0 +1,36 @@
+"""A camera on the hand of one arm and a board on the hand of another: scenes of both."""
+
+import functools
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from smartview_jax import Noise
+from smartview_jax.geometry import host_matrices
+from smartview_jax.simulation import random_two_hand_scene
+from smartview_jax.targets import Chessboard
+
+BOARD = Chessboard(5, 4, 0.01)
+
+TRANSLATION, ROTATION = 1e-4, 2e-4
+"""Noise of the reports of each arm, m and rad."""
+
+NOISE = Noise(0.15, math.sqrt(2.0) * TRANSLATION, math.sqrt(2.0) * ROTATION)
+"""Noise of the scenes: both arms' errors add up."""
+
+TRANSFORMS = ("camera_from_tool", "other_tool_from_world", "base_from_other_base")
+
+
+@functools.cache
+def two_hands(seed, views=10):
+    """The scene of this seed."""
+    noise = {"translation_noise": TRANSLATION, "rotation_noise": ROTATION}
+    return random_two_hand_scene(seed, views, BOARD, **noise)
+
+
+def transform_error(found, truth):
+    """The error of a transform: of its translation, and a rotation after it."""
+    a, b = host_matrices(found), host_matrices(truth)
+    turn = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).as_rotvec()
+    return np.concatenate([a[:3, 3] - b[:3, 3], turn])
