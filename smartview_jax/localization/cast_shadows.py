@@ -76,12 +76,12 @@ def _shadow_on(
         face: index of the face.
         light: direction in which the light travels.
     """
-    is_lit = np.asarray(wireframe.face_normals) @ light < 0.0
+    is_lit: np.ndarray = np.asarray(wireframe.face_normals) @ light < 0.0
     owners = np.asarray(wireframe.edge_faces)
     is_border = (owners & is_lit).any(axis=1) & (owners & ~is_lit).any(axis=1)
     points = np.asarray(wireframe.samples)[is_border[np.asarray(wireframe.sample_edges)]]
     if wireframe.smooth is not None:
-        towards = np.asarray(wireframe.smooth.normals) @ light < 0.0
+        towards: np.ndarray = np.asarray(wireframe.smooth.normals) @ light < 0.0
         smooth = np.asarray(wireframe.smooth.points)[towards[:, 0] != towards[:, 1]]
         points = np.concatenate([points, smooth])
     normal = np.asarray(wireframe.face_normals)[face]
