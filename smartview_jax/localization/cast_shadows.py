@@ -76,14 +76,15 @@ def _shadow_on(
         face: index of the face.
         light: direction in which the light travels.
     """
-    is_lit: np.ndarray = np.asarray(wireframe.face_normals) @ light < 0.0
+    is_lit = np.asarray(wireframe.face_normals) @ light < 0.0
     owners = np.asarray(wireframe.edge_faces)
-    is_border = (owners & is_lit).any(axis=1) & (owners & ~is_lit).any(axis=1)
-    points = np.asarray(wireframe.samples)[is_border[np.asarray(wireframe.sample_edges)]]
+    borders = np.flatnonzero((owners & is_lit).any(axis=1) & (owners & ~is_lit).any(axis=1))
+    is_border = np.isin(np.asarray(wireframe.sample_edges), borders)
+    points = np.asarray(wireframe.samples)[is_border]
     if wireframe.smooth is not None:
-        towards: np.ndarray = np.asarray(wireframe.smooth.normals) @ light < 0.0
-        smooth = np.asarray(wireframe.smooth.points)[towards[:, 0] != towards[:, 1]]
-        points = np.concatenate([points, smooth])
+        along = np.asarray(wireframe.smooth.normals) @ light
+        is_outline = (along[:, 0] < 0.0) != (along[:, 1] < 0.0)
+        points = np.concatenate([points, np.asarray(wireframe.smooth.points)[is_outline]])
     normal = np.asarray(wireframe.face_normals)[face]
     heights = (points - np.asarray(wireframe.face_points)[face]) @ normal
     return points - np.outer(heights / (light @ normal), light)
