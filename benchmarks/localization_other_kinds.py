@@ -88,15 +88,17 @@ def wedge() -> Polyhedron:
     return flat._replace(vertices=np.column_stack([x, 0.009 - y, z]))
 
 
-RING, RING_SIDES = (0.018, 0.006), 20
-"""Radii of a ring, a torus that lies on the table: of the circle in its middle and of its tube, m;
-and sides of its tube."""
+RING = (0.018, 0.006)
+"""Radii of a ring, a torus that lies on the table, m: of the circle in its middle and its tube."""
 
 ROUND = {"washer": (0.02, 0.01, 0.006), "pipe": (0.015, 0.01, 0.05)}
 """Outer and inner radius, and height, of the round parts, m."""
 
 MODEL_SIDES, REAL_SIDES = 64, 240
 """Sides of a round part's model, whose turns are within `RIGHT`; and of the real part."""
+
+TUBE_SIDES = {MODEL_SIDES: 20, REAL_SIDES: 96}
+"""Sides of a ring's tube in its model and in the real one, whose outline is as good as round."""
 
 
 def tube(outer: float, inner: float, height: float, sides: int) -> tuple[ObjectModel, np.ndarray]:
@@ -129,7 +131,7 @@ def tube(outer: float, inner: float, height: float, sides: int) -> tuple[ObjectM
 def round_mesh(kind: str, sides: int, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Return the vertices and triangles of a round part with so many sides about its axis."""
     if kind == "ring":
-        mesh = trimesh.creation.torus(scale * RING[0], scale * RING[1], sides, RING_SIDES)
+        mesh = trimesh.creation.torus(scale * RING[0], scale * RING[1], sides, TUBE_SIDES[sides])
         return mesh.vertices, mesh.faces
     outer, inner, height = ROUND[kind]
     model, triangles = tube(scale * outer, scale * inner, height, sides)

@@ -1,5 +1,6 @@
 """Find known objects in calibrated pictures: hypotheses, verification and the next view."""
 
+from .circle_poses import RoundOptions as RoundOptions
 from .distinct_poses import distinct_poses as distinct_poses
 from .distinct_poses import pose_distances as pose_distances
 from .edge_lines import EdgeLines as EdgeLines
@@ -26,7 +27,6 @@ from .prediction import predict_view as predict_view
 from .refinement import FIT_SAMPLES as FIT_SAMPLES
 from .refinement import RefinedPose as RefinedPose
 from .refinement import refine_pose as refine_pose
-from .round_options import RoundOptions as RoundOptions
 from .scoring import PoseScores as PoseScores
 from .scoring import SceneMaps as SceneMaps
 from .scoring import score_poses as score_poses

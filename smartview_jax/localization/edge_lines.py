@@ -27,7 +27,7 @@ from ..runtime.compilation import compiled_optimised
 from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
 from .outlines import with_outline
 from .prediction import centre_in_object, predict_view, within_picture
-from .shading import EDGE_BLUR, shading_shifts
+from .shading import EDGE_BLUR, LIGHT_SIGMA, shading_shifts
 from .wireframe import Wireframe
 
 EXPLAINED_DISTANCE = 2.0
@@ -103,6 +103,8 @@ class EdgeLines(NamedTuple):
         behind_px: length of the edges hidden by a known surface, px.
         outline: places in the object's frame, m, and edges of the samples of a model whose outline
             depends on the viewpoint; None for all others, whose samples are the wireframe's.
+        by_light: by how much a light of one standard deviation changes the two numbers, px; zero
+            but on outlines. None as above.
     """
 
     offsets: Float[AnyArray, "*views E 2"]
@@ -124,6 +126,7 @@ class EdgeLines(NamedTuple):
     in_picture: Float[AnyArray, "*views"]
     behind_px: Float[AnyArray, "*views"]
     outline: tuple[Float[AnyArray, "*views S 3"], Int[AnyArray, "*views S"]] | None = None
+    by_light: Float[AnyArray, "*views E 2"] | None = None
 
 
 def edge_lines(
@@ -196,26 +199,28 @@ def edge_lines(
     px_per_metre = over_edges(combination[0] * jnp.linalg.norm(J[:, :3], axis=1))
     tolerance = wireframe.tolerance * px_per_metre
     tilted = jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
+    visible_px = over_edges(px)
+    measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
+    measured &= W >= MIN_LINE_POINTS
     strengths = over_edges(weights * lookup.strengths[point]) / W
-    whole = MODEL_SIGMA**2 + tolerance**2
+    whole, by_light = MODEL_SIGMA**2 + tolerance**2, None
     if wireframe.smooth is not None:
         centre, along = centre_in_object(camera_from_object), _by_pose(*place, d, visible)[:, :3]
         shifts = shading_shifts(wireframe, centre, J[:, :3], along)
         points = (lookup.strengths > 0.0).astype(r.dtype).sum()
         usual = jnp.sqrt((lookup.strengths**2).sum() / jnp.maximum(points, 1.0))
-        by_shading = (over_edges(combination[0] * shifts) * usual / _positive(strengths)) ** 2
-        # One light shades all outlines, which may all be off alike: together they tell no more than
-        # one of them alone.
+        whole = whole + (over_edges(combination[0] * shifts) * usual / _positive(strengths)) ** 2
+        # One light shades all outlines of a view: towards the brighter side where the surface is
+        # brighter than the ground, away from it where it is darker.
         assert wireframe.sample_radii is not None
-        is_outline = over_edges(combination[0] * wireframe.sample_radii) > 0.0
-        outlines = jnp.maximum((is_outline & (W >= MIN_LINE_POINTS)).astype(r.dtype).sum(), 1.0)
-        whole = whole + jnp.where(is_outline, outlines, 1.0) * by_shading
+        brighter = jnp.sign((lookup.normals[point] * n).sum(axis=1))
+        inwards = jnp.where(wireframe.sample_radii > 0.0, shifts * brighter, 0.0)
+        by_light = jnp.stack([over_edges(row * inwards) for row in combination], axis=1)
+        by_light = by_light * (LIGHT_SIGMA / _positive(strengths))[:, None]
+        by_light = jnp.where(measured[:, None], by_light, 0.0)
     variances = jnp.stack(
         [variance / independent + whole, variance / independent + whole * tilted**2], axis=1
     )
-    visible_px = over_edges(px)
-    measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
-    measured &= W >= MIN_LINE_POINTS
     keep = measured[:, None]
     in_picture = (wireframe.vertex_mask & within_picture(view.vertices, camera)).sum()
     return EdgeLines(
@@ -238,6 +243,7 @@ def edge_lines(
         in_picture / wireframe.vertex_mask.sum(),
         jnp.where(behind, view.sample_px, 0.0).sum(),
         None if wireframe.smooth is None else (wireframe.samples, wireframe.sample_curves),
+        by_light,
     )
 
 

@@ -54,6 +54,7 @@ class Evidence(NamedTuple):
         log_exactness: see `log_chance_of_exact_edges`.
         moved: see `likeliest_moved_face`; None where it was not computed.
         disagreement: see `least_agreeing_view`; None where it was not computed, or is unknown.
+        shadow_odds: see `log_odds_to_shadow`; None where nothing casts a shadow there.
         tolerance_px: part of `edge_rms` that the model's tolerance explains, px.
     """
 
@@ -70,6 +71,7 @@ class Evidence(NamedTuple):
     log_exactness: float
     moved: MovedFace | None = None
     disagreement: ViewDisagreement | None = None
+    shadow_odds: float | None = None
     tolerance_px: float = 0.0
 
     @property

@@ -85,16 +85,24 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
     """
     unknowns = _Unknowns.of(equations, errors)
     points = np.diagonal(equations.noise).reshape(-1, NUMBERS)
-    fit, of_distances = _likeliest(unknowns, points, 0, np.ones(len(points)))
+    weights, (distance, tilt) = np.ones(len(points)), np.eye(NUMBERS)
+    if equations.by_light is not None:
+        # Where something shades a part of the object, its outline is displaced otherwise.
+        by_light = np.abs(equations.by_light).sum(axis=1).reshape(-1, NUMBERS)
+        fit, of_light = _likeliest(unknowns, points, by_light, weights)
+        points, weights = points + np.square(of_light * by_light), fit.weights
+    fit, of_distances = _likeliest(unknowns, points, distance, weights)
     variances = points + np.square([of_distances, 0.0])
-    fit, of_tilts = _likeliest(unknowns, variances, 1, fit.weights)
+    fit, of_tilts = _likeliest(unknowns, variances, tilt, fit.weights)
     # The two hardly depend on each other: one more round for the distances is enough.
     if of_tilts:
         variances = points + np.square([0.0, of_tilts])
-        fit, of_distances = _likeliest(unknowns, variances, 0, fit.weights)
+        fit, of_distances = _likeliest(unknowns, variances, distance, fit.weights)
     sigmas = of_distances, of_tilts
     noise = INFLATION * (points + np.square(sigmas)) / fit.weights[:, None]
-    gaussian = equations._replace(noise=np.diag(noise.ravel()))
+    light = equations.by_light
+    common = 0.0 if light is None else light @ light.T
+    gaussian = equations._replace(noise=np.diag(noise.ravel()) + common, by_light=None)
     edge_sigma = float(np.sqrt(INFLATION) * of_distances)
     return HeavyTailedStep(solve_pose(gaussian, errors), gaussian, fit.squared, edge_sigma)
 
@@ -104,7 +112,8 @@ class _Unknowns(NamedTuple):
 
     Attributes:
         residuals: measured minus predicted, px.
-        derivatives: by the tangent of the pose, and by the common errors in standard deviations.
+        derivatives: by the tangent of the pose, and by the common errors and the light in standard
+            deviations.
         prior: prior information on the unknowns; on the pose only about the axis of a round object.
     """
 
@@ -126,6 +135,8 @@ class _Unknowns(NamedTuple):
             equations.by_calibration @ covariance_factor(errors.calibration),
             equations.by_vertices @ covariance_factor(errors.vertices),
         ]
+        if equations.by_light is not None:
+            common.append(equations.by_light)
         derivatives = np.concatenate([J, *common], axis=1)
         prior = np.diag(np.repeat([0.0, 1.0], [6, derivatives.shape[1] - 6]))
         prior[:6, :6] = errors.turns
@@ -153,22 +164,20 @@ class _Fit(NamedTuple):
 def _likeliest(
     unknowns: _Unknowns,
     variances: Float[np.ndarray, "edges 2"],
-    number: int,
+    shape: Float[np.ndarray, "*edges 2"],
     weights: Float[np.ndarray, "edges"],
 ) -> tuple[_Fit, float]:
-    """Return the likeliest fit, and the scale of an error common to all edges in one number.
+    """Return the likeliest fit, and the scale of an error of a given shape that all edges have.
 
     Args:
         unknowns: the equations.
         variances: of the edges' other errors.
-        number: index of that number among an edge's `NUMBERS`.
+        shape: standard deviations of the two numbers by an error of the scale one.
         weights: initial weights of the edges.
     """
     tried: list[tuple[float, _Fit, float]] = []
     for sigma in EDGE_SIGMAS:
-        common = np.zeros(NUMBERS)
-        common[number] = sigma**2
-        fit = _fit(unknowns, variances + common, weights)
+        fit = _fit(unknowns, variances + np.square(sigma * shape), weights)
         # A scale has to gain something to be used.
         gain = fit.log_likelihood - (LEAST_GAIN if sigma else 0.0)
         tried.append((gain, fit, sigma))

@@ -17,7 +17,13 @@ from jaxtyping import Bool, Float
 
 from ..features import IdealPlane, PictureEvidence
 from ..modeling import ObjectModel, SeenViews
-from .circle_poses import SeenEllipses, poses_from_circles, seen_ellipses
+from .circle_poses import (
+    DEFAULT_ROUND_OPTIONS,
+    RoundOptions,
+    SeenEllipses,
+    poses_from_circles,
+    seen_ellipses,
+)
 from .corner_paths import PicturePaths, picture_paths, poses_from_paths
 from .corner_triples import Junctions, poses_from_triples
 from .curves import is_round, is_smooth
@@ -25,7 +31,6 @@ from .distinct_poses import distinct_poses
 from .outline_poses import poses_from_outlines
 from .picture_scales import at_one_scale
 from .polishing import NARROW_GATES, WIDE_GATES, polished_poses
-from .round_options import DEFAULT_ROUND_OPTIONS, RoundOptions
 from .scoring import CHANCE_SUPPORT, PoseScores, SceneMaps, score_poses
 from .stereo_edges import SpaceEdges, poses_from_edges, stereo_edges
 from .wireframe import Wireframe

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .candidates import Candidate, Prepared, Query, measured_candidates
+from .cast_shadows import log_odds_to_shadow
 from .corrected_views import corrected_views
 from .distinct_poses import (
     TOLERATED_SIGMAS,
@@ -20,6 +21,7 @@ from .distinct_poses import (
     pose_distances,
     surface_sigma,
 )
+from .edge_lines import EdgeLines
 from .evidence import Evidence
 from .localization import Localization, Rival
 from .moved_faces import likeliest_moved_face
@@ -104,10 +106,12 @@ class _Judging:
         self.scene, self._tested = scene, tested
         self._prepared, self._uncertainty = query.models, query.uncertainty
         self._options = query.options
+        self._accepted: list[Localization] = []
 
     def in_order(self, candidates: Sequence[Candidate], known: Sequence[Localization]) -> Judgement:
         """Return the known objects and the verdicts on candidates at other places, in order."""
         results, waiting = list(known), list(candidates)
+        self._accepted = [obj for obj in known if obj.accepted]
         for obj in known:
             waiting = self._elsewhere(obj, waiting)
         count = 0
@@ -126,6 +130,7 @@ class _Judging:
                 continue
             results.append(obj)
             if obj.accepted:
+                self._accepted.append(obj)
                 count, waiting = 0, self._elsewhere(obj, waiting)
             if waiting and obj.verdict.decision != "rejected":
                 # Its edge points are no evidence for the others, which are measured again without
@@ -216,7 +221,9 @@ class _Judging:
             disagreement = least_agreeing_view(
                 refined, entry.model, entry.fine, scene.views, self._uncertainty
             )
-            evidence = evidence._replace(disagreement=disagreement)
+            evidence = evidence._replace(
+                disagreement=disagreement, shadow_odds=self._shadow_odds(best.model, refined, lines)
+            )
             verdict = verdict_on(evidence)
         # Moving faces takes time: only poses that would be accepted are tested.
         if verdict.decision == "accepted" and may_be_another_size(evidence, self._options):
@@ -226,6 +233,20 @@ class _Judging:
                 verdict = verdict_on(evidence._replace(moved=moved))
         scale = scene.pictures[0].scale
         return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)
+
+    def _shadow_odds(self, model: int, refined: RefinedPose, lines: EdgeLines) -> float | None:
+        """Return the log-odds of an object to the shadow of an equal one; None without any."""
+        entry = self._prepared[model]
+        equal = [obj.refined for obj in self._accepted if obj.model_index == model]
+        sigmas = [surface_sigma(entry.model, each.covariance) for each in (refined, *equal)]
+        return log_odds_to_shadow(
+            lines,
+            entry,
+            self.scene.views,
+            refined.world_from_object,
+            [each.world_from_object for each in equal],
+            overlap_tolerance(sigmas[0], max(sigmas[1:], default=0.0)),
+        )
 
     def _rivals(
         self,

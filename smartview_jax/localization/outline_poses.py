@@ -15,10 +15,9 @@ from scipy.spatial import ConvexHull
 
 from ..geometry import host_exponentials, spiral_directions
 from ..modeling import ObjectModel
-from .circle_poses import SeenEllipses, supported_lengths
+from .circle_poses import DEFAULT_ROUND_OPTIONS, RoundOptions, SeenEllipses, supported_lengths
 from .distinct_poses import distinct_poses
 from .outlines import OutlineSamples
-from .round_options import DEFAULT_ROUND_OPTIONS, RoundOptions
 
 
 class SeenHull(NamedTuple):

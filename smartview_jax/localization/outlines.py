@@ -163,7 +163,9 @@ class OutlineSamples(NamedTuple):
         owners = np.repeat(np.arange(len(pairs)), counts)
         order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
         along = (ends - starts)[owners] / counts[owners, None]
+        places = (order + 0.5) / counts[owners]
         points = starts[owners] + (order + 0.5)[:, None] * along
+        points += _bulges(model, pairs, normals, owners, places)
         # Patches by the place of the edge, and by where it looks: the sides of a tube are apart.
         middles = 0.5 * (starts + ends)
         mean = normals.sum(axis=1)
@@ -189,6 +191,35 @@ class OutlineSamples(NamedTuple):
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
         lengths = np.abs((self.parts[chosen] * tangents).sum(axis=1))
         return SeenEdges(self.points[chosen], tangents, lengths)
+
+
+def _bulges(
+    model: ObjectModel,
+    pairs: Int[np.ndarray, "N 2"],
+    normals: Float[np.ndarray, "N 2 3"],
+    owners: Int[np.ndarray, "S"],
+    places: Float[np.ndarray, "S"],
+) -> Float[np.ndarray, "S 3"]:
+    """Return how far the smooth surface is beyond the straight edges of its mesh, m.
+
+    It is on cubics whose ends are across the normals of the vertices, as the edges of PN triangles
+    are (Vlachos et al., "Curved PN triangles", 2001). Vertices on sharp edges have no normal; there
+    the edge is straight.
+
+    Args:
+        model: with faces.
+        pairs, normals: vertices and faces' normals of the smooth edges (`smooth_edges`).
+        owners, places: smooth edge of each sample, and its place on it, from 0 to 1.
+    """
+    sums = np.zeros((len(model.vertices), 3))
+    np.add.at(sums, pairs, normals.sum(axis=1)[:, None])
+    sums[np.unique(model.edges)] = 0.0
+    sizes = np.linalg.norm(sums, axis=1, keepdims=True)
+    n = sums / np.where(sizes > 0.0, sizes, 1.0)
+    along = np.diff(model.vertices[pairs], axis=1)
+    u, v = (-(along * n[pairs]).sum(axis=2, keepdims=True) * n[pairs]).swapaxes(0, 1)
+    t = places[:, None]
+    return t * (1.0 - t) ** 2 * u[owners] - t**2 * (1.0 - t) * v[owners]
 
 
 def _most_on_outline(

@@ -41,6 +41,8 @@ class PoseEquations(NamedTuple):
         by_calibration: derivatives by the numbers of a `CalibrationUncertainty`.
         by_vertices: derivatives by the coordinates of the model's vertices, px/m.
         block: index of the feature that each equation belongs to.
+        by_light: derivatives by the light in each view, in its standard deviations; None where no
+            light displaces an edge, or where `noise` contains what it does.
     """
 
     residuals: Float[np.ndarray, "n"]
@@ -49,6 +51,7 @@ class PoseEquations(NamedTuple):
     by_calibration: Float[np.ndarray, "n numbers"]
     by_vertices: Float[np.ndarray, "n coordinates"]
     block: Int[np.ndarray, "n"]
+    by_light: Float[np.ndarray, "n lights"] | None = None
 
     def of(self, keep: Bool[np.ndarray, "n"]) -> "PoseEquations":
         """Return the selected equations."""
@@ -59,6 +62,7 @@ class PoseEquations(NamedTuple):
             self.by_calibration[keep],
             self.by_vertices[keep],
             self.block[keep],
+            None if self.by_light is None else self.by_light[keep],
         )
 
 

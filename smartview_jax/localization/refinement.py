@@ -190,6 +190,11 @@ def line_equations(
     """
     view, edge = np.nonzero(lines.measured)
     count = len(view)
+    by_light = None
+    if lines.by_light is not None:
+        # The light of each view is an unknown of its own.
+        is_in_view = np.arange(len(lines.measured)) == np.repeat(view, 2)[:, None]
+        by_light = is_in_view * np.ravel(lines.by_light[view, edge])[:, None]
     by_calibration = np.zeros((2 * count, len(uncertainty.names)))
     # An exact model has no columns for errors of its vertices.
     by_vertices = np.zeros((2 * count, 0 if model.is_exact else 3 * len(model.vertices)))
@@ -230,6 +235,7 @@ def line_equations(
         by_calibration,
         by_vertices,
         np.repeat(np.arange(count), 2),
+        by_light,
     )
 
 

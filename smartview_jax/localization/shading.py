@@ -6,6 +6,10 @@ g after a blur of s px, other brightness b(x) moves it by s^2 b''(0) / g. Neithe
 sign is known, so that this is an error of a whole edge. Its size follows from how fast the normal
 turns; a quarter turn changes the brightness by as much as the usual edge of the picture,
 sqrt(2 pi) s times the edges' RMS gradient.
+
+On all outlines of a view the normal turns towards the camera, and with it, to first order, towards
+the same light: it is one unknown of the view (`LIGHT_SIGMA`), and only what differs from outline to
+outline is an error of each.
 """
 
 import jax.numpy as jnp
@@ -23,6 +27,14 @@ OUTLINE_SHIFT = 0.73
 
 At x px from its outline the brightness of a surface of the radius R px is b sqrt(2 x / R), which
 moves the peak by b sqrt(s / R) 2^(1/4) Gamma(3/4) / sqrt(8 pi) / g, with b = sqrt(2 pi) s g_usual.
+"""
+
+
+LIGHT_SIGMA = 0.5 * 255.0 / (float(np.sqrt(2.0 * np.pi)) * EDGE_BLUR)
+"""Gradient that stands for a light of one standard deviation, grey levels per px.
+
+A quarter turn changes the brightness of a surface by no more than the range of the picture, which
+is two standard deviations; the gradient is of an edge of as much.
 """
 
 

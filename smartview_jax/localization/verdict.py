@@ -9,7 +9,9 @@ A pose has to be likelier than what else may explain the edges:
 - another solid: where edges are missing, the model with a moved face might explain more, because
   the object has other dimensions (`moved_faces`);
 - another pose, or another model, at the same place that symmetry does not make equal, by the
-  log-likelihood ratio including the exactness of the fit.
+  log-likelihood ratio including the exactness of the fit;
+- the shadow of an equal object, by the same ratio of the edges that it does not have
+  (`cast_shadows`).
 
 Its views have to agree (`view_agreement`), and it has to be precise.
 `VerdictOptions` has the limits.
@@ -70,7 +72,8 @@ class VerdictOptions:
             less.
         max_relative_std: largest standard deviation of a vertex, over the object's extent.
         min_margin: smallest log-likelihood ratio to the best rival, including exactness: ln(100)
-            for each of some thirty poses that are examined.
+            for each of some thirty poses that are examined. A pose that is less likely than a
+            shadow by as much is rejected.
         min_agreement: smallest probability of so large a difference between the views.
         exact_rig_error: largest difference between the views, over the object's extent, of a
             calibration and a robot that are taken as exact. They err by some tenths of a millimetre
@@ -168,6 +171,9 @@ def judge(
     is_clutter = evidence.log_likelihood < 0.0 or log_false_alarms > 0.0
     if is_clutter or evidence.edges < options.min_edges:
         against.append(f"background clutter matches as well: {_amount(evidence)}")
+    shadow_odds = np.inf if evidence.shadow_odds is None else evidence.shadow_odds
+    if shadow_odds <= -options.min_margin:
+        against.append("it is the shadow of an equal object: its other edges are missing")
     if against:
         return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
     doubts = []
@@ -212,6 +218,8 @@ def judge(
         doubts.append(evidence.disagreement.message)
     if margin < options.min_margin:
         doubts.append(f"ambiguous: {rival} matches the pictures almost as well")
+    if shadow_odds < options.min_margin:
+        doubts.append("ambiguous: it may be the shadow of an equal object")
     return Verdict(
         "open" if doubts else "accepted", tuple(doubts), evidence, log_false_alarms, margin
     )

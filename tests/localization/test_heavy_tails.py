@@ -63,6 +63,25 @@ def test_few_edges_that_are_far_off_hardly_count():
     assert robust < 1.4 * none < 0.2 * plain
 
 
+def test_a_light_that_moves_all_edges_of_a_picture_is_an_unknown():
+    """Of two pictures; with the light as noise of each edge the pose would be as far off."""
+    rng, errors, covariances, without = np.random.default_rng(7), [], [], []
+    view = np.repeat(np.arange(EDGES) % 2, 2)
+    for own in drawn(rng, 1e6, 20):
+        equations = equations_of(rng, own)
+        by_light = rng.uniform(0.1, 0.4, 2 * EDGES)[:, None] * (view[:, None] == [0, 1])
+        residuals = equations.residuals + by_light @ rng.standard_normal(2)
+        lit = equations._replace(residuals=residuals, by_light=by_light)
+        found = solve_heavy_tailed(lit, NO_ERRORS)
+        assert found.equations.by_light is None
+        errors.append(found.step.tangent - TRUTH)
+        covariances.append(found.step.covariance)
+        without.append(solve_heavy_tailed(lit._replace(by_light=None), NO_ERRORS).step.tangent)
+    errors, without = np.array(errors), np.array(without) - TRUTH
+    assert 3.0 < mean_nees(nees(errors, np.array(covariances)), 6).value < 7.0
+    assert np.sqrt((errors**2).mean()) < 0.3 * np.sqrt((without**2).mean())
+
+
 @pytest.mark.parametrize("size", [0.0, 0.3])
 def test_an_error_of_all_edges_is_estimated(size):
     rng, sigmas = np.random.default_rng(3), []

@@ -18,11 +18,12 @@ from smartview_jax.localization.moved_faces import (
     _found_lengths,
     _moved,
     _rates,
+    face_places,
     likeliest_moved_face,
+    movements_of_face,
 )
 from smartview_jax.localization.prediction import faces_before
 from smartview_jax.localization.refinement import measured_lines
-from smartview_jax.localization.sliding_faces import face_places, movements_of_face
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 
 SIDES = np.ptp(MODEL.vertices, axis=0)

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from drawn_edges import IMAGE_SIZE, pinhole
 from scipy.spatial.transform import Rotation
+from scipy.special import gamma
 
 import smartview_jax as sv
 from smartview_jax.features import EdgePoints, IdealPlane
@@ -13,6 +14,8 @@ from smartview_jax.io.meshes import model_from_triangles
 from smartview_jax.localization import EdgeLookup, Wireframe, refine_pose
 from smartview_jax.localization.circle_poses import SeenEllipses
 from smartview_jax.localization.outline_poses import poses_from_outlines, seen_hulls
+from smartview_jax.localization.outlines import OutlineSamples
+from smartview_jax.localization.shading import EDGE_BLUR
 from smartview_jax.modeling import ObjectModel, SeenViews
 
 AXES = np.array([0.03, 0.02, 0.012])
@@ -75,27 +78,75 @@ def test_the_hull_of_an_ellipsoid_has_its_shadows_axes(egg):
         assert np.linalg.norm(hull.middle) < 1e-4
 
 
-def test_a_smooth_part_is_refined_by_its_outline(egg):
+TRUTH = pose_of([0.4, -0.7, 0.9], [0.0, 0.0, 0.0])
+START = TRUTH @ host_exponentials(np.array([2e-4, -2e-4, 2e-4, 0.01, -0.01, 0.01]))
+
+
+def refined(egg, lights=(0.0, 0.0)):
+    """The egg, refined by two pictures whose light displaces its outline."""
     calibration = sv.Calibration.eye_in_hand(CAMERA, np.eye(4), np.eye(4))
-    truth = pose_of([0.4, -0.7, 0.9], [0.0, 0.0, 0.0])
     cameras = [
         pose_of([0.0, np.pi, 0.0], [0.0, 0.0, 0.4]),
         pose_of([0.0, 2.4, 0.0], [-0.27, 0.0, 0.295]),
     ]
     views = SeenViews.of(calibration, np.stack(cameras))
     pictures = []
-    for camera_from_world in views.camera_from_world:
-        points, normals = points_on(outline_conic(camera_from_world @ truth))
+    for camera_from_world, light in zip(views.camera_from_world, lights, strict=True):
+        points, normals = points_on(outline_conic(camera_from_world @ TRUTH))
+        # Bright on the side of the light, where the ground is as bright as the egg.
+        strengths = 20.0 + 10.0 * normals[:, 0]
+        radii = radii_across(camera_from_world @ TRUTH, points, normals)
+        points = points - (light * SHIFT / np.sqrt(radii) / strengths)[:, None] * normals
         pixels = points + np.array([325.0, 236.0])
         cells = np.round(pixels).astype(int)
-        pictures.append(EdgePoints(pixels, normals, np.full(len(pixels), 20.0), cells))
+        pictures.append(EdgePoints(pixels, -normals, strengths, cells))
     lookup = EdgeLookup.of(pictures, IMAGE_SIZE)
-    start = truth @ host_exponentials(np.array([2e-4, -2e-4, 2e-4, 0.01, -0.01, 0.01]))
-    found = refine_pose(start, egg, Wireframe.of(egg, 512), views, lookup)
-    error = host_logarithms(np.linalg.inv(found.world_from_object) @ truth)
+    return refine_pose(START, egg, Wireframe.of(egg, 512), views, lookup)
+
+
+SHIFT = np.sqrt(EDGE_BLUR) * 2.0**0.25 * gamma(0.75) / np.sqrt(8.0 * np.pi)
+"""Displacement by a light of one grey level, over its gradient and the root of the radius."""
+
+
+def radii_across(camera_from_object, points, normals):
+    """The ellipsoid's radii of curvature along the rays that touch it, px."""
+    R, t = camera_from_object[:3, :3], camera_from_object[:3, 3]
+    rays = np.column_stack([points / FOCAL, np.ones(len(points))]) @ R
+    centre, Q = -R.T @ t, np.diag(1.0 / AXES**2)
+    # On a ray that touches it, (c + s d)^T Q (c + s d) is least.
+    depth = -(rays @ Q @ centre) / np.einsum("ni,ij,nj->n", rays, Q, rays)
+    touched = centre + depth[:, None] * rays
+    along = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    # The curvature of x^T Q x = 1 along a direction d is d^T Q d / |Q x|.
+    curvature = np.einsum("ni,ij,nj->n", along, Q, along) / np.linalg.norm(touched @ Q, axis=1)
+    return FOCAL / depth / curvature
+
+
+def squared_error(found):
+    error = host_logarithms(np.linalg.inv(found.world_from_object) @ TRUTH)
+    return error, error @ np.linalg.solve(found.covariance, error)
+
+
+def test_a_smooth_part_is_refined_by_its_outline(egg):
+    error, squared = squared_error(refined(egg))
     assert np.linalg.norm(error[:3]) < 3e-5
     assert np.linalg.norm(error[3:]) < 0.01
-    assert error @ np.linalg.solve(found.covariance, error) < 6.0
+    assert squared < 6.0
+
+
+def test_the_light_of_each_picture_is_an_unknown(egg):
+    """By up to 0.5 px it displaces the outline inwards; the pose hardly."""
+    error, squared = squared_error(refined(egg, (60.0, 100.0)))
+    assert np.linalg.norm(error[:3]) < 2e-5
+    assert squared < 2.0
+
+
+def test_the_outline_of_a_coarse_mesh_is_on_its_smooth_surface(egg):
+    """The middles of its edges are up to 0.9 % of the axes within it."""
+    samples = OutlineSamples.of(egg, 2e3)
+    off = np.linalg.norm(samples.points / AXES, axis=1) - 1.0
+    assert np.abs(off).max() < 1e-3
+    assert np.sqrt((off**2).mean()) < 3e-4
 
 
 def test_faces_without_a_convex_smooth_edge_show_nothing():
