@@ -22,7 +22,12 @@ from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from ..geometry import host_logarithms, host_matrices, host_transforms
+from ..geometry import (
+    host_logarithms,
+    host_matrices,
+    host_nearest_rotation,
+    host_transforms,
+)
 from ..robots import HandPoses
 
 TRIED_ROTATIONS, REFINED_ROTATIONS = 1000, 5
@@ -123,18 +128,13 @@ def _rotations(
     results = []
     for k in best:
         x, z = (
-            _nearest_rotation(vectors.reshape(3, 3)) for vectors in (mounts[k, :, 0], holders[k, 0])
+            host_nearest_rotation(matrix * np.sign(np.linalg.det(matrix)))
+            for matrix in (mounts[k, :, 0].reshape(3, 3), holders[k, 0].reshape(3, 3))
         )
         start = Rotation.from_matrix(np.stack([x, tried[k], z.T])).as_rotvec().ravel()
         results.append(least_squares(misses, start, loss="soft_l1", f_scale=0.01))
     found = min(results, key=lambda result: result.cost)
     return list(Rotation.from_rotvec(found.x.reshape(3, 3)).as_matrix())
-
-
-def _nearest_rotation(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation nearest to a multiple, of either sign, of a matrix."""
-    u, _, v = np.linalg.svd(matrix * np.sign(np.linalg.det(matrix)))
-    return u @ v
 
 
 def _translations(
