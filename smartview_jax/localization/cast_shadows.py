@@ -62,7 +62,7 @@ def log_odds_to_shadow(
             if light @ plane.normal < 0.0 and heights.min() > -slack:
                 curve = _shadow_on(entry.fine, face, light)
                 pixels = project_points(views, host_transformed(pose, curve))
-                odds.append(_log_odds_besides(lines, entry.fine, face, pixels))
+                odds.append(_log_odds_of_other_edges(lines, entry.fine, face, pixels))
     return min(odds, default=None)
 
 
@@ -90,7 +90,7 @@ def _shadow_on(
     return points - np.outer(heights / (light @ normal), light)
 
 
-def _log_odds_besides(
+def _log_odds_of_other_edges(
     lines: EdgeLines, wireframe: Wireframe, face: int, shadow: Float[np.ndarray, "views n 2"]
 ) -> float:
     """Return the log-odds of an object to clutter by the edges that a shadow on a face has not.
@@ -104,15 +104,15 @@ def _log_odds_besides(
     on_face = np.asarray(wireframe.edge_faces)[np.asarray(wireframe.sample_edges), face]
     on_face &= np.asarray(wireframe.sample_chains) >= 0
     found = np.isfinite(lines.distances)
-    is_beside = ~on_face & ~(found & _near(lines, shadow))
-    visible_px = float((lines.sample_px * is_beside).sum())
-    explained_px = float((lines.sample_px * (is_beside & found)).sum())
+    is_other = ~on_face & ~(found & _near(lines, shadow))
+    visible_px = float((lines.sample_px * is_other).sum())
+    explained_px = float((lines.sample_px * (is_other & found)).sum())
     likelihood = log_likelihood_of(explained_px / max(visible_px, 1.0), visible_px)
     curves = np.broadcast_to(samples_in_views(lines, wireframe)[1], found.shape)
     offsets = [
         lines.offsets[view, curve]
         for view, of_view in enumerate(curves)
-        for curve in np.unique(of_view[is_beside[view] & found[view]])
+        for curve in np.unique(of_view[is_other[view] & found[view]])
         if lines.measured[view, curve]
     ]
     distances = np.linalg.norm(np.reshape(offsets, (-1, 2)), axis=1)
