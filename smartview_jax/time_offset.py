@@ -51,6 +51,7 @@ class TimeOffset(NamedTuple):
         noise: standard deviations of pixels and poses that the estimate rests on.
         jitter: standard deviation of the time stamps of tracked poses, s; None for pictures, in
             whose noise it is contained.
+        jitter_std: standard deviation of `jitter`, upwards, s; None for pictures.
     """
 
     seconds: float
@@ -58,12 +59,19 @@ class TimeOffset(NamedTuple):
     data: Dataset
     noise: Noise
     jitter: float | None = None
+    jitter_std: float | None = None
 
     def __str__(self) -> str:
-        """Return the estimate in milliseconds, with its 95 % interval."""
-        return (
+        """Return the estimates in milliseconds, with the offset's 95 % interval."""
+        text = (
             f"robot's clock minus camera's: {1e3 * self.seconds:.2f} +- "
             f"{1e3 * 1.96 * self.std:.2f} ms"
+        )
+        if self.jitter is None or self.jitter_std is None:
+            return text
+        return (
+            f"{text}; jitter of the time stamps {1e3 * self.jitter:.2g} ms (standard deviation, "
+            f"itself +- {1e3 * self.jitter_std:.2g} ms)"
         )
 
 
@@ -167,7 +175,7 @@ def estimate_time_offset(
         seconds = fit.chain.seconds
         # In units of the tracker's noise its standard deviation is one.
         noise = Noise(1.0, *fit.robot_noise)
-        return TimeOffset(seconds, fit.std, data_at(seconds), noise, fit.jitter)
+        return TimeOffset(seconds, fit.std, data_at(seconds), noise, fit.jitter, fit.jitter_std)
     profile = _first_profile(data_at, seconds, lens)
     # Twice, because standard deviations that were estimated at another offset are too large.
     for _ in range(NOISE_ROUNDS):

@@ -19,6 +19,7 @@ from .runtime.blas_threads import on_one_blas_thread
 from .variance import (
     DEPTH_AXES,
     DepthAxis,
+    LikeliestVariances,
     LinearPairs,
     Poses,
     likeliest_variances,
@@ -61,6 +62,7 @@ class TimedFit(NamedTuple):
         chain: the fitted chain.
         std: standard deviation of the offset, s.
         jitter: standard deviation of the time stamps, s.
+        jitter_std: standard deviation of `jitter`, upwards, s.
         robot_noise: standard deviations of the robot's poses by axis, m and rad.
         used: mask of the pairs that were used.
         deviance: -2 log of the likelihood of the noises.
@@ -69,6 +71,7 @@ class TimedFit(NamedTuple):
     chain: TimedChain
     std: float
     jitter: float
+    jitter_std: float
     robot_noise: tuple[float, float]
     used: Bool[np.ndarray, "views"]
     deviance: float
@@ -133,7 +136,19 @@ def _fit_along(
     assert likeliest is not None
     sizes = np.sqrt(likeliest.variances)
     robot = float(sizes[-3] * UNIT_TRANSLATION), float(sizes[-2] * UNIT_ROTATION)
-    return TimedFit(chain, std, float(sizes[-1] * UNIT_JITTER), robot, used, likeliest.deviance)
+    jitter, jitter_std = UNIT_JITTER * sizes[-1], UNIT_JITTER * _last_std(likeliest)
+    return TimedFit(chain, std, float(jitter), jitter_std, robot, used, likeliest.deviance)
+
+
+def _last_std(likeliest: LikeliestVariances) -> float:
+    """Return the standard deviation of the last noise's standard deviation, upwards, in units."""
+    # Of the variances, whose information does not vanish with them: I_log = 4 s s' I_variance.
+    variances = likeliest.variances
+    information = likeliest.information / (4.0 * np.outer(variances, variances))
+    size = 1.0 / np.sqrt(np.diagonal(information))
+    scaled = np.linalg.pinv(np.outer(size, size) * information, hermitian=True)
+    variance_std = size[-1] * np.sqrt(scaled[-1, -1])
+    return float(np.sqrt(variances[-1] + variance_std) - np.sqrt(variances[-1]))
 
 
 def _linearised(

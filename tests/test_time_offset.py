@@ -123,3 +123,12 @@ def test_what_cannot_be_found_is_said(scene):
     no_offset = r"hardly moved|did not move|the end of the range|do not move alike"
     with pytest.raises(ValueError, match=no_offset):
         sv.estimate_time_offset(data, Trajectory.of(LOG_TIMES, still), times, "radial")
+
+
+def test_the_jitter_of_time_stamps_is_printed_with_its_deviation(found):
+    assert "jitter" not in str(found)
+    text = str(found._replace(seconds=0.035, std=1e-4, jitter=2.1e-3, jitter_std=3e-4))
+    assert text == (
+        "robot's clock minus camera's: 35.00 +- 0.20 ms; jitter of the time stamps 2.1 ms "
+        "(standard deviation, itself +- 0.3 ms)"
+    )

@@ -69,6 +69,7 @@ def test_the_offset_is_as_uncertain_as_stated(mount):
     # One pair tells it to 1 mm over 0.1 m/s or so, 60 pairs eight times as well.
     assert 0.2e-3 < np.median([fit.std for fit in fits]) < 1.5e-3
     assert all(fit.jitter < 3e-3 for fit in fits)
+    assert all(0.1e-3 < fit.jitter_std < 3e-3 for fit in fits)
 
 
 def test_jitter_of_time_stamps_is_found_and_widens_the_interval():
@@ -76,6 +77,9 @@ def test_jitter_of_time_stamps_is_found_and_widens_the_interval():
     fits = [fitted(log, seed, jitter=0.01) for seed in range(DRAWS)]
     assert_honest(fits)
     assert np.median([fit.jitter for fit in fits]) == pytest.approx(0.01, rel=0.1)
+    # Of n normal numbers the standard deviation is known to one part in sqrt(2 n).
+    stated = np.median([fit.jitter_std for fit in fits])
+    assert stated == pytest.approx(0.01 / np.sqrt(2.0 * PAIRS), rel=0.25)
     # Without any other noise the offset would be known as well as a mean of 60 stamps.
     assert min(fit.std for fit in fits) > 0.8 * 0.01 / np.sqrt(PAIRS)
 

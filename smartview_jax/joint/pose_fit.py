@@ -28,13 +28,14 @@ from ..hand_eye import solve_hand_eye
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import check_start, known_transforms
+from .drifting_tracker import TrackerDrift, tracker_drift, with_uncertain_drift
 from .fit import fit_joint
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
 from .robust_hand_eye import chain_errors, robust_hand_eye
 from .sensor_error import with_sensor_error
-from .tracker_noise import TrackerPrior, with_likeliest_units
+from .tracker_noise import TrackerPrior, in_tracker_units, likeliest_noise, with_noise
 from .undetermined import require_moving_robot
 
 MAX_ROUNDS = 3
@@ -74,16 +75,20 @@ class PoseFit(JointFit):
         has_camera: whether the camera of the calibration was given.
         tracker_noise: standard deviation of a tracked pose: translation per axis (m), rotation per
             axis (rad).
+        drift: of the tracker; None if it has none. Its poses were fitted without it.
         pose_errors: distance (m) and angle (rad) of each measured pose from its prediction by the
             chain; NaN where the target was not seen.
     """
 
     has_camera: bool = eqx.field(static=True, kw_only=True)
     tracker_noise: tuple[float, float] = eqx.field(static=True, kw_only=True)
+    drift: TrackerDrift | None = eqx.field(kw_only=True)
     pose_errors: Float[np.ndarray, "views 2"] = eqx.field(kw_only=True)
 
     @classmethod
-    def of(cls, fit: JointFit, data: PoseDataset, has_camera: bool) -> "PoseFit":
+    def of(
+        cls, fit: JointFit, data: PoseDataset, has_camera: bool, drift: TrackerDrift | None
+    ) -> "PoseFit":
         """Return the fit of tracked poses, given as a joint fit in units of the tracker's noise."""
         values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
         # Also of the pairs that the fit does not use.
@@ -92,13 +97,15 @@ class PoseFit(JointFit):
         errors = tracked_pose_errors(data, fit.calibration)
         errors[~data.seen] = np.nan
         translation, rotation = data.typical_noise
-        sigma = float(fit.pixel_sigma)
+        # A drift follows some of the white noise, which the poses without it lack.
+        sigma = float(fit.pixel_sigma) if drift is None else 1.0
         if data.sensor is not None:
             values |= with_sensor_error(fit, data)
         return cls(
             **values,
             has_camera=has_camera,
             tracker_noise=(sigma * translation, sigma * rotation),
+            drift=drift,
             pose_errors=errors,
         )
 
@@ -126,7 +133,8 @@ class PoseFit(JointFit):
         """The standard deviations of tracked and reported poses in words."""
         translation, rotation = self.tracker_noise
         text = (
-            f"tracked poses +- {1e3 * translation:.2g} mm, {np.rad2deg(rotation):.2g} deg; "
+            f"tracked poses +- {1e3 * translation:.2g} mm, {np.rad2deg(rotation):.2g} deg"
+            f"{'' if self.drift is None else f', drifting by {self.drift.described_steps}'}; "
             f"{robot_noise_text(self)}"
         )
         return text if self.sensor is None else f"{text}\ndepth sensor: {self.sensor.described}"
@@ -161,12 +169,16 @@ def fit_poses(
     """Fit the hand-eye transform and the target's pose to tracked poses of the target.
 
     The noise of the tracker and of the robot, and the robot's systematic errors, are estimated as
-    in `fit_joint`. Pairs that contradict the others are left out and listed in `rejected`.
+    in `fit_joint`. Pairs that contradict the others are left out and listed in `rejected`. A
+    tracker that drifts, as visual odometry does, is recognised by its evidence; then its drift is
+    estimated with the chain, and the covariance allows for it (not with `fixed` or `priors`, nor
+    for data with covariances).
 
     Args:
-        samples: at least three pairs of a robot pose and a tracked pose: a `PoseDataset`, or the
-            `PoseSamples` of a file. Where the data set states each pose's covariance, poses count
-            by it, and one factor of all covariances is estimated.
+        samples: at least three pairs of a robot pose and a tracked pose, in the order in which they
+            were measured: a `PoseDataset`, or the `PoseSamples` of a file. Where the data set
+            states each pose's covariance, poses count by it, and one factor of all covariances is
+            estimated.
         camera: the tracker's camera, if the calibration is to be saved; it is not fitted. By
             default the data set's.
         start: transforms that are known roughly, by name, such as
@@ -177,8 +189,8 @@ def fit_poses(
         fixed: paths of parameters that keep the start's value.
         priors: a `Prior` by path.
         robot_prior: prior on the standard deviations of the robot's errors.
-        tracker_prior: prior on the ratios of the tracker's noises in rotation and by direction; not
-            for data with covariances, which state it.
+        tracker_prior: prior on the tracker's noises and on its drift; not for data with
+            covariances, which state them.
         progress: called with a line of text for each stage.
 
     Raises:
@@ -220,14 +232,23 @@ def fit_poses(
     calibration, consistent, ambiguities = _start(data, blank, start, scale)
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
 
-    def fit_consistent() -> tuple[PoseDataset, JointFit]:
-        """Return the pairs that agree, with the tracker's units, and the fit to them."""
-        used = without_views(data, _contradictions(data, calibration, consistent))
+    # A drift is estimated with the whole chain.
+    may_drift = not (data.states_covariance or fixed or priors)
+
+    def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerDrift | None]:
+        """Return the pairs that agree, with the tracker's noise, the fit to them and the drift."""
+        used, drift = without_views(data, _contradictions(data, calibration, consistent)), None
         if not data.states_covariance:
-            used = with_likeliest_units(
-                used, calibration, scale, prior, tracker_prior or TrackerPrior()
-            )
-        return used, fit_joint(
+            arguments = calibration, scale, prior, tracker_prior or TrackerPrior()
+            noise = likeliest_noise(used, *arguments)
+            if may_drift:
+                drift = tracker_drift(used, noise, *arguments)
+            if drift is not None:
+                without = host_transforms(drift.camera_from_world)
+                used = dataclasses.replace(used, camera_from_world=without)
+            covariance = noise.covariance if drift is None else drift.covariance
+            used = with_noise(used, covariance, float(calibration.target_scale))
+        fit = fit_joint(
             used,
             calibration,
             field=field,
@@ -236,16 +257,24 @@ def fit_poses(
             progress=progress,
             **choice.holding("camera")._asdict(),
         )
+        return used, fit, drift
 
-    used, fit = fit_consistent()
+    used, fit, drift = fit_consistent()
     for _ in range(MAX_ROUNDS - 1):
-        again = _consistent_again(data, fit) & ~consistent
+        again = _consistent_again(used, fit, data.seen) & ~consistent
         if not again.any():
             break
         consistent = consistent | again
-        used, fit = fit_consistent()
+        used, fit, drift = fit_consistent()
+    if drift is not None:
+        fit = with_uncertain_drift(fit, drift)
     fit = dataclasses.replace(fit, warnings=(*ambiguities, *fit.warnings))
-    return PoseFit.of(fit, dataclasses.replace(data, covariance=used.covariance), has_camera)
+    covariance = used.covariance
+    if drift is not None:
+        own = in_tracker_units(drift.covariance, float(calibration.target_scale))
+        covariance = to_device(own)
+    data = dataclasses.replace(data, covariance=covariance)
+    return PoseFit.of(fit, data, has_camera, drift)
 
 
 class PoseStart(NamedTuple):
@@ -394,8 +423,16 @@ def _contradictions(
     }
 
 
-def _consistent_again(data: PoseDataset, fit: JointFit) -> Bool[np.ndarray, "views"]:
-    """Return the pairs that agree with a fit, among all that were measured."""
+def _consistent_again(
+    data: PoseDataset, fit: JointFit, seen: Bool[np.ndarray, "views"]
+) -> Bool[np.ndarray, "views"]:
+    """Return the pairs that agree with a fit, among all that were measured.
+
+    Args:
+        data: the pairs, without the tracker's drift.
+        fit: to some of them.
+        seen: all that were measured.
+    """
     errors = tracked_pose_errors(data, fit.calibration)
     typical = np.array(pose_rms(errors[fit.used_views]))
-    return data.seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)
+    return seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)

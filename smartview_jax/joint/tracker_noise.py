@@ -24,6 +24,7 @@ from ..variance import (
     likeliest_variances,
     linear_pairs,
     moved_transforms,
+    serial_correlation,
 )
 
 UNIT_ROUNDS = 2
@@ -38,6 +39,10 @@ class TrackerPrior:
     sight, by e times its distance over its size along it, and a rotation off by e over its size.
     The positions of a motion capture system are as good along the line of sight as across it.
 
+    A tracker that adds up motions, as visual odometry does, drifts: the errors of its poses grow
+    from one view to the next. It errs by about one percent of the path, and turns by the error over
+    the distance of what it sees.
+
     Attributes:
         translation_median: median noise of translation across the line of sight, m; between a laser
             tracker and a small marker at some metres.
@@ -48,6 +53,13 @@ class TrackerPrior:
         depth_median: median ratio of translation along the line of sight to across it; between
             motion capture and a marker at five times its size.
         depth_geometric_std: exp of the standard deviation of its logarithm.
+        drift_probability: probability of a tracker that drifts; with 0 none does.
+        drift_median: median error of translation that is new in a view of one that drifts, m.
+        drift_ratio_median: median ratio of rotation to translation in it, rad/m; its logarithm is
+            as uncertain as the one of `ratio_median`.
+        drift_scale_median: median relative error of scale that is new in a view, where the
+            tracker's unit is unknown.
+        drift_geometric_std: exp of the standard deviation of the logarithms of errors that are new.
     """
 
     translation_median: float = UNIT_TRANSLATION
@@ -56,29 +68,59 @@ class TrackerPrior:
     ratio_geometric_std: float = 5.0
     depth_median: float = 2.0
     depth_geometric_std: float = 3.0
+    drift_probability: float = 0.1
+    drift_median: float = 3e-4
+    drift_ratio_median: float = 1.0
+    drift_scale_median: float = 1e-3
+    drift_geometric_std: float = 10.0
 
     def __post_init__(self) -> None:
-        for name in ("translation_median", "ratio_median", "depth_median"):
-            if not 0.0 < (value := getattr(self, name)) < np.inf:
+        for field in dataclasses.fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if name.endswith("_median") and not 0.0 < value < np.inf:
                 raise ValueError(f"TrackerPrior.{name}: expected a positive number, found {value}")
-        for name in ("translation_geometric_std", "ratio_geometric_std", "depth_geometric_std"):
-            if not 1.0 < (value := getattr(self, name)) < np.inf:
+            if name.endswith("_geometric_std") and not 1.0 < value < np.inf:
                 raise ValueError(f"TrackerPrior.{name}: expected a factor above 1, found {value}")
+        if not 0.0 <= self.drift_probability < 1.0:
+            raise ValueError(
+                "TrackerPrior.drift_probability: expected at least 0 and less than 1, found "
+                f"{self.drift_probability}"
+            )
+
+
+class TrackerNoise(NamedTuple):
+    """The white noise of a tracker that is likeliest.
+
+    Attributes:
+        axis: of its noise in depth.
+        variances: of all noises, as of `LinearPairs.parts`.
+        robot_medians: medians of the prior on the robot's noise, of a good robot or of a weak one.
+        covariance: of the tracked poses, m and rad.
+        evidence: logarithm of the evidence for it.
+        correlation: of successive errors, in its standard deviations.
+    """
+
+    axis: DepthAxis
+    variances: Float[np.ndarray, "parts"]
+    robot_medians: Float[np.ndarray, "2"]
+    covariance: Float[np.ndarray, "views 6 6"]
+    evidence: float
+    correlation: float
 
 
 @on_one_blas_thread
-def with_likeliest_units(
+def likeliest_noise(
     data: PoseDataset,
     calibration: Calibration,
     scale: bool,
     robot_prior: RobotPrior,
     tracker_prior: TrackerPrior,
-) -> PoseDataset:
-    """Return the data with the likeliest ratios of the tracker's noises in their covariances.
+) -> TrackerNoise:
+    """Return the likeliest noise of a tracker.
 
-    They are found with white noise of the robot alone: its systematic errors are smooth, and hardly
-    change with the ratios. Whether there is a noise in depth, and along which axis, is decided by
-    the evidence.
+    It is found with white noise of the robot alone: its systematic errors are smooth, and hardly
+    change the ratios. Whether there is a noise in depth, and along which axis, is decided by the
+    evidence.
 
     Args:
         data: the pairs.
@@ -86,28 +128,71 @@ def with_likeliest_units(
         scale: whether the tracker's unit is unknown. If it drifts, that is a noise in depth.
         robot_prior, tracker_prior: on the sizes of the robot's noise, and on the ratios.
     """
-    factor = float(calibration.target_scale)
-    measured = data.tracked_matrices.copy()
-    measured[:, :3, 3] *= factor
-    in_metres = dataclasses.replace(data, camera_from_world=host_transforms(measured))
     axes: tuple[DepthAxis, ...] = ("none", *DEPTH_AXES)
+    measured = in_metres(data, float(calibration.target_scale))
     noises = [
-        _tracker_noise(in_metres, calibration, axis, scale, robot_prior, tracker_prior)
+        _tracker_noise(measured, calibration, axis, scale, robot_prior, tracker_prior)
         for axis in axes
     ]
-    covariance = max(noises, key=lambda noise: noise.evidence).covariance
-    covariance[:, :3] /= factor
-    covariance[:, :, :3] /= factor
-    # The fit finds their common size.
-    size = UNIT_TRANSLATION**2 / np.diagonal(covariance, axis1=1, axis2=2)[:, :3].mean()
-    return dataclasses.replace(data, covariance=to_device(size * covariance))
+    return max(noises, key=lambda noise: noise.evidence)
 
 
-class _TrackerNoise(NamedTuple):
-    """The covariances of tracked poses, and the logarithm of the evidence for such a tracker."""
+def in_metres(data: PoseDataset, factor: float) -> PoseDataset:
+    """Return the data set with translations in metres, for a unit of `factor` metres."""
+    measured = data.tracked_matrices.copy()
+    measured[:, :3, 3] *= factor
+    return dataclasses.replace(data, camera_from_world=host_transforms(measured))
 
-    covariance: Float[np.ndarray, "views 6 6"]
-    evidence: float
+
+def with_noise(
+    data: PoseDataset, covariance: Float[np.ndarray, "views 6 6"], factor: float
+) -> PoseDataset:
+    """Return the data set with covariances up to a common size, which the fit finds.
+
+    Args:
+        data: with translations in units of `factor` metres.
+        covariance: m and rad.
+        factor: see above.
+    """
+    own = in_tracker_units(covariance, factor)
+    size = UNIT_TRANSLATION**2 / np.diagonal(own, axis1=1, axis2=2)[:, :3].mean()
+    return dataclasses.replace(data, covariance=to_device(size * own))
+
+
+def in_tracker_units(
+    covariance: Float[np.ndarray, "views 6 6"], factor: float
+) -> Float[np.ndarray, "views 6 6"]:
+    """Return covariances in m and rad for translations in units of `factor` metres."""
+    own = covariance.copy()
+    own[:, :3] /= factor
+    own[:, :, :3] /= factor
+    return own
+
+
+def scaled_pairs(
+    data: PoseDataset,
+    camera_from_mount: Float[np.ndarray, "4 4"],
+    holder_from_world: Float[np.ndarray, "4 4"],
+    axis: DepthAxis,
+    scale: bool,
+) -> LinearPairs:
+    """Return the pairs, linear in the chain and, if it is unknown, in the logarithm of the scale.
+
+    Args:
+        data: with translations in metres.
+        camera_from_mount, holder_from_world: transforms of the chain.
+        axis: of the tracker's noise in depth.
+        scale: whether the unit is unknown.
+    """
+    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
+    pairs = linear_pairs(data, camera_from_mount, robot, holder_from_world, axis)
+    if not scale:
+        return pairs
+    # The predictions in the tracker's units, which have no noise: with the measured ones the scale
+    # would be too small, as the slope of a line is if its abscissas have noise.
+    predicted = (camera_from_mount @ robot @ holder_from_world)[:, :3, 3]
+    by_scale = np.pad(-predicted, ((0, 0), (0, 3)))[:, :, None]
+    return pairs._replace(by_unknowns=np.concatenate([pairs.by_unknowns, by_scale], axis=2))
 
 
 def _tracker_noise(
@@ -117,33 +202,37 @@ def _tracker_noise(
     scale: bool,
     robot_prior: RobotPrior,
     tracker_prior: TrackerPrior,
-) -> _TrackerNoise:
+) -> TrackerNoise:
     """Return the likeliest noise of tracked poses in metres, with a depth axis.
 
     Args:
         data: the pairs.
-        calibration, scale, robot_prior, tracker_prior: as in `with_likeliest_units`.
+        calibration, scale, robot_prior, tracker_prior: as in `likeliest_noise`.
         axis: of the noise in depth.
     """
-    robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     camera_from_mount = host_matrices(calibration.camera_from_mount)
     holder_from_world = host_matrices(calibration.holder_from_world)
-    variances = np.ones(4 if axis == "none" else 5)
-    covariance, evidence = np.zeros((0, 6, 6)), -np.inf
-    for _ in range(UNIT_ROUNDS):
-        pairs = linear_pairs(data, camera_from_mount, robot, holder_from_world, axis)
-        if scale:
-            by_scale = np.pad(-data.tracked_matrices[:, :3, 3], ((0, 0), (0, 3)))[:, :, None]
-            columns = np.concatenate([pairs.by_unknowns, by_scale], axis=2)
-            pairs = pairs._replace(by_unknowns=columns)
-        used = pairs.of(data.seen)
-        variances, evidence = _likeliest(used, variances, robot_prior, tracker_prior)
+    pairs = scaled_pairs(data, camera_from_mount, holder_from_world, axis, scale)
+    used = pairs.of(data.seen)
+    found, medians = _likeliest(used, np.ones(len(pairs.parts)), robot_prior, tracker_prior)
+    for _ in range(UNIT_ROUNDS - 1):
         camera_from_mount, holder_from_world = moved_transforms(
-            camera_from_mount, holder_from_world, used.solved(variances)
+            camera_from_mount, holder_from_world, used.solved(found.variances)
         )
-        # The last two are the robot's.
-        covariance = np.einsum("k,kvij->vij", variances[:-2], pairs.parts[:-2])
-    return _TrackerNoise(covariance, evidence)
+        pairs = scaled_pairs(data, camera_from_mount, holder_from_world, axis, scale)
+        used = pairs.of(data.seen)
+        found, medians = _likeliest(used, found.variances, robot_prior, tracker_prior)
+    # The last two are the robot's.
+    covariance = np.einsum("k,kvij->vij", found.variances[:-2], pairs.parts[:-2])
+    correlation = serial_correlation(used, found.variances)
+    return TrackerNoise(axis, found.variances, medians, covariance, found.evidence, correlation)
+
+
+class _Likeliest(NamedTuple):
+    """The likeliest variances, and the logarithm of their evidence."""
+
+    variances: Float[np.ndarray, "parts"]
+    evidence: float
 
 
 def _likeliest(
@@ -151,24 +240,8 @@ def _likeliest(
     start: Float[np.ndarray, "parts"],
     robot_prior: RobotPrior,
     tracker_prior: TrackerPrior,
-) -> tuple[Float[np.ndarray, "parts"], float]:
-    """Return the likeliest variances, of a good robot or of a weak one, and the log evidence."""
-    units = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
-    # The noise across the depth axis is the first part, to which others have ratios; the robot's
-    # are the last two. Without a prior on the first part the evidence for no noise is unbounded.
-    powers = np.eye(len(pairs.parts))
-    powers[1:-2, 0] = -1.0
-    depth = (tracker_prior.depth_median, tracker_prior.depth_geometric_std)
-    of_tracker = np.log(
-        [
-            (
-                tracker_prior.translation_median / UNIT_TRANSLATION,
-                tracker_prior.translation_geometric_std,
-            ),
-            *([depth] if len(powers) > 4 else []),
-            (tracker_prior.ratio_median * units[0] / units[1], tracker_prior.ratio_geometric_std),
-        ]
-    )
+) -> tuple[_Likeliest, Float[np.ndarray, "2"]]:
+    """Return the likeliest variances, of a good robot or of a weak one, and its medians."""
     weak = robot_prior.weak_robot_probability
     weak_medians = robot_prior.weak_translation_median, robot_prior.weak_rotation_median
     found = []
@@ -177,8 +250,36 @@ def _likeliest(
         (np.array(weak_medians), weak),
     ):
         if probability > 0.0:
-            means = np.concatenate([of_tracker[:, 0], np.log(medians / units)])
-            stds = np.concatenate([of_tracker[:, 1], robot_prior.log_stds(None)])
-            best = likeliest_variances(pairs, start, LogNormalPriors(powers, means, stds))
-            found.append((best.variances, best.evidence + float(np.log(probability))))
-    return max(found, key=lambda candidate: candidate[1])
+            priors = noise_priors(len(pairs.parts), medians, robot_prior, tracker_prior)
+            best = likeliest_variances(pairs, start, priors)
+            evidence = best.evidence + float(np.log(probability))
+            found.append((_Likeliest(best.variances, evidence), medians))
+    return max(found, key=lambda candidate: candidate[0].evidence)
+
+
+def noise_priors(
+    parts: int,
+    robot_medians: Float[np.ndarray, "2"],
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> LogNormalPriors:
+    """Return the priors on a tracker's noises and, with these medians, on the robot's."""
+    units = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
+    # The noise across the depth axis is the first part, to which others have ratios; the robot's
+    # are the last two. Without a prior on the first part the evidence for no noise is unbounded.
+    powers = np.eye(parts)
+    powers[1:-2, 0] = -1.0
+    depth = (tracker_prior.depth_median, tracker_prior.depth_geometric_std)
+    of_tracker = np.log(
+        [
+            (
+                tracker_prior.translation_median / UNIT_TRANSLATION,
+                tracker_prior.translation_geometric_std,
+            ),
+            *([depth] if parts > 4 else []),
+            (tracker_prior.ratio_median * units[0] / units[1], tracker_prior.ratio_geometric_std),
+        ]
+    )
+    means = np.concatenate([of_tracker[:, 0], np.log(robot_medians / units)])
+    stds = np.concatenate([of_tracker[:, 1], robot_prior.log_stds(None)])
+    return LogNormalPriors(powers, means, stds)

@@ -21,6 +21,8 @@ def pose_error_rows(fit: PoseFit, held_out: HeldOutPoses | None) -> list[tuple[s
     if held_out is not None:
         kinds.append(("held-out pairs, RMS", held_out.rms))
     kinds.append(("noise of the tracker, per axis", fit.tracker_noise))
+    if fit.drift is not None:
+        kinds.append(("drift of the tracker from pose to pose, per axis", fit.drift.steps))
     if fit.noise is not None:
         robot = fit.noise.translation, fit.noise.rotation
         kinds.append(("noise of the robot, per axis", robot))

@@ -13,6 +13,7 @@ from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence
 from .noise_estimate import TargetShapeEstimate as TargetShapeEstimate
 from .pose_variances import DEPTH_AXES as DEPTH_AXES
 from .pose_variances import DepthAxis as DepthAxis
+from .pose_variances import LikeliestVariances as LikeliestVariances
 from .pose_variances import LinearPairs as LinearPairs
 from .pose_variances import LogNormalPriors as LogNormalPriors
 from .pose_variances import Poses as Poses
@@ -24,4 +25,9 @@ from .rig_noise import RigNoiseEstimate as RigNoiseEstimate
 from .rig_noise import estimate_rig_noise as estimate_rig_noise
 from .robot_evidence import RobotEvidence as RobotEvidence
 from .robot_evidence import SizesOfErrors as SizesOfErrors
+from .tracker_drift import UNIT_SCALE as UNIT_SCALE
+from .tracker_drift import LikeliestWalk as LikeliestWalk
+from .tracker_drift import Walk as Walk
+from .tracker_drift import likeliest_walk as likeliest_walk
+from .tracker_drift import serial_correlation as serial_correlation
 from .variance_components import estimate_noise as estimate_noise

@@ -1,0 +1,272 @@
+"""Find out whether a tracker drifts, and take its drift out of the poses that it measured.
+
+Visual odometry and other trackers that add up motions have errors that grow from view to view. The
+drift is estimated together with the chain (`variance.tracker_drift`). A fit to the poses without
+it, which takes errors as independent, then has the best chain of both (Henderson's equations), but
+takes the drift as known, and white noise that the drift follows as absent: its covariance is
+widened to the one of chain and drift together.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..calibration import Calibration, host_mount_from_holder
+from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
+from ..engine import TARGET_SCALE, parameter_names
+from ..geometry import (
+    host_adjoints,
+    host_cross_matrices,
+    host_exponentials,
+    host_matrices,
+    host_transforms,
+)
+from ..robot_errors import LinearInPose, RobotPrior
+from ..runtime.blas_threads import on_one_blas_thread
+from ..variance import (
+    UNIT_SCALE,
+    LogNormalPriors,
+    Walk,
+    likeliest_walk,
+    moved_transforms,
+)
+from .joint_fit import JointFit
+from .tracker_noise import TrackerNoise, TrackerPrior, in_metres, noise_priors, scaled_pairs
+
+MIN_CORRELATION = 2.0
+"""Correlation of successive errors for which a drift is considered, in its standard deviations.
+
+It saves time: whether a tracker drifts is decided by the evidence.
+"""
+
+DRIFT_ROUNDS = 3
+"""Rounds in which chain and drift are estimated, each linear at the ones before."""
+
+FIELD_GEOMETRIC_STD = 3.0
+"""exp of the standard deviation of the logarithm of an arm's smooth errors over median ones."""
+
+
+class TrackerDrift(NamedTuple):
+    """The drift of a tracker.
+
+    Attributes:
+        camera_from_world: tracked poses without it, with translations in the tracker's unit.
+        covariance: of these by the tracker's white noise, m and rad.
+        steps: standard deviation by axis of the error that is new in a view, m and rad.
+        extent: largest distance (m) and angle (rad) of the drift from the first view.
+        chain_covariance: of the chain, in the order of the names of both transforms and of the
+            scale's logarithm, if that is unknown.
+    """
+
+    camera_from_world: Float[np.ndarray, "views 4 4"]
+    covariance: Float[np.ndarray, "views 6 6"]
+    steps: tuple[float, float]
+    extent: tuple[float, float]
+    chain_covariance: Float[np.ndarray, "unknowns unknowns"]
+
+    @property
+    def described_steps(self) -> str:
+        """The error that is new in a view, in words."""
+        step, turn = self.steps
+        return f"+- {1e3 * step:.2g} mm, {np.rad2deg(turn):.2g} deg from pose to pose"
+
+    @property
+    def described(self) -> str:
+        """The size of the drift in words."""
+        distance, angle = self.extent
+        return (
+            f"the tracker drifts: by up to {1e3 * distance:.2g} mm and {np.rad2deg(angle):.2g} "
+            f"degrees since the first pose ({self.described_steps}). Transforms and intervals "
+            "allow for it, if the pairs are in the order in which they were measured; a tracker "
+            "that sees one fixed target in all pictures would not drift"
+        )
+
+
+@on_one_blas_thread
+def tracker_drift(
+    data: PoseDataset,
+    noise: TrackerNoise,
+    calibration: Calibration,
+    scale: bool,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> TrackerDrift | None:
+    """Return the drift of a tracker, if the evidence is for one; else None.
+
+    The smooth errors of robots may be alike in successive pairs, too. So the evidence is compared
+    between a robot with such errors, and the same with a tracker that drifts.
+
+    Args:
+        data: the pairs in the order in which they were measured.
+        noise: the result of `likeliest_noise`.
+        calibration, scale, robot_prior, tracker_prior: as there.
+    """
+    probability = tracker_prior.drift_probability
+    if probability == 0.0 or data.seen.sum() < MINIMUM_RELIABLE_VIEWS:
+        return None
+    # A drift of the scale alone is in one of the six numbers of a pose.
+    if noise.correlation < MIN_CORRELATION and not scale:
+        return None
+    steady, drifting = (_Chain(data, calibration, scale, noise, robot_prior) for _ in range(2))
+    odds = float(np.log(probability / (1.0 - probability)))
+    without = steady.evidence(_priors(noise, robot_prior, tracker_prior), False)
+    with_drift = drifting.evidence(_priors(noise, robot_prior, tracker_prior, scale), True)
+    return drifting.drift() if with_drift + odds > without else None
+
+
+class _Chain:
+    """A chain of tracked poses, which is estimated with the noises, and with a drift or none."""
+
+    def __init__(
+        self,
+        data: PoseDataset,
+        calibration: Calibration,
+        scale: bool,
+        noise: TrackerNoise,
+        robot_prior: RobotPrior,
+    ):
+        self.data, self.scale, self.noise = data, scale, noise
+        self.camera_from_mount = host_matrices(calibration.camera_from_mount)
+        self.holder_from_world = host_matrices(calibration.holder_from_world)
+        self.factor = float(calibration.target_scale)
+        self.drifted = np.zeros((data.view_count, 7 if scale else 6))
+        self.field = LinearInPose.from_poses(data.base_from_tool)
+        medians = robot_prior.medians(self.field)[2:]
+        self.field_stds = np.repeat(medians, [count for _, count in self.field.groups])
+
+    def evidence(self, priors: LogNormalPriors, drifts: bool) -> float:
+        """Return the logarithm of the evidence, with a drift or none, at the best chain."""
+        white = 0.5 * np.log(self.noise.variances)
+        logarithms = np.pad(white, (0, len(priors.means) - len(white)))
+        for _ in range(DRIFT_ROUNDS):
+            logarithms = self._round(logarithms, priors, drifts)
+        return self.likeliest.evidence
+
+    def _round(
+        self, start: Float[np.ndarray, "kinds"], priors: LogNormalPriors, drifts: bool
+    ) -> Float[np.ndarray, "kinds"]:
+        """Move the chain and the drift to the best ones, and return the noises' logarithms."""
+        data = self._without_drift()
+        pairs = scaled_pairs(
+            data, self.camera_from_mount, self.holder_from_world, self.noise.axis, self.scale
+        )
+        # Linear at the drift so far, which is added to what is left.
+        by_drift = pairs.by_unknowns[:, :, 6:]
+        earlier = np.einsum("vij,vj->vi", by_drift, self.drifted)
+        pairs = pairs._replace(errors=pairs.errors + earlier)
+        self.walk = Walk.of(pairs, data.seen, self._by_field(), self.field_stds, drifts)
+        self.likeliest = likeliest_walk(self.walk, start, priors)
+        self.drifted, unknowns = self.likeliest.fit.drift, self.likeliest.fit.unknowns
+        self.camera_from_mount, self.holder_from_world = moved_transforms(
+            self.camera_from_mount, self.holder_from_world, unknowns
+        )
+        if self.scale:
+            self.factor *= float(np.exp(unknowns[12]))
+        return self.likeliest.logarithms
+
+    def _without_drift(self) -> PoseDataset:
+        """Return the data in metres, without the drift so far."""
+        measured = in_metres(self.data, self.factor).tracked_matrices.copy()
+        if self.scale:
+            measured[:, :3, 3] *= np.exp(self.drifted[:, 6:])
+        # The drift is a left twist of `holder_from_world`.
+        world = self.holder_from_world
+        back = np.linalg.inv(world) @ host_exponentials(-self.drifted[:, :6]) @ world
+        return dataclasses.replace(self.data, camera_from_world=host_transforms(measured @ back))
+
+    def _by_field(self) -> Float[np.ndarray, "views 6 coefficients"]:
+        """Return the change of the predictions by the robot error field."""
+        robot = host_matrices(host_mount_from_holder(self.data.mount, self.data.base_from_tool))
+        place = (self.camera_from_mount @ robot @ self.holder_from_world)[:, :3, 3]
+        by_twist = np.tile(np.eye(6), (len(robot), 1, 1))
+        by_twist[:, :3, 3:] = -host_cross_matrices(place)
+        basis = np.asarray(self.field.basis(self.data.base_from_tool))
+        # The actual pose of the tool is the reported one times the error.
+        if self.data.mount == "eye_in_hand":
+            return -by_twist @ host_adjoints(self.camera_from_mount) @ basis
+        return by_twist @ host_adjoints(self.camera_from_mount @ robot) @ basis
+
+    def drift(self) -> TrackerDrift:
+        """Return the drift that was found."""
+        walk, likeliest = self.walk, self.likeliest
+        measured = self._without_drift().tracked_matrices
+        measured[:, :3, 3] /= self.factor
+        variances = np.exp(2.0 * likeliest.logarithms[: len(walk.pairs.parts) - 2])
+        stds = walk.drift_stds(likeliest.logarithms)
+        moved = np.einsum("vij,vj->vi", walk.by_drift, self.drifted)[self.data.seen]
+        count = walk.pairs.by_unknowns.shape[2]
+        by_name = np.eye(count)
+        for k, transform in enumerate((self.camera_from_mount, self.holder_from_world)):
+            # A left twist (v, w) moves a translation t by v + w x t.
+            levers = -host_cross_matrices(transform[None, :3, 3])[0]
+            by_name[6 * k : 6 * k + 3, 6 * k + 3 : 6 * k + 6] = levers
+        covariance = likeliest.fit.covariance[:count, :count]
+        return TrackerDrift(
+            measured,
+            np.einsum("k,kvij->vij", variances, walk.pairs.parts[:-2]),
+            (float(stds[0]), float(stds[3])),
+            (
+                float(np.linalg.norm(moved[:, :3], axis=1).max()),
+                float(np.linalg.norm(moved[:, 3:], axis=1).max()),
+            ),
+            by_name @ covariance @ by_name.T,
+        )
+
+
+def _priors(
+    noise: TrackerNoise,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+    scale: bool | None = None,
+) -> LogNormalPriors:
+    """Return the priors on all noises, on the size of the field and on the drift.
+
+    Args:
+        noise: the white noise.
+        robot_prior, tracker_prior: the priors' parameters.
+        scale: whether the scale may drift, too; None without a drift.
+    """
+    white = noise_priors(len(noise.variances), noise.robot_medians, robot_prior, tracker_prior)
+    more = [(0.0, np.log(FIELD_GEOMETRIC_STD))]
+    if scale is not None:
+        wide = np.log(tracker_prior.drift_geometric_std)
+        ratio = tracker_prior.drift_ratio_median * UNIT_TRANSLATION / UNIT_ROTATION
+        more += [
+            (np.log(tracker_prior.drift_median / UNIT_TRANSLATION), wide),
+            (np.log(ratio), np.log(tracker_prior.ratio_geometric_std)),
+            *([(np.log(tracker_prior.drift_scale_median / UNIT_SCALE), wide)] if scale else []),
+        ]
+    count = len(white.means)
+    powers = np.eye(count + len(more))
+    powers[:count, :count] = white.powers
+    if scale is not None:
+        powers[count + 2, count + 1] = -1.0
+    means, stds = np.array(more).T
+    return LogNormalPriors(
+        powers, np.concatenate([white.means, means]), np.concatenate([white.stds, stds])
+    )
+
+
+def with_uncertain_drift(fit: JointFit, drift: TrackerDrift) -> JointFit:
+    """Return the fit to poses without the drift, with its uncertainty and a warning."""
+    chain = (*fit.calibration.transform_names, TARGET_SCALE)
+    names = [name for name in parameter_names(fit.calibration) if name.split(".")[0] in chain]
+    of_chain = dict(zip(names, range(len(drift.chain_covariance)), strict=False))
+    rows = [k for k, name in enumerate(fit.parameter_names) if name in of_chain]
+    kept = [of_chain[fit.parameter_names[k]] for k in rows]
+    covariance = np.array(fit.covariance)
+    stated = covariance[np.ix_(rows, rows)]
+    lacking = drift.chain_covariance[np.ix_(kept, kept)] - stated
+    size = np.sqrt(np.diagonal(stated))
+    values, vectors = np.linalg.eigh(lacking / np.outer(size, size))
+    vectors = size[:, None] * vectors
+    covariance[np.ix_(rows, rows)] += (vectors * np.maximum(values, 0.0)) @ vectors.T
+    std = dict(fit.std)
+    for k in rows:
+        if np.isfinite(std[fit.parameter_names[k]]):
+            std[fit.parameter_names[k]] = float(np.sqrt(covariance[k, k]))
+    return dataclasses.replace(
+        fit, covariance=covariance, std=std, warnings=(drift.described, *fit.warnings)
+    )

@@ -1,0 +1,304 @@
+"""Estimate how a tracker drifts: errors of its poses that grow from one pose to the next.
+
+Visual odometry adds up motions between pictures, and with them their errors. Its reference frame
+takes a random walk: with the twist d_k of the world at view k and the error r_k that is new in it,
+
+    r_k = Ad_k (d_k - d_(k-1)) ~ N(0, diag(s^2)),    Ad_k of the world's frame to the camera's.
+
+The d_k are random effects. Their information is block tridiagonal, so that the restricted
+likelihood (see `pose_variances`) takes a banded Cholesky factorisation and a time proportional to
+the number of views.
+
+References: Henderson, Best linear unbiased estimation and prediction under a selection model, 1975
+(estimates of fixed and random effects together); Rue and Held, Gaussian Markov random fields,
+2005, section 2.4 (banded factorisation).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
+from scipy.optimize import minimize
+
+from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION
+from .pose_variances import SMALLEST_PART, LinearPairs, LogNormalPriors
+
+UNIT_SCALE = 1e-2
+"""Unit of the change of a drifting scale from one view to the next (relative)."""
+
+MAX_LOG_FIELD = np.log(10.0)
+"""Largest logarithm of the errors of an arm over those of a median one; beyond, its field would be
+told from the mount only below rounding."""
+
+DEVIANCE_TOLERANCE = 1e-3
+"""Change of the deviance that does not matter: a tenth of a percent of the likelihood."""
+
+ROUNDING = 1e-13
+"""Smallest eigenvalue of a normal matrix with a diagonal of ones that is no rounding error."""
+
+MIN_TOLD = 1e-6
+"""Smallest change by a step of the unknowns that tells them, as a fraction of the largest."""
+
+DIFFERENCE, SECOND_DIFFERENCE = 1e-4, 0.1
+"""Steps of the logarithms of standard deviations for first and second differences."""
+
+
+class Walk(NamedTuple):
+    """Pairs whose tracker may drift.
+
+    Attributes:
+        pairs: all pairs in the order in which they were taken.
+        used: mask of the pairs that are fitted; the drift goes on through the others.
+        by_drift: change of the predictions by the drift: the twist of the world in the holder's
+            frame, and the logarithm of the scale if that may drift.
+        to_step: what takes a change of the drift to the error that is new in a view.
+        by_field: change of the predictions by the coefficients of a robot error field.
+        field_stds: their prior standard deviations for an arm of median accuracy.
+        drifts: whether the tracker drifts in this model.
+    """
+
+    pairs: LinearPairs
+    used: Bool[np.ndarray, "views"]
+    by_drift: Float[np.ndarray, "views 6 drifts"]
+    to_step: Float[np.ndarray, "views drifts drifts"]
+    by_field: Float[np.ndarray, "views 6 coefficients"]
+    field_stds: Float[np.ndarray, "coefficients"]
+    drifts: bool
+
+    @classmethod
+    def of(
+        cls,
+        pairs: LinearPairs,
+        used: Bool[np.ndarray, "views"],
+        by_field: Float[np.ndarray, "views 6 coefficients"],
+        field_stds: Float[np.ndarray, "coefficients"],
+        drifts: bool,
+    ) -> "Walk":
+        """Return the model of pairs; unknowns after both transforms may drift as well."""
+        by_twist, by_holder = pairs.by_unknowns[:, :, :6], pairs.by_unknowns[:, :, 6:12]
+        by_drift = pairs.by_unknowns[:, :, 6:]
+        count = by_drift.shape[2]
+        to_step = np.tile(np.eye(count), (len(used), 1, 1))
+        to_step[:, :6, :6] = np.linalg.solve(by_twist, by_holder)
+        return cls(pairs, used, by_drift, to_step, by_field, field_stds, drifts)
+
+    @property
+    def drift_units(self) -> tuple[tuple[float, int], ...]:
+        """Unit and number of components of each kind of drift."""
+        scale = self.by_drift.shape[2] - 6
+        return (UNIT_TRANSLATION, 3), (UNIT_ROTATION, 3), *([(UNIT_SCALE, 1)] if scale else [])
+
+    def drift_stds(self, logarithms: Float[np.ndarray, "kinds"]) -> Float[np.ndarray, "drifts"]:
+        """Return the standard deviation of each component of the error that is new in a view."""
+        sizes = np.exp(logarithms[len(self.pairs.parts) + 1 :])
+        units = zip(sizes, self.drift_units, strict=True)
+        return np.concatenate([np.full(count, size * unit) for size, (unit, count) in units])
+
+
+class WalkFit(NamedTuple):
+    """The best unknowns and drift for some standard deviations.
+
+    Attributes:
+        deviance: -2 log of the restricted likelihood, but for a constant.
+        unknowns: step of the unknowns of the pairs, then of the field.
+        covariance: of these; zero in directions that nothing tells.
+        drift: the drift in every view, from the first on.
+    """
+
+    deviance: float
+    unknowns: Float[np.ndarray, "unknowns"]
+    covariance: Float[np.ndarray, "unknowns unknowns"]
+    drift: Float[np.ndarray, "views drifts"]
+
+
+class LikeliestWalk(NamedTuple):
+    """The likeliest standard deviations of noises, field and drift.
+
+    Attributes:
+        logarithms: of the standard deviations, in units.
+        evidence: logarithm of the evidence by Laplace's method, but for a constant.
+        fit: the best unknowns and drift.
+    """
+
+    logarithms: Float[np.ndarray, "kinds"]
+    evidence: float
+    fit: WalkFit
+
+
+def serial_correlation(pairs: LinearPairs, variances: Float[np.ndarray, "parts"]) -> float:
+    """Return the correlation of successive errors, in its standard deviations if there is none."""
+    covariance = np.einsum("k,kvij->vij", variances, pairs.parts)
+    residuals = pairs.errors - pairs.by_unknowns @ pairs.solved(variances)
+    white = np.linalg.solve(np.linalg.cholesky(covariance), residuals[..., None])[..., 0]
+    products = white[1:] * white[:-1]
+    return float(products.sum() / np.sqrt(max(np.sum(products**2), np.finfo(float).tiny)))
+
+
+def fit_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> WalkFit:
+    """Return the best unknowns and drift for the standard deviations with these logarithms."""
+    pairs, used, parts = walk.pairs, walk.used, len(walk.pairs.parts)
+    covariance = np.einsum("k,kvij->vij", np.exp(2.0 * logarithms[:parts]), pairs.parts[:, used])
+    information = np.linalg.inv(covariance)
+    # The field's coefficients are in units of their standard deviations.
+    field_stds = np.exp(logarithms[parts]) * walk.field_stds
+    basis = np.asarray(block_diag(_told(pairs.by_unknowns[used]), np.diag(field_stds)))
+    prior = np.diag(np.pad(np.ones(len(field_stds)), (basis.shape[1] - len(field_stds), 0)))
+    columns = np.concatenate([pairs.by_unknowns, walk.by_field], axis=2) @ basis
+    # With the errors as the last column, all sums over the views are taken together.
+    numbers = np.concatenate([columns, pairs.errors[:, :, None]], axis=2)[used]
+    weighted = information @ numbers
+    normal = _sum_of_products(numbers, weighted)
+    deviance = float(np.linalg.slogdet(covariance)[1].sum())
+    eliminated = np.zeros((len(used), walk.by_drift.shape[2], numbers.shape[2]))
+    if walk.drifts:
+        right, eliminated, log_determinant = _eliminated_drift(
+            walk, walk.drift_stds(logarithms), information, weighted
+        )
+        normal = normal - _sum_of_products(right, eliminated)
+        deviance += log_determinant
+    inverse, log_determinant = _inverse(normal[:-1, :-1] + prior)
+    found = inverse @ normal[:-1, -1]
+    deviance += log_determinant + float(normal[-1, -1] - normal[:-1, -1] @ found)
+    return WalkFit(
+        deviance,
+        basis @ found,
+        basis @ inverse @ basis.T,
+        eliminated[:, :, -1] - eliminated[:, :, :-1] @ found,
+    )
+
+
+def _eliminated_drift(
+    walk: Walk,
+    stds: Float[np.ndarray, "drifts"],
+    information: Float[np.ndarray, "used 6 6"],
+    weighted: Float[np.ndarray, "used 6 numbers"],
+) -> tuple[
+    Float[np.ndarray, "views drifts numbers"], Float[np.ndarray, "views drifts numbers"], float
+]:
+    """Return both factors of what the drift takes from the normal equations, and its determinant.
+
+    With A the information on the drift and B the right-hand sides, the factors are B and A^-1 B;
+    the logarithm is of det A times the determinant of the drift's prior covariance.
+
+    Args:
+        walk: the model.
+        stds: standard deviations of the error that is new in a view.
+        information: inverse covariances of the errors.
+        weighted: the columns and errors times it.
+    """
+    used, size = walk.used, walk.by_drift.shape[2]
+    transposed = walk.by_drift[used].swapaxes(1, 2)
+    diagonal, right = (
+        np.zeros((len(used), size, size)),
+        np.zeros((len(used), size, weighted.shape[2])),
+    )
+    diagonal[used] = transposed @ information @ walk.by_drift[used]
+    right[used] = transposed @ weighted
+    # A drift of all views alike is a step of the holder: the first view has none.
+    by_step = walk.to_step[1:] / stds[:, None]
+    steps = by_step.swapaxes(1, 2) @ by_step
+    diagonal, right[0] = diagonal[1:] + steps, 0.0
+    diagonal[:-1] += steps[1:]
+    factor = cholesky_banded(_banded(diagonal, -steps[1:]), lower=True, check_finite=False)
+    solved = cho_solve_banded(
+        (factor, True), right[1:].reshape(-1, right.shape[2]), check_finite=False
+    )
+    eliminated = np.zeros_like(right)
+    eliminated[1:] = solved.reshape(right[1:].shape)
+    log_determinant = 2.0 * np.log(factor[0]).sum() + 2.0 * len(steps) * np.log(stds).sum()
+    return right, eliminated, float(log_determinant)
+
+
+def likeliest_walk(
+    walk: Walk, start: Float[np.ndarray, "kinds"], priors: LogNormalPriors
+) -> LikeliestWalk:
+    """Return the likeliest standard deviations, with their evidence.
+
+    Args:
+        walk: the model.
+        start: logarithms of the standard deviations, in units, from which the search begins.
+        priors: on all of them.
+    """
+
+    def deviance(logarithms: np.ndarray) -> float:
+        misses = (priors.powers @ logarithms - priors.means) / priors.stds
+        prior = np.sum(misses**2) + 2.0 * np.log(priors.stds).sum()
+        return fit_walk(walk, logarithms).deviance + float(prior)
+
+    largest = np.full(len(start), -np.log(SMALLEST_PART))
+    smallest, largest[len(walk.pairs.parts)] = -largest, MAX_LOG_FIELD
+    found = minimize(
+        deviance,
+        start,
+        method="L-BFGS-B",
+        bounds=list(zip(smallest, largest, strict=True)),
+        options={"ftol": DEVIANCE_TOLERANCE / max(abs(deviance(start)), 1.0), "eps": DIFFERENCE},
+    )
+    # log Z = -D / 2 - log det(D'' / 4 pi) / 2, in which the 2 pi of as many priors cancel.
+    curvature = 0.5 * _second_differences(deviance, found.x)
+    evidence = -0.5 * (float(found.fun) + float(np.linalg.slogdet(curvature)[1]))
+    return LikeliestWalk(found.x, evidence, fit_walk(walk, found.x))
+
+
+def _sum_of_products(
+    left: Float[np.ndarray, "views rows p"], right: Float[np.ndarray, "views rows q"]
+) -> Float[np.ndarray, "p q"]:
+    """Return the sum of transposed matrices times others over the views."""
+    return left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
+
+
+def _banded(
+    diagonal: Float[np.ndarray, "steps n n"], above: Float[np.ndarray, "others n n"]
+) -> Float[np.ndarray, "band numbers"]:
+    """Return a symmetric block tridiagonal matrix, given in blocks, as LAPACK's lower band.
+
+    Args:
+        diagonal: blocks on the diagonal.
+        above: blocks to the right of them, and transposed below them.
+    """
+    count, size = len(diagonal), diagonal.shape[1]
+    band = np.zeros((2 * size, count, size))
+    for column in range(size):
+        for row in range(size):
+            if row >= column:
+                band[row - column, :, column] = diagonal[:, row, column]
+            band[size + row - column, :-1, column] = above[:, column, row]
+    return band.reshape(2 * size, -1)
+
+
+def _told(columns: Float[np.ndarray, "views 6 n"]) -> Float[np.ndarray, "n told"]:
+    """Return a basis of the steps of unknowns that change anything, for columns of any unit."""
+    flat = columns.reshape(-1, columns.shape[2])
+    size = np.linalg.norm(flat, axis=0)
+    size = 1.0 / np.where(size > 0.0, size, 1.0)
+    values, directions = np.linalg.svd(flat * size, full_matrices=False)[1:]
+    return size[:, None] * directions[values > MIN_TOLD * values[0]].T
+
+
+def _inverse(matrix: Float[np.ndarray, "n n"]) -> tuple[Float[np.ndarray, "n n"], float]:
+    """Return the inverse of a normal matrix, and the logarithm of its determinant."""
+    size = 1.0 / np.sqrt(np.diagonal(matrix))
+    values, vectors = np.linalg.eigh(size[:, None] * matrix * size)
+    values = np.maximum(values, ROUNDING * values[-1])
+    scaled = size[:, None] * vectors
+    log_determinant = float(np.log(values).sum() - 2.0 * np.log(size).sum())
+    return (scaled / values) @ scaled.T, log_determinant
+
+
+def _second_differences(
+    function: Callable[[np.ndarray], float], place: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n n"]:
+    """Return the second derivatives of a function by central differences."""
+    count = len(place)
+    steps = SECOND_DIFFERENCE * np.eye(count)
+    middle = function(place)
+    sums = [function(place + step) + function(place - step) - 2.0 * middle for step in steps]
+    found = np.diag(sums)
+    for j in range(count):
+        for k in range(j):
+            both = steps[j] + steps[k]
+            mixed = function(place + both) + function(place - both) - 2.0 * middle
+            found[j, k] = found[k, j] = 0.5 * (mixed - sums[j] - sums[k])
+    return found / SECOND_DIFFERENCE**2
