@@ -189,7 +189,7 @@ def _log_likelihood_ratio(fit: JointFit) -> float:
         candidate.model: candidate.log_likelihood_ratio
         for candidate in fit.noise_estimate.candidates
     }
-    return ratios[ModelName(fit.noise_estimate.name, False)]
+    return ratios[ModelName(fit.noise_estimate.name)]
 
 
 def _scale_and_std(fit: JointFit, group: str) -> tuple[float, float]:
