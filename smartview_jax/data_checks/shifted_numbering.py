@@ -11,7 +11,7 @@ criterion, remove most of the misfit and concern fewer than half of the views.
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from ..geometry import host_matrices
 from .changes import ChangeOptions
@@ -69,7 +69,7 @@ def find_shifted_numbering(
         return {}
     board = np.unique(points[views][seen[views]], axis=0)
     shifts = possible_shifts(board)
-    board_tree = cKDTree(board)
+    board_tree = KDTree(board)
     tolerance = _SAME_POINT * float(np.ptp(board, axis=0).max())
     choices = [
         np.array(
@@ -140,7 +140,7 @@ def possible_shifts(board: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "
         steps.append(np.concatenate([-lengths[::-1], [0.0], lengths]))
     along = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
     shifts = np.pad(along[along.any(axis=1)], ((0, 0), (0, 1)))
-    distances, _ = cKDTree(board).query(board + shifts[:, None])
+    distances, _ = KDTree(board).query(board + shifts[:, None])
     return shifts[np.mean(distances < _SAME_POINT * size, axis=1) >= 0.5]
 
 
