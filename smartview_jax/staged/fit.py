@@ -187,12 +187,13 @@ def fit_staged(
     weights = to_device(used.astype(float))
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
+    turns = target_turns(np.asarray(data.points), np.asarray(observations.visible))
     report = check_conventions(
         data.base_from_tool,
         common_fit.camera_from_world,
         data.mount,
         weights,
-        target_turns(np.asarray(data.points), np.asarray(observations.visible)),
+        turns,
         data.view_ids,
     )
     outlying = {}
@@ -236,6 +237,7 @@ def fit_staged(
             common_fit.inliers,
         ),
         data.view_ids,
+        turns,
     )
     consistent = consistency.consistent
     reasons = stale | renumbered | outlying | consistency.reasons
