@@ -4,9 +4,11 @@
 (`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
 alike (`conventions.py`, with the usual mistakes in `mistakes.py` and `length_units.py`, judged by
 `rotation_angles.py` and by the closure of motions, `closure.py`) and tell a wrong mount at all
-(`inverted_poses.py`), whether something was changed between two views (`changes.py`), and which
-single views contradict the others (`view_consistency.py`); both judge by transforms of their own
-(`transform_fit.py`). `rig_checks.py` compares the cameras of a rig.
+(`inverted_poses.py`), whether something was changed between two views (`changes.py`) or the poses
+lag (`pose_lag.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
+contradict the others (`view_consistency.py`); all judge by transforms of their own
+(`transform_fit.py`), some by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
+compares the cameras of a rig.
 """
 
 from .camera_checks import camera_misfit as camera_misfit
@@ -21,12 +23,16 @@ from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
 from .length_units import mistaken_unit as mistaken_unit
 from .mistakes import target_turns as target_turns
+from .pose_lag import PoseLag as PoseLag
+from .pose_lag import find_lag as find_lag
 from .questions import Findings as Findings
 from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings
 from .rig_checks import SeenTarget as SeenTarget
 from .rig_checks import TargetFindings as TargetFindings
 from .rig_checks import target_findings as target_findings
+from .shifted_numbering import find_shifted_numbering as find_shifted_numbering
+from .shifted_numbering import shift_text as shift_text
 from .target_checks import collinear_views as collinear_views
 from .target_checks import mismatched_views as mismatched_views
 from .usable_views import MINIMUM_POINTS as MINIMUM_POINTS

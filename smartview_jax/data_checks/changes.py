@@ -7,16 +7,8 @@ possible change; if the views on the other side disagree with them, but all by t
 that is the change. A lens that zoomed by z makes the camera's poses, which are computed with one
 focal length for all views, err in depth only: by one factor before and by z times it after.
 
-A change is named if it is likely and large. Schwarz's criterion says how likely it is, for Gaussian
-errors of translation and rotation whose variances are estimated from the views. The errors of a
-real arm are alike in views near each other, so that n views count as n (1 - r) / (1 + r), with the
-correlation r of the errors that remain in successive views. A change is large if it explains more
+A change is named if it is likely (`misfit_evidence.py`) and large. It is large if it explains more
 than all else together: by a size s half-way, it leaves s / 2 in every view of a fit to all of them.
-
-References:
-    Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978.
-    Bayley and Hammersley, The "effective" number of independent observations in an autocorrelated
-        time series, Journal of the Royal Statistical Society 8, 1946.
 """
 
 import dataclasses
@@ -28,13 +20,11 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
-from ..geometry import host_logarithms, host_matrices, mean_matrix
+from ..geometry import host_matrices, mean_matrix
 from .closure import Poses
 from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
+from .misfit_evidence import closure_variances, evidence
 from .transform_fit import TransformFit, fit_transforms, misfit_text, misfits
-
-MIN_VARIANCE = 1e-18
-"""Smallest variance of an error, m^2 and rad^2: a nanometre, for rendered views without any."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,7 +214,7 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool))
         distance = float(np.median(np.linalg.norm(camera[:, :3, 3], axis=1)))
-        return cls(robot, camera, fit, distance, _variances(_errors(fit.closure)), place_count)
+        return cls(robot, camera, fit, distance, closure_variances(fit.closure), place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -273,34 +263,11 @@ class _Search(NamedTuple):
         misfit, score = self.misfit_and_score(corrected)
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
-        evidence = self._evidence(corrected, parameters)
-        return Change(kind, place, *moved, zoom, misfit, score, size, evidence)
-
-    def _evidence(self, corrected: Poses, parameters: int) -> float:
-        """Return Schwarz's criterion without a change minus with one of so many parameters."""
-        after = _errors(corrected)
-        variances = _variances(after)
-        ratios = self.variances / variances
-        count = len(after)
-        scaled = after / np.sqrt(variances)[:, None]
-        correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (6.0 * (count - 1))
-        correlation = min(max(correlation, 0.0), 1.0)
-        effective = max(count * (1.0 - correlation) / (1.0 + correlation), 1.0)
-        # -2 log L = 3 n log variance, for translation and rotation. A change may be at any place.
-        gain = 3.0 * effective * float(np.sum(np.log(ratios)))
-        return gain - parameters * np.log(6.0 * effective) - 2.0 * np.log(self.place_count)
+        # A change may be at any place.
+        odds = evidence(self.variances, corrected, parameters) - 2.0 * np.log(self.place_count)
+        return Change(kind, place, *moved, zoom, misfit, score, size, odds)
 
     def misfit_and_score(self, closure: Poses) -> tuple[tuple[float, float], float]:
         """Return the mean misfit, m and rad, and rotation plus translation over the distance."""
         translation, rotation = misfits(closure).mean(axis=0).tolist()
         return (translation, rotation), rotation + translation / self.distance
-
-
-def _errors(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
-    """Return what is left over in each view, of translation (m) and rotation (rad)."""
-    return host_logarithms(closure).reshape(-1, 2, 3)
-
-
-def _variances(errors: Float[np.ndarray, "views 2 3"]) -> Float[np.ndarray, "2"]:
-    """Return the variances of the errors of translation and rotation."""
-    return np.maximum(np.mean(errors**2, axis=(0, 2)), MIN_VARIANCE)

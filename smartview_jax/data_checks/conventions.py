@@ -74,8 +74,8 @@ class ConventionReport(NamedTuple):
         length_ratio_std: standard deviation of `length_ratio`; infinite if it is not determined.
         closure_score: rotation plus translation of `closure_error` over the target's distance; 0
             for motions that do not determine a hand-eye rotation.
-        change: what seems to have been changed between two views, as a sentence; empty if nothing
-            does.
+        change: what seems to have been changed between two views, or how the poses seem to lag the
+            pictures, as a sentence; empty if nothing does.
         ambiguities: sentences on what these views cannot tell, although robot and camera agree.
     """
 

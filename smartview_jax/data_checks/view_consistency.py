@@ -28,7 +28,8 @@ from ..geometry import (
     host_rotation_angles,
     host_transforms,
 )
-from .transform_fit import fit_transforms, misfit_text
+from .closure import Poses
+from .transform_fit import fit_transforms, misfit_text, misfits
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.
@@ -51,6 +52,10 @@ MAX_REPROJECTION_ERROR_RATIO = 5.0
 the transforms of the others. A wrong pose is at tens to hundreds of times."""
 
 
+OTHER_CORNER_TEXT = "its points are numbered from another corner of the target: number them again"
+"""Why a view is left out that fits once it is turned."""
+
+
 class ViewConsistency(NamedTuple):
     """The result of `find_consistent_views`.
 
@@ -71,6 +76,7 @@ def find_consistent_views(
     weights: Float[Array, "views"] | Float[np.ndarray, "views"],
     reprojection_error: Callable[[SE3, SE3], Float[np.ndarray, "views"]] | None = None,
     view_ids: Sequence[str] | None = None,
+    turns: Float[np.ndarray, "turns 4 4"] | None = None,
 ) -> ViewConsistency:
     """Find the views that agree, and state what is wrong with the others.
 
@@ -81,6 +87,8 @@ def find_consistent_views(
         reprojection_error: function of `camera_from_mount` and `holder_from_world` that returns the
             reprojection error of each view, px; without it a view's own pose decides.
         view_ids: names of the views in the sentences; by default numbers.
+        turns: turns of the target that take its points into each other (`target_turns`), to name
+            views that are numbered from another corner.
     """
     weighted = np.asarray(weights) > 0.0
     ids = [str(k) for k in range(len(weighted))] if view_ids is None else view_ids
@@ -147,7 +155,11 @@ def find_consistent_views(
             )
             median_error = np.median(errors[consistent])
             text += f", and its points {where} (the median view's {median_error:.2g} px)"
-        explanation = _matching_pose_text(view, fit, mount_from_holder, camera_from_world, ids)
+        explanation = (
+            OTHER_CORNER_TEXT
+            if turns is not None and _fits_turned(view, fit, robot, camera, turns)
+            else _matching_pose_text(view, fit, mount_from_holder, camera_from_world, ids)
+        )
         reasons[view] = f"{text}: {explanation}"
     return ViewConsistency(consistent, reasons, tuple(uncertain))
 
@@ -213,6 +225,23 @@ class _TransformFit(NamedTuple):
     misfit: Float[np.ndarray, "views 2"]
     misfit_ratio: Float[np.ndarray, "views"]
     misfit_scale: Float[np.ndarray, "views 2"]
+
+
+def _fits_turned(
+    view: int,
+    fit: _TransformFit,
+    robot: Poses,
+    camera: Poses,
+    turns: Float[np.ndarray, "turns 4 4"],
+) -> bool:
+    """Return whether a view fits if its points are numbered from another corner of the target."""
+    camera_from_mount, holder_from_world = (
+        host_matrices(p) for p in (fit.camera_from_mount, fit.holder_from_world)
+    )
+    expected = robot[view] @ holder_from_world
+    turned = camera[view] @ turns[1:]
+    closure = np.linalg.inv(camera_from_mount) @ turned @ np.linalg.inv(expected)
+    return bool(((misfits(closure) / fit.misfit_scale[view]).max(axis=1) < MAX_MISFIT_RATIO).any())
 
 
 def _matching_pose_text(

@@ -20,7 +20,7 @@ from ..engine import Noise, Solution, with_free_camera_poses
 from ..fit_result import FitCode, FitResult
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
-from ..staged import CommonCameraOptions, pixel_residuals, robust_sigma
+from ..staged import CommonCameraOptions, outlier_limits, pixel_residuals, robust_sigma
 from .fit import fit_joint
 from .options import CameraOptions
 
@@ -189,7 +189,8 @@ def batch_least_squares(
         residuals = np.asarray(pixel_residuals(observations, *estimate))
         sigma = robust_sigma(residuals, inliers, options.pixel_sigma)
         # All visible points are tested again, so that points can return with a better camera.
-        within_gate = visible & (np.sum(residuals**2, axis=-1) <= options.gate * sigma**2)
+        limits = outlier_limits(residuals, inliers, sigma, options)
+        within_gate = visible & (np.sum(residuals**2, axis=-1) <= limits[:, None])
         converged = bool((within_gate == inliers).all())
         if progress is not None:
             progress(

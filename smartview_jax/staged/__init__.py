@@ -41,6 +41,7 @@ from .given_start import require_picture_size as require_picture_size
 from .interpolation import Interpolation as Interpolation
 from .kalman import KalmanResult as KalmanResult
 from .kalman import kalman_filter as kalman_filter
+from .kalman import outlier_limits as outlier_limits
 from .kalman import pixel_residuals as pixel_residuals
 from .kalman import robust_sigma as robust_sigma
 from .staged_fit import CommonCameraOptions as CommonCameraOptions

@@ -17,6 +17,7 @@ from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..data_checks import (
     MINIMUM_POINTS,
+    ConventionReport,
     Findings,
     camera_misfit,
     camera_problem,
@@ -24,12 +25,15 @@ from ..data_checks import (
     detection_findings,
     find_change,
     find_consistent_views,
+    find_lag,
+    find_shifted_numbering,
     mask_unusable_views,
     median_reprojection_errors,
     minimum_points,
     mismatched_views,
     pose_findings,
     require_minimum_views,
+    shift_text,
     stale_views,
     target_turns,
     unusable_views,
@@ -163,7 +167,6 @@ def fit_staged(
         for view, other in stale_views(groups, robot, common_fit.camera_from_world, used).items()
     }
     used[list(stale)] = False
-    weights = to_device(used.astype(float))
     choice = choose_poses(
         observations,
         common_fit.camera,
@@ -176,14 +179,27 @@ def fit_staged(
     if choice is not None and choice.exchanged:
         say(f"Step 2 again: {len(choice.exchanged)} views have their other pose")
         common_fit = fit_camera(common_fit.camera, choice.camera_from_world)
+    renumbered = {}
+    if choice is None:
+        shifts = find_shifted_numbering(
+            robot,
+            common_fit.camera_from_world,
+            used,
+            np.asarray(data.points),
+            np.asarray(common_fit.inliers),
+        )
+        renumbered = {view: shift_text(shift) for view, shift in shifts.items()}
+        used[list(renumbered)] = False
+    weights = to_device(used.astype(float))
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
+    turns = target_turns(np.asarray(data.points), np.asarray(observations.visible))
     report = check_conventions(
         data.base_from_tool,
         common_fit.camera_from_world,
         data.mount,
         weights,
-        target_turns(np.asarray(data.points), np.asarray(observations.visible)),
+        turns,
         data.view_ids,
     )
     outlying = {}
@@ -191,13 +207,8 @@ def fit_staged(
         outlying = choice.outlying
         # The poses of a small target scatter by more than the check allows for.
         report = report._replace(problems=(), hypotheses=())
-    change = None
     if choice is None and not report.explained:
-        change = find_change(robot, common_fit.camera_from_world, used, report.length_ratio)
-    if change is not None:
-        report = report._replace(change=change.sentence(data.mount, data.view_ids))
-        if change.contradicts:
-            report = report._replace(problems=(report.change,))
+        report = _with_fault_of_many_views(report, data, common_fit.camera_from_world, used)
     camera_doubts = _camera_doubts(
         observations,
         used,
@@ -232,8 +243,10 @@ def fit_staged(
             common_fit.inliers,
         ),
         data.view_ids,
+        turns,
     )
-    consistent, reasons = consistency.consistent, stale | outlying | consistency.reasons
+    consistent = consistency.consistent
+    reasons = stale | renumbered | outlying | consistency.reasons
     for view in consistency.uncertain:
         view_id = data.view_ids[view]
         say(f"view {view_id}: its points determine its pose poorly; Step 3 does without it")
@@ -305,6 +318,25 @@ def _camera_poses_of_views(
         None,
     )
     return common_fit.camera_from_world, used
+
+
+def _with_fault_of_many_views(
+    report: ConventionReport, data: Dataset, camera_from_world: SE3, used: np.ndarray
+) -> ConventionReport:
+    """Return the report with a change of the set-up or a lag of the poses, if there is one.
+
+    It is a problem where no calibration can be right with it, else a doubt.
+    """
+    robot = host_mount_from_holder(data.mount, data.base_from_tool)
+    change = find_change(robot, camera_from_world, used, report.length_ratio)
+    lag = find_lag(data.base_from_tool, camera_from_world, used, data.mount, report.length_ratio)
+    if lag is not None and (change is None or lag.score < change.changes[0].score):
+        text, contradicts = lag.sentence, lag.contradicts
+    elif change is not None:
+        text, contradicts = change.sentence(data.mount, data.view_ids), change.contradicts
+    else:
+        return report
+    return report._replace(change=text, problems=(text,) if contradicts else report.problems)
 
 
 def _camera_doubts(

@@ -11,7 +11,7 @@ least-squares optimum, since one pass solves the linearised problem. A pass that
 rejected and repeated with a narrower initial covariance, which has the effect of damping.
 
 Outliers are rejected by a chi-square gate on the innovation, but not before the pose of their view
-is determined.
+is determined, and relative to the noise of their view where that is larger than all views'.
 
 References: Kosaka and Kak's model-based stereo; Bell and Cathey 1993, who show that the iterated
 filter is the Gauss-Newton method.
@@ -27,7 +27,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..dataset import MAD_TO_SIGMA, Observations
+from ..dataset import MAD_TO_SIGMA, Observations, medians_by_view
 from ..geometry import transformed_coordinates
 from ..runtime.compilation import compiled, is_traced
 from ..runtime.padding import repeat_last, without_padding
@@ -52,6 +52,15 @@ _MAX_GATED_PASSES = 25
 
 _MIN_VARIANCE_SCALE = 1e-10
 """Fraction of the initial variances at which the filter stops if a pass still raises the cost."""
+
+_MAX_VIEW_RATIO = 3.0
+"""Largest standard deviation of a view, over the one of all views, by which its points are judged.
+
+With the usual gate these are the 13 standard deviations at which the joint fit sees gross errors;
+most points of a view that is farther off are wrong."""
+
+_MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))
+"""Median length of a vector whose two coordinates have standard deviation one (Rayleigh)."""
 
 _SIGMA_FLOOR = 1e-3
 """Smallest pixel standard deviation, px; noise-free data would make it zero."""
@@ -119,7 +128,7 @@ def kalman_filter(
         progress: called with a sentence about every pass.
     """
     options = options or CommonCameraOptions()
-    gate, pixel_sigma = options.gate, options.pixel_sigma
+    pixel_sigma = options.pixel_sigma
     view_count, point_count = observations.visible.shape
     inliers = np.asarray(observations.visible)
     if start_inliers is not None:
@@ -141,12 +150,18 @@ def kalman_filter(
             message = "the outliers kept changing"
             break
         sigma = robust_sigma(residuals, inliers, pixel_sigma)
+        limits = outlier_limits(residuals, inliers, sigma, options)
         trial = run_pass(
             observations,
             *state,
             residuals,
             inliers,
-            PassSettings(sigma, gate if gating else np.inf, variance_scale, options.hold_camera),
+            PassSettings(
+                sigma,
+                limits / sigma**2 if gating else np.full(len(visible), np.inf),
+                variance_scale,
+                options.hold_camera,
+            ),
         )
         if progress is not None:
             progress(
@@ -154,7 +169,7 @@ def kalman_filter(
             )
         trial_state = (trial.camera, trial.camera_from_world)
         trial_residuals = np.asarray(pixel_residuals(observations, *trial_state))
-        max_squared_residual = gate * sigma**2 if gating else np.inf
+        max_squared_residual = limits[:, None] if gating else np.inf
         before, after = (
             _mean_squared_residual(r, visible if gating else inliers, max_squared_residual)
             for r in (residuals, trial_residuals)
@@ -171,7 +186,7 @@ def kalman_filter(
         state, residuals, accepted = trial_state, trial_residuals, trial
         # Points with large residuals after this pass are rejected in the next; points that fit
         # again are readmitted.
-        within_gate = visible & (np.sum(residuals**2, axis=-1) <= gate * sigma**2)
+        within_gate = visible & (np.sum(residuals**2, axis=-1) <= limits[:, None])
         new_inliers = within_gate if gating else inliers
         inliers_unchanged = np.array_equal(new_inliers, inliers)
         inliers = new_inliers
@@ -203,13 +218,13 @@ def kalman_filter(
 def _mean_squared_residual(
     residuals: Float[np.ndarray, "views points 2"],
     counted: Bool[np.ndarray, "views points"],
-    maximum: float,
+    maximum: float | Float[np.ndarray, "views 1"],
 ) -> float:
     """Return the mean squared reprojection error, px^2, with each square capped at a maximum.
 
     With the gate as the maximum, rejecting a point does not lower the mean.
     """
-    squares = np.minimum(np.sum(residuals[counted] ** 2, axis=-1), maximum)
+    squares = np.minimum(np.sum(residuals**2, axis=-1), maximum)[counted]
     return float(np.sum(squares) / max(len(squares), 1))
 
 
@@ -248,3 +263,29 @@ def robust_sigma(
     if pixel_sigma is not None:
         return float(pixel_sigma)
     return float(np.maximum(MAD_TO_SIGMA * np.median(np.abs(residuals[inliers])), _SIGMA_FLOOR))
+
+
+def outlier_limits(
+    residuals: Float[np.ndarray, "views points 2"],
+    inliers: Bool[np.ndarray, "views points"],
+    sigma: float,
+    options: CommonCameraOptions,
+) -> Float[np.ndarray, "views"]:
+    """Return the largest squared residual of a good measurement in each view, px^2.
+
+    A target or a lens of another shape than its model misfits some views more than others, in all
+    their points. By the noise of all views together these would be outliers, and the fit without
+    them still farther off; so a view is judged by its own median where that is larger. Where the
+    noise is known it decides alone.
+
+    Args:
+        residuals: measured minus projected pixels.
+        inliers: the observations used.
+        sigma: standard deviation of u and of v over all views, px.
+        options: the gate, and whether the noise is known.
+    """
+    variances = np.full(len(residuals), sigma**2)
+    if options.pixel_sigma is None:
+        medians = medians_by_view(np.linalg.norm(residuals, axis=-1), inliers) / _MEDIAN_LENGTH
+        variances = np.fmax(variances, np.minimum(medians, _MAX_VIEW_RATIO * sigma) ** 2)
+    return options.gate * variances

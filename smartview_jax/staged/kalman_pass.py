@@ -76,13 +76,14 @@ class PassSettings(NamedTuple):
 
     Attributes:
         pixel_sigma: standard deviation of u and of v, px.
-        gate: largest squared innovation relative to its covariance; infinite for no gate.
+        gate: largest squared innovation of each view, relative to its covariance; infinite for no
+            gate.
         variance_scale: factor of the initial variances.
         hold_camera: treat the camera as known.
     """
 
     pixel_sigma: float
-    gate: float
+    gate: Float[np.ndarray, "views"]
     variance_scale: float
     hold_camera: bool
 
@@ -141,7 +142,7 @@ def run_pass(
         LinearisationPoint(camera, in_camera, centroids, residuals, camera_factor, pose_scale),
         inliers & visible,
         np.array(settings.pixel_sigma),
-        np.array(settings.gate),
+        settings.gate,
     )
     change, variances = whole_mean_and_variances(distribution)
     # Both are relative to the initial standard deviations, which cancel in the ratio.
@@ -165,7 +166,7 @@ def _linearised_pass(
     point: LinearisationPoint,
     used: Bool[Array | np.ndarray, "views points"],
     pixel_sigma: Float[Array | np.ndarray, ""],
-    gate: Float[Array | np.ndarray, ""],
+    gate: Float[Array | np.ndarray, "views"],
 ) -> tuple[Camera, Float[Array, "camera"], FilterState]:
     """Linearise the projections and update with all measurements.
 

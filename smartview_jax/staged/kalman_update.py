@@ -88,7 +88,7 @@ def absorb_measurements(
     state: FilterState,
     measurements: Float[Array, "points views 2 columns"],
     used: Bool[Array, "points views"],
-    gate: Float[Array | np.ndarray, ""],
+    gate: Float[Array | np.ndarray, "views"],
 ) -> FilterState:
     """Update the state with all measurements, point by point over all views, not view by view.
 
@@ -98,8 +98,8 @@ def absorb_measurements(
         state: distribution before.
         measurements: `[H_e H_s -z]`, divided by the standard deviation of the noise.
         used: the measurements that are not to be skipped.
-        gate: a measurement is rejected whose squared innovation, relative to its covariance, is
-            larger, once its view is determined; infinite for no gate.
+        gate: a measurement of a view is rejected whose squared innovation, relative to its
+            covariance, is larger, once the view is determined; infinite for no gate.
     """
     points, views = used.shape
     measurements = measurements.reshape(points * views, *measurements.shape[2:])
@@ -117,7 +117,7 @@ def absorb_measurements(
             camera, pose, measurements[measured]
         )
         determined = (variance < _DETERMINED_VARIANCE) & (count == enough)
-        accepted = (squared_innovation <= gate) | ~determined
+        accepted = (squared_innovation <= gate[view]) | ~determined
         more = jnp.minimum(count + jnp.uint8(1), enough)
         return (
             jnp.where(accepted, new_camera, camera),

@@ -7,43 +7,23 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from robot_motions import CAMERA_FROM_MOUNT, UNCHANGED, VIEWS, moving_alike, transform
 
 from smartview_jax.data_checks import find_change
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.staged import fit_staged
 
-VIEWS, FIRST_CHANGED = 14, 8
+FIRST_CHANGED = 8
 IDS = [f"v{view}" for view in range(VIEWS)]
-UNCHANGED = np.eye(4)
 EVERY_VIEW = np.ones(VIEWS, dtype=bool)
-
-
-def transform(turn, shift):
-    """A homogeneous matrix from a rotation vector, degrees, and a position, m."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_rotvec(turn, degrees=True).as_matrix()
-    matrix[:3, 3] = shift
-    return matrix
-
-
-CAMERA_FROM_MOUNT = transform([10.0, -20.0, 95.0], [0.02, 0.05, -0.1])
 KNOCK = transform([0.0, 1.5, 0.0], [0.003, 0.0, 0.0])
 
 
 def motions(seed=0, camera_knock=UNCHANGED, target_push=UNCHANGED, noise=(2e-4, 0.02)):
-    """Robot poses and what a camera sees, with errors of the robot, m and degrees."""
-    rng = np.random.default_rng(seed)
-    holder_from_world = transform([180.0, 0.0, 30.0], [0.4, 0.1, 0.6])
-    robot, camera = np.empty((2, VIEWS, 4, 4))
-    for view in range(VIEWS):
-        after = view >= FIRST_CHANGED
-        robot[view] = transform(rng.normal(0.0, 20.0, 3), rng.normal(0.0, 0.1, 3))
-        mount = CAMERA_FROM_MOUNT @ (camera_knock if after else UNCHANGED)
-        world = (target_push if after else UNCHANGED) @ holder_from_world
-        error = transform(rng.normal(0.0, noise[1], 3), rng.normal(0.0, noise[0], 3))
-        camera[view] = mount @ error @ robot[view] @ world
-    return as_se3(robot), as_se3(camera)
+    """Robot poses and what a camera sees that is knocked, or a target that is pushed, half-way."""
+    after = (np.arange(VIEWS) >= FIRST_CHANGED)[:, None, None]
+    changes = (np.where(after, change, UNCHANGED) for change in (camera_knock, target_push))
+    return tuple(map(as_se3, moving_alike(seed, *changes, noise=noise)))
 
 
 @pytest.mark.parametrize("moved", ["camera", "target"])

@@ -9,6 +9,7 @@ from shared_data import shared_pairs
 
 from smartview_jax import Dataset
 from smartview_jax.calibration import mount_from_holder
+from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.staged import find_consistent_views, fit_staged
 from smartview_jax.targets import Chessboard
@@ -53,6 +54,21 @@ def test_two_views_that_were_exchanged_are_named_with_each_other(poses):
     assert set(np.flatnonzero(~kept)) == {2, 9}
     assert "it fits the pose of view picture9" in words[2]
     assert words[9].endswith("mispaired")
+
+
+def test_a_view_numbered_from_the_other_end_is_named_so(poses):
+    """Counting from the other end of a grid is half a turn about its middle."""
+    robot, seen = poses
+    half_turns = np.tile(np.diag([-1.0, -1.0, 1.0, 1.0]), (2, 1, 1))
+    half_turns[0], half_turns[1, :2, 3] = np.eye(4), [0.08, 0.05]
+    camera = host_matrices(seen)
+    camera[4] = camera[4] @ half_turns[1]
+    off = jnp.zeros((VIEWS, 6)).at[7, 4].set(0.3)
+    _, words, _ = find_consistent_views(
+        SE3.exp(off) @ robot, as_se3(camera), jnp.ones(VIEWS), turns=half_turns
+    )
+    assert "numbered from another corner" in words[4]
+    assert "it fits the pose of no other view either" in words[7]
 
 
 def test_a_view_whose_points_are_where_the_others_put_them_is_not_accused(poses):

@@ -1,3 +1,5 @@
+import dataclasses
+
 import cv2
 import equinox as eqx
 import jax
@@ -9,6 +11,7 @@ from jaxlie import SE3
 from programs import programs_added
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 
 from smartview_jax.cameras import Camera, Fisheye, Radial
 from smartview_jax.geometry import (
@@ -23,6 +26,7 @@ from smartview_jax.staged import (
     fit_staged,
     kalman_filter,
     kalman_pass,
+    outlier_limits,
     pixel_residuals,
 )
 from smartview_jax.staged.kalman_update import (
@@ -107,7 +111,7 @@ def test_many_updates_with_a_gate_are_the_textbook_ones():
     gated = textbook.update_all(rows, used)
     assert 10 < gated < 30
     state = jax.jit(absorb_measurements)(
-        standard_normal_state(views, camera_size), rows, used, np.float64(gate)
+        standard_normal_state(views, camera_size), rows, used, np.full(views, gate)
     )
     mean, variances = whole_mean_and_variances(state)
     np.testing.assert_allclose(mean, textbook.mean, rtol=1e-9)
@@ -139,7 +143,7 @@ def test_a_pass_is_the_textbook_one(hold_camera, monkeypatch):
     # Without the outliers among the first points of the views, before there is a gate.
     early = np.asarray(scene.outliers) & (np.arange(scene.outliers.shape[1]) < 8)
     inliers = np.asarray(observations.visible) & ~early
-    settings = kalman_pass.PassSettings(0.15, 18.0, 1.0, hold_camera)
+    settings = kalman_pass.PassSettings(0.15, np.full(len(inliers), 18.0), 1.0, hold_camera)
     result = kalman_pass.run_pass(observations, camera, poses, residuals, inliers, settings)
     ((point, *_),) = calls
     rows, scale = jax.jit(kalman_pass.scaled_measurements)(point)
@@ -259,6 +263,30 @@ def test_outliers_are_gated_and_good_points_kept():
     assert kept_outliers == 0
     assert lost <= 3
     assert float(found.pixel_sigma) == pytest.approx(0.15, rel=0.1)
+
+
+def test_views_that_fit_worse_keep_their_points(noisy):
+    """Two views of 0.4 px noise among 0.15 px, as of a target of slightly another shape."""
+    scene, found = noisy
+    pixels = np.array(scene.data.pixels)
+    pixels[[2, 5]] += np.random.default_rng(0).normal(0.0, 0.37, pixels[[2, 5]].shape)
+    blurred = dataclasses.replace(scene.data, pixels=jnp.asarray(pixels))
+    fit = kalman_filter(blurred.observations, found.camera, found.camera_from_world)
+    assert np.sum(np.asarray(blurred.visible & ~fit.inliers)) <= 1
+
+
+def test_each_view_is_judged_by_its_own_noise_where_that_is_larger():
+    """Of Gaussian residuals, with the quantile of chi-square as the gate."""
+    stds, rng = np.array([1.0, 1.0, 2.0, 50.0, 0.1]), np.random.default_rng(0)
+    residuals = stds[:, None, None] * rng.normal(size=(5, 4000, 2))
+    every_point = np.ones((5, 4000), dtype=bool)
+    quantile = chi2.ppf(0.9999, 2)
+    limits = outlier_limits(residuals, every_point, 1.0, CommonCameraOptions())
+    # Most points of the fourth view are wrong.
+    expected = quantile * np.array([1.0, 1.0, 2.0, 3.0, 1.0]) ** 2
+    np.testing.assert_allclose(limits, expected, rtol=0.06)
+    known = outlier_limits(residuals, every_point, 1.0, CommonCameraOptions(pixel_sigma=1.0))
+    np.testing.assert_allclose(known, quantile, rtol=1e-6)
 
 
 def test_a_known_camera_is_held(noisy):

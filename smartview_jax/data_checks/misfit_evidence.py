@@ -1,0 +1,51 @@
+"""Say how likely an explanation of a misfit of robot and camera is, by Schwarz's criterion.
+
+Errors of translation and rotation are Gaussian with variances that are estimated from the views.
+The errors of a real arm are alike in views near each other, so that n views count as
+n (1 - r) / (1 + r), with the correlation r of the errors that remain in successive views.
+
+References:
+    Schwarz, Estimating the dimension of a model, Annals of Statistics 6, 1978.
+    Bayley and Hammersley, The "effective" number of independent observations in an autocorrelated
+        time series, Journal of the Royal Statistical Society 8, 1946.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..geometry import host_logarithms
+from .closure import Poses
+
+MIN_VARIANCE = 1e-18
+"""Smallest variance of an error, m^2 and rad^2: a nanometre, for rendered views without any."""
+
+
+def closure_variances(closure: Poses) -> Float[np.ndarray, "2"]:
+    """Return the variances of what is left over in the views, of translation and rotation."""
+    return np.maximum(np.mean(_errors(closure) ** 2, axis=(0, 2)), MIN_VARIANCE)
+
+
+def evidence(given_variances: Float[np.ndarray, "2"], corrected: Poses, parameters: int) -> float:
+    """Return Schwarz's criterion of the poses as given minus with an explanation.
+
+    It is twice the logarithm of the odds of the explanation.
+
+    Args:
+        given_variances: of what is left over as given (`closure_variances`).
+        corrected: what is left over in each view with the explanation.
+        parameters: how many numbers the explanation has.
+    """
+    after, variances = _errors(corrected), closure_variances(corrected)
+    count = len(after)
+    scaled = after / np.sqrt(variances)[:, None]
+    correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (6.0 * (count - 1))
+    correlation = min(max(correlation, 0.0), 1.0)
+    effective = max(count * (1.0 - correlation) / (1.0 + correlation), 1.0)
+    # -2 log L = 3 n log variance, for translation and rotation.
+    gain = 3.0 * effective * float(np.sum(np.log(given_variances / variances)))
+    return gain - parameters * np.log(6.0 * effective)
+
+
+def _errors(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
+    """Return what is left over in each view, of translation (m) and rotation (rad)."""
+    return host_logarithms(closure).reshape(-1, 2, 3)
