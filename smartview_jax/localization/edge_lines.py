@@ -203,7 +203,8 @@ def edge_lines(
     measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
     measured &= W >= MIN_LINE_POINTS
     strengths = over_edges(weights * lookup.strengths[point]) / W
-    whole, by_light = MODEL_SIGMA**2 + tolerance**2, None
+    whole = MODEL_SIGMA**2 + tolerance**2
+    by_light = None
     if wireframe.smooth is not None:
         centre, along = centre_in_object(camera_from_object), _by_pose(*place, d, visible)[:, :3]
         shifts = shading_shifts(wireframe, centre, J[:, :3], along)
