@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..extras import MissingExtraError
-from ..runtime.interrupts import (
-    INTERRUPT_EXIT_CODE,
-    INTERRUPT_MESSAGE,
-    interrupt_listener,
-    message_printed,
-)
+from ..runtime.interrupts import INTERRUPT_EXIT_CODE, interrupt_listener, print_message_once
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -114,9 +109,7 @@ def errors_reported(debug: bool) -> Iterator[None]:
         with interrupt_listener():
             yield
     except KeyboardInterrupt:
-        if not message_printed.is_set():
-            message_printed.set()
-            typer.echo(INTERRUPT_MESSAGE, err=True)
+        print_message_once(lambda text: typer.echo(text, err=True))
         sys.exit(INTERRUPT_EXIT_CODE)
     except (ValueError, OSError, MissingExtraError) as error:
         if debug:

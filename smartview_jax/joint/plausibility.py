@@ -87,9 +87,9 @@ def plausibility_warnings(
     # Before the target: its size is found wrong if a known focal length is.
     warnings += contradicted_values
     warnings += _target_warnings(fit)
-    warnings += _lens_warnings(fit)
-    # Without a cause that is named above, this is the only sign of one.
-    warnings += _disagreement_warnings(fit) if has_pixels else []
+    of_lens = _lens_warnings(fit)
+    # Where the lens is not named as the cause, the disagreement is the only sign of one.
+    warnings += of_lens or (_disagreement_warnings(fit) if has_pixels else [])
     warnings += _robot_warnings(fit)
     warnings += _mount_warnings(fit)
     warnings += repetition_warnings(fit.rejected)

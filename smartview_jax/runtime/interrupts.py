@@ -11,7 +11,7 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ..files import clean_up_before_exit
@@ -31,8 +31,27 @@ _WRITE_TIMEOUT = 0.5
 _SHOW_CURSOR = "\x1b[?25h"
 """Terminal code that shows the cursor, which a progress line hides."""
 
-message_printed = threading.Event()
-"""Event that is set once `INTERRUPT_MESSAGE` was printed, so that only one thread prints it."""
+_message_lock = threading.Lock()
+_message_printed = threading.Event()
+
+
+def print_message_once(write: Callable[[str], object]) -> None:
+    """Print `INTERRUPT_MESSAGE` unless another thread has printed it.
+
+    The other thread may be about to end the process, so it is printed before others can see that it
+    was.
+
+    Args:
+        write: prints a line on standard error.
+    """
+    held = _message_lock.acquire(timeout=_WRITE_TIMEOUT)
+    try:
+        if not _message_printed.is_set():
+            write(INTERRUPT_MESSAGE)
+            _message_printed.set()
+    finally:
+        if held:
+            _message_lock.release()
 
 
 @contextmanager
@@ -43,7 +62,7 @@ def interrupt_listener() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or not is_default_handler:
         yield
         return
-    message_printed.clear()
+    _message_printed.clear()
     # Python's low-level handler writes the signal's number to this pipe, even while the main thread
     # is inside a library. It may not block there, hence the non-blocking end.
     read_fd, write_fd = os.pipe()
@@ -85,9 +104,6 @@ def _listen(read_fd: int, interrupted: threading.Event) -> None:
     clean_up_before_exit(_WRITE_TIMEOUT)
     if os.isatty(2):
         os.write(2, _SHOW_CURSOR.encode())
-    if not message_printed.is_set():
-        # Set before the write, during which the main thread may run and print the same message.
-        message_printed.set()
-        os.write(2, f"{INTERRUPT_MESSAGE}\n".encode())
+    print_message_once(lambda text: os.write(2, f"{text}\n".encode()))
     # `sys.exit` would end only this thread; `os._exit` ends the process without waiting for others.
     os._exit(INTERRUPT_EXIT_CODE)

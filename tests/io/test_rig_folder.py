@@ -138,7 +138,7 @@ def test_a_camera_without_a_described_target_is_not_written(rig, tmp_path):
     unknown = Rig({"left": wrist, "right": dataclasses.replace(wrist, target=None)})
     with pytest.raises(ValueError, match="camera 'right' needs a target that describes its points"):
         save_rig(unknown, tmp_path / "none")
-    other = seen(slice(0, 4), dataclasses.replace(TARGET, square=0.02))
+    other = seen(slice(0, 4), dataclasses.replace(TARGET, rows=3, columns=4))
     with pytest.raises(ValueError, match="camera 'right' describes 'target' otherwise"):
         save_rig(Rig({"left": wrist, "right": other}), tmp_path / "none")
     assert not (tmp_path / "none").exists()

@@ -1,10 +1,17 @@
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
 from board_scene import board_folder
+
+from smartview_jax.runtime.interrupts import (
+    INTERRUPT_MESSAGE,
+    interrupt_listener,
+    print_message_once,
+)
 
 ANSWER = 2.0
 """Promised, s; a machine that does other things besides is given as much again and more."""
@@ -93,3 +100,20 @@ def test_a_calibration_ends_with_a_line_of_words(tmp_path_factory, tmp_path, wor
     assert said.count("interrupted; no file is left half-written") == 1
     assert "Traceback" not in said
     assert not list(tmp_path.iterdir())
+
+
+def test_the_words_are_out_before_another_thread_may_end_the_process():
+    printed = []
+
+    def write_slowly(text):
+        time.sleep(0.2)
+        printed.append(text)
+
+    with interrupt_listener():
+        thread = threading.Thread(target=print_message_once, args=(write_slowly,))
+        thread.start()
+        time.sleep(0.05)
+        print_message_once(printed.append)
+        assert printed == [INTERRUPT_MESSAGE]
+        thread.join()
+    assert printed == [INTERRUPT_MESSAGE]
