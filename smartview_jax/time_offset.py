@@ -93,7 +93,7 @@ def at_time_offset(
         ValueError: the numbers of times and views differ, a time was not logged, or two arms.
     """
     if data.hands is not None:
-        raise ValueError("data: expected the poses of one arm, found those of two")
+        raise ValueError("data: expected the poses of one arm, found two arms")
     times = np.asarray(picture_times, dtype=float)
     if times.shape != (data.view_count,):
         raise ValueError(

@@ -24,7 +24,14 @@ from ..geometry import host_matrices, mean_matrix
 from .closure import Poses
 from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
 from .misfit_evidence import closure_variances, evidence
-from .transform_fit import TransformFit, fit_transforms, misfit_text, misfits
+from .transform_fit import (
+    TransformFit,
+    fit_transforms,
+    mean_misfit,
+    median_distance,
+    misfit_text,
+    misfits,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,7 +168,7 @@ def find_change(
     robot[:, :3, 3] *= length_ratio
     places = np.arange(fewest, len(views) - fewest + 1)
     search = _Search.of(robot, camera, len(places))
-    misfit, score = search.misfit_and_score(search.fit.closure)
+    misfit, score = mean_misfit(search.fit.closure, search.distance)
     if score < options.min_score:
         return None
     count = options.max_tried_places
@@ -213,7 +220,7 @@ class _Search(NamedTuple):
     def of(cls, robot: Poses, camera: Poses, place_count: int) -> "_Search":
         """Return the search in some views."""
         fit = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool))
-        distance = float(np.median(np.linalg.norm(camera[:, :3, 3], axis=1)))
+        distance = median_distance(camera)
         return cls(robot, camera, fit, distance, closure_variances(fit.closure), place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
@@ -260,14 +267,9 @@ class _Search(NamedTuple):
         self, kind: str, place: int, moved: tuple[float, float], zoom: float, corrected: Poses
     ) -> Change:
         """Return a change with the misfit and the evidence of the corrected closure."""
-        misfit, score = self.misfit_and_score(corrected)
+        misfit, score = mean_misfit(corrected, self.distance)
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
         odds = evidence(self.variances, corrected, parameters) - 2.0 * np.log(self.place_count)
         return Change(kind, place, *moved, zoom, misfit, score, size, odds)
-
-    def misfit_and_score(self, closure: Poses) -> tuple[tuple[float, float], float]:
-        """Return the mean misfit, m and rad, and rotation plus translation over the distance."""
-        translation, rotation = misfits(closure).mean(axis=0).tolist()
-        return (translation, rotation), rotation + translation / self.distance

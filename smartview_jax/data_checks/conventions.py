@@ -352,9 +352,9 @@ def _naming_views(
     used: np.ndarray,
     ids: Sequence[str],
 ) -> tuple[ConventionHypothesis, ...]:
-    """Return the hypotheses, of which those about the numbering name the views that they change.
+    """Return the hypotheses, with the views that another numbering changes named.
 
-    Without a view to change there is none.
+    Another numbering that changes no view is left out.
     """
     if turns is None:
         return hypotheses

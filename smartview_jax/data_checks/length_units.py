@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from .closure import Poses
+from .transform_fit import median_distance
 
 LENGTH_UNIT_MISTAKES = {
     1e-3: "the robot's positions look like millimetres where metres are expected",
@@ -91,7 +92,7 @@ def size_doubt(camera: Poses, used: np.ndarray) -> str:
         camera: the camera's poses.
         used: mask of the views to use.
     """
-    distance = 1e3 * float(np.median(np.linalg.norm(camera[used, :3, 3], axis=1)))
+    distance = 1e3 * median_distance(camera[used])
     return (
         "these views do not tell the target's size, because the robot turns about one point: it is "
         "taken as stated, and if it is 1 % larger, the camera or the target is up to "

@@ -21,7 +21,7 @@ MIN_VARIANCE = 1e-18
 
 
 def closure_variances(closure: Poses) -> Float[np.ndarray, "2"]:
-    """Return the variances of what is left over in the views, of translation and rotation."""
+    """Return the variances of the closure errors of the views, of translation and rotation."""
     return np.maximum(np.mean(_errors(closure) ** 2, axis=(0, 2)), MIN_VARIANCE)
 
 
@@ -31,8 +31,8 @@ def evidence(given_variances: Float[np.ndarray, "2"], corrected: Poses, paramete
     It is twice the logarithm of the odds of the explanation.
 
     Args:
-        given_variances: of what is left over as given (`closure_variances`).
-        corrected: what is left over in each view with the explanation.
+        given_variances: variances of the closure errors as given (`closure_variances`).
+        corrected: closure error of each view with the explanation.
         parameters: how many numbers the explanation has.
     """
     after, variances = _errors(corrected), closure_variances(corrected)
@@ -47,5 +47,5 @@ def evidence(given_variances: Float[np.ndarray, "2"], corrected: Poses, paramete
 
 
 def _errors(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
-    """Return what is left over in each view, of translation (m) and rotation (rad)."""
+    """Return the closure error of each view, of translation (m) and rotation (rad)."""
     return host_logarithms(closure).reshape(-1, 2, 3)

@@ -24,13 +24,13 @@ from .changes import ChangeOptions
 from .closure import Poses
 from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
 from .misfit_evidence import closure_variances, evidence
-from .transform_fit import fit_transforms, misfit_text, misfits
+from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text
 
 MIN_VIEWS = 6
 """Smallest number of views in which a lag is looked for: a third of the views may not tell it."""
 
 MAX_FRACTION = 0.3
-"""Largest part of a move that is tried. Poses farther behind look like those of other views."""
+"""Largest part of a move that is tried. Farther behind they look like poses of other views."""
 
 FRACTION_TOLERANCE = 1e-3
 """Accuracy of the part of a move that is searched for."""
@@ -106,19 +106,14 @@ def find_lag(
     robot[:, :3, 3] *= length_ratio
     if used.sum() < MIN_VIEWS:
         return None
-    distance = float(np.median(np.linalg.norm(camera[used, :3, 3], axis=1)))
+    distance = median_distance(camera[used])
 
     def closure_at(views: np.ndarray, poses: Poses) -> Poses:
-        """Return what is left over in the views with these poses of the tool."""
+        """Return the closure errors of the views with these poses of the tool."""
         holder = mount_from_holder_matrices(mount, poses)[views]
         return fit_transforms(holder, camera[views], np.ones(np.count_nonzero(views), bool)).closure
 
-    def misfit_and_score(closure: Poses) -> tuple[tuple[float, float], float]:
-        """Return the mean misfit, m and rad, and rotation plus translation over the distance."""
-        translation, rotation = misfits(closure).mean(axis=0).tolist()
-        return (translation, rotation), rotation + translation / distance
-
-    if misfit_and_score(closure_at(used, robot))[1] < options.min_score:
+    if mean_misfit(closure_at(used, robot), distance)[1] < options.min_score:
         return None
     lags = []
     for sign, end in ((1.0, 0), (-1.0, -1)):
@@ -126,15 +121,15 @@ def find_lag(
         views = used.copy()
         views[end] = False
         given = closure_at(views, robot)
-        given_misfit, given_score = misfit_and_score(given)
+        given_misfit, given_score = mean_misfit(given, distance)
 
         def without(fraction: float, views: np.ndarray = views, sign: float = sign) -> Poses:
-            """Return what is left over in the views with a lag removed."""
+            """Return the closure errors of the views with a lag removed."""
             return closure_at(views, without_lag(robot, sign * fraction))
 
         fraction = _least(lambda part: float(np.sum(np.log(closure_variances(without(part))))))
         corrected = without(fraction)
-        misfit, score = misfit_and_score(corrected)
+        misfit, score = mean_misfit(corrected, distance)
         is_likely = evidence(closure_variances(given), corrected, 1) > 2.0 * np.log(
             options.min_odds
         )

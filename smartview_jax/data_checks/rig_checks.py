@@ -80,11 +80,13 @@ def target_findings(rig: Rig, seen: Mapping[str, SeenTarget]) -> TargetFindings:
     for first, second in combinations(seen, 2):
         if rig.targets[first] != rig.targets[second] or rig.arms[first] != rig.arms[second]:
             continue
-        turned = _numbering(rig, first, second, seen)
+        places = [seen[name].holder_from_world for name in (first, second)]
+        roughly = np.linalg.inv(places[0]) @ places[1]
+        turned = _numbering(rig, first, second, roughly)
         if turned is not None:
             problems.append(turned)
             continue
-        displacement = _displacement(*_in_common(rig, first, second, seen))
+        displacement = _displacement(*_in_common(rig, first, second, seen), roughly)
         if displacement is None:
             continue
         points = _points(rig, second)
@@ -136,12 +138,11 @@ def _common_views(states: Sequence[Int[np.ndarray, "views"]]) -> list[Int[np.nda
 
 def _in_common(
     rig: Rig, first: str, second: str, seen: Mapping[str, SeenTarget]
-) -> tuple[Poses, Poses, Matrix]:
-    """Return the target's poses in both cameras in common states, and its displacement roughly."""
+) -> tuple[Poses, Poses]:
+    """Return the target's poses in both cameras in the states that both saw."""
     states = [rig.state_index[name][seen[name].views] for name in (first, second)]
     ours, theirs = _common_views(states)
-    start = np.linalg.inv(seen[first].holder_from_world) @ seen[second].holder_from_world
-    return seen[first].camera_from_world[ours], seen[second].camera_from_world[theirs], start
+    return seen[first].camera_from_world[ours], seen[second].camera_from_world[theirs]
 
 
 def _points(rig: Rig, camera: str) -> Float[np.ndarray, "points 3"]:
@@ -161,15 +162,20 @@ def _moved_by(displacement: Matrix, points: Float[np.ndarray, "points 3"]) -> fl
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
-def _numbering(rig: Rig, first: str, second: str, seen: Mapping[str, SeenTarget]) -> str | None:
-    """Return the problem of points that two cameras number from different corners, or None."""
+def _numbering(rig: Rig, first: str, second: str, displacement: Matrix) -> str | None:
+    """Return the problem of points that two cameras number from different corners, or None.
+
+    Args:
+        rig: data sets of the cameras.
+        first, second: names of the cameras.
+        displacement: where the second camera's target lies in the first's.
+    """
     data = rig.cameras[second]
     turns = target_turns(np.asarray(data.points), np.asarray(data.visible))
     if turns is None:
         return None
     points = _points(rig, second)
-    place = np.linalg.inv(seen[first].holder_from_world) @ seen[second].holder_from_world
-    left_over = np.array([_moved_by(np.linalg.inv(turn) @ place, points) for turn in turns])
+    left_over = np.array([_moved_by(np.linalg.inv(turn) @ displacement, points) for turn in turns])
     best = int(np.argmin(left_over))
     if best == 0 or left_over[best] > MAX_LEFT_OVER * left_over[0]:
         return None

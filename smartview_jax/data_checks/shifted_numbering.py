@@ -18,7 +18,7 @@ from .changes import ChangeOptions
 from .closure import Poses
 from .conventions import MAX_CORRECTED_SCORE_RATIO
 from .misfit_evidence import closure_variances, evidence
-from .transform_fit import fit_transforms, misfits
+from .transform_fit import fit_transforms, mean_misfit, median_distance
 
 MAX_STEPS = 2
 """Largest number of columns, and of rows, by which a view may be shifted."""
@@ -63,8 +63,8 @@ def find_shifted_numbering(
     if len(views) <= MIN_CERTAIN_VIEWS:
         return {}
     given = fit_transforms(robot, camera, everything).closure
-    distance = float(np.median(np.linalg.norm(camera[:, :3, 3], axis=1)))
-    score = _score(given, distance)
+    distance = median_distance(camera)
+    _, score = mean_misfit(given, distance)
     if score < options.min_score:
         return {}
     board = np.unique(points[views][seen[views]], axis=0)
@@ -109,7 +109,7 @@ def find_shifted_numbering(
         is_likely
         and is_resolved.all()
         and 0 < 2 * shifted.sum() < len(views)
-        and _score(corrected, distance) < MAX_CORRECTED_SCORE_RATIO * score
+        and mean_misfit(corrected, distance)[1] < MAX_CORRECTED_SCORE_RATIO * score
     ):
         return {int(views[k]): chosen[k] for k in np.flatnonzero(shifted)}
     return {}
@@ -172,9 +172,3 @@ def _offsets(
     chain = robot @ fit.holder_from_world
     seen = np.linalg.inv(chain) @ np.linalg.inv(fit.camera_from_mount) @ camera
     return (seen[:, :3, :3] @ centres[:, :, None])[..., 0] + seen[:, :3, 3] - centres
-
-
-def _score(closure: Poses, distance: float) -> float:
-    """Return the mean over the views of rotation plus translation over the target's distance."""
-    translation, rotation = misfits(closure).mean(axis=0)
-    return float(rotation + translation / distance)

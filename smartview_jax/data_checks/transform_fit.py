@@ -38,6 +38,25 @@ def misfits(closure: Poses) -> Float[np.ndarray, "views 2"]:
     return np.linalg.norm(host_logarithms(closure).reshape(-1, 2, 3), axis=2)
 
 
+def mean_misfit(closure: Poses, distance: float) -> tuple[tuple[float, float], float]:
+    """Return the mean misfit over the views (m and rad), and its score.
+
+    Args:
+        closure: closure error of each view.
+        distance: median distance of the target from the camera, m.
+
+    Returns:
+        The misfit, and as its score rotation plus translation over the distance.
+    """
+    translation, rotation = misfits(closure).mean(axis=0).tolist()
+    return (translation, rotation), rotation + translation / distance
+
+
+def median_distance(camera_from_world: Poses) -> float:
+    """Return the median distance of the target from the camera, m."""
+    return float(np.median(np.linalg.norm(camera_from_world[:, :3, 3], axis=1)))
+
+
 def misfit_text(misfit: Float[np.ndarray, "2"] | tuple[float, float]) -> str:
     """Return a misfit in words, in degrees and millimetres."""
     return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"

@@ -206,7 +206,7 @@ class Dataset(eqx.Module):
                 kinematics; the message names it.
         """
         if self.hands is not None:
-            raise ValueError("with_joints: expected the poses of one arm, found those of two")
+            raise ValueError("with_joints: expected the poses of one arm, found two arms")
         computed = forward_kinematics(joints, arm, self.view_ids)
         masked = {view for view, _ in self.masked_views}
         used = np.array([view not in masked for view in self.view_ids], dtype=bool)

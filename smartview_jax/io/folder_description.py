@@ -86,7 +86,7 @@ def described_camera(
     except ValueError as error:
         # Both read parts of the file and do not know its name.
         raise ValueError(f"{path}: {error}") from error
-    # Pictures of a target on another hand are read as those of a camera on a hand.
+    # Pictures of a target on another hand are read as by a camera on a hand.
     mount = "eye_in_hand" if description.mount == "hand_to_hand" else description.mount
     return FolderDescription(
         target,

@@ -41,7 +41,7 @@ class TrackerPrior:
 
     A tracker that adds up motions, as visual odometry does, drifts: the errors of its poses grow
     from one view to the next. It errs by about one percent of the path, and turns by the error over
-    the distance of what it sees.
+    the distance of the scene.
 
     Attributes:
         translation_median: median noise of translation across the line of sight, m; between a laser

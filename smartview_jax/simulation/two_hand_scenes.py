@@ -12,6 +12,10 @@ from .scenes import Scene, paper_calibration, random_viewpoints, reported_poses,
 OTHER_HAND = np.array([0.45, 0.0, 0.4])
 """Middle of the places of the hand with the target, in the base of its arm, m."""
 
+DISTANCES, MAX_TILT = (0.17, 0.25), float(np.deg2rad(35.0))
+"""Smallest and largest distance of the camera from the middle of the target (m), and largest tilt
+from its z axis (rad)."""
+
 REACH, TURN = 0.12, 0.35
 """Standard deviations of these places (m), and of rotation vectors of this hand (rad)."""
 
@@ -29,9 +33,6 @@ def random_two_hand_scene(
     seed: int,
     views: int,
     target: AbstractTarget,
-    calibration: Calibration | None = None,
-    tilt: float = np.deg2rad(35.0),
-    distance: tuple[float, float] = (0.17, 0.25),
     *,
     pixel_noise: float = 0.15,
     translation_noise: float = 0.0,
@@ -43,9 +44,6 @@ def random_two_hand_scene(
         seed: the same seed gives the same scene.
         views: number of views.
         target: the visible target; it is stored in the data set.
-        calibration: the true one; by default `two_hand_calibration`.
-        tilt: largest tilt of the camera from the target's z axis, rad.
-        distance: smallest and largest distance from the middle of the target, m.
         pixel_noise: standard deviation of `u` and of `v`, px.
         translation_noise, rotation_noise: standard deviations of the reports of both arms, as in
             `simulate`.
@@ -53,11 +51,11 @@ def random_two_hand_scene(
     Returns:
         A scene whose `base_from_tool` are the true poses of the camera's hand in the other hand.
     """
-    truth = two_hand_calibration() if calibration is None else calibration
+    truth = two_hand_calibration()
     assert truth.base_from_other_base is not None
     rng = np.random.default_rng((seed, 1))
-    seen = random_viewpoints(rng, views, target.points.mean(axis=0), distance, tilt)
-    # With one hand in the place of the base, the pictures are those of a camera on a hand.
+    seen = random_viewpoints(rng, views, target.points.mean(axis=0), DISTANCES, MAX_TILT)
+    # With one hand in the place of the base, the pictures are as of a camera on a hand.
     ends = truth.camera_from_mount, truth.holder_from_world
     alone = Calibration.eye_in_hand(truth.camera, *ends, truth.target_scale)
     relative = alone.command_for(seen)

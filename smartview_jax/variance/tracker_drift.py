@@ -29,8 +29,8 @@ UNIT_SCALE = 1e-2
 """Unit of the change of a drifting scale from one view to the next (relative)."""
 
 MAX_LOG_FIELD = np.log(10.0)
-"""Largest logarithm of the errors of an arm over those of a median one; beyond, its field would be
-told from the mount only below rounding."""
+"""Largest logarithm of the ratio of an arm's errors to a median arm's errors; beyond it, rounding
+errors decide between its field and the mount."""
 
 DEVIANCE_TOLERANCE = 1e-3
 """Change of the deviance that does not matter: a tenth of a percent of the likelihood."""
@@ -177,7 +177,7 @@ def _eliminated_drift(
 ) -> tuple[
     Float[np.ndarray, "views drifts numbers"], Float[np.ndarray, "views drifts numbers"], float
 ]:
-    """Return both factors of what the drift takes from the normal equations, and its determinant.
+    """Return the two factors that eliminate the drift from the normal equations, and a determinant.
 
     With A the information on the drift and B the right-hand sides, the factors are B and A^-1 B;
     the logarithm is of det A times the determinant of the drift's prior covariance.
