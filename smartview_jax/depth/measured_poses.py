@@ -48,6 +48,13 @@ MAX_STEPS = 50
 CONVERGED = 1e-8
 """Relative change of the noise at which the fit has converged."""
 
+MIN_SIGMA = 1e-6
+"""Smallest standard deviation of a measured point, m.
+
+No depth sensor is better. Points without any error, across the line of sight or in both
+directions, would otherwise determine everything without bound.
+"""
+
 REJECTED_SIGMAS = 4.0
 """Distance from its fitted place, in standard deviations, from which a point is left out."""
 
@@ -262,7 +269,7 @@ def _fitted(
     residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
     # Robust: half of the points may be wrong before any noise is known.
     size = np.median(np.linalg.norm(residuals[used], axis=1)) / np.sqrt(2.366)
-    sigma, has_converged = np.full(2, max(float(size), 1e-12)), False
+    sigma, has_converged = np.full(2, max(float(size), MIN_SIGMA)), False
     for _ in range(MAX_STEPS):
         used = seen & (_distances(in_ray, sigma) < REJECTED_SIGMAS)
         # Too few points are left in a view where most are wrong: all of them count.
@@ -273,7 +280,7 @@ def _fitted(
         residuals, in_ray, jacobian = _linearised(poses, target, by_sensor, sensor, frames)
         squares = (np.where(used[..., None], in_ray, 0.0) ** 2).sum(axis=(0, 1))
         new = np.sqrt([squares[:2].sum() / solved.freedom[0], squares[2] / solved.freedom[1]])
-        new = np.maximum(new, 1e-12)
+        new = np.maximum(new, MIN_SIGMA)
         has_converged = bool(np.abs(new / sigma - 1.0).max() < CONVERGED)
         sigma = new
         if has_converged:

@@ -104,6 +104,23 @@ def test_wrong_points_are_left_out(trials):
         assert np.isnan(found.residuals[~seen]).all()
 
 
+@pytest.mark.parametrize("along", [0.0, ALONG], ids=["no noise", "noise along the ray alone"])
+def test_points_without_noise_leave_a_finite_covariance_and_no_doubt(along):
+    """Such points come from simulations, whose pixels are exact."""
+    rng = np.random.default_rng(0)
+    camera_from_world = poses_of(rng, 14)
+    sensor = DepthSensor(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, along)
+    points = simulate_depth_points(camera_from_world, TARGET, sensor, rng, 0.0)
+    tool_from_camera = host_exponentials(np.array([0.02, -0.05, 0.08, 0.1, -0.1, 1.5]))
+    base_from_world = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
+    base_from_tool = base_from_world @ np.linalg.inv(tool_from_camera @ camera_from_world)
+    found = sv.depth.poses_from_points(points, TARGET)
+    assert np.linalg.cond(found.covariance).max() < 1e12
+    fit = sv.fit_poses(found.dataset(base_from_tool))
+    assert np.isfinite(list(fit.std.values())).all()
+    assert not [str(w) for w in fit.warnings if "determine" in str(w)]
+
+
 def test_without_the_bias_the_hand_eye_transform_would_be_wrong():
     rng = np.random.default_rng(0)
     camera_from_world = poses_of(rng, 14)
