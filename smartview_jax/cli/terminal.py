@@ -1,11 +1,13 @@
 """Report progress, errors and interrupts on the terminal."""
 
 import logging
+import os
 import re
+import select
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import typer
 
@@ -112,7 +114,24 @@ def errors_reported(debug: bool) -> Iterator[None]:
         print_message_once(lambda text: typer.echo(text, err=True))
         sys.exit(INTERRUPT_EXIT_CODE)
     except (ValueError, OSError, MissingExtraError) as error:
+        if isinstance(error, BrokenPipeError) and _is_closed(sys.stdout):
+            sys.exit(CLOSED_PIPE_EXIT_CODE)
         if debug:
             raise
         typer.echo(f"smartview: {error}", err=True)
         sys.exit(2)
+
+
+CLOSED_PIPE_EXIT_CODE = 1
+"""Exit code of a command whose output nobody reads any more, such as before `| head`."""
+
+
+def _is_closed(stream: TextIO) -> bool:
+    """Return whether nobody reads the stream any more; if so, discard what is left to print."""
+    poll = select.poll()
+    poll.register(stream.fileno(), 0)
+    if not any(event & select.POLLERR for _, event in poll.poll(0)):
+        return False
+    # Otherwise Python tries to print it once more when it ends, and reports an error.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return True

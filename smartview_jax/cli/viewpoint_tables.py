@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich import box
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 from ..io import pose_columns
@@ -19,14 +20,47 @@ if TYPE_CHECKING:
 def print_viewpoints(
     names: Sequence[str], commands: "ViewpointCommands", codec: "PoseCodec"
 ) -> None:
-    """Print the commanded poses in a manufacturer's format."""
-    table = Table("view", box=box.SIMPLE)
-    for name in pose_columns(codec):
-        table.add_column(name.replace("_", " "), justify="right", no_wrap=True)
+    """Print the commanded poses in a manufacturer's format.
+
+    Where a line is too narrow for a pose, it takes several lines of at most four numbers.
+    """
+    headings = [name.replace("_", " ") for name in pose_columns(codec)]
     rows = codec.encode(commands.base_from_tool, *codec.units)
-    for view, row in zip(names, rows, strict=True):
-        table.add_row(view, *(_format_number(value, codec, n) for n, value in enumerate(row)))
-    Console().print(table)
+    numbers = [[_format_number(x, codec, n) for n, x in enumerate(row)] for row in rows]
+    console = Console()
+    table = _table(headings, names, numbers)
+    if Measurement.get(console, console.options.update(max_width=1000), table).maximum > (
+        console.width
+    ):
+        tall = [_columns(texts) for texts in numbers]
+        table = _table(_columns(headings), names, tall, end_section=True)
+    console.print(table)
+
+
+def _table(
+    headings: Sequence[str],
+    names: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    end_section: bool = False,
+) -> Table:
+    """Return a table of named rows of numbers."""
+    table = Table("view", box=box.SIMPLE)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, row in zip(names, rows, strict=True):
+        table.add_row(name, *row, end_section=end_section)
+    return table
+
+
+def _columns(texts: Sequence[str]) -> list[str]:
+    """Return the cells of four columns, of several lines each.
+
+    Lines are filled from the end: the position's three texts stand over a quaternion's four.
+    """
+    lines = -(-len(texts) // 4)
+    first = len(texts) - 4 * (lines - 1)
+    filled = [*texts[:first], *[""] * (4 - first), *texts[first:]]
+    return ["\n".join(filled[k::4]) for k in range(4)]
 
 
 def _format_number(value: float, codec: "PoseCodec", column: int) -> str:

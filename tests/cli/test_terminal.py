@@ -1,6 +1,8 @@
 """The bar on a terminal moves with what the texts count."""
 
 import io
+import subprocess
+import sys
 
 import pytest
 from rich.console import Console
@@ -66,3 +68,30 @@ def test_without_a_terminal_every_stage_is_one_line():
         "left done: 1 of 2",
         "right done: 2 of 2",
     ]
+
+
+PRINTS_FOR_EVER = """
+import typer
+from smartview_jax.cli.terminal import errors_reported
+with errors_reported(False):
+    while True:
+        {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("statement", "code", "message"),
+    [
+        ("typer.echo('a line')", 1, b""),
+        ("raise BrokenPipeError('the robot')", 2, b"smartview: the robot"),
+    ],
+    ids=["of the reader", "of another connection"],
+)
+def test_a_closed_pipe(statement, code, message):
+    """`smartview ... | head -1` ends without a word; a robot that hangs up is an error."""
+    words = [sys.executable, "-c", PRINTS_FOR_EVER.format(statement)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read().strip() == message
+    assert process.returncode == code
