@@ -16,7 +16,7 @@ from .data_checks import (
     target_findings,
     unusable_views,
 )
-from .dataset import Dataset, Rig
+from .dataset import Dataset, Rig, digests_to_keep
 from .engine import with_lens
 from .geometry import PoseLike, host_matrices, host_transforms, mean_pose
 from .joint import JointOptions, RigFit, fit_rig, remove_gross_errors
@@ -150,7 +150,12 @@ def calibrate_rig(
     )
     # A wrong camera makes the places of a target differ as well, so it is named before them.
     of_cameras = [f"{name}: {text}" for name, one in staged.items() for text in one.warnings]
-    return dataclasses.replace(fit, warnings=(*of_cameras, *findings.doubts, *fit.warnings))
+    return dataclasses.replace(
+        fit,
+        warnings=(*of_cameras, *findings.doubts, *fit.warnings),
+        # Of the pictures with all their points, also those that were left out.
+        picture_digests={name: digests_to_keep(data) for name, data in rig.cameras.items()},
+    )
 
 
 def shared_target_findings(

@@ -142,13 +142,11 @@ def write_files(
 def _save_calibrations(result: "CalibrateResult", folder: Path, run: str, given: str) -> None:
     """Write the calibrations of a fit to a folder, by the names in `RESULT_FILES`."""
     from ..calibration_pipeline import refit_uncorrected
-    from ..dataset import picture_digests
 
-    # A view without points has no digest.
-    pictures = [digest for digest in picture_digests(result.data) if digest]
     fit = result.fit
+    pictures = fit.picture_digests
     source = provenance(result.name, given)
-    fit.joint.save(folder / "calibration.yaml", run, source, result.warnings, pictures)
+    fit.joint.save(folder / "calibration.yaml", run, source, result.warnings)
     fit.staged.calibration.save(folder / "calibration_staged.yaml", run, pictures=pictures)
     if fit.calibration.robot_error is not None:
         # With the robot's error corrected, the transforms alone do not predict best.

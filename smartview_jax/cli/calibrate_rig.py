@@ -237,15 +237,11 @@ def _print_result(result: RigResult) -> None:
 
 def _write_files(result: RigResult, out: Path, run: str) -> list[Path]:
     """Write the cameras' calibrations and the report, all or none, and return their paths."""
-    from ..dataset import picture_digests
     from ..report import Origin, write_rig_page
 
     names = [*result.fit.file_names, "report.html"]
     with file_transaction(out, tuple(names)) as folder:
-        cameras = result.rig.cameras.items()
-        # A view without points has no digest.
-        pictures = {name: [key for key in picture_digests(d) if key] for name, d in cameras}
-        result.fit.save(folder, run, pictures)
+        result.fit.save(folder, run)
         origin = Origin(result.name, command_line(), run)
         page = folder / "report.html"
         write_rig_page(

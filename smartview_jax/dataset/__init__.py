@@ -15,6 +15,7 @@ from .observations import Observations as Observations
 from .observations import chain_residuals as chain_residuals
 from .observations import medians_by_view as medians_by_view
 from .observations import view_residuals as view_residuals
+from .picture_digests import digests_to_keep as digests_to_keep
 from .picture_digests import picture_digests as picture_digests
 from .point_extents import coplanar as coplanar
 from .point_extents import extents as extents

@@ -27,6 +27,11 @@ def picture_digests(data: "Dataset") -> tuple[str, ...]:
     )
 
 
+def digests_to_keep(data: "Dataset") -> tuple[str, ...]:
+    """Return the digests of the pictures with visible points, which a calibration's file keeps."""
+    return tuple(digest for digest in picture_digests(data) if digest)
+
+
 def _digest(pixels: np.ndarray) -> str:
     """Return the digest of pixel coordinates."""
     # Sorted by u, because the order of the points depends on the target's description.

@@ -13,7 +13,14 @@ from jaxtyping import Array, Bool, Float
 from ..argument_checks import require_instance, require_one_of
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
-from ..dataset import Dataset, DepthSensor, PoseDataset, chain_residuals, repeated_views
+from ..dataset import (
+    Dataset,
+    DepthSensor,
+    PoseDataset,
+    chain_residuals,
+    digests_to_keep,
+    repeated_views,
+)
 from ..engine import (
     DEPTH_BIAS_NAMES,
     ROBOT_ERROR,
@@ -295,7 +302,8 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     # it changes the structure of the calibration, and so would need a new program.
     residuals = chain_residuals(fit.calibration, all_data.observations)
     calibration = with_region(fit.calibration, used_data)
-    fit = with_fields(fit, residuals=residuals, calibration=calibration)
+    digests = () if isinstance(all_data, PoseDataset) else digests_to_keep(all_data)
+    fit = with_fields(fit, residuals=residuals, calibration=calibration, picture_digests=digests)
     contradicted = () if isinstance(used_data, PoseDataset) else held_value_warnings(fit)
     return with_fields(fit, warnings=plausibility_warnings(fit, contradicted))
 

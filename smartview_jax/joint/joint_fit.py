@@ -64,6 +64,7 @@ class JointFit(eqx.Module):
         sensor: the depth sensor, whose bias is in `covariance`: of depths at the points in pictures
             it is among the parameters; of measured points scale and offset were held, but their
             uncertainty was added. None for pictures alone and other trackers.
+        picture_digests: digests of the pictures, by which `smartview evaluate` recognises them.
 
     For example:
 
@@ -96,6 +97,7 @@ class JointFit(eqx.Module):
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
     pose_format: str | None = eqx.field(static=True, default=None)
     sensor: DepthSensor | None = eqx.field(static=True, default=None)
+    picture_digests: tuple[str, ...] = eqx.field(static=True, default=())
 
     def __repr__(self) -> str:
         # A traced fit, inside `jit`, has no figures to show.
@@ -137,9 +139,10 @@ class JointFit(eqx.Module):
         run: str | None = None,
         source: str | None = None,
         warnings: Sequence[str] | None = None,
-        pictures: Sequence[str] = (),
     ) -> None:
         """Write the calibration with its covariance, noise and warnings, as YAML or JSON.
+
+        The digests of the pictures are written too.
 
         `Calibration.load` reads the calibration back, `load_estimate` the covariance too. If a
         parameter is undetermined, the file has no covariance.
@@ -149,11 +152,9 @@ class JointFit(eqx.Module):
             run: name of the run, written to all its files.
             source: origin of the calibration, such as the data set's name.
             warnings: reasons to doubt the result, a sentence each; by default the fit's.
-            pictures: digests of the fitted pictures (`dataset.picture_digests`), by which
-                `smartview evaluate` recognises them.
         """
         doubts = self.warnings if warnings is None else warnings
-        SavedEstimate.of(self).save(path, run, source, doubts, pictures)
+        SavedEstimate.of(self).save(path, run, source, doubts, self.picture_digests)
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.

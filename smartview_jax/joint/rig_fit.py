@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import numpy as np
@@ -58,6 +57,8 @@ class RigFit(eqx.Module):
         bases: transform from each arm's base to the base of the first; empty for one arm.
         arms: name of the arm of each camera.
         warnings: reasons to doubt the result, a sentence each.
+        picture_digests: digests of each camera's pictures, by its name, by which
+            `smartview evaluate` recognises them.
 
     For example, with one camera in the place of two:
 
@@ -87,6 +88,7 @@ class RigFit(eqx.Module):
     bases: dict[str, SE3]
     arms: dict[str, str] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    picture_digests: dict[str, tuple[str, ...]] = eqx.field(static=True, default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<RigFit of {', '.join(self.calibrations)}: {self.result.message}>"
@@ -261,7 +263,6 @@ class RigFit(eqx.Module):
         self,
         folder: str | os.PathLike[str],
         run: str | None = None,
-        pictures: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         """Write a calibration file for each camera, `left.yaml`, and their joint covariance.
 
@@ -274,7 +275,6 @@ class RigFit(eqx.Module):
         Args:
             folder: of the files; created if it does not exist.
             run: name of the run that made them; None without one.
-            pictures: digests of each camera's pictures, by its name, so that they are known again.
         """
         with file_transaction(folder, self.file_names) as place:
             for name in self.calibrations:
@@ -283,7 +283,7 @@ class RigFit(eqx.Module):
                     run,
                     f"rig of {', '.join(self.calibrations)}",
                     self.warnings,
-                    (pictures or {}).get(name, ()),
+                    self.picture_digests.get(name, ()),
                 )
             for name, base in self._named_bases():
                 base.save(place / f"{name}.yaml", run)

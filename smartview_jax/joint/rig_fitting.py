@@ -15,6 +15,7 @@ from ..dataset import (
     Dataset,
     Rig,
     chain_residuals,
+    digests_to_keep,
     distinct_poses,
     view_residuals,
 )
@@ -111,7 +112,11 @@ def fit_rig(
     fit = _assembled(rig, arms, joined, tuple(rejected))
     disagreement = () if joined is None else joined.disagreement
     held = [text for arm in arms.values() for text in held_camera_warnings(arm)]
-    return dataclasses.replace(fit, warnings=(*held, *rig_warnings(fit, prior), *disagreement))
+    return dataclasses.replace(
+        fit,
+        warnings=(*held, *rig_warnings(fit, prior), *disagreement),
+        picture_digests={name: digests_to_keep(data) for name, data in rig.cameras.items()},
+    )
 
 
 def _named(progress: Callable[[str], None] | None, arm: str) -> Callable[[str], None] | None:

@@ -25,6 +25,8 @@ from smartview_jax import (
     look_at,
 )
 from smartview_jax.cameras import Radial
+from smartview_jax.dataset import picture_digests
+from smartview_jax.files import read_yaml
 from smartview_jax.joint import RIG_FILE, RigEstimate, is_rig
 from smartview_jax.joint.rig_fitting import rig_warnings
 from smartview_jax.robot_errors import RobotPrior
@@ -151,6 +153,13 @@ def test_each_camera_is_saved_with_its_covariance(fit, tmp_path):
         np.testing.assert_allclose(
             read.calibration.camera_from_tool.wxyz_xyz, calibration.camera_from_tool.wxyz_xyz
         )
+
+
+def test_the_pictures_of_each_camera_are_recognised_by_its_file(fit, scene, tmp_path):
+    fit.save(tmp_path)
+    for name, data in scene.rig.cameras.items():
+        digests = read_yaml(tmp_path / f"{name}.yaml")["pictures"]
+        assert digests == [digest for digest in picture_digests(data) if digest]
 
 
 def test_the_joint_covariance_is_saved_next_to_the_cameras(fit, tmp_path):

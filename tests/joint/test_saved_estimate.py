@@ -9,7 +9,9 @@ import yaml
 
 import smartview_jax as sv
 from smartview_jax import Calibration, fit_joint
+from smartview_jax.dataset import picture_digests
 from smartview_jax.evaluation import std_of
+from smartview_jax.files import read_yaml
 from smartview_jax.joint import load_estimate
 from smartview_jax.modeling import SeenViews
 from smartview_jax.modeling.calibration_uncertainty import CalibrationUncertainty
@@ -41,6 +43,12 @@ def test_what_is_read_back_is_what_was_written(fit, tmp_path, name):
     K = Calibration.load(tmp_path / name).camera.K
     np.testing.assert_array_equal(K, fit.calibration.camera.K)
     assert "a simulation" in (tmp_path / name).read_text()
+
+
+def test_the_pictures_are_recognised_by_the_file(fit, scene, tmp_path):
+    fit.save(tmp_path / "fit.yaml")
+    digests = read_yaml(tmp_path / "fit.yaml")["pictures"]
+    assert digests == list(picture_digests(scene.data))
 
 
 def test_json_is_json(fit, tmp_path):
