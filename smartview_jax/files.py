@@ -77,15 +77,19 @@ def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
 
 
 @contextmanager
-def file_transaction(folder: str | os.PathLike[str], names: Sequence[str]) -> Iterator[Path]:
+def file_transaction(
+    folder: str | os.PathLike[str], names: Sequence[str] | None = None
+) -> Iterator[Path]:
     """Provide a temporary folder for a run's files, and move them to their folder together.
 
-    A run that fails or is interrupted leaves the results of the previous run unchanged.
+    A run that fails or is interrupted leaves the results of the previous run unchanged. Its
+    ValueError names the final folder.
 
     Args:
         folder: final folder of the results; created if it is missing.
         names: names of all files that such runs may write. A file that this run does not write is
-            removed, so that results of different runs are never mixed.
+            removed, so that results of different runs are never mixed. By default nothing is
+            removed, and all files are moved in the order in which they were written.
     """
     folder = Path(folder)
     # The temporary folder is on the same file system as the final one, so that moving is a rename.
@@ -97,14 +101,24 @@ def file_transaction(folder: str | os.PathLike[str], names: Sequence[str]) -> It
         # Reached only if the run did not raise.
         with _deferred_interrupt():
             folder.mkdir(parents=True, exist_ok=True)
-            for name in names:
+            for name in _written_files(temporary_folder) if names is None else names:
                 if (temporary_folder / name).is_file():
+                    (folder / name).parent.mkdir(parents=True, exist_ok=True)
                     os.replace(temporary_folder / name, folder / name)
                 else:
                     (folder / name).unlink(missing_ok=True)
+    except ValueError as error:
+        raise ValueError(str(error).replace(str(temporary_folder), str(folder))) from error
     finally:
         shutil.rmtree(temporary_folder, ignore_errors=True)
         _temporary_folders.discard(temporary_folder)
+
+
+def _written_files(folder: Path) -> list[str]:
+    """Return the paths of the files in a folder, relative to it, the first written first."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    files.sort(key=lambda path: path.stat().st_mtime_ns)
+    return [str(path.relative_to(folder)) for path in files]
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from ..targets import (
     Charuco,
     Chessboard,
     CircleGrid,
+    ListedPoints,
     StackedTarget,
     TagGrid,
 )
@@ -67,6 +68,11 @@ def detect(
             if checked.reason is not None and _has_turned_tags(detection, target, size, limits):
                 return checked._replace(reason=f"{checked.reason}; {_TURNED_TAGS}")
             return checked
+    if isinstance(target, ListedPoints):
+        raise ValueError(
+            "listed points are not detected in pictures: give a table of detected points "
+            "(detections.csv) instead of the entry 'pictures'"
+        )
     raise ValueError(f"there is no detector for a {type(target).__name__}; detect its board")
 
 

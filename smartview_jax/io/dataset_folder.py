@@ -46,9 +46,9 @@ from jaxlie import SE3
 
 from ..dataset import Dataset, PoseDataset, Rig
 from ..detection import checked_pixels
-from ..files import read_yaml
+from ..files import file_transaction, read_yaml
 from ..geometry import PoseLike, as_se3, host_matrices, pose_codec
-from ..targets import AbstractTarget, StackedTarget, target_to_dict
+from ..targets import AbstractTarget, ListedPoints, StackedTarget, target_to_dict
 from .depth_folder import read_depth_pictures, read_points_folder
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .folder_description import (
@@ -286,14 +286,14 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     """Write poses, target, detections, depths and joint readings for `load_dataset`.
 
     Args:
-        data: a data set with a target, whose points must be the target's; or one of tracked poses.
+        data: a data set whose points are its target's; without a target they are listed. Or one of
+            tracked poses.
         folder: folder to create.
         pose_format: pose format of the tables: one of `POSE_CODECS`.
 
     Raises:
-        ValueError: an unknown pose format, no target description, points that are not the
-            target's, or a name or value with which the folder could not be read back; nothing is
-            written.
+        ValueError: an unknown pose format, points that are not the target's, or a name or value
+            with which the folder could not be read back; nothing is written.
 
     For example:
 
@@ -305,26 +305,35 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
         ...     print(sv.load_dataset(f"{folder}/board").pose_format)
         kuka_abc
     """
-    folder, target = Path(folder), data.target
-    if isinstance(data, PoseDataset):
-        refuse_unreadable_robot(folder, data, pose_format)
-        entries = {
-            "mount": data.mount,
-            "poses": poses_entry(data.view_count, pose_format),
-            "tracked_poses": write_tracked_poses(data, folder, pose_format),
-            **written_joints(folder, data),
-        }
-        poses = {POSES_FILE: (data.view_ids, data.base_from_tool)}
-        write_described_folder(folder, poses, entries, pose_format)
-        return
+    with file_transaction(folder) as place:
+        if isinstance(data, PoseDataset):
+            _save_tracked_poses(data, place, pose_format)
+        else:
+            _save_pictures(data, place, pose_format)
+
+
+def _save_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> None:
+    """Write a data set of tracked poses to a folder."""
+    refuse_unreadable_robot(folder, data, pose_format)
+    entries = {
+        "mount": data.mount,
+        "poses": poses_entry(data.view_count, pose_format),
+        "tracked_poses": write_tracked_poses(data, folder, pose_format),
+        **written_joints(folder, data),
+    }
+    poses = {POSES_FILE: (data.view_ids, data.base_from_tool)}
+    write_described_folder(folder, poses, entries, pose_format)
+
+
+def _save_pictures(data: Dataset, folder: Path, pose_format: str) -> None:
+    """Write a data set of detected points to a folder."""
+    target = described_target(data, "save_dataset: the data set")
     hands, of_other = data.hands, {}
     if hands is not None:
         data = dataclasses.replace(data, base_from_tool=hands.base_from_tool)
         other = hands.other_base_from_other_tool
         refuse_unreadable_poses(folder, data.view_ids, other, OTHER_POSES_FILE)
         of_other = {"other_poses": poses_entry(data.view_count, pose_format, OTHER_POSES_FILE)}
-    if target is None or not is_described(data):
-        raise ValueError("save_dataset: the data set needs a target that describes its points")
     refuse_unreadable_robot(folder, data, pose_format)
     rows = write_visible_points(folder / DETECTIONS_FILE, data)
     if hands is not None:
@@ -347,10 +356,31 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
     )
 
 
-def is_described(data: Dataset) -> bool:
-    """Return whether a data set has a target whose points are the data set's."""
-    target = data.target
-    return target is not None and bool(np.allclose(data.points, target.points[None], atol=1e-9))
+def described_target(data: Dataset, owner: str) -> AbstractTarget:
+    """Return the target of a data set; of one without a target, its listed points.
+
+    Args:
+        data: the data set.
+        owner: name of the data set for error messages, such as "camera 'left'".
+
+    Raises:
+        ValueError: the points are not the target's, or without a target they differ between views.
+    """
+    points, target = np.asarray(data.points), data.target
+    if target is None:
+        differ = np.flatnonzero((points != points[:1]).any(axis=(1, 2)))
+        if len(differ):
+            first, other = data.view_ids[0], data.view_ids[differ[0]]
+            raise ValueError(
+                f"{owner} has no target, and its points differ between views {first} and {other}: "
+                "a folder has one list of points"
+            )
+        return ListedPoints.of(points[0])
+    if points.shape[1:] != target.points.shape or not np.allclose(
+        points, target.points[None], atol=1e-9
+    ):
+        raise ValueError(f"{owner} has points that are not its target's")
+    return target
 
 
 def write_visible_points(path: Path, data: Dataset) -> int:

@@ -41,16 +41,18 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..dataset import ONE_ARM, Dataset, Rig
 from ..detection import DetectionLimits
-from ..files import read_yaml
+from ..files import file_transaction, read_yaml
 from ..targets import AbstractTarget, target_to_dict
 from .csv_tables import read_table
 from .dataset_folder import (
     camera_board_heights,
     camera_dataset,
+    described_target,
     detected_dataset,
-    is_described,
     refuse_unreadable_robot,
     write_described_folder,
     write_visible_points,
@@ -235,14 +237,14 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
     Each of several arms has a folder with its tables.
 
     Args:
-        rig: data sets with targets, whose points must be the targets'.
+        rig: data sets whose points are their targets'; without a target they are listed.
         folder: folder to create.
         pose_format: pose format of the table: one of `POSE_CODECS`.
 
     Raises:
-        ValueError: an unknown pose format, a camera without a target's description, cameras that
-            describe one target differently, or a name or value with which the folder could not be
-            read back; nothing is written.
+        ValueError: an unknown pose format, points that are not the target's, cameras that describe
+            one target differently, or a name or value with which the folder could not be read back;
+            nothing is written.
 
     Example:
         >>> import os, tempfile
@@ -253,9 +255,13 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
         ...     print(sorted(os.listdir(folder)))
         ['dataset.yaml', 'detections', 'poses.csv']
     """
-    folder = Path(folder)
+    with file_transaction(folder) as place:
+        _save_rig(rig, place, pose_format)
+
+
+def _save_rig(rig: Rig, folder: Path, pose_format: str) -> None:
+    """Write a rig to a folder."""
     targets = _described_targets(rig)
-    # An unknown format or name is refused before anything is written.
     several = len(rig.arm_names) > 1
     places = {arm: f"{arm}/" if several else "" for arm in rig.arm_names}
     robots = {}
@@ -296,14 +302,16 @@ def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:
     """Return the targets by name.
 
     Raises:
-        ValueError: a camera without one, or cameras that describe one target differently.
+        ValueError: points that are not the target's, or cameras that describe one target
+            differently.
     """
     targets: dict[str, AbstractTarget] = {}
-    for name, data in rig.cameras.items():
-        target = data.target
-        if target is None or not is_described(data):
-            raise ValueError(f"save_rig: camera {name!r} needs a target that describes its points")
+    # Listed points may be those of a target that another camera describes.
+    for name, data in sorted(rig.cameras.items(), key=lambda item: item[1].target is None):
+        target = described_target(data, f"save_rig: camera {name!r}")
         known = targets.setdefault(rig.targets[name], target)
+        if data.target is None and np.array_equal(known.points, target.points):
+            continue
         if target_to_dict(known) != target_to_dict(target):
             raise ValueError(f"save_rig: camera {name!r} describes {rig.targets[name]!r} otherwise")
     return targets

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, mod
 from .arm import ArmEntry, TransformEntry
 from .calibration import CameraEntry, DepthSensorEntry, ImageSize
 from .entry import Entry, Expected, PrintableText, Translation
-from .target import TargetEntry
+from .target import PointsEntry, TargetEntry
 
 END_MARK = "smartview_dataset"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
@@ -267,6 +267,8 @@ RoughPose = Annotated[
 
 def check_point_count(target: TargetEntry) -> None:
     """Raise a ValueError for a target with more than `MAX_POINTS` points."""
+    if isinstance(target, PointsEntry):
+        return
     # A grid has rows x columns, a ChArUco board squares_x x squares_y; absent sides count as 1.
     sides = [
         getattr(target, name, None) or 1 for name in ("rows", "columns", "squares_x", "squares_y")

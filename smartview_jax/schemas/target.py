@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from .entry import Coordinate, Entry, Expected, Flag, Length, PrintableText
+from .entry import Coordinate, Entry, Expected, Flag, Length, PrintableText, Translation
 
 _Count = Annotated[int, Field(ge=1, le=1000), Expected("a whole number from 1 to 1000")]
 _Heights = Annotated[
@@ -106,7 +106,18 @@ class AprilGridEntry(Entry):
         return self
 
 
+class PointsEntry(Entry):
+    """Points given one by one; see `targets.ListedPoints`."""
+
+    kind: Literal["points"]
+    coordinates: Annotated[
+        list[Translation],
+        Field(min_length=1, max_length=100_000),
+        Expected("the points, m: a list of [x, y, z]"),
+    ]
+
+
 TargetEntry = Annotated[
-    CircleGridEntry | ChessboardEntry | CharucoEntry | TagGridEntry | AprilGridEntry,
+    CircleGridEntry | ChessboardEntry | CharucoEntry | TagGridEntry | AprilGridEntry | PointsEntry,
     Field(discriminator="kind"),
 ]

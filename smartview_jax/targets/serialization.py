@@ -8,6 +8,7 @@ from .april_grid import AprilGrid
 from .charuco import Charuco
 from .chessboard import Chessboard
 from .circle_grid import CircleGrid
+from .listed_points import ListedPoints
 from .stacked import StackedTarget
 from .tag_grid import TagGrid
 from .target import AbstractTarget, require_lengths
@@ -18,8 +19,9 @@ TARGET_CLASSES: dict[str, type[AbstractTarget]] = {
     "charuco": Charuco,
     "tag_grid": TagGrid,
     "aprilgrid": AprilGrid,
+    "points": ListedPoints,
 }
-"""Class of every flat target, by the name that files use."""
+"""Class of every target, by the name that files use."""
 
 
 def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
@@ -67,6 +69,8 @@ def target_to_dict(target: AbstractTarget) -> dict[str, Any]:
     """
     if isinstance(target, StackedTarget):
         return {**target_to_dict(target.board), "heights": list(target.heights)}
+    if isinstance(target, ListedPoints):
+        return {"kind": "points", "coordinates": [list(point) for point in target.coordinates]}
     for kind, cls in TARGET_CLASSES.items():
         if type(target) is cls:
             # Attributes that may be None have None as their default, so they are omitted.

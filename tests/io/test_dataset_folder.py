@@ -1,3 +1,4 @@
+import dataclasses
 import os
 import shutil
 
@@ -8,7 +9,7 @@ from detected_sample import copied_views, detected_sample
 from shared_data import shared_data
 from text_files import edit
 
-from smartview_jax.dataset import Rig
+from smartview_jax.dataset import Dataset, Rig
 from smartview_jax.io import import_correspondences, load_dataset, save_dataset, save_rig
 
 
@@ -78,6 +79,44 @@ def test_what_is_saved_is_loaded(folder, tmp_path):
         data.image_size,
         data.target,
     )
+
+
+def test_points_without_a_target_are_listed(folder, tmp_path):
+    """Arrays of points, such as machined holes, need no pattern that the package knows."""
+    data = load_dataset(folder)
+    rng = np.random.default_rng(0)
+    points = np.asarray(data.points)[0] + rng.normal(scale=1e-4, size=data.points.shape[1:])
+    listed = Dataset.from_arrays(points, data.pixels, data.base_from_tool, data.image_size)
+    save_dataset(listed, tmp_path / "saved")
+    again = load_dataset(tmp_path / "saved")
+    np.testing.assert_array_equal(again.points, listed.points)
+    np.testing.assert_array_equal(again.pixels, listed.pixels)
+
+
+def test_points_that_differ_between_views_are_not_written(folder, tmp_path):
+    data = load_dataset(folder)
+    points = np.array(data.points)
+    points[2, 5, 0] += 1e-3
+    moved = Dataset.from_arrays(points, data.pixels, data.base_from_tool, data.image_size)
+    with pytest.raises(ValueError, match="its points differ between views 0 and 2"):
+        save_dataset(moved, tmp_path / "saved")
+    with pytest.raises(ValueError, match="has points that are not its target's"):
+        save_dataset(dataclasses.replace(moved, target=data.target), tmp_path / "saved")
+    assert list(tmp_path.glob("*saved*")) == []
+
+
+def test_a_set_that_cannot_be_read_back_leaves_no_file(folder, tmp_path):
+    """Its detections are written before the description is checked."""
+    data = dataclasses.replace(load_dataset(folder), image_size=(10**9, 480))
+    with pytest.raises(ValueError, match=r"saved/dataset\.yaml: not written, .*image_size"):
+        save_dataset(data, tmp_path / "saved")
+    assert list(tmp_path.glob("*saved*")) == []
+
+
+def test_listed_points_are_not_looked_for_in_pictures(folder):
+    edit(folder / "dataset.yaml", "target: {", "target: {kind: points, coordinates: [[0.0, 0.0, 0.0]]} #")
+    with pytest.raises(ValueError, match="listed points are not detected in pictures"):
+        load_dataset(folder)
 
 
 def test_an_unknown_format_writes_nothing(folder, tmp_path):

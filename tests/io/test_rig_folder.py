@@ -15,7 +15,7 @@ from smartview_jax.geometry import host_matrices
 from smartview_jax.io import is_rig_folder, sample_folder
 from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_calibration, simulate
-from smartview_jax.targets import Chessboard
+from smartview_jax.targets import Chessboard, ListedPoints
 
 TARGET = Chessboard(rows=4, columns=3, square=0.05)
 
@@ -133,11 +133,23 @@ def test_each_kind_of_folder_names_its_reader(pictured):
     assert not is_rig_folder(sample_folder())
 
 
-def test_a_camera_without_a_described_target_is_not_written(rig, tmp_path):
+@pytest.mark.parametrize("without", [("left",), ("right",), ("left", "right")])
+def test_points_without_a_target_are_listed_unless_another_camera_has_the_target(
+    rig, tmp_path, without
+):
     wrist = rig.cameras["wrist"]
-    unknown = Rig({"left": wrist, "right": dataclasses.replace(wrist, target=None)})
-    with pytest.raises(ValueError, match="camera 'right' needs a target that describes its points"):
-        save_rig(unknown, tmp_path / "none")
+    bare = dataclasses.replace(wrist, target=None)
+    cameras = {name: bare if name in without else wrist for name in ("left", "right")}
+    save_rig(Rig(cameras), tmp_path / "saved")
+    again = load_rig(tmp_path / "saved")
+    kind = ListedPoints if len(without) == 2 else type(wrist.target)
+    for data in again.cameras.values():
+        assert type(data.target) is kind
+        np.testing.assert_array_equal(data.points, wrist.points)
+
+
+def test_a_camera_with_another_target_is_not_written(rig, tmp_path):
+    wrist = rig.cameras["wrist"]
     other = seen(slice(0, 4), dataclasses.replace(TARGET, rows=3, columns=4))
     with pytest.raises(ValueError, match="camera 'right' describes 'target' otherwise"):
         save_rig(Rig({"left": wrist, "right": other}), tmp_path / "none")
