@@ -114,7 +114,8 @@ def test_a_set_that_cannot_be_read_back_leaves_no_file(folder, tmp_path):
 
 
 def test_listed_points_are_not_looked_for_in_pictures(folder):
-    edit(folder / "dataset.yaml", "target: {", "target: {kind: points, coordinates: [[0.0, 0.0, 0.0]]} #")
+    listed = "target: {kind: points, coordinates: [[0.0, 0.0, 0.0]]} #"
+    edit(folder / "dataset.yaml", "target: {", listed)
     with pytest.raises(ValueError, match="listed points are not detected in pictures"):
         load_dataset(folder)
 
