@@ -31,6 +31,9 @@ from .questions import pose_findings as pose_findings
 from .rig_checks import SeenTarget as SeenTarget
 from .rig_checks import TargetFindings as TargetFindings
 from .rig_checks import target_findings as target_findings
+from .set_up_drift import DriftOptions as DriftOptions
+from .set_up_drift import SetUpDrift as SetUpDrift
+from .set_up_drift import find_drift as find_drift
 from .shifted_numbering import find_shifted_numbering as find_shifted_numbering
 from .shifted_numbering import shift_text as shift_text
 from .target_checks import collinear_views as collinear_views

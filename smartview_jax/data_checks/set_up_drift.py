@@ -1,0 +1,304 @@
+"""Find out whether the set-up drifts: a camera or a target that creeps while the views are taken.
+
+A magnetic foot that slips, a mount that sags, a bracket or an arm that warms up: every view is a
+little farther from the first one than the view before. No single view looks wrong, and no place
+parts good views from bad ones. Both transforms and the drift are fitted to the closure errors of
+all views together, linearly, because all are small.
+
+A robot errs alike in poses near each other, and views that are taken along a path then look as if
+they drifted. So the errors are white noise plus a Gaussian process over the robot's poses, whose
+size and reach are those that make the views most likely, with the drift and without. A drift is
+named if it is likely in spite of them, by Schwarz's criterion.
+
+References:
+    Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, section 2.7.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from ..calibration import mount_frames
+from ..geometry import (
+    host_adjoints,
+    host_exponentials,
+    host_logarithms,
+    host_matrices,
+)
+from .closure import MAX_VIEWS, Poses
+from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
+from .misfit_evidence import MIN_VARIANCE
+from .transform_fit import fit_transforms, median_distance, misfit_text, misfits
+
+REACHES = (0.5, 1.0, 3.0)
+"""Reaches of the robot's errors that are tried, in position and in rotation, over the root mean
+square difference of the robot's poses."""
+
+RATIOS = (0.0, 1.0, 10.0, 100.0, 1e4)
+"""Variances of the robot's errors that are tried, over the variance of the white noise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DriftOptions:
+    """Say which drift of the set-up is named.
+
+    Attributes:
+        min_odds: smallest odds of a drift that is named; 150 are "very strong evidence" in the
+            words of Kass and Raftery, Bayes factors, 1995.
+        min_views: fewest views: the transforms and the drift have 18 numbers, and 6 views 36.
+        min_size: smallest drift from the first view to the last: rotation (rad) plus translation
+            over the distance to the target. The default is 1 mm at half a metre.
+    """
+
+    min_odds: float = 150.0
+    min_views: int = 10
+    min_size: float = 2e-3
+
+
+class SetUpDrift(NamedTuple):
+    """A drift of the camera on its mount, or of the target on its holder.
+
+    Attributes:
+        kind: `"camera"` or `"target"`.
+        translation, rotation: from the first view to the last, m and rad.
+        misfit: mean misfit over the views without the drift, m and rad.
+        given_misfit: the same with the drift.
+        score, given_score: rotation plus translation over the distance to the target, of both.
+    """
+
+    kind: str
+    translation: float
+    rotation: float
+    misfit: tuple[float, float]
+    given_misfit: tuple[float, float]
+    score: float
+    given_score: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether no calibration can be right for the first views and for the last."""
+        return (
+            self.given_score > MAX_CLOSURE_SCORE
+            and self.score < MAX_CORRECTED_SCORE_RATIO * self.given_score
+        )
+
+    def sentence(self, mount: str, view_ids: Sequence[str]) -> str:
+        """Return in words what drifts, by how much, and what to do.
+
+        Args:
+            mount: where the camera is stated to be.
+            view_ids: names of the views.
+        """
+        in_hand = mount_frames(mount)[0] == "tool"
+        if self.kind == "camera":
+            place, frame = ("on the tool", "tool") if in_hand else ("next to the robot", "base")
+        else:
+            place, frame = ("on the table", "base") if in_hand else ("in the hand", "tool")
+        size = misfit_text((self.translation, self.rotation))
+        return (
+            f"the views drift away from the robot's poses, as if the {self.kind} crept {place} by "
+            f"{size} from view {view_ids[0]} to view {view_ids[-1]} (or the controller's {frame} "
+            "frame, or the robot warmed up, or errs along the path of the views): without that, "
+            f"robot and camera agree to {misfit_text(self.misfit)} instead of "
+            f"{misfit_text(self.given_misfit)} (means over the views). Fasten camera and target, "
+            "let the robot warm up, and take the views again, in mixed order"
+        )
+
+
+def find_drift(
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    used: Bool[np.ndarray, "views"],
+    mount: str,
+    length_ratio: float = 1.0,
+    options: DriftOptions | None = None,
+) -> SetUpDrift | None:
+    """Return the drift that explains most of the misfit of robot and camera, if there is one.
+
+    Args:
+        mount_from_holder: the robot's part of the chain, `(views)`, in the order they were taken.
+        camera_from_world: from the pictures alone, `(views)`.
+        used: mask of the views to use.
+        mount: where the camera is stated to be.
+        length_ratio: of the camera's motion to the robot's, as in `find_change`.
+        options: which drift is named; by default `DriftOptions()`.
+    """
+    options = options or DriftOptions()
+    limit = 2.0 * np.log(options.min_odds)
+    views = np.flatnonzero(used)
+    if len(views) < options.min_views:
+        return None
+    views = views[np.unique(np.linspace(0, len(views) - 1, MAX_VIEWS).round().astype(int))]
+    robot, camera = host_matrices(mount_from_holder)[views], host_matrices(camera_from_world)[views]
+    if not (np.isfinite(robot).all() and np.isfinite(camera).all()):
+        return None
+    robot[:, :3, 3] *= length_ratio
+    distance = median_distance(camera)
+    errors = host_logarithms(fit_transforms(robot, camera, np.ones(len(robot), bool)).closure)
+    # Views that were left out passed time as well.
+    time = 2.0 * (views - views[0]) / (views[-1] - views[0]) - 1.0
+    constant = _by_transforms(robot)
+    drifts = {
+        kind: np.concatenate([constant, time[:, None, None] * constant[:, :, columns]], axis=2)
+        for kind, columns in (("camera", slice(0, 6)), ("target", slice(6, 12)))
+    }
+    white = _Process.white(len(robot))
+    # A drift is rare: most sets are done with after a look at white errors.
+    without = _fitted(errors, constant, white)
+    given = _mean(without.remaining, distance)
+    fits = {kind: _fitted(errors, model, white) for kind, model in drifts.items()}
+    fits = {kind: fit for kind, fit in fits.items() if _odds(without, fit, len(errors)) > limit}
+    if fits:
+        kernels = _kernels(robot)
+        smooth = _likeliest(errors, constant, kernels)
+        fits = {
+            kind: fit
+            for kind, fit in fits.items()
+            if _odds(smooth, _likeliest(errors, drifts[kind], kernels), len(errors)) > limit
+        }
+    found = []
+    for kind, fit in fits.items():
+        change = host_exponentials(2.0 * fit.numbers[-6:])
+        translation, rotation = misfits(change[None])[0].tolist()
+        size = rotation + translation / distance
+        misfit, score = _mean(fit.remaining, distance)
+        # A drift by the size s leaves s / 4 on average in a fit without it.
+        if size > options.min_size and 0.25 * size > score:
+            found.append(SetUpDrift(kind, translation, rotation, misfit, given[0], score, given[1]))
+    return min(found, key=lambda drift: drift.score, default=None)
+
+
+def _by_transforms(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 12"]:
+    """Return the derivatives of the closure errors by twists of both transforms."""
+    eye = np.broadcast_to(np.eye(6), (len(mount_from_holder), 6, 6))
+    return np.concatenate([eye, host_adjoints(mount_from_holder)], axis=2)
+
+
+class _Process(NamedTuple):
+    """Covariance of errors over the views, relative to their white noise: `1 + U diag(s) U^T`.
+
+    Attributes:
+        axes: the eigenvectors U, as columns.
+        sizes: the eigenvalues s, of translations and of rotations.
+    """
+
+    axes: Float[np.ndarray, "views views"]
+    sizes: Float[np.ndarray, "views 2"]
+
+    @classmethod
+    def white(cls, count: int) -> "_Process":
+        """Return the process of errors that are white noise alone."""
+        return cls(np.eye(count), np.zeros((count, 2)))
+
+    def whitened(self, rows: Float[np.ndarray, "views 6 columns"]) -> np.ndarray:
+        """Return independent combinations of the views' errors, each of the white noise's size."""
+        combined = (self.axes.T @ rows.reshape(len(rows), -1)).reshape(rows.shape)
+        return combined / np.repeat(np.sqrt(1.0 + self.sizes), 3, axis=1)[:, :, None]
+
+
+Kernels = dict[tuple[float, float], tuple[np.ndarray, np.ndarray]]
+"""Eigenvectors and eigenvalues of kernels over the robot's poses, by their reaches."""
+
+
+def _kernels(mount_from_holder: Poses) -> Kernels:
+    """Return the kernels that are tried."""
+    position = np.linalg.inv(mount_from_holder)[:, :3, 3]
+    turns = mount_from_holder[:, None, :3, :3] @ mount_from_holder[None, :, :3, :3].swapaxes(2, 3)
+    angle = Rotation.from_matrix(turns.reshape(-1, 3, 3)).magnitude().reshape(turns.shape[:2])
+    by_position = np.sum((position[:, None] - position) ** 2, axis=2)
+    by_position, by_angle = (x / max(float(x.mean()), 1e-12) for x in (by_position, angle**2))
+    kernels = {}
+    for reaches in product(REACHES, REACHES):
+        exponent = by_position / reaches[0] ** 2 + by_angle / reaches[1] ** 2
+        sizes, axes = np.linalg.eigh(np.exp(-0.5 * exponent))
+        kernels[reaches] = axes, np.maximum(sizes, 0.0)
+    return kernels
+
+
+def _likeliest(
+    errors: Float[np.ndarray, "views 6"],
+    model: Float[np.ndarray, "views 6 numbers"],
+    kernels: Kernels,
+) -> "_LinearFit":
+    """Return the fit with the process that makes the errors likeliest.
+
+    Reaches and ratios are chosen one after the other, twice.
+    """
+    choice = [REACHES[1], REACHES[1], RATIOS[2], RATIOS[2]]
+    best = None
+    for _ in range(2):
+        for place, values in enumerate((REACHES, REACHES, RATIOS, RATIOS)):
+            for value in values:
+                tried = [*choice[:place], value, *choice[place + 1 :]]
+                axes, sizes = kernels[tried[0], tried[1]]
+                fit = _fitted(errors, model, _Process(axes, np.outer(sizes, tried[2:])))
+                if best is None or fit.likelihood < best.likelihood:
+                    best, choice = fit, tried
+    assert best is not None
+    return best
+
+
+class _LinearFit(NamedTuple):
+    """A linear model of the closure errors.
+
+    Attributes:
+        numbers: its numbers, translation in m and rotation in rad.
+        remaining: the errors that remain.
+        likelihood: minus twice the logarithm of its likelihood, up to a constant.
+    """
+
+    numbers: Float[np.ndarray, "numbers"]
+    remaining: Float[np.ndarray, "views 6"]
+    likelihood: float
+
+
+def _odds(without: _LinearFit, drifting: _LinearFit, views: int) -> float:
+    """Return twice the logarithm of the odds of a drift, by Schwarz's criterion."""
+    return without.likelihood - drifting.likelihood - 6.0 * float(np.log(6.0 * views))
+
+
+def _fitted(
+    errors: Float[np.ndarray, "views 6"],
+    model: Float[np.ndarray, "views 6 numbers"],
+    process: _Process,
+) -> _LinearFit:
+    """Fit a linear model to the closure errors by generalised least squares.
+
+    The variances of translation and rotation are those of what remains.
+    """
+    columns = model.shape[2]
+    whole = process.whitened(np.concatenate([model, errors[:, :, None]], axis=2))
+    design, independent = whole[..., :columns], whole[..., columns]
+    # Units differ by many orders: every column has length one.
+    lengths = np.maximum(np.linalg.norm(design, axis=(0, 1)), 1e-300)
+    design = design / lengths
+    products = np.einsum("vai,vaj->aij", design, design)
+    sums = np.einsum("vai,va->ai", design, independent)
+    solution, variances = np.zeros(columns), _variances(independent)
+    for _ in range(3):
+        weights = np.repeat(1.0 / variances, 3)
+        gram, right = np.tensordot(weights, products, 1), weights @ sums
+        solution = np.linalg.lstsq(gram, right, rcond=1e-12)[0]
+        variances = _variances(independent - design @ solution)
+    likelihood = 3.0 * len(errors) * np.log(variances).sum() + 3.0 * np.log1p(process.sizes).sum()
+    numbers = solution / lengths
+    return _LinearFit(numbers, errors - model @ numbers, float(likelihood))
+
+
+def _variances(errors: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "2"]:
+    """Return the variances of twists, of translation (m^2) and rotation (rad^2)."""
+    return np.maximum(np.mean(errors.reshape(-1, 2, 3) ** 2, axis=(0, 2)), MIN_VARIANCE)
+
+
+def _mean(
+    errors: Float[np.ndarray, "views 6"], distance: float
+) -> tuple[tuple[float, float], float]:
+    """Return the mean misfit over the views (m and rad), and its score, as `mean_misfit`."""
+    translation, rotation = np.linalg.norm(errors.reshape(-1, 2, 3), axis=2).mean(axis=0).tolist()
+    return (translation, rotation), rotation + translation / distance
