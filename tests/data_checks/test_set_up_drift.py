@@ -58,10 +58,10 @@ def test_white_errors_are_no_drift(noise):
 def test_the_robots_errors_along_a_path_are_no_drift():
     """Its errors are alike in poses near each other, and the views follow a path.
 
-    Taken for white noise they look like a drift in five of ten draws.
+    Taken for white noise they look like a drift in 13 of the 20 draws.
     """
     named = 0
-    for seed in range(10):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         time = np.linspace(0.0, 1.0, VIEWS)[:, None]
         path = 0.15 * np.hstack([np.sin(3.0 * time), np.cos(3.0 * time), time])
@@ -77,7 +77,7 @@ def test_the_robots_errors_along_a_path_are_no_drift():
         seen = CAMERA_FROM_MOUNT @ erring @ robot @ HOLDER_FROM_WORLD
         drift = find_drift(as_se3(robot), as_se3(seen), EVERY_VIEW, "eye_in_hand")
         named += drift is not None
-    assert named <= 2
+    assert named <= 5
 
 
 def test_few_views_tell_no_drift():
