@@ -33,9 +33,10 @@ from .closure import (
     length_ratio,
     relative_motions,
 )
+from .given_poses import GivenPoses, Mistake, numbered_alike
 from .inverted_poses import inverted_poses_doubt
 from .length_units import LENGTH_UNIT_MISTAKES, length_unit_problems, size_doubt
-from .mistakes import OTHER_CORNER, GivenPoses, Mistake, mistakes, numbered_alike
+from .mistakes import OTHER_CORNER, mistakes
 from .rotation_angles import (
     angle_differences,
     compared_views,
