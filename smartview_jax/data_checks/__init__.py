@@ -3,12 +3,12 @@
 `questions.py` says in which order: the poses (`usable_views.py`), the detections
 (`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
 alike (`conventions.py`, with the usual mistakes in `mistakes.py`, `misread_angles.py` and
-`length_units.py`, judged by `rotation_angles.py` and by the closure of motions, `closure.py`) and tell a wrong mount at all
-(`inverted_poses.py`), whether something was changed between two views (`changes.py`) or the poses
-lag (`pose_lag.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
-contradict the others (`view_consistency.py`); all judge by transforms of their own
-(`transform_fit.py`), some by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
-compares the cameras of a rig.
+`length_units.py`, judged by `rotation_angles.py` and by the closure of motions, `closure.py`) and
+tell a wrong mount at all (`inverted_poses.py`), whether something was changed between two views
+(`changes.py`) or the poses lag (`pose_lag.py`), and which single views are numbered wrongly
+(`shifted_numbering.py`) or contradict the others (`view_consistency.py`); all judge by transforms
+of their own (`transform_fit.py`), some by the odds of an explanation (`misfit_evidence.py`).
+`rig_checks.py` compares the cameras of a rig.
 """
 
 from .camera_checks import camera_misfit as camera_misfit
