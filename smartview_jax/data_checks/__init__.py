@@ -18,7 +18,7 @@ from .changes import ChangeReport as ChangeReport
 from .changes import find_change as find_change
 from .closure import closure_error as closure_error
 from .closure import relative_motions as relative_motions
-from .conventions import ConventionHypothesis as ConventionHypothesis
+from .convention_hypotheses import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
 from .given_poses import target_turns as target_turns

@@ -31,6 +31,15 @@ MIN_RELATIVE_RESIDUAL = 1e-3
 TRIMMING_ITERATIONS = 2
 """Number of times a fit is repeated without outlying pairs."""
 
+MAX_CLOSURE_SCORE = 0.03
+"""Closure score below which data are accepted: about 10 mm and a degree at half a metre."""
+
+MAX_CORRECTED_SCORE_RATIO = 0.3
+"""Ratio of corrected to given closure score below which a mistake counts as an explanation."""
+
+CLOSURE_SCORE_FLOOR = 1e-4
+"""Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
+
 
 class ClosureError(NamedTuple):
     """The closure error that remains with the best hand-eye transform.
