@@ -4,13 +4,9 @@ import dataclasses
 from typing import Any
 
 from ..argument_checks import require_one_of
-from .april_grid import AprilGrid
-from .charuco import Charuco
-from .chessboard import Chessboard
-from .circle_grid import CircleGrid
+from .boards import AprilGrid, Charuco, Chessboard, CircleGrid, TagGrid
 from .listed_points import ListedPoints
 from .stacked import StackedTarget
-from .tag_grid import TagGrid
 from .target import AbstractTarget, require_lengths
 
 TARGET_CLASSES: dict[str, type[AbstractTarget]] = {
