@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from ..argument_checks import require_readable_or_empty
 from ..files import parse_json, read_text, write_atomically
-from ..geometry import LENGTH_UNITS
+from ..geometry import LENGTH_UNITS, host_poses
 from ..modeling import Face, Grasp, ObjectModel, Symmetry
 
 FORMAT_VERSION = 1
@@ -185,9 +185,8 @@ def _grasp_to_dict(grasp: Grasp) -> dict[str, Any]:
 
 def _grasp_from_entry(entry: Any, scale: float) -> Grasp:
     """Return the grasp of a file's entry, converted to metres."""
-    pose = np.eye(4)
-    pose[:3, :3] = _rotation(entry.object_from_tool.quaternion_wxyz)
-    pose[:3, 3] = scale * np.array(entry.object_from_tool.translation)
+    rotation = _rotation(entry.object_from_tool.quaternion_wxyz)
+    pose = host_poses(rotation, scale * np.array(entry.object_from_tool.translation))
     lengths = (scale * entry.opening, scale * entry.depth, scale * entry.tolerance)
     return Grasp(entry.name, entry.face, pose, *lengths)
 
