@@ -19,6 +19,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from ..argument_checks import errors_at
 from ..cameras import AbstractLens, Camera
 from ..files import read_yaml
 from ..geometry import (
@@ -493,7 +494,5 @@ class Calibration(eqx.Module):
             ValueError: naming the file and the entry that is wrong.
         """
         content = read_yaml(path)
-        try:
+        with errors_at(path):
             return cls.from_dict(content, lens, field)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..argument_checks import errors_at
 from . import options
 from .fit_options import StartOption, parse_transforms
 from .options import parse_numbers, with_option_groups
@@ -229,10 +230,8 @@ def next_views(
     # Without an arm there are no readings, and the robot is commanded by poses.
     _, readings = robot.arm_and_readings(estimate.calibration)
     progress("computing what the views so far tell")
-    try:
+    with errors_at(paths[0]):
         found = situation_of_estimate(estimate, np.asarray(data.points[0]), limits, readings)
-    except ValueError as error:
-        raise ValueError(f"{paths[0]}: {error}") from error
     return found, data.view_ids
 
 

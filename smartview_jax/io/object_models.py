@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..argument_checks import require_readable_or_empty
+from ..argument_checks import errors_at, require_readable_or_empty
 from ..files import parse_json, read_text, write_atomically
 from ..geometry import LENGTH_UNITS, host_poses
 from ..modeling import Face, Grasp, ObjectModel, Symmetry
@@ -46,13 +46,11 @@ def save_object_model(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
         ValueError: an invalid value, so that the file could not be read back.
     """
     content = object_model_to_dict(model)
-    try:
+    with errors_at(f"{path}: not written, it could not be read back"):
         # Reading repairs names that earlier versions wrote, so names are checked here.
         for part in (model, *model.faces, *model.grasps):
             require_readable_or_empty(type(part).__name__, part.name)
         object_model_from_dict(content)
-    except ValueError as error:
-        raise ValueError(f"{path}: not written, it could not be read back: {error}") from error
     return write_atomically(path, _readable_json(content))
 
 
