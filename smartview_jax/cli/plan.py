@@ -132,7 +132,6 @@ def plan(
             SAFETY_CHECKS,
             ViewRequirements,
             plan_views,
-            unchecked,
             viewpoint_commands,
         )
 
@@ -169,13 +168,13 @@ def plan(
             situation.calibration, wanted, situation.points, arm, readings
         )
         names = new_names(taken, len(view_plan.camera_from_world))
-        sheet = CommandSheet(
+        sheet = CommandSheet.of(
+            situation.calibration,
             names,
             commands,
             codec,
             arm,
             SAFETY_CHECKS,
-            unchecked(situation.calibration, arm is not None),
         )
         # After the table, where the result is seen last.
         say = partial(typer.echo, "\n".join(words))

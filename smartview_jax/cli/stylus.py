@@ -132,7 +132,6 @@ def stylus(
         from ..grasping import TOOL_CHECKS, tip_error_factor, tool_commands
         from ..io import read_misses
         from ..joint import load_with_uncertainty
-        from ..viewpoints import unchecked
 
         codec = robot.codec()
         tip_position, points = touch.tip_position(), touch.points()
@@ -154,13 +153,13 @@ def stylus(
         factor = tip_error_factor(touches, tip_position)
         notes: list[str] = []
         measured = missed.misses and read_misses(missed.misses, names, notes.append)
-        sheet = CommandSheet(
+        sheet = CommandSheet.of(
+            loaded_calibration,
             names,
             touches.commands,
             codec,
             arm,
             TOOL_CHECKS,
-            unchecked(loaded_calibration, arm is not None),
         )
         judged = _judgement(names, factor, measured) | {"notes": notes}
         if missed.corrected is not None:
