@@ -1,10 +1,12 @@
 """Refuse wrong arguments, with a message that states what was expected."""
 
+import contextlib
 import difflib
+import os
 import re
 import reprlib
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 NUMBER_PATTERN = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 """A finite decimal number in a text, as a regular expression without groups of its own."""
@@ -23,6 +25,22 @@ def listed(names: Sequence[str], most: int) -> str:
     """Return names separated by commas, such as "a, b and 3 more" of more than so many."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{', '.join(names[:most])}{more}"
+
+
+@contextlib.contextmanager
+def errors_at(place: str | os.PathLike[str]) -> Iterator[None]:
+    """Name the place, such as a file or an option, in the message of a ValueError raised within.
+
+    Args:
+        place: what the message is to begin with, before a colon.
+
+    Raises:
+        ValueError: `place: message`, from the error that was raised.
+    """
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
 
 
 def spelling_suggestion(word: object, known: Iterable[str]) -> str:

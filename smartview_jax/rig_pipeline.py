@@ -6,7 +6,7 @@ from typing import NamedTuple, Unpack
 
 import numpy as np
 
-from .argument_checks import require_instance
+from .argument_checks import errors_at, require_instance
 from .calibration import Calibration, host_mount_from_holder, transform_names
 from .cameras import AbstractLens, Camera
 from .data_checks import (
@@ -217,10 +217,8 @@ def _placed_by_target(
         )
     report(f"{name}: from the place of its target that {reference} tells")
     place = starts[reference].holder_from_world
-    try:
+    with errors_at(f"camera {name!r}"):
         return start_by_target(rig.cameras[name], camera, place)
-    except ValueError as error:
-        raise ValueError(f"camera {name!r}: {error}") from error
 
 
 def reference_camera(rig: Rig, camera: str, view_counts: Mapping[str, int]) -> str | None:
@@ -391,10 +389,8 @@ def _checked_starts(
             f"start: expected cameras of {', '.join(rig.cameras)}, found {', '.join(strangers)}"
         )
     for name, own in given.items():
-        try:
+        with errors_at(f"camera {name!r}"):
             check_start(own, rig.cameras[name])
-        except ValueError as error:
-            raise ValueError(f"camera {name!r}: {error}") from error
         if isinstance(own, Calibration):
             bare = Calibration(own.camera, own.camera_from_mount, own.holder_from_world, own.mount)
             given[name] = with_lens(bare, lens)

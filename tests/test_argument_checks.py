@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from smartview_jax.argument_checks import (
+    errors_at,
     name_problem,
     nearest_name,
     require_instance,
@@ -135,3 +136,14 @@ def test_a_choice_that_is_none_names_the_nearest():
             ValueError, match=f"lens is one of pinhole, radial, or 1; found {found}"
         ):
             require_one_of("lens", value, ("pinhole", "radial"), ", or 1")
+
+
+def test_an_error_names_the_place_where_it_was_raised(tmp_path):
+    file = tmp_path / "poses.csv"
+    with pytest.raises(ValueError, match=r"poses\.csv: too few rows$") as raised, errors_at(file):
+        raise ValueError("too few rows")
+    assert str(raised.value).startswith(str(tmp_path))
+    assert str(raised.value.__cause__) == "too few rows"
+    # Other errors are not the file's.
+    with pytest.raises(KeyError, match=r"^'x'$"), errors_at(file):
+        {}["x"]

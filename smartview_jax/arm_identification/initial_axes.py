@@ -17,7 +17,7 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
-from ..geometry import host_exponentials, host_nearest_rotation
+from ..geometry import host_exponentials, host_nearest_rotation, host_poses
 from ..robots import SerialArm
 
 MAX_REST_MOTION = 2e-3
@@ -223,6 +223,4 @@ def _joint_axis_frame(
     z = axis / np.linalg.norm(axis)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
-    frame = np.eye(4)
-    frame[:3] = np.stack([x, np.cross(z, x), z, point], axis=1)
-    return frame
+    return host_poses(np.stack([x, np.cross(z, x), z], axis=1), point)

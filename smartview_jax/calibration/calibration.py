@@ -10,7 +10,6 @@ commands use the true tool pose, not the reported one.
 """
 
 import dataclasses
-import math
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, ScalarLike
 
+from ..argument_checks import errors_at
 from ..cameras import AbstractLens, Camera
 from ..files import read_yaml
 from ..geometry import (
@@ -27,14 +27,13 @@ from ..geometry import (
     ViewedRegion,
     as_se3,
     host_matrices,
-    transform_points,
     transform_text,
 )
 from ..robot_errors import AbstractField, RobotError
 from ..robots import Command, CommandLike, JointsLike, as_command
 from ..runtime.array_namespace import AnyArray, as_float_array
-from ..runtime.compilation import compiled, is_traced
-from ..runtime.padding import over_padded_views, padded_counts, repeat_last, without_padding
+from ..runtime.compilation import is_traced
+from ..runtime.padding import over_padded_views
 from .chain import (
     BASES,
     ONE_ARM_MOUNTS,
@@ -42,16 +41,12 @@ from .chain import (
     chain_of_transforms,
     host_mount_from_holder,
     mount_frames,
-    mount_from_holder,
-    mount_from_holder_matrices,
     transform_names,
 )
 from .depth_bias import DepthBias
 from .file_content import content_of, parts_of
+from .projection import base_from_tool_for, points_in_camera, projected_points
 from .target_shape import TargetShape
-
-_MIN_PROJECTED = 16, 128
-"""Smallest numbers of views and of points of the programs that project; any fewer share one."""
 
 
 class Calibration(eqx.Module):
@@ -360,7 +355,7 @@ class Calibration(eqx.Module):
     ) -> Command:
         """Return the command of `command_for`, with joint angles if an arm's errors were fitted."""
         self.require_one_arm("command_for")
-        actual_pose = self._base_from_tool_for(camera_from_world)
+        actual_pose = base_from_tool_for(self, camera_from_world)
         # Without robot error the reported pose is the true one. With it, the error depends on the
         # pose that is asked for, so the robot error model has to be inverted.
         if self.robot_error is None or not corrected:
@@ -385,23 +380,6 @@ class Calibration(eqx.Module):
             )
         return joints
 
-    def _base_from_tool_for(self, camera_from_world: PoseLike) -> SE3:
-        """Return the true `base_from_tool` for a wanted camera pose, without robot error.
-
-        Eq. 19, `base_from_tool = base_from_world @ world_from_camera @ camera_from_tool`, is Eq. 10
-        solved for the robot's part.
-        """
-        # The inverse of Eq. 19: tool_from_base = tool_from_camera @ camera_from_world
-        # @ world_from_base; with mount and holder it holds for both mounts.
-        pose, ends = as_se3(camera_from_world), (self.camera_from_mount, self.holder_from_world)
-        if not is_traced(pose, ends):
-            # A product of matrices: nothing to compile for every number of views.
-            mount_from_camera, world_from_holder = map(np.linalg.inv, map(host_matrices, ends))
-            robot = mount_from_camera @ host_matrices(pose) @ world_from_holder
-            return as_se3(mount_from_holder_matrices(self.mount, robot))
-        robot = ends[0].inverse() @ pose @ ends[1].inverse()
-        return mount_from_holder(self.mount, robot)
-
     def points_in_camera(
         self,
         base_from_tool: CommandLike,
@@ -410,8 +388,8 @@ class Calibration(eqx.Module):
         corrected: bool = True,
     ) -> Float[Array, "*transformed 3"]:
         """Return target points in the camera frame (Eq. 1), m; arguments as in `project`."""
-        robot_pose = as_command(base_from_tool)
-        return _points_in_camera(self, robot_pose, as_float_array(points), corrected)
+        reported = as_command(base_from_tool)
+        return points_in_camera(self, reported, as_float_array(points), corrected)
 
     def project(
         self,
@@ -430,19 +408,7 @@ class Calibration(eqx.Module):
         Returns:
             pixels `(*views, N, 2)`, NaN where `valid` `(*views, N)` is False.
         """
-        reported, points = as_command(base_from_tool), as_float_array(points)
-        if is_traced(self, reported, points) or points.ndim < 2:
-            return _project(self, reported, points, corrected)
-        shape, count = reported.base_from_tool.wxyz_xyz.shape[:-1], points.shape[-2]
-        padded_views, padded_points = padded_counts(
-            max(math.prod(shape), _MIN_PROJECTED[0]), max(count, _MIN_PROJECTED[1])
-        )
-        padded = repeat_last(points, padded_points, axis=-2)
-        if len(shape) == 1:
-            reported = repeat_last(reported, padded_views)
-            padded = repeat_last(padded, padded_views) if points.shape[:-2] == shape else padded
-        projected = _project(self, reported, padded, corrected)
-        return without_padding(projected, *np.broadcast_shapes(shape, points.shape[:-2]), count)
+        return projected_points(self, as_command(base_from_tool), as_float_array(points), corrected)
 
     def to_dict(
         self,
@@ -528,26 +494,5 @@ class Calibration(eqx.Module):
             ValueError: naming the file and the entry that is wrong.
         """
         content = read_yaml(path)
-        try:
+        with errors_at(path):
             return cls.from_dict(content, lens, field)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
-
-
-@compiled
-def _project(
-    calibration: Calibration, reported: Command, points: Float[Array, "*points 3"], corrected: bool
-) -> tuple[Float[Array, "*pixels 2"], Bool[Array, "*pixels"]]:
-    """Return the pixels of target points, and their validity, compiled."""
-    return calibration.camera.project(_points_in_camera(calibration, reported, points, corrected))
-
-
-@compiled
-def _points_in_camera(
-    calibration: Calibration, reported: Command, points: Float[Array, "*points 3"], corrected: bool
-) -> Float[Array, "*transformed 3"]:
-    """Return target points in the camera frame by Eq. 1, compiled."""
-    # Eq. 1: x_camera = R x_world + t, with R and t of camera_from_world. The scale acts on the
-    # target about its own origin, so it is applied before any transform.
-    camera_from_world = calibration.camera_from_world(reported, corrected=corrected)
-    return transform_points(camera_from_world, calibration.true_points(points))

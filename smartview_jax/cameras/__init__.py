@@ -32,5 +32,6 @@ from .view_cameras import cameras_of_views as cameras_of_views
 from .view_cameras import distinct_cameras as distinct_cameras
 from .view_cameras import moved_cameras as moved_cameras
 from .view_cameras import ravelled_cameras as ravelled_cameras
+from .view_cameras import unit_rays as unit_rays
 from .view_cameras import with_cameras as with_cameras
 from .weng import Weng as Weng

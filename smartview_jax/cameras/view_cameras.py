@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from ..runtime.array_namespace import to_device
+from ..runtime.compilation import compiled
 from ..runtime.padding import repeat_last
 from .camera import Camera
 
@@ -170,3 +171,14 @@ def moved_cameras(camera: AnyCamera, change: Float[np.ndarray, "numbers"]) -> An
         for leaf, part in zip(leaves, parts, strict=True)
     ]
     return with_cameras(camera, jax.tree.unflatten(structure, moved))
+
+
+@compiled
+def unit_rays(
+    camera: AnyCamera, pixels: Float[Array, "*pixels 2"]
+) -> tuple[Float[Array, "*pixels 3"], Bool[Array, "*pixels"]]:
+    """Return the rays of pixels in the camera frame, and whether the lens is valid there.
+
+    It is one program; operation by operation it would be some forty.
+    """
+    return camera.unproject(pixels)

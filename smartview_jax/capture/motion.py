@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import host_exponentials, host_logarithms
+from ..geometry import host_exponentials, host_logarithms, host_poses
 from .sources import MoveRefusedError
 
 STEP_LENGTH, STEP_ANGLE = 0.01, float(np.deg2rad(3.0))
@@ -71,9 +71,7 @@ def straight_steps(
     fractions = np.arange(1, count + 1)[:, None] / count
     # Only the rotation: the translation of an exponential would follow a screw.
     rotations = host_exponentials(np.hstack([np.zeros((count, 3)), fractions * turn]))[:, :3, :3]
-    steps = np.tile(np.eye(4), (count, 1, 1))
-    steps[:, :3, :3] = start[:3, :3] @ rotations
-    steps[:, :3, 3] = start[:3, 3] + fractions * shift
+    steps = host_poses(start[:3, :3] @ rotations, start[:3, 3] + fractions * shift)
     steps[-1] = end
     return steps
 

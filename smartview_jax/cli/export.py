@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..argument_checks import errors_at
 from .options import DebugOption
 from .terminal import errors_reported
 
@@ -234,10 +235,8 @@ def _opencv_lens(path: Path, content: dict[str, Any]) -> "OpenCVDistortion":
     """Return the lens of a calibration file as OpenCV's model, or as the nearest one."""
     from ..export_text import opencv_distortion
 
-    try:
+    with errors_at(path):
         lens = opencv_distortion(content["camera"]["lens"])
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     if lens is None:
         from ..calibration import Calibration
         from ..io import opencv_coefficients

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from ..argument_checks import NUMBER_PATTERN
+from ..argument_checks import NUMBER_PATTERN, errors_at
 
 if TYPE_CHECKING:
     from jaxlie import SE3
@@ -166,10 +166,8 @@ def _names_of(option: str, path: str, units: dict[str, str]) -> list[str]:
     """Return the names that a path selects, or raise a ValueError that suggests similar ones."""
     from ..engine import parameter_mask
 
-    try:
+    with errors_at(option):
         mask = parameter_mask(tuple(units), (path,))
-    except ValueError as error:
-        raise ValueError(f"{option}: {error}") from error
     return [name for name, selected in zip(units, mask, strict=True) if selected]
 
 

@@ -103,7 +103,6 @@ def grasp(
     with errors_reported(debug):
         from ..grasping import TOOL_CHECKS, tool_commands
         from ..joint import load_with_uncertainty
-        from ..viewpoints import unchecked
 
         codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
@@ -117,13 +116,13 @@ def grasp(
             arm=arm,
             near=readings,
         )
-        sheet = CommandSheet(
+        sheet = CommandSheet.of(
+            loaded_calibration,
             COMMAND_NAMES,
             tool.commands,
             codec,
             arm,
             TOOL_CHECKS,
-            unchecked(loaded_calibration, arm is not None),
         )
         sheet.give(
             "grasp",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..argument_checks import errors_at
 from .calibrated_views import RigOptions, load_calibrated_views
 from .json_document import print_document, transform_document
 from .load import load_views
@@ -168,10 +169,8 @@ def _evidence(
     evidence = []
     for k, (picture, path, camera) in enumerate(zip(pictures, paths, cameras, strict=True)):
         progress(f"edges: picture {k + 1} of {len(paths)}")
-        try:
+        with errors_at(path):
             evidence.append(picture_evidence(picture, camera))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
     return evidence
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..argument_checks import errors_at
 from . import options
 from .fit_options import StartOption, parse_transforms
 from .options import parse_numbers, with_option_groups
@@ -131,7 +132,6 @@ def plan(
             SAFETY_CHECKS,
             ViewRequirements,
             plan_views,
-            unchecked,
             viewpoint_commands,
         )
 
@@ -168,13 +168,13 @@ def plan(
             situation.calibration, wanted, situation.points, arm, readings
         )
         names = new_names(taken, len(view_plan.camera_from_world))
-        sheet = CommandSheet(
+        sheet = CommandSheet.of(
+            situation.calibration,
             names,
             commands,
             codec,
             arm,
             SAFETY_CHECKS,
-            unchecked(situation.calibration, arm is not None),
         )
         # After the table, where the result is seen last.
         say = partial(typer.echo, "\n".join(words))
@@ -229,10 +229,8 @@ def next_views(
     # Without an arm there are no readings, and the robot is commanded by poses.
     _, readings = robot.arm_and_readings(estimate.calibration)
     progress("computing what the views so far tell")
-    try:
+    with errors_at(paths[0]):
         found = situation_of_estimate(estimate, np.asarray(data.points[0]), limits, readings)
-    except ValueError as error:
-        raise ValueError(f"{paths[0]}: {error}") from error
     return found, data.view_ids
 
 

@@ -61,7 +61,7 @@ def plan_rig(
     """
     from ..io import load_rig
     from ..joint import load_estimate, load_rig_estimate
-    from ..viewpoints import SAFETY_CHECKS, RigInformationModel, plan_states, unchecked
+    from ..viewpoints import SAFETY_CHECKS, RigInformationModel, plan_states
 
     folder = paths[0] if paths[0].is_dir() else paths[0].parent
     with progress_line() as progress:
@@ -86,9 +86,7 @@ def plan_rig(
     names = new_names(rig.view_ids, len(found.view_of))
     words = plan_words(plan, stop.least_gain, goal_mm, first=False)
     views = _seen_words(found, names)
-    sheet = CommandSheet(
-        names, found.commands, codec, arm, SAFETY_CHECKS, unchecked(calibration, arm is not None)
-    )
+    sheet = CommandSheet.of(calibration, names, found.commands, codec, arm, SAFETY_CHECKS)
     say = partial(typer.echo, "\n".join([*views, *words]))
     entries = {**plan_entries(plan), "words": words, "seen": found.seen}
     if names:

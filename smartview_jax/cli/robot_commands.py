@@ -73,6 +73,27 @@ class CommandSheet(NamedTuple):
     refused_for: tuple[str, ...]
     unchecked: tuple[str, ...]
 
+    @classmethod
+    def of(
+        cls,
+        calibration: "Calibration",
+        names: tuple[str, ...],
+        commands: "ViewpointCommands",
+        codec: "PoseCodec",
+        arm: "SerialArm | None",
+        refused_for: tuple[str, ...],
+    ) -> "CommandSheet":
+        """Return the commands of a calibration, with the checks that it and the arm do not allow.
+
+        Args:
+            calibration: with it the commands were computed.
+            names, commands, codec, arm, refused_for: as the class's attributes.
+        """
+        from ..viewpoints import unchecked
+
+        could_not = unchecked(calibration, arm is not None)
+        return cls(names, commands, codec, arm, refused_for, could_not)
+
     def give(
         self,
         subcommand: str,

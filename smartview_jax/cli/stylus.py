@@ -132,7 +132,6 @@ def stylus(
         from ..grasping import TOOL_CHECKS, tip_error_factor, tool_commands
         from ..io import read_misses
         from ..joint import load_with_uncertainty
-        from ..viewpoints import unchecked
 
         codec = robot.codec()
         tip_position, points = touch.tip_position(), touch.points()
@@ -154,13 +153,13 @@ def stylus(
         factor = tip_error_factor(touches, tip_position)
         notes: list[str] = []
         measured = missed.misses and read_misses(missed.misses, names, notes.append)
-        sheet = CommandSheet(
+        sheet = CommandSheet.of(
+            loaded_calibration,
             names,
             touches.commands,
             codec,
             arm,
             TOOL_CHECKS,
-            unchecked(loaded_calibration, arm is not None),
         )
         judged = _judgement(names, factor, measured) | {"notes": notes}
         if missed.corrected is not None:
@@ -189,21 +188,17 @@ def _touching_poses(
     touch: TouchOptions,
 ) -> "np.ndarray":
     """Return `world_from_tool` with the tip at the gap before the point, `(n, 4, 4)`."""
-    import numpy as np
-
-    from ..geometry import host_matrices
+    from ..geometry import host_matrices, host_poses
     from ..grasping import stylus_orientations
 
     # The stylus points as a camera would look, so that the same options apply.
     look = LookOptions(1.0, touch.tilt, touch.azimuth, touch.turn, touch.five, touch.below)
     views = requested_camera_poses(calibration, point, look)
     world_from_stylus = host_matrices(views).reshape(-1, 4, 4)[:, :3, :3].swapaxes(1, 2)
-    poses = np.tile(np.eye(4), (len(world_from_stylus), 1, 1))
-    poses[:, :3, :3] = stylus_orientations(tip, world_from_stylus)
+    rotations = stylus_orientations(tip, world_from_stylus)
     points = point - 1e-3 * touch.gap * world_from_stylus[:, :, 2]
     # By NumPy: the tip's place by `touching_pose` would compile a program for each operation.
-    poses[:, :3, 3] = points - poses[:, :3, :3] @ tip
-    return poses
+    return host_poses(rotations, points - rotations @ tip)
 
 
 def _write_corrected(

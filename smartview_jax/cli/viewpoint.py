@@ -67,7 +67,7 @@ def viewpoint(
 
         from ..grasping import camera_covariance
         from ..joint import load_with_uncertainty
-        from ..viewpoints import SAFETY_CHECKS, unchecked, viewpoint_commands
+        from ..viewpoints import SAFETY_CHECKS, viewpoint_commands
 
         codec = robot.codec()
         loaded_calibration, estimate = load_with_uncertainty(calibration)
@@ -82,13 +82,13 @@ def viewpoint(
             readings,
         )
         names = numbered_names(len(commands.xyzoat))
-        sheet = CommandSheet(
+        sheet = CommandSheet.of(
+            loaded_calibration,
             names,
             commands,
             codec,
             arm,
             SAFETY_CHECKS,
-            unchecked(loaded_calibration, arm is not None),
         )
         covariance = (
             None

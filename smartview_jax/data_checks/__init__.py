@@ -2,13 +2,13 @@
 
 `questions.py` says in which order: the poses (`usable_views.py`), the detections
 (`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
-alike (`conventions.py`, with the usual mistakes in `mistakes.py` and `length_units.py`, judged by
-`rotation_angles.py` and by the closure of motions, `closure.py`) and tell a wrong mount at all
-(`inverted_poses.py`), whether something was changed between two views (`changes.py`) or the poses
-lag (`pose_lag.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
-contradict the others (`view_consistency.py`); all judge by transforms of their own
-(`transform_fit.py`), some by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
-compares the cameras of a rig.
+alike (`conventions.py`, with the usual mistakes in `mistakes.py`, `misread_angles.py` and
+`length_units.py`, judged by `rotation_angles.py` and by the closure of motions, `closure.py`) and
+tell a wrong mount at all (`inverted_poses.py`), whether something was changed between two views
+(`changes.py`) or the poses lag (`pose_lag.py`), and which single views are numbered wrongly
+(`shifted_numbering.py`) or contradict the others (`view_consistency.py`); all judge by transforms
+of their own (`transform_fit.py`), some by the odds of an explanation (`misfit_evidence.py`).
+`rig_checks.py` compares the cameras of a rig.
 """
 
 from .camera_checks import camera_misfit as camera_misfit
@@ -18,11 +18,11 @@ from .changes import ChangeReport as ChangeReport
 from .changes import find_change as find_change
 from .closure import closure_error as closure_error
 from .closure import relative_motions as relative_motions
-from .conventions import ConventionHypothesis as ConventionHypothesis
+from .convention_hypotheses import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
+from .given_poses import target_turns as target_turns
 from .length_units import mistaken_unit as mistaken_unit
-from .mistakes import target_turns as target_turns
 from .pose_lag import PoseLag as PoseLag
 from .pose_lag import find_lag as find_lag
 from .questions import Findings as Findings

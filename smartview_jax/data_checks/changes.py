@@ -21,8 +21,7 @@ from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
 from ..geometry import host_matrices, mean_matrix
-from .closure import Poses
-from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
+from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .misfit_evidence import closure_variances, evidence
 from .transform_fit import (
     TransformFit,

@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from ..geometry import host_nearest_rotation
+from ..geometry import host_nearest_rotation, host_rotation_vectors
 
 Poses = Float[np.ndarray, "*batch views 4 4"]
 """Homogeneous matrices, one per view, m."""
@@ -30,6 +29,15 @@ MIN_RELATIVE_RESIDUAL = 1e-3
 
 TRIMMING_ITERATIONS = 2
 """Number of times a fit is repeated without outlying pairs."""
+
+MAX_CLOSURE_SCORE = 0.03
+"""Closure score below which data are accepted: about 10 mm and a degree at half a metre."""
+
+MAX_CORRECTED_SCORE_RATIO = 0.3
+"""Ratio of corrected to given closure score below which a mistake counts as an explanation."""
+
+CLOSURE_SCORE_FLOOR = 1e-4
+"""Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
 
 
 class ClosureError(NamedTuple):
@@ -79,7 +87,7 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
     M, C = mount_from_holder[..., indices, :, :], camera_from_world[..., indices, :, :]
     i, j = np.triu_indices(len(indices), 1)
     A, B = (poses[..., j, :, :] @ np.linalg.inv(poses)[..., i, :, :] for poses in (C, M))
-    a, b = _rotation_vectors(A), _rotation_vectors(B)
+    a, b = host_rotation_vectors(A), host_rotation_vectors(B)
     # R_A R = R R_B: R takes the rotation vectors b to a (orthogonal Procrustes).
     R = host_nearest_rotation(a.swapaxes(-1, -2) @ b)
     # Repeated without outlying pairs: one wrong view spoils all pairs that contain it.
@@ -104,14 +112,6 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
         np.median(np.linalg.norm(C[..., :3, 3], axis=-1), axis=-1),
         np.min(ratios, axis=0),
     )
-
-
-def _rotation_vectors(
-    motions: Float[np.ndarray, "*batch pairs 4 4"],
-) -> Float[np.ndarray, "*batch pairs 3"]:
-    """Return the rotation vectors of motions, rad."""
-    rotations = Rotation.from_matrix(motions[..., :3, :3].reshape(-1, 3, 3))
-    return rotations.as_rotvec().reshape(*motions.shape[:-2], 3)
 
 
 def closure_error(motions: RelativeMotions, scale: float = 1.0) -> ClosureError:

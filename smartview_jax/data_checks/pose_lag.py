@@ -21,8 +21,7 @@ from scipy.spatial.transform import Rotation
 from ..calibration import mount_from_holder_matrices
 from ..geometry import host_matrices
 from .changes import ChangeOptions
-from .closure import Poses
-from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
+from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .misfit_evidence import closure_variances, evidence
 from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text
 

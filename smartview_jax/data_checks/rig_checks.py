@@ -23,7 +23,7 @@ from ..geometry import (
     mean_matrix,
 )
 from .closure import Poses
-from .mistakes import target_turns
+from .given_poses import target_turns
 from .transform_fit import Matrix, misfit_text, misfits
 
 MIN_COMMON_STATES = 6

@@ -15,8 +15,7 @@ from scipy.spatial import KDTree
 
 from ..geometry import host_matrices
 from .changes import ChangeOptions
-from .closure import Poses
-from .conventions import MAX_CORRECTED_SCORE_RATIO
+from .closure import MAX_CORRECTED_SCORE_RATIO, Poses
 from .misfit_evidence import closure_variances, evidence
 from .transform_fit import fit_transforms, mean_misfit, median_distance
 

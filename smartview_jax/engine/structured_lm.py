@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, Scalar
 
+from ..runtime.array_namespace import where_tree
 from ..runtime.compilation import compiled
 from .abstract_problem import AbstractProblem
 from .parameters import Step
@@ -116,7 +117,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         del fn, options, tags
         # Once per step tried, accepted or not: cost, gradient g and matrix H at the new parameters.
         trial = quadratic_model(args, state.y_eval)
-        scale = _tree_where(state.first_step, jacobi_scale(gauss_newton_matrix(trial)), state.scale)
+        scale = where_tree(state.first_step, jacobi_scale(gauss_newton_matrix(trial)), state.scale)
         trial = rescale(trial, scale)
         # rho = actual decrease / predicted decrease. Accepted if rho > 0.01; the damping is divided
         # by 10 if rho > 0.75, and multiplied by 20 if the step is rejected.
@@ -129,7 +130,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
             state.search_state,
         )
         # After a rejection the last accepted linearisation is used again, with more damping.
-        y, f_info = _tree_where(accept, (state.y_eval, trial), (y, state.f_info))
+        y, f_info = where_tree(accept, (state.y_eval, trial), (y, state.f_info))
         descent_state = self.descent.query(y, f_info, state.descent_state)
         # (H + lambda I) d = -g with lambda = 1 / step_size. Once per damping: one Schur
         # elimination, one solve.
@@ -183,11 +184,6 @@ def quadratic_model(problem: AbstractProblem, z: Step) -> QuadraticModel:
     """Linearise the problem at a scaled step."""
     equations = problem.normal_equations(z)
     return QuadraticModel(equations.cost, equations.gradient, equations.matrix)
-
-
-def _tree_where(condition: Bool[Array, ""], new: Any, old: Any) -> Any:
-    """Choose between two pytrees by a scalar condition."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
 
 
 def gauss_newton_matrix(model: QuadraticModel) -> BlockArrow:

@@ -14,10 +14,32 @@ def host_matrices(poses: SE3) -> Float[np.ndarray, "*batch 4 4"]:
     if finite.any():
         # SciPy expects the real part of a quaternion last, and raises where one is not finite.
         rotations = Rotation.from_quat(numbers[finite][:, [1, 2, 3, 0]]).as_matrix()
-        matrices[finite] = np.eye(4)
-        matrices[finite, :3, :3] = rotations
-        matrices[finite, :3, 3] = numbers[finite][:, 4:]
+        matrices[finite] = host_poses(rotations, numbers[finite][:, 4:])
     return matrices
+
+
+def host_poses(
+    rotations: Float[np.ndarray, "*rotations 3 3"],
+    translations: Float[np.ndarray, "*translations 3"],
+) -> Float[np.ndarray, "*batch 4 4"]:
+    """Return the rigid 4x4 matrices of rotations and translations, whose batches broadcast."""
+    batch = np.broadcast_shapes(rotations.shape[:-2], translations.shape[:-1])
+    matrices = np.zeros((*batch, 4, 4))
+    matrices[..., :3, :3], matrices[..., :3, 3] = rotations, translations
+    matrices[..., 3, 3] = 1.0
+    return matrices
+
+
+def host_rotation_vectors(
+    matrices: Float[np.ndarray, "*batch rows rows"],
+) -> Float[np.ndarray, "*batch 3"]:
+    """Return the rotation vectors of rotations or of rigid 4x4 matrices, rad.
+
+    Raises:
+        ValueError: a matrix that is not finite, or no rotation.
+    """
+    rotations = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3))
+    return rotations.as_rotvec().reshape(*matrices.shape[:-2], 3)
 
 
 def host_transforms(matrices: Float[np.ndarray, "*batch 4 4"]) -> SE3:
@@ -104,11 +126,8 @@ def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarr
     safe = np.where(angle > 1e-3, angle, 1.0)
     c = np.where(angle > 1e-3, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0 - angle**2 / 120.0)
     turned = np.cross(w, v)
-    matrices = np.zeros((*tangents.shape[:-1], 4, 4))
-    matrices[..., :3, :3] = Rotation.from_rotvec(flat).as_matrix().reshape(*w.shape, 3)
-    matrices[..., :3, 3] = v + b * turned + c * np.cross(w, turned)
-    matrices[..., 3, 3] = 1.0
-    return matrices
+    rotations = Rotation.from_rotvec(flat).as_matrix().reshape(*w.shape, 3)
+    return host_poses(rotations, v + b * turned + c * np.cross(w, turned))
 
 
 def host_transformed(

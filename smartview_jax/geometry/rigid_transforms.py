@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..runtime.array_namespace import as_float_array
 from ..runtime.compilation import one_program
-from .host import host_matrices, host_transforms
+from .host import host_matrices, host_poses, host_transforms
 
 PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray
 """Type of a rigid transform in the arguments of this library: an `SE3`, or 4x4 matrices."""
@@ -165,10 +165,8 @@ def host_nearest_pose(
 ) -> Float[np.ndarray, "4 4"]:
     """Return the pose that brings points nearest to measured ones, by least squares (Kabsch)."""
     middle, target = points.mean(axis=0), measured.mean(axis=0)
-    pose = np.eye(4)
-    pose[:3, :3] = host_nearest_rotation((measured - target).T @ (points - middle))
-    pose[:3, 3] = target - pose[:3, :3] @ middle
-    return pose
+    rotation = host_nearest_rotation((measured - target).T @ (points - middle))
+    return host_poses(rotation, target - rotation @ middle)
 
 
 def _orthogonal_factor(matrix: Any, array_module: ModuleType) -> Any:

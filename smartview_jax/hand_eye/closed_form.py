@@ -23,6 +23,7 @@ from ..geometry import (
     host_cross_matrices,
     host_matrices,
     host_nearest_rotation,
+    host_poses,
     host_transforms,
     mean_matrix,
 )
@@ -264,7 +265,7 @@ def shah(
         weights[:, None] * (camera_from_world[:, :3, 3] - rotated_translation)
     ).reshape(-1)
     solution = np.linalg.lstsq(matrix, right_hand_side)[0]
-    return _pose(R_camera, solution[3:]), _pose(R_world, solution[:3])
+    return host_poses(R_camera, solution[3:]), host_poses(R_world, solution[:3])
 
 
 CLOSED_FORMS: dict[str, ClosedForm] = {
@@ -289,17 +290,10 @@ def _solve_translation(
     # From A X = X B: R_A t + t_A = R t_B + t.
     matrix = (w[:, None, None] * (A[:, :3, :3] - np.eye(3))).reshape(-1, 3)
     right_hand_side = (w[:, None] * (B[:, :3, 3] @ rotation.T - A[:, :3, 3])).reshape(-1)
-    camera_from_mount = _pose(rotation, np.linalg.lstsq(matrix, right_hand_side)[0])
+    camera_from_mount = host_poses(rotation, np.linalg.lstsq(matrix, right_hand_side)[0])
     return camera_from_mount, mean_holder_from_world(
         camera_from_mount, mount_from_holder, camera_from_world, weights
     )
-
-
-def _pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> _Matrix:
-    """Return the 4x4 matrix of a rotation and a translation."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, translation
-    return matrix
 
 
 def _quaternions(poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 4"]:

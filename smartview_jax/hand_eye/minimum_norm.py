@@ -18,7 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ..dataset import undetermined_twists
-from ..geometry import host_adjoints, host_cross_matrices, host_exponentials, host_logarithms
+from ..geometry import (
+    host_adjoints,
+    host_cross_matrices,
+    host_exponentials,
+    host_logarithms,
+    host_poses,
+)
 from .closed_form import mean_camera_from_mount
 
 _Matrix = Float[np.ndarray, "4 4"]
@@ -54,7 +60,7 @@ def minimum_norm_transforms(
     some = np.unique(spaced.astype(int))
     T, C = mount_from_holder[some], camera_from_world[some]
     translation = np.zeros(3) if start[1] is None else start[1][:3, 3]
-    found = [_search(T, C, _pose(turn, translation), twists) for turn in _cube_rotations()]
+    found = [_search(T, C, host_poses(turn, translation), twists) for turn in _cube_rotations()]
     _, _, world = min(found, key=lambda search: search[0])
     _, camera, world = _search(mount_from_holder, camera_from_world, world, twists)
     return _shifted_to_start(camera, world, mount_from_holder[0], twists, start, camera_on_hand)
@@ -68,13 +74,6 @@ def _cube_rotations() -> list[Float[np.ndarray, "3 3"]]:
         for signs in itertools.product((1.0, -1.0), repeat=3)
     ]
     return [matrix for matrix in matrices if np.linalg.det(matrix) > 0.0]
-
-
-def _pose(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> _Matrix:
-    """Return the 4x4 matrix of a rotation and a translation."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, translation
-    return matrix
 
 
 def _search(

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize
 
 from ..dataset import require_motion, undetermined_twists
-from ..geometry import host_logarithms, host_matrices, host_transforms
+from ..geometry import host_logarithms, host_matrices, host_poses, host_transforms
 from .closed_form import CLOSED_FORMS, mean_camera_from_mount
 from .frobenius import frobenius_factor
 from .minimum_norm import minimum_norm_transforms
@@ -281,8 +281,7 @@ def _minimise(factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 
             break
         parameters, after, gradient = trial, trial_cost, trial_gradient
     x, _ = _entries(start, parameters)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = x[:9].reshape(3, 3), x[9:12]
+    pose = host_poses(x[:9].reshape(3, 3), x[9:12])
     # Without a lower cost along the gradient BFGS reports a failure, also at the optimum.
     converged = found.success or bool(np.abs(gradient).max() < 1e-7 * (1.0 + after))
     return _Minimum(pose, before, after, converged)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..argument_checks import errors_at
 from ..dataset import Dataset
 from ..detection import DetectionLimits, checked_pixels
 from ..geometry import pose_codec
@@ -82,7 +83,7 @@ def import_correspondences(
     if len(failed) == len(view_ids):
         view, reason = next(iter(failed.items()))
         raise ValueError(f"{corners_csv}: view {view}: {reason}; so are all {len(failed)} views")
-    try:
+    with errors_at(f"{poses_csv} and {corners_csv.name}"):
         return Dataset.from_arrays(
             points,
             pixels,
@@ -97,5 +98,3 @@ def import_correspondences(
             ],
             notes=(*table.notes, *corners.notes, *name_notes, *notes),
         )
-    except ValueError as error:
-        raise ValueError(f"{poses_csv} and {corners_csv.name}: {error}") from error

@@ -44,6 +44,7 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
+from ..argument_checks import errors_at
 from ..dataset import Dataset, PoseDataset, Rig
 from ..detection import checked_pixels
 from ..files import file_transaction, read_yaml
@@ -109,10 +110,8 @@ def _between_hands(data: Dataset, folder: Path, entry: dict[str, Any], bad_views
     known = {view for view, _ in data.masked_views}
     new = tuple(entry for entry in masked if entry[0] not in known)
     data = dataclasses.replace(data.mask_views(wrong), masked_views=(*data.masked_views, *new))
-    try:
+    with errors_at(path):
         return data.between_hands(host_matrices(other.poses)[index])
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _require_one_numbering(target: AbstractTarget, path: Path) -> None:
@@ -273,10 +272,8 @@ def _with_joints(readings: RobotReadings, data: Dataset, description_path: Path)
 
     An error names the description file.
     """
-    try:
+    with errors_at(f"{description_path}: joints"):
         data = readings.with_joints(data)
-    except ValueError as error:
-        raise ValueError(f"{description_path}: joints: {error}") from error
     return dataclasses.replace(
         data, notes=(*readings.notes, *data.notes), pose_format=readings.pose_format
     )

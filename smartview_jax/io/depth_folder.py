@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import errors_at
 from ..dataset import Dataset, PoseDataset
 from ..depth import cloud_from_depth, points_at_pixels, poses_from_points, read_depth_picture
 from ..extras import import_extra
@@ -143,10 +144,8 @@ def read_points_folder(
         ValueError: a wrong entry or file, or points that do not belong to the target.
         FileNotFoundError: a file is missing.
     """
-    try:
+    with errors_at(description_path):
         target = read_target(folder, content["target"])
-    except ValueError as error:
-        raise ValueError(f"{description_path}: {error}") from error
     readings = read_robot_readings(folder, content, description_path, options.bad_views)
     entry, table = content["measured_points"], table_of_views(folder, content)
     files = picture_files(folder, entry, readings.view_ids, target, table, description_path)
@@ -193,10 +192,8 @@ def read_depth_pictures(
     def points_of(view: str, path: Path) -> Float[np.ndarray, "points 3"]:
         """Return the target's points in a depth picture."""
         depth = read_depth_picture(path, entry["unit"])
-        try:
+        with errors_at(path):
             return points_at_pixels(cloud_from_depth(depth, camera), pixels[view])
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
 
     points, reasons = _of_views(
         {view: paths[0] for view, paths in files.items()},
@@ -254,7 +251,7 @@ def _measured(
     description_path: Path,
 ) -> PoseDataset:
     """Return the data set of the target's poses; errors name the description."""
-    try:
+    with errors_at(description_path):
         return poses_from_points(points, target.points).dataset(
             readings.poses,
             mount,
@@ -263,5 +260,3 @@ def _measured(
             readings.joints,
             readings.arm,
         )
-    except ValueError as error:
-        raise ValueError(f"{description_path}: {error}") from error

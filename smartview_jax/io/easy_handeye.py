@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxlie import SE3
 
+from ..argument_checks import errors_at
 from ..calibration import Calibration, mount_frames, mount_from_holder
 from ..export_text import easy_handeye_text
 from ..files import dump_yaml, read_yaml, write_atomically
@@ -117,10 +118,8 @@ def _decode_transforms(path: str | Path, entry: str, transforms: "list[Transform
         [getattr(getattr(transform, part), k) for part, k in _TRANSFORM_COMPONENTS]
         for transform in transforms
     ]
-    try:
+    with errors_at(f"{path}: {entry}"):
         return _CODEC.decode(np.array(rows))
-    except ValueError as error:
-        raise ValueError(f"{path}: {entry}: {error}") from error
 
 
 def _transform_message(row: np.ndarray) -> dict[str, dict[str, float]]:

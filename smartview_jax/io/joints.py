@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import errors_at
 from ..geometry import ANGLE_UNITS, LENGTH_UNITS
 from ..robots import SerialArm, arm_by_name, arm_from_dict, arm_to_dict
 from .csv_tables import (
@@ -158,7 +159,5 @@ def _joint_columns(arm: SerialArm) -> tuple[str, ...]:
 
 def _arm_from_entry(content: Any, description_path: Path) -> SerialArm:
     """Return the arm of an entry `arm`: a name or a mapping of Denavit-Hartenberg parameters."""
-    try:
+    with errors_at(f"{description_path}: joints.arm"):
         return arm_from_dict(content) if isinstance(content, dict) else arm_by_name(content)
-    except ValueError as error:
-        raise ValueError(f"{description_path}: joints.arm: {error}") from error

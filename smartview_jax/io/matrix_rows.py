@@ -7,6 +7,7 @@ from typing import Unpack
 import numpy as np
 from jaxlie import SE3
 
+from ..argument_checks import errors_at
 from ..dataset import Dataset
 from ..files import write_atomically
 from ..geometry import pose_codec
@@ -48,11 +49,9 @@ def _decoded(
     for name, row in zip(names, fields, strict=True):
         if not all(is_number(field) for field in row):
             raise ValueError(f"{path}: line {name} is not a row of numbers")
-    try:
+    with errors_at(path):
         rows = np.array([[float(field) for field in row] for row in fields])
         poses = pose_codec("matrix").decode(rows, length_unit, labels=names)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     refuse_out_of_range(path, np.asarray(poses.translation()), names)
     return poses
 

@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..argument_checks import require_readable_or_empty
+from ..argument_checks import errors_at, require_readable_or_empty
 from ..files import parse_json, read_text, write_atomically
-from ..geometry import LENGTH_UNITS
+from ..geometry import LENGTH_UNITS, host_poses
 from ..modeling import Face, Grasp, ObjectModel, Symmetry
 
 FORMAT_VERSION = 1
@@ -46,13 +46,11 @@ def save_object_model(model: ObjectModel, path: str | os.PathLike[str]) -> Path:
         ValueError: an invalid value, so that the file could not be read back.
     """
     content = object_model_to_dict(model)
-    try:
+    with errors_at(f"{path}: not written, it could not be read back"):
         # Reading repairs names that earlier versions wrote, so names are checked here.
         for part in (model, *model.faces, *model.grasps):
             require_readable_or_empty(type(part).__name__, part.name)
         object_model_from_dict(content)
-    except ValueError as error:
-        raise ValueError(f"{path}: not written, it could not be read back: {error}") from error
     return write_atomically(path, _readable_json(content))
 
 
@@ -185,9 +183,8 @@ def _grasp_to_dict(grasp: Grasp) -> dict[str, Any]:
 
 def _grasp_from_entry(entry: Any, scale: float) -> Grasp:
     """Return the grasp of a file's entry, converted to metres."""
-    pose = np.eye(4)
-    pose[:3, :3] = _rotation(entry.object_from_tool.quaternion_wxyz)
-    pose[:3, 3] = scale * np.array(entry.object_from_tool.translation)
+    rotation = _rotation(entry.object_from_tool.quaternion_wxyz)
+    pose = host_poses(rotation, scale * np.array(entry.object_from_tool.translation))
     lengths = (scale * entry.opening, scale * entry.depth, scale * entry.tolerance)
     return Grasp(entry.name, entry.face, pose, *lengths)
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import shortened_repr
+from ..argument_checks import errors_at, shortened_repr
 from ..dataset import Dataset, DepthNoise
 from ..depth import points_at_pixels, read_depth_picture
 from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
@@ -68,10 +68,8 @@ def with_folder_depths(
     else:
         return data
     noise = entry.get("noise")
-    try:
+    with errors_at(description_path):
         data = data.with_depths(depths, None if noise is None else DepthNoise(**noise))
-    except ValueError as error:
-        raise ValueError(f"{description_path}: {error}") from error
     return dataclasses.replace(data, notes=(*data.notes, *notes))
 
 

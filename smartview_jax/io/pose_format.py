@@ -16,6 +16,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
+from ..argument_checks import errors_at
 from ..geometry import (
     ANGLE_UNITS,
     LENGTH_UNITS,
@@ -86,10 +87,8 @@ def codec_of_rows(path: Path, rows: Sequence[Mapping[str, str]]) -> PoseCodec | 
     names = sorted({row[FORMAT_COLUMN] for row in rows if FORMAT_COLUMN in row})
     if len(names) > 1:
         raise ValueError(f"{path}: format: expected one for all views, found {', '.join(names)}")
-    try:
+    with errors_at(f"{path}: format"):
         return pose_codec(names[0]) if names else None
-    except ValueError as error:
-        raise ValueError(f"{path}: format: {error}") from error
 
 
 def table_format(
@@ -177,10 +176,8 @@ def decoded_poses(
     Raises:
         ValueError: a row is not a pose.
     """
-    try:
+    with errors_at(path):
         poses = form.codec.decode(rows, *form.units, labels=labels)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     if form.direction != COMMANDED_DIRECTION:
         poses = as_se3(np.linalg.inv(host_matrices(poses)))
     return poses

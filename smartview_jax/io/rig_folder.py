@@ -43,6 +43,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..argument_checks import errors_at
 from ..dataset import ONE_ARM, Dataset, Rig
 from ..detection import DetectionLimits
 from ..files import file_transaction, read_yaml
@@ -178,7 +179,7 @@ def _cameras(
     folder: Path, description: "RigFile", content: dict[str, Any], path: Path
 ) -> dict[str, FolderDescription]:
     """Return the description of each camera."""
-    try:
+    with errors_at(path):
         named = content.get("targets") or {"": content["target"]}
         targets = {name: read_target(folder, entry) for name, entry in named.items()}
         rough = {
@@ -188,8 +189,6 @@ def _cameras(
             }
             for arm, robot in (description.arms or {ONE_ARM: description}).items()
         }
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     cameras = {}
     for name, entry in description.cameras.items():
         mount = entry.mount or description.mount

@@ -22,9 +22,8 @@ from jaxtyping import UInt8
 
 from ..detection import read_picture
 from ..files import read_yaml
-from ..geometry import host_matrices, host_transforms
+from ..modeling import command_at
 from ..robots import Command
-from ..runtime.array_namespace import to_device
 from .object_views import OBJECT_VIEWS_FILE
 from .robot_readings import read_robot_readings
 
@@ -94,7 +93,7 @@ def load_rig_object_views(folder: str | Path) -> RigObjectViews:
         tuple(states[k] for k in rows),
         tuple(file for _, _, file in found),
         tuple(read_picture(file, (sizes[c][0], sizes[c][1])) for c, _, file in found),
-        None if command is None else _rows(command, rows),
+        None if command is None else command_at(command, rows),
         notes,
     )
 
@@ -108,9 +107,3 @@ def _robot(
     readings = read_robot_readings(folder, {**content, **first}, path, "raise")
     readings.refuse_masked(path)
     return list(readings.view_ids), readings.command, readings.notes
-
-
-def _rows(command: Command, rows: np.ndarray) -> Command:
-    """Return the reported poses of some states, in this order."""
-    joints = None if command.joints is None else to_device(np.asarray(command.joints)[rows])
-    return Command(host_transforms(host_matrices(command.base_from_tool)[rows]), joints)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
+from ..argument_checks import errors_at
 from ..dataset import Dataset
 from ..files import parse_yaml, read_text, read_yaml
 from ..geometry import pose_codec
@@ -45,10 +46,8 @@ def import_robot_cal_tools(
     entries = _read_entries(folder / DATA_FILE)
     views = [Path(image).stem for image, _ in entries]
     rows = np.stack([_read_pose(folder / pose) for _, pose in entries])
-    try:
+    with errors_at(folder / DATA_FILE):
         poses = pose_codec("quaternion_xyzw").decode(rows, labels=views)
-    except ValueError as error:
-        raise ValueError(f"{folder / DATA_FILE}: {error}") from error
     return dataset_from_pictures(
         {view: [folder / image] for view, (image, _) in zip(views, entries, strict=True)},
         poses,
@@ -118,10 +117,8 @@ def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "view
     if len({len(row) for row in joints}) != 1:
         raise ValueError(f"{path}: target_joints: entries have different numbers of joints")
     rows = [[getattr(entry.pose, key) for key in _POSE_KEYS] for entry in measurements.values()]
-    try:
+    with errors_at(path):
         poses = pose_codec("quaternion_xyzw").decode(
             np.array(rows), labels=list(map(str, measurements))
         )
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     return np.array(joints), poses

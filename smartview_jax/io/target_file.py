@@ -7,6 +7,7 @@ Kalibr's `target.yaml` has `target_type: 'aprilgrid'`, `tagCols`, `tagRows`, `ta
 from pathlib import Path
 from typing import Any
 
+from ..argument_checks import errors_at
 from ..files import read_yaml
 from ..targets import AbstractTarget, AprilGrid, target_from_dict
 
@@ -45,7 +46,5 @@ def read_april_grid(path: str | Path) -> AprilGrid:
     if kind != "aprilgrid":
         raise ValueError(f"{path}: target_type: expected 'aprilgrid', found {kind!r}")
     grid = validate_content(content, KALIBR_TARGET_SCHEMA, path)
-    try:
+    with errors_at(path):
         return AprilGrid(grid.tagRows, grid.tagCols, grid.tagSize, grid.tagSpacing)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error

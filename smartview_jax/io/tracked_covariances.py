@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ..argument_checks import shortened_repr
+from ..argument_checks import errors_at, shortened_repr
 from ..cameras import camera_from_dict, camera_to_dict
 from ..dataset import DepthSensor, PoseDataset
 from ..runtime.array_namespace import to_device
@@ -104,10 +104,8 @@ def with_read_covariances(data: PoseDataset, folder: Path, entry: Mapping[str, A
     upper = len(_COVARIANCE_COLUMNS)
     covariance = np.empty((data.view_count, len(_AXES), len(_AXES)))
     covariance[:, _UPPER[0], _UPPER[1]] = covariance[:, _UPPER[1], _UPPER[0]] = numbers[:, :upper]
-    try:
+    with errors_at(path):
         data = data.with_covariance(covariance)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     if sensor is None:
         return data
     changes = np.where(data.seen[:, None], numbers[:, upper:-1], 0.0)

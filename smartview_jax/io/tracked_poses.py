@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from ..argument_checks import errors_at
 from ..dataset import PoseDataset
 from ..geometry import as_se3, host_matrices
 from .poses import poses_entry, read_poses, write_poses
@@ -61,7 +62,7 @@ def read_tracked_folder(
     measured = [
         unseen if view in reasons else by_view.get(view, unseen) for view in readings.view_ids
     ]
-    try:
+    with errors_at(description_path):
         data = PoseDataset.from_poses(
             readings.poses,
             np.stack(measured),
@@ -71,8 +72,6 @@ def read_tracked_folder(
             joints=readings.joints,
             arm=readings.arm,
         )
-    except ValueError as error:
-        raise ValueError(f"{description_path}: {error}") from error
     data = with_read_covariances(data, folder, entry)
     notes = () if tracked.table is None else tracked.table.notes
     return dataclasses.replace(

@@ -18,7 +18,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
-from ..argument_checks import require_readable
+from ..argument_checks import errors_at, require_readable
 from ..files import read_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..robots import MAX_TOOL_COORDINATE
@@ -323,11 +323,9 @@ def _decode_viewpoints(
     """Decode rows of a pose format to commands; errors name the file."""
     if not names:
         raise ValueError(f"{path}: no viewpoints")
-    try:
+    with errors_at(path):
         poses = codec.decode(rows, *codec.units, labels=names)
         return _validated_viewpoints(poses, names, joints)._replace(pose_format=codec.name)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def hand_columns(hand: HandSteps | None, count: int) -> list[tuple[str, float] | tuple[()]]:

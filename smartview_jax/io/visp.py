@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxlie import SE3
 
+from ..argument_checks import errors_at
 from ..cameras import Camera, Pinhole
 from ..dataset import Dataset
 from ..files import parse_yaml, read_text, read_yaml, write_atomically
@@ -73,10 +74,8 @@ def read_visp_pose(path: str | Path) -> SE3:
 
     data = validate_content(read_yaml(path), VISP_POSE_SCHEMA, path).data
     numbers = np.array([row[0] if isinstance(row, list) else row for row in data])
-    try:
+    with errors_at(path):
         return pose_codec("rotation_vector").decode(numbers, labels=["0"])
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def write_visp_pose(path: str | Path, pose: SE3) -> None:

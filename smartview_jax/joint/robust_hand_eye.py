@@ -13,10 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION
-from ..geometry import host_nearest_rotation, host_rotation_angles, host_transforms
+from ..geometry import (
+    host_nearest_rotation,
+    host_poses,
+    host_rotation_angles,
+    host_rotation_vectors,
+    host_transforms,
+)
 from ..hand_eye import CLOSED_FORMS, mean_holder_from_world, motion_pairs
 
 TRIPLES = 200
@@ -137,7 +142,7 @@ def _solved_triples(
     first, second = np.triu_indices(3, 1)
     B, A = (poses[:, second] @ np.linalg.inv(poses)[:, first] for poses in (robot, tracked))
     # As in `hand_eye.park_martin`: the rotation maps the rotation vectors of B to those of A.
-    a, b = (_rotation_vectors(motions) for motions in (A, B))
+    a, b = (host_rotation_vectors(motions) for motions in (A, B))
     rotation = host_nearest_rotation(np.einsum("nki,nkj->nij", a, b))
     # (R_A - 1) t_X + s t_A = R_X t_B, with s = 1 if the unit is known.
     rows, shift = A[..., :3, :3] - np.eye(3), A[..., :3, 3]
@@ -151,8 +156,7 @@ def _solved_triples(
     inverse = np.linalg.pinv(np.where(finite[:, None, None], rows.reshape(count, 9, -1), 0.0))
     solution = (inverse @ right.reshape(count, 9, 1))[..., 0]
     factor = solution[:, 3] if scale else np.ones(count)
-    hand = np.tile(np.eye(4), (count, 1, 1))
-    hand[:, :3, :3], hand[:, :3, 3] = rotation, solution[:, :3]
+    hand = host_poses(rotation, solution[:, :3])
     scaled = np.tile(C, (count, 1, 1, 1))
     scaled[..., :3, 3] *= factor[:, None, None]
     solved = np.isfinite(hand).all(axis=(1, 2)) & (factor > 0.0)
@@ -166,12 +170,6 @@ def _solved_triples(
     cost = cost - 3.0 * len(T) * np.log(np.where(solved, factor, 1.0))
     cost[~(solved & np.isfinite(cost))] = np.inf
     return [_Solution(*each) for each in zip(cost.tolist(), factor.tolist(), agree, strict=True)]
-
-
-def _rotation_vectors(poses: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 3"]:
-    """Return the rotation vectors of poses, rad."""
-    rotations = Rotation.from_matrix(poses[..., :3, :3].reshape(-1, 3, 3))
-    return rotations.as_rotvec().reshape(*poses.shape[:-2], 3)
 
 
 def _solved(T: _Matrices, C: _Matrices, chosen: np.ndarray, scale: bool) -> _Solution:

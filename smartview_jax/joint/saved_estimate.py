@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..argument_checks import errors_at
 from ..calibration import Calibration
 from ..dataset import DepthSensor
 from ..engine import Noise, Observability, parameter_names
@@ -122,13 +123,11 @@ def load_with_uncertainty(
         FileNotFoundError: the file is missing.
         ValueError: a wrong entry; the message names it and the file.
     """
-    try:
+    with errors_at(path):
         content = read_yaml(path)
         calibration = Calibration.from_dict(content)
         entry = content.get("uncertainty")
         return calibration, None if entry is None else _estimate_from_dict(calibration, entry)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _estimate_from_dict(calibration: Calibration, entry: dict[str, Any]) -> SavedEstimate:

@@ -16,6 +16,7 @@ from typing import NamedTuple, Unpack
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..cameras import unit_rays
 from ..evaluation import root_mean_square
 from ..robots import CommandLike
 from ..runtime.array_namespace import to_device
@@ -25,7 +26,7 @@ from .line_jacobians import Lines, line_jacobians
 from .point_estimation import CONVERGED_DECREMENT, MAX_STEPS
 from .rig_views import AnyCalibration
 from .triangulation import CLICK_SIGMA
-from .view_poses import SeenViews, checked_sigma, padded_count, padded_to, unit_rays
+from .view_poses import SeenViews, checked_sigma, padded_count, padded_to
 
 MIN_SEGMENT_LENGTH = 2.0
 """Shortest segment, px, that has a direction."""

@@ -361,11 +361,3 @@ def _project(
         return view_camera.project(points @ matrix[:3, :3].T + matrix[:3, 3][None])[0]
 
     return jax.vmap(project_in_view, (camera_axes(camera), 0))(camera, camera_from_world)
-
-
-@compiled
-def unit_rays(
-    camera: AnyCamera, pixels: Float[Array, "*pixels 2"]
-) -> tuple[Float[Array, "*pixels 3"], Bool[Array, "*pixels"]]:
-    """Return the rays of pixels in the camera frame, and whether the lens is valid there."""
-    return camera.unproject(pixels)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64
 
+from ..argument_checks import errors_at
 from ..robots import SerialArm
 from .bag import Bag, Message
 from .picture_messages import COMPRESSED, IMAGE
@@ -309,10 +310,8 @@ class _ContentReader:
             notes.append(f"robot: poses of {self._robot}")
         joints = None
         if self._joint_record is not None:
-            try:
+            with errors_at(f"topic {self._joints}"):
                 joints = self._joint_record.finished()
-            except ValueError as error:
-                raise ValueError(f"topic {self._joints}: {error}") from error
             notes.append(f"joints: {', '.join(sources.joint_names)} of {self._joints}")
         if chain is None:
             notes.append("robot: poses by the arm's kinematics")

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from ..argument_checks import errors_at
 from ..export_text import OpenCVDistortion, camera_info_text
 from ..files import folder_transaction, write_atomically
 from ..geometry import as_se3
@@ -121,10 +122,8 @@ class _Import:
         stamps = thinned(robot.stamps, log_step(self._choice))
         poses, at_moments = robot.at(stamps), robot.at(content.moments)
         known = np.isfinite(at_moments[:, 0, 3])
-        try:
+        with errors_at(self._bag.path):
             chosen = choose_moments(content.moments, known, stamps, poses, self._choice)
-        except ValueError as error:
-            raise ValueError(f"{self._bag.path}: {error}") from error
         notes += chosen.notes
         view_ids = view_names(len(chosen.indices))
         moments = content.moments[chosen.indices]

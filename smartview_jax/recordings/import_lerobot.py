@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..argument_checks import errors_at
 from ..files import folder_transaction
 from ..geometry import ANGLE_UNITS, as_se3, host_matrices, pose_codec
 from ..io import joints_entry, poses_entry, write_joints, write_poses
@@ -175,10 +176,8 @@ def _write(
         )
     readings, poses = _poses(recording, sources, frames.states[:, numbers])
     known = np.isfinite(poses[:, 0, 3])
-    try:
+    with errors_at(recording.path):
         chosen = choose_moments(frames.stamps, known, frames.stamps, poses, choice)
-    except ValueError as error:
-        raise ValueError(f"{recording.path}: {error}") from error
     view_ids = view_names(len(chosen.indices))
     notes = [f"pictures: {image}; states: {sources.state}", *chosen.notes]
     if choice.every is not None:
@@ -240,10 +239,8 @@ def _poses(
     where = f"{recording.path}: {sources.state}"
     if sources.arm is None:
         codec = pose_codec(str(sources.pose_format))
-        try:
+        with errors_at(where):
             decoded = codec.decode(rows[known], "m", sources.angle_unit or codec.units[1])
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from error
         poses[known] = host_matrices(decoded)
         return rows, poses
     turning = ~np.asarray(sources.arm.prismatic)
@@ -270,11 +267,9 @@ def _write_pictures(
     missing = dict(zip(chosen.tolist(), view_names(len(chosen)), strict=True))
     for place, picture in recording.pictures(feature, frames, list(missing), report):
         view = missing.pop(place)
-        try:
+        with errors_at(f"{recording.path}: {feature}: view {view}"):
             file = checked_file(picture) if isinstance(picture, bytes) else png_of(picture)
             first = file.write(folder, view, first)
-        except ValueError as error:
-            raise ValueError(f"{recording.path}: {feature}: view {view}: {error}") from error
     if first is None or missing:
         raise ValueError(f"{recording.path}: {feature}: {len(missing)} pictures are missing")
     return first

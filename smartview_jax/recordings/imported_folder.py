@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from ..argument_checks import errors_at
 from ..files import dump_yaml, parse_yaml, read_yaml, write_atomically
 from ..io import DESCRIPTION_FILE, TARGETS, marked_entries, read_april_grid, read_target
 from ..targets import AbstractTarget, target_to_dict
@@ -123,10 +124,8 @@ def target_text(target: AbstractTarget | str | Path) -> TargetText:
     entry = content.get("target", content if "kind" in content else None)
     if not isinstance(entry, dict):
         raise ValueError(f"{path}: expected an entry target")
-    try:
+    with errors_at(path):
         return _text_of(read_target(path.parent, entry))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _text_of(target: AbstractTarget) -> TargetText:

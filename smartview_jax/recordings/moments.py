@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int64
 
+from ..argument_checks import errors_at
 from ..geometry import host_rotation_angles
 from ..robots import Trajectory, times_in_gaps
 
@@ -114,10 +115,8 @@ def _every(
     counted = np.flatnonzero(known)
     indices = counted[::every]
     seconds = (stamps - stamps[0]) / NANOSECONDS
-    try:
+    with errors_at("the robot's poses"):
         trajectory = Trajectory.of(seconds, poses)
-    except ValueError as error:
-        raise ValueError(f"the robot's poses: {error}") from error
     in_gap = times_in_gaps(trajectory, (moments[indices] - stamps[0]) / NANOSECONDS)
     left_out = {
         f"because one in {every} is taken": len(counted) - len(indices),

@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial.transform import Rotation
 
+from ..geometry import host_poses
+
 _NUMBERS = 7
 """Numbers of a transform: x, y, z, and the quaternion x, y, z, w."""
 
@@ -47,9 +49,7 @@ class Samples(NamedTuple):
         rotations = Rotation.from_quat(begin[:, 3:])
         turns = (rotations.inv() * Rotation.from_quat(end[:, 3:])).as_rotvec()
         rotations = rotations * Rotation.from_rotvec(fraction * turns)
-        poses[known] = np.eye(4)
-        poses[known, :3, :3] = rotations.as_matrix()
-        poses[known, :3, 3] = positions
+        poses[known] = host_poses(rotations.as_matrix(), positions)
         return poses
 
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import as_se3
+from ..geometry import as_se3, host_poses
 from .serial_arm import SerialArm
 
 PARALLEL_TOLERANCE = 1e-9
@@ -113,6 +113,4 @@ def _frame(
     origin: Float[np.ndarray, "3"], z: Float[np.ndarray, "3"], x: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
     """Return the homogeneous matrix of a frame with given origin, z axis and x axis."""
-    frame = np.eye(4)
-    frame[:3] = np.stack([x, np.cross(z, x), z, origin], axis=1)
-    return frame
+    return host_poses(np.stack([x, np.cross(z, x), z], axis=1), origin)

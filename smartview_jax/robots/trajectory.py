@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ..geometry import PoseLike, as_se3, host_matrices
+from ..geometry import PoseLike, as_se3, host_matrices, host_poses
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -78,10 +78,7 @@ class Trajectory(NamedTuple):
                 f"trajectory: {time:.9g} s is not within the logged times, {self.times[0]:.9g} to "
                 f"{self.times[-1]:.9g} s"
             )
-        poses = np.tile(np.eye(4), (len(times), 1, 1))
-        poses[:, :3, :3] = self.rotations(times).as_matrix()
-        poses[:, :3, 3] = self.positions(times)
-        return poses
+        return host_poses(self.rotations(times).as_matrix(), self.positions(times))
 
 
 @dataclasses.dataclass(frozen=True)

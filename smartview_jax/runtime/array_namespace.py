@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .double_precision import require_double_precision
 
@@ -37,6 +37,11 @@ def to_device(array: AnyArray | float | list[float]) -> Array:
     """Return a NumPy array as a JAX array; `jnp.asarray` would compile a program for each shape."""
     require_double_precision()
     return jax.device_put(np.asarray(array))
+
+
+def where_tree(condition: Bool[Array, ""], if_true: Any, if_false: Any) -> Any:
+    """Return the first of two pytrees where a scalar condition holds, else the second."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), if_true, if_false)
 
 
 def as_float_array(value: ArrayLike | Sequence[Any]) -> Float[Array, "..."]:

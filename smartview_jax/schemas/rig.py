@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter, model_validator
 
+from ..argument_checks import errors_at
 from .calibration import ImageSize
 from .dataset import (
     END_MARK,
@@ -119,10 +120,8 @@ class RigFile(RobotEntries):
                 )
         for arm, entries in self.arms.items():
             own = {mounts[name] for name, camera in self.cameras.items() if camera.arm == arm}
-            try:
+            with errors_at(f"arms.{arm}"):
                 entries.check_robot(own)
-            except ValueError as error:
-                raise ValueError(f"arms.{arm}: {error}") from error
             if not own:
                 raise ValueError(f"arms.{arm}: no camera names this arm")
 

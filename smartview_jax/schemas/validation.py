@@ -7,7 +7,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from pydantic import ValidationError
 
-from ..argument_checks import shortened_repr, spelling_suggestion
+from ..argument_checks import errors_at, shortened_repr, spelling_suggestion
 from ..files import dump_json, dump_yaml, write_atomically
 
 _MAX_REPORTED_ERRORS = 5
@@ -62,10 +62,8 @@ def refuse_unreadable(content: Any, schema: Schema[object], source: str | os.Pat
         schema: schema by which a reader validates the file.
         source: the file that would be written, for the message.
     """
-    try:
+    with errors_at(f"{source}: not written, it could not be read back"):
         validate_content(content, schema)
-    except ValueError as error:
-        raise ValueError(f"{source}: not written, it could not be read back: {error}") from error
 
 
 def write_validated(

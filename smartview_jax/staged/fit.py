@@ -7,20 +7,17 @@ camera to all views, Step 3 (`hand_eye`, Eq. 17) solves for the hand-eye and wor
 import dataclasses
 import logging
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool
 
 from ..calibration import Calibration, host_mount_from_holder
-from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
+from ..cameras import AbstractLens, Camera, initial_lens
 from ..data_checks import (
     MINIMUM_POINTS,
     ConventionReport,
     Findings,
-    camera_misfit,
-    camera_problem,
     check_conventions,
     detection_findings,
     find_change,
@@ -41,7 +38,6 @@ from ..data_checks import (
 )
 from ..dataset import (
     Dataset,
-    Observations,
     chain_residuals,
     contradictory_views,
     repeated_pose_reason,
@@ -54,10 +50,11 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from .given_start import known_bases, known_transforms
 from .kalman import kalman_filter
+from .picture_steps import camera_poses_of_views, common_camera_doubts, pixel_noise, run_step1
 from .staged_fit import CommonCameraFit, CommonCameraOptions, StagedFit, with_region
 from .two_hands import place_bases
 from .two_poses import choose_poses
-from .weng import ViewCalibrations, calibrate_views, estimate_view_poses
+from .weng import calibrate_views
 
 _log = logging.getLogger(__name__)
 
@@ -120,7 +117,7 @@ def fit_staged(
     if data.hands is not None:
         bases = known_bases(start)
         if bases is None:
-            bases = place_bases(data.hands, *_camera_poses_of_views(data, lens, camera))
+            bases = place_bases(data.hands, *camera_poses_of_views(data, lens, camera))
         data = data.with_bases(bases)
     known = known_transforms(start, data.mount)
     say = progress or (lambda _: None)
@@ -131,7 +128,7 @@ def fit_staged(
     unusable = unusable_views(data, minimum_points(camera))
     say(f"Step 1: each of {data.view_count - len(unusable)} views by itself")
     observations, used = mask_unusable_views(data, unusable)
-    step1 = _run_step1(observations, data.image_size, used, lens, camera)
+    step1 = run_step1(observations, data.image_size, used, lens, camera)
     # Views that Step 1 could not fit to the target (wrong corner numbering, another object).
     mismatched = mismatched_views(step1.rms, used, observations, data.image_size)
     if mismatched:
@@ -139,7 +136,7 @@ def fit_staged(
         unusable = {**unusable, **mismatched}
         require_minimum_views(data, unusable, minimum_points(camera))
         observations, used = mask_unusable_views(data, unusable)
-        step1 = _run_step1(observations, data.image_size, used, lens, camera)
+        step1 = run_step1(observations, data.image_size, used, lens, camera)
     start_inliers = step1.inliers
     point_counts = np.asarray(observations.visible).sum(axis=1)
     unchecked = np.sum(point_counts[point_counts <= MAX_UNCHECKED_POINTS])
@@ -173,7 +170,7 @@ def fit_staged(
         common_fit.camera_from_world,
         robot,
         used,
-        _pixel_noise(common_fit),
+        pixel_noise(common_fit),
         known,
     )
     if choice is not None and choice.exchanged:
@@ -209,7 +206,7 @@ def fit_staged(
         report = report._replace(problems=(), hypotheses=())
     if choice is None and not report.explained:
         report = _with_fault_of_many_views(report, data, common_fit.camera_from_world, used)
-    camera_doubts = _camera_doubts(
+    camera_doubts = common_camera_doubts(
         observations,
         used,
         common_fit,
@@ -297,29 +294,6 @@ def _calibration(
     return Calibration(camera, *ends, data.mount, base_from_other_base=data.base_from_other_base)
 
 
-def _camera_poses_of_views(
-    data: Dataset, lens: str | AbstractLens, camera: Camera | None
-) -> tuple[SE3, Bool[np.ndarray, "views"]]:
-    """Return where each view was taken from by its picture alone (Steps 1 and 2).
-
-    Returns:
-        `camera_from_world`, and a mask of the views whose pose is known.
-    """
-    unusable = unusable_views(data, minimum_points(camera))
-    require_minimum_views(data, unusable, minimum_points(camera))
-    observations, used = mask_unusable_views(data, unusable)
-    step1 = _run_step1(observations, data.image_size, used, lens, camera)
-    common_fit = kalman_filter(
-        observations,
-        step1.camera,
-        step1.camera_from_world,
-        step1.inliers,
-        CommonCameraOptions(hold_camera=camera is not None),
-        None,
-    )
-    return common_fit.camera_from_world, used
-
-
 def _with_fault_of_many_views(
     report: ConventionReport, data: Dataset, camera_from_world: SE3, used: np.ndarray
 ) -> ConventionReport:
@@ -337,88 +311,6 @@ def _with_fault_of_many_views(
     else:
         return report
     return report._replace(change=text, problems=(text,) if contradicts else report.problems)
-
-
-def _camera_doubts(
-    observations: Observations,
-    used: np.ndarray,
-    common_fit: CommonCameraFit,
-    lens: str | AbstractLens,
-    is_known: bool,
-    fit_with: Callable[[str], CommonCameraFit],
-) -> tuple[str, ...]:
-    """Return what is wrong with the common camera; see `camera_problem`."""
-    camera, poses = common_fit.camera, common_fit.camera_from_world
-    misfit = camera_misfit(observations, used, camera, poses)
-    if misfit is None:
-        return ()
-
-    def camera_and_poses(name: str) -> tuple[Camera, SE3]:
-        """Return the common camera with another lens, and the poses of the views."""
-        fit = fit_with(name)
-        return fit.camera, fit.camera_from_world
-
-    return (camera_problem(misfit, lens, is_known, camera_and_poses, observations, used),)
-
-
-def _pixel_noise(common_fit: CommonCameraFit) -> float:
-    """Return the standard deviation of u and v, px, with the freedom of the views' poses."""
-    points = np.asarray(common_fit.inliers).sum(axis=1)
-    # Six numbers of a pose take up half of the residuals of four corners.
-    freedom = max(2.0 * points.sum() - 6.0 * np.count_nonzero(points), 1.0)
-    pooled = float(common_fit.rms) * np.sqrt(points.sum() / freedom)
-    return max(float(common_fit.pixel_sigma), pooled)
-
-
-class _Step1(NamedTuple):
-    """The views by themselves, and what Step 2 starts from.
-
-    Attributes:
-        calibrations: the calibration of each view; None for a known camera.
-        camera, camera_from_world: the start of Step 2.
-        inliers: mask of the points that are not gross errors.
-        rms: RMS reprojection error of each view, px.
-    """
-
-    calibrations: ViewCalibrations | None
-    camera: Camera
-    camera_from_world: SE3
-    inliers: Bool[Array, "views points"]
-    rms: np.ndarray
-
-
-def _run_step1(
-    observations: Observations,
-    image_size: tuple[int, int],
-    used: np.ndarray,
-    lens: str | AbstractLens,
-    camera: Camera | None,
-) -> _Step1:
-    """Calibrate each view by itself; with a known camera, estimate its pose."""
-    if camera is not None:
-        poses, rms, inliers = estimate_view_poses(observations, camera)
-        start = _fill_unused_poses(poses, used)
-        return _Step1(None, camera, start, inliers, np.asarray(rms))
-    distortion = not (lens == "pinhole" or isinstance(lens, Pinhole))
-    step1 = calibrate_views(observations, image_size, distortion)
-    # The median over views: single views with a poor focal length do not spoil the start.
-    medians = [float(np.median(np.asarray(values)[used])) for values in step1.intrinsics]
-    start_camera = Camera(
-        *medians[:4], lens=initial_lens(lens, Radial(medians[4])), image_size=image_size
-    )
-    # The size in the picture is alpha / depth. A view with a larger alpha of its own has a larger
-    # depth than it has with the common alpha, so depths are rescaled by the ratio.
-    poses = np.array(step1.camera_from_world.wxyz_xyz)
-    poses[:, 6] *= medians[0] / np.asarray(step1.intrinsics.alpha_u)
-    start = _fill_unused_poses(SE3(to_device(poses)), used)
-    return _Step1(step1, start_camera, start, step1.inliers, np.asarray(step1.rms))
-
-
-def _fill_unused_poses(poses: SE3, used: np.ndarray) -> SE3:
-    """Return the poses with an arbitrary finite pose in the views that are not used."""
-    # Identity rotation, one metre in front of the camera: everything stays finite.
-    placeholder = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    return SE3(to_device(np.where(used[:, None], np.asarray(poses.wxyz_xyz), placeholder)))
 
 
 def fit_one_view_intrinsics(data: Dataset, view: int | None = None, **options: Any) -> StagedFit:

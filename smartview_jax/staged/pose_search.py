@@ -11,14 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from ..dataset import undetermined_twists
 from ..geometry import (
     host_cross_matrices,
     host_exponentials,
     host_nearest_rotation,
+    host_poses,
     host_rotation_angles,
+    host_rotation_vectors,
 )
 from ..hand_eye import minimum_norm_transforms
 from .planar_poses import MIN_DEPTH, Sight
@@ -206,21 +207,14 @@ def _triple_transforms(
     i, j = np.array([0, 0, 1]), np.array([1, 2, 2])
     # A X = X B with A = C_j C_i^-1, B = T_j T_i^-1 and X = camera_from_mount (Park and Martin).
     A, B = C[:, j] @ np.linalg.inv(C[:, i]), T[:, j] @ np.linalg.inv(T[:, i])
-    a, b = (
-        Rotation.from_matrix(motion[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(-1, 3, 3)
-        for motion in (A, B)
-    )
+    a, b = (host_rotation_vectors(motion) for motion in (A, B))
     R = host_nearest_rotation(a.swapaxes(1, 2) @ b)
     rows = (A[..., :3, :3] - np.eye(3)).reshape(-1, 9, 3)
     right = (B[..., :3, 3] @ R.swapaxes(1, 2) - A[..., :3, 3]).reshape(-1, 9, 1)
-    cameras = np.tile(np.eye(4), (len(views), 1, 1))
-    cameras[:, :3, :3] = R
-    cameras[:, :3, 3] = (np.linalg.pinv(rows, rcond=1e-3) @ right)[..., 0]
+    cameras = host_poses(R, (np.linalg.pinv(rows, rcond=1e-3) @ right)[..., 0])
     each = np.linalg.inv(cameras[:, None] @ T) @ C
-    worlds = np.tile(np.eye(4), (len(views), 1, 1))
-    worlds[:, :3, :3] = host_nearest_rotation(each[..., :3, :3].mean(axis=1))
-    worlds[:, :3, 3] = each[..., :3, 3].mean(axis=1)
-    return cameras, worlds
+    rotations = host_nearest_rotation(each[..., :3, :3].mean(axis=1))
+    return cameras, host_poses(rotations, each[..., :3, 3].mean(axis=1))
 
 
 def _triples(robot: Matrices) -> Int[np.ndarray, "triples 3"]:
@@ -236,8 +230,7 @@ def _triples(robot: Matrices) -> Int[np.ndarray, "triples 3"]:
     turns = np.stack(
         [R[:, j] @ R[:, i].swapaxes(1, 2) for i, j in ((0, 1), (0, 2), (1, 2))], axis=1
     )
-    vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 3, 3)
-    second = np.linalg.svd(vectors, compute_uv=False)[:, 1]
+    second = np.linalg.svd(host_rotation_vectors(turns), compute_uv=False)[:, 1]
     return triples[np.argsort(-second, kind="stable")[:MAX_TRIPLES]]
 
 

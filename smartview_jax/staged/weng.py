@@ -20,10 +20,10 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..cameras import Camera
+from ..cameras import Camera, unit_rays
 from ..dataset import Observations, coplanar, extents
 from ..runtime.array_namespace import to_device
-from ..runtime.compilation import compiled, compiled_optimised
+from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import MAX_PADDED_OBSERVATIONS, MIN_PADDED_COUNT, without_padding
 from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, view_starts
@@ -147,7 +147,7 @@ def estimate_view_poses(
     """
     view_count, point_count = observations.visible.shape
     points, pixels, visible = _host_observations(observations.padded())
-    rays, valid = map(np.asarray, _unproject(camera, jax.device_put(pixels)))
+    rays, valid = map(np.asarray, unit_rays(camera, jax.device_put(pixels)))
     visible = visible & valid & (rays[..., 2] > 1e-3)
     rays = np.where(visible[..., None], rays, 1.0)
     # Undistorted pixels relative to the principal point: an ideal pinhole camera with known alpha.
@@ -172,7 +172,7 @@ def unprojected(
     """Return the ideal coordinates x / z, y / z of the pixels, and where they are such."""
     shape = observations.visible.shape
     _, pixels, visible = _host_observations(observations.padded())
-    rays, valid = map(np.asarray, _unproject(camera, jax.device_put(pixels)))
+    rays, valid = map(np.asarray, unit_rays(camera, jax.device_put(pixels)))
     usable = visible & valid & (rays[..., 2] > 1e-3)
     ideal = rays[..., :2] / np.where(usable, rays[..., 2], 1.0)[..., None]
     views, points = shape
@@ -239,14 +239,6 @@ def _hold_intrinsics(
     poses = np.array(start.poses.wxyz_xyz)
     poses[..., 6] *= np.where(chosen, ratio, 1.0)[:, None]
     return Start(intrinsics, SE3(poses))  # pyright: ignore[reportArgumentType]
-
-
-@compiled
-def _unproject(
-    camera: Camera, pixels: Float[Array, "views points 2"]
-) -> tuple[Float[Array, "views points 3"], Bool[Array, "views points"]]:
-    """Return the rays of pixels as one program; operation by operation it would be some forty."""
-    return camera.unproject(pixels)
 
 
 def _fit_all_views(*by_view: Any) -> ViewFit:

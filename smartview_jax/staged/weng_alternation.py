@@ -26,6 +26,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..cameras import Radial
 from ..geometry import transformed_coordinates
+from ..runtime.array_namespace import where_tree
 from .weng_start import Intrinsics
 
 _MAX_ITERATIONS = 60
@@ -161,7 +162,7 @@ def _minimise(
         trial = _apply_step(state, _damped_step(gram, damping))
         after = cost(trial)
         accepted = after < before
-        state, after = _select(accepted, (trial, after), (state, before))
+        state, after = where_tree(accepted, (trial, after), (state, before))
         state, after = jax.lax.cond(
             free[4] & ~joint,
             lambda: _radial_half_step(state, after, cost, points, pixels, used),
@@ -218,12 +219,7 @@ def _radial_half_step(state, before, cost, points, pixels, used):
     k1 = jnp.sum(column * (ideal - distorted) * weight) / (jnp.sum(column**2) + 1e-300)
     trial = state._replace(camera_parameters=state.camera_parameters.at[4].set(k1))
     after = cost(trial)
-    return _select(after < before, (trial, after), (state, before))
-
-
-def _select(condition, if_true, if_false):
-    """Return the first pytree where the condition holds, else the second."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), if_true, if_false)
+    return where_tree(after < before, (trial, after), (state, before))
 
 
 def _alpha_and_centre(state: _State) -> tuple[Float[Array, "2 1"], Float[Array, "2 1"]]:

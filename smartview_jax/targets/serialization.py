@@ -3,14 +3,10 @@
 import dataclasses
 from typing import Any
 
-from ..argument_checks import require_one_of
-from .april_grid import AprilGrid
-from .charuco import Charuco
-from .chessboard import Chessboard
-from .circle_grid import CircleGrid
+from ..argument_checks import errors_at, require_one_of
+from .boards import AprilGrid, Charuco, Chessboard, CircleGrid, TagGrid
 from .listed_points import ListedPoints
 from .stacked import StackedTarget
-from .tag_grid import TagGrid
 from .target import AbstractTarget, require_lengths
 
 TARGET_CLASSES: dict[str, type[AbstractTarget]] = {
@@ -51,14 +47,12 @@ def target_from_dict(content: dict[str, Any]) -> AbstractTarget:
     ]
     if missing:
         raise ValueError(f"target: a {kind} needs {', '.join(missing)}")
-    try:
+    with errors_at("target"):
         board = TARGET_CLASSES[kind](**attributes)
         if heights is None:
             return board
         require_lengths(heights=heights)
         return StackedTarget(board, tuple(heights))
-    except ValueError as error:
-        raise ValueError(f"target: {error}") from error
 
 
 def target_to_dict(target: AbstractTarget) -> dict[str, Any]:

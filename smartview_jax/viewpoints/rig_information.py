@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..argument_checks import require_instance
+from ..argument_checks import errors_at, require_instance
 from ..calibration import Calibration
 from ..dataset import Dataset, Observations, Rig, chain_residuals
 from ..engine import (
@@ -107,10 +107,8 @@ class RigInformationModel:
         """
         if arm is None:
             rig.require_one_arm("RigInformationModel")
-        try:
+        with errors_at("fit"):
             estimate = RigEstimate.of(fit, arm)
-        except ValueError as error:
-            raise ValueError(f"fit: {error}") from error
         part = rig if arm is None else rig.of_arm(arm)
         sigmas = {name: fit.pixel_sigmas[name] for name in part.cameras}
         return cls.from_estimate(estimate, part, sigmas)

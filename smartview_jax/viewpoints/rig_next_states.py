@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..argument_checks import errors_at
 from ..geometry import host_matrices
 from ..robots import JointsLike, SerialArm
 from ..runtime.array_namespace import to_device
@@ -101,10 +102,8 @@ def _range_of(model: RigInformationModel, name: str, limits: ViewLimits) -> View
         ValueError: its calibration states no region; the message names the camera.
     """
     points = np.asarray(model.rig.cameras[name].points[0])
-    try:
+    with errors_at(f"camera {name!r}"):
         return views_near_calibrated(model.calibrations[name], points, limits)
-    except ValueError as error:
-        raise ValueError(f"camera {name!r}: {error}") from error
 
 
 def _candidates(

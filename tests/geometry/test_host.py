@@ -8,7 +8,9 @@ from smartview_jax.geometry import (
     host_logarithms,
     host_matrices,
     host_nearest_rotation,
+    host_poses,
     host_rotation_angles,
+    host_rotation_vectors,
     host_transformed,
     host_transforms,
     nearest_rotation,
@@ -70,3 +72,16 @@ def test_host_points_are_moved_as_jaxlie_moves_them():
     np.testing.assert_allclose(host_transformed(matrices, points), expected, atol=1e-14)
     np.testing.assert_allclose(host_transformed(matrices[1], points), expected[1], atol=1e-14)
     np.testing.assert_allclose(host_transformed(matrices[1], points[2]), expected[1, 2], atol=1e-14)
+
+
+def test_poses_are_put_together_from_rotations_and_translations():
+    tangents = 0.5 * np.random.default_rng(1).normal(size=(2, 3, 6))
+    expected = np.asarray(SE3.exp(jnp.asarray(tangents)).as_matrix())
+    rotations, translations = expected[..., :3, :3], expected[..., :3, 3]
+    np.testing.assert_array_equal(host_poses(rotations, translations), expected)
+    # Batches broadcast.
+    many = host_poses(rotations, translations[0, 0])
+    np.testing.assert_array_equal(many[1, 2] @ [0.0, 0.0, 0.0, 1.0], [*translations[0, 0], 1.0])
+    np.testing.assert_array_equal(many[1, 2, :3, :3], rotations[1, 2])
+    for matrices in (expected, rotations):
+        np.testing.assert_allclose(host_rotation_vectors(matrices), tangents[..., 3:], atol=1e-14)

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...calibration import Calibration
-from ...cameras import AnyCamera
+from ...cameras import AnyCamera, unit_rays
 from ...robots import CommandLike
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import compiled
 from ...runtime.padding import repeat_last
 from ..rig_views import AnyCalibration, calibration_of_views
-from ..view_poses import SeenViews, single_pose, unit_rays
+from ..view_poses import SeenViews, single_pose
 
 SAMPLES = 128
 """Number of points of a curve. In a picture of 4000 px they are 30 px apart, so that a curve with

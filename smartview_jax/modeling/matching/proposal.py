@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...argument_checks import errors_at
 from ...evaluation import CalibrationEstimate
 from ...features import Features, IdealPlane, describe, find
 from ...robots import CommandLike
@@ -170,10 +171,8 @@ def _found(pictures: Sequence[np.ndarray], views: SeenViews) -> list[Features]:
     """Return the features of every picture; an error names the view."""
     features = []
     for k, picture in enumerate(pictures):
-        try:
+        with errors_at(f"view {k}"):
             features.append(find(picture, views.cameras[k]))
-        except ValueError as error:
-            raise ValueError(f"view {k}: {error}") from error
     return features
 
 

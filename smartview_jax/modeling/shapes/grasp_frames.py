@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...argument_checks import require_readable_or_empty
+from ...geometry import host_poses
 from .faces import face_plane, points_in_loops
 
 if TYPE_CHECKING:
@@ -100,9 +101,7 @@ def grasp_on_face(
     frame = _tool_axes(
         plane.normal, plane.axes[1] if opening_direction is None else opening_direction
     )
-    object_from_tool = np.eye(4)
-    object_from_tool[:3, :3] = frame
-    object_from_tool[:3, 3] = point - depth * plane.normal
+    object_from_tool = host_poses(frame, point - depth * plane.normal)
     # At the fingertips' depth, which is where they close.
     width = width_between_fingers(model, object_from_tool)
     if opening is None:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...argument_checks import require_readable_or_empty
-from ...geometry import host_transformed
+from ...geometry import host_poses, host_transformed
 from .faces import (
     PLANAR_TOLERANCE,
     Face,
@@ -292,11 +292,8 @@ class ObjectModel:
     def face_from_object(self, face: int) -> Float[np.ndarray, "4 4"]:
         """Return the transform to the frame on a face, z along its outward normal."""
         plane = self.plane(face)
-        transform = np.eye(4)
         # x_face = axes (x - origin): the rows of the rotation are the axes of the face.
-        transform[:3, :3] = plane.axes
-        transform[:3, 3] = -plane.axes @ plane.origin
-        return transform
+        return host_poses(plane.axes, -plane.axes @ plane.origin)
 
 
 def edges_of_faces(faces: Sequence[Face]) -> Int[np.ndarray, "E 2"]:

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from ...geometry import host_poses
+
 _SAME_DIRECTION = 1e-3
 """Angle of a turn, or between two axes, below which it counts as zero, rad."""
 
@@ -90,10 +92,7 @@ class Symmetry:
     def object_from_object(self) -> Float[np.ndarray, "K 4 4"]:
         """The rotations about the centre as 4x4 transforms of the object's frame."""
         # x -> R (x - c) + c
-        transforms = np.tile(np.eye(4), (self.order, 1, 1))
-        transforms[:, :3, :3] = self.rotations
-        transforms[:, :3, 3] = self.centre - self.rotations @ self.centre
-        return transforms
+        return host_poses(self.rotations, self.centre - self.rotations @ self.centre)
 
 
 def _coordinates(direction: Float[np.ndarray, "3"]) -> str:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from ...argument_checks import require_readable
+from ...geometry import host_poses
 from ..polyhedra import Polyhedron, face_normal, loop_pairs
 from ..textures import Texture, speckled
 
@@ -190,6 +191,4 @@ def as_box(corners: Float[np.ndarray, "corners 3"]) -> BoxShape | None:
     axes = np.array(chosen) / size[:, None]
     # Right-handed, whichever corner was the first.
     axes[2] = np.cross(axes[0], axes[1])
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes.T, corners.mean(axis=0)
-    return BoxShape(pose, size)
+    return BoxShape(host_poses(axes.T, corners.mean(axis=0)), size)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...extras import import_extra
+from ...geometry import host_poses
 from ...robots import Gripper
 from .fixtures import FixedBox
 from .interface import CellError
@@ -189,11 +190,9 @@ class Physics:
             # s = 3 u^2 - 2 u^3 starts and ends at zero speed.
             u = min((self.time - begin) / duration, 1.0)
             s = u * u * (3.0 - 2.0 * u)
-            pose = np.eye(4)
             # Rotated about one fixed axis, while the origin moves straight.
-            pose[:3, :3] = Rotation.from_rotvec(s * turn).as_matrix() @ start[:3, :3]
-            pose[:3, 3] = start[:3, 3] + s * shift
-            numbers = _numbers(pose)
+            rotation = Rotation.from_rotvec(s * turn).as_matrix() @ start[:3, :3]
+            numbers = _numbers(host_poses(rotation, start[:3, 3] + s * shift))
             self._data.mocap_pos[0], self._data.mocap_quat[0] = numbers[:3], numbers[3:]
             return False
 
@@ -273,10 +272,7 @@ class Physics:
 
 def _matrix(numbers: Float[np.ndarray, "7"]) -> Float[np.ndarray, "4 4"]:
     """Return a MuJoCo pose (position, and quaternion with its real part first) as a matrix."""
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(np.roll(numbers[3:], -1)).as_matrix()
-    pose[:3, 3] = numbers[:3]
-    return pose
+    return host_poses(Rotation.from_quat(np.roll(numbers[3:], -1)).as_matrix(), numbers[:3])
 
 
 def _numbers(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "7"]:
