@@ -31,8 +31,7 @@ from ..geometry import (
     host_logarithms,
     host_matrices,
 )
-from .closure import MAX_VIEWS, Poses
-from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
+from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, MAX_VIEWS, Poses
 from .misfit_evidence import MIN_VARIANCE
 from .transform_fit import fit_transforms, median_distance, misfit_text, misfits
 
