@@ -50,7 +50,7 @@ class DriftOptions:
     Attributes:
         min_odds: smallest odds of a drift that is named; 150 are "very strong evidence" in the
             words of Kass and Raftery, Bayes factors, 1995.
-        min_views: fewest views: the transforms and the drift have 18 numbers, and 6 views 36.
+        min_views: fewest views: transforms, size and drift have 19 numbers, and 6 views 36.
         min_size: smallest drift from the first view to the last: rotation (rad) plus translation
             over the distance to the target. The default is 1 mm at half a metre.
     """
@@ -103,8 +103,8 @@ class SetUpDrift(NamedTuple):
         return (
             f"the views drift away from the robot's poses, as if the {self.kind} crept {place} by "
             f"{size} from view {view_ids[0]} to view {view_ids[-1]} (or the controller's {frame} "
-            "frame, or the robot warmed up, or errs along the path of the views): without that, "
-            f"robot and camera agree to {misfit_text(self.misfit)} instead of "
+            "frame drifted, the robot warmed up, or it errs along the path of the views): without "
+            f"that, robot and camera agree to {misfit_text(self.misfit)} instead of "
             f"{misfit_text(self.given_misfit)} (means over the views). Fasten camera and target, "
             "let the robot warm up, and take the views again, in mixed order"
         )
@@ -142,7 +142,7 @@ def find_drift(
     errors = host_logarithms(fit_transforms(robot, camera, np.ones(len(robot), bool)).closure)
     # Views that were left out passed time as well.
     time = 2.0 * (views - views[0]) / (views[-1] - views[0]) - 1.0
-    constant = _by_transforms(robot)
+    constant = _by_calibration(robot)
     drifts = {
         kind: np.concatenate([constant, time[:, None, None] * constant[:, :, columns]], axis=2)
         for kind, columns in (("camera", slice(0, 6)), ("target", slice(6, 12)))
@@ -167,16 +167,20 @@ def find_drift(
         translation, rotation = misfits(change[None])[0].tolist()
         size = rotation + translation / distance
         misfit, score = _mean(fit.remaining, distance)
-        # A drift by the size s leaves s / 4 on average in a fit without it.
-        if size > options.min_size and 0.25 * size > score:
+        if size > options.min_size:
             found.append(SetUpDrift(kind, translation, rotation, misfit, given[0], score, given[1]))
     return min(found, key=lambda drift: drift.score, default=None)
 
 
-def _by_transforms(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 12"]:
-    """Return the derivatives of the closure errors by twists of both transforms."""
+def _by_calibration(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 13"]:
+    """Return the derivatives of the closure errors by twists of both transforms, and the size.
+
+    The size is that of the robot's motion, in which a creeping target would otherwise be hidden.
+    """
     eye = np.broadcast_to(np.eye(6), (len(mount_from_holder), 6, 6))
-    return np.concatenate([eye, host_adjoints(mount_from_holder)], axis=2)
+    size = np.zeros((len(mount_from_holder), 6, 1))
+    size[:, :3, 0] = -mount_from_holder[:, :3, 3]
+    return np.concatenate([eye, host_adjoints(mount_from_holder), size], axis=2)
 
 
 class _Process(NamedTuple):

@@ -3,13 +3,17 @@
 The poses are made by SciPy's rotations and plain products of matrices.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
+from fit_scenes import MANY_VIEWS, scene_of
 from robot_motions import CAMERA_FROM_MOUNT, HOLDER_FROM_WORLD, VIEWS, moving_alike, transform
 from scipy.spatial.transform import Rotation
 
 from smartview_jax.data_checks import find_drift
-from smartview_jax.geometry import as_se3
+from smartview_jax.geometry import as_se3, host_matrices
+from smartview_jax.staged import fit_staged
 
 IDS = [f"v{view}" for view in range(VIEWS)]
 EVERY_VIEW = np.ones(VIEWS, dtype=bool)
@@ -99,3 +103,19 @@ def test_the_size_is_that_of_the_motion_in_the_pictures():
     last = camera[-1]
     assert drift.rotation == pytest.approx(Rotation.from_matrix(last[:3, :3]).magnitude(), rel=0.02)
     assert drift.translation == pytest.approx(np.linalg.norm(last[:3, 3]), rel=0.05)
+
+
+@pytest.mark.parametrize("size", [0.003, 0.03])
+def test_the_staged_fit_names_a_base_frame_that_creeps(size):
+    """In words where the calibration is little wrong, as an error where it is useless."""
+    data = scene_of(0, MANY_VIEWS, translation_noise=1e-4, rotation_noise=1e-4).data
+    parts = np.linspace(0.0, 1.0, MANY_VIEWS)
+    steps = np.array([transform([0.0, 0.0, 0.0], [size * part, 0.0, 0.0]) for part in parts])
+    poses = as_se3(steps @ host_matrices(data.base_from_tool))
+    crept = dataclasses.replace(data, base_from_tool=poses)
+    words = "as if the target crept on the table by"
+    if size < 0.01:
+        assert [text for text in fit_staged(crept).warnings if words in text]
+    else:
+        with pytest.raises(ValueError, match=words):
+            fit_staged(crept)
