@@ -111,11 +111,23 @@ def _warnings(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
         text for text in repetition_warnings(staged.rejected) if text not in joint.warnings
     ]
     return (
-        *staged.warnings,
+        *(text for text in staged.warnings if text not in _answered_doubts(staged, joint)),
         *_staged_comparison_warnings(staged, joint),
         *joint.warnings,
         *repetitions,
     )
+
+
+def _answered_doubts(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
+    """Return the doubts of the staged fit that the joint fit answers.
+
+    No single camera fits pictures of a stretched target that is taken as stated.
+    """
+    doubt, estimate = staged.camera_doubt, joint.noise_estimate
+    shape = None if estimate is None else estimate.target_shape
+    if doubt is None or shape is None or not shape.is_stretched or joint.noise is None:
+        return ()
+    return (doubt.text,) if doubt.is_answered_by(joint.noise.within_view_pixel) else ()
 
 
 @overload

@@ -157,3 +157,20 @@ def test_a_place_that_a_prior_states_is_no_start_to_doubt():
     }
     fit = calibrate(scene.data, priors=priors)
     assert not [text for text in fit.warnings if "start" in text]
+
+
+def test_a_stretched_target_answers_that_no_single_camera_fits():
+    """The staged fit cannot know it; the joint fit finds the stretch, and leaves the noise."""
+    data = scene_of(1, MANY_VIEWS, translation_noise=1e-4, rotation_noise=1e-4).data
+    stated = np.array(data.points)
+    stated[..., 0] /= 1.06
+    fit = calibrate(dataclasses.replace(data, points=jnp.asarray(stated)))
+    doubt = fit.staged.camera_doubt
+    assert doubt.text.startswith("no single camera fits these pictures")
+    assert doubt.text in fit.staged.warnings
+    assert doubt.text not in fit.warnings
+    # (1 + a) / (1 - a) = 1.06, for 2 a.
+    stretch, std = fit.noise_estimate.target_shape.stretch
+    assert stretch == pytest.approx(2.0 * 0.06 / 2.06, abs=5.0 * std)
+    # A fit that leaves far more than a camera in each view would does not answer it.
+    assert not doubt.is_answered_by(3.0 * doubt.misfit.single)

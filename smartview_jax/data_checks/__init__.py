@@ -12,6 +12,7 @@ of their own (`transform_fit.py`), some by the odds of an explanation (`misfit_e
 `rig_checks.py` compares the cameras of a rig.
 """
 
+from .camera_checks import CameraDoubt as CameraDoubt
 from .camera_checks import camera_misfit as camera_misfit
 from .camera_checks import camera_problem as camera_problem
 from .changes import ChangeOptions as ChangeOptions

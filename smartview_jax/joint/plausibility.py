@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..calibration import BOW, PRINT, SHAPE_NAMES, Calibration
+from ..calibration import BOW, PRINT, Calibration
 from ..cameras import lens_name
 from ..dataset import (
     MINIMUM_RELIABLE_VIEWS,
@@ -22,7 +22,7 @@ from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction
 from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
 from ..staged import mistaken_unit
-from ..variance import TargetScaleEvidence
+from ..variance import MIN_SHAPE_SIGMAS, TargetScaleEvidence
 from .joint_fit import JointFit, half_width
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
@@ -42,9 +42,6 @@ MAX_EFFECTIVE_TO_WHITE_SIGMA = 5.0
 
 MAX_CHAIN_RMS = 20.0
 """The RMS residual of the chain, px, above which poses and pictures do not belong together."""
-
-MIN_BOW_SIGMAS = 3.0
-"""The smallest bow or stretch of the target for a warning, in standard deviations."""
 
 MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """Probabilities of a wrong target size above which a warning mentions the estimated size, and above
@@ -191,11 +188,7 @@ def _shape_warnings(fit: JointFit) -> list[str]:
     estimate = noise_estimate.target_shape
     observations = fit.problem.seen_points
     bow, std = estimate.bow(np.asarray(observations.points)[np.asarray(observations.visible)])
-    # x is stretched by this part of the half size, and y shortened.
-    by_aspect = 2.0 / float(estimate.shape.half_size)
-    k = SHAPE_NAMES.index("aspect")
-    stretch = by_aspect * float(np.asarray(estimate.shape.coefficients)[k])
-    stretch_std = by_aspect * float(np.sqrt(estimate.covariance[k, k]))
+    stretch, stretch_std = estimate.stretch
     longer, other = ("x", "y") if stretch > 0.0 else ("y", "x")
     mount = f"{fit.calibration.transform_names[0]}."
     names = [name for name in fit.parameter_names if name.startswith(mount)]
@@ -203,13 +196,13 @@ def _shape_warnings(fit: JointFit) -> list[str]:
     stds = np.array([fit.std[name] for name in names])
     kinds = (
         (
-            bow > MIN_BOW_SIGMAS * std,
+            bow > MIN_SHAPE_SIGMAS * std,
             BOW,
             f"the target bows by {1e3 * bow:.2f} +- {1e3 * std:.2f} mm, which is corrected; "
             "taken as flat",
         ),
         (
-            abs(stretch) > MIN_BOW_SIGMAS * stretch_std,
+            estimate.is_stretched,
             PRINT,
             f"the target is stretched by {100.0 * abs(stretch):.2f} +- {100.0 * stretch_std:.2f} % "
             f"along its {longer} compared with its {other}, which is corrected; taken as stated",

@@ -50,7 +50,7 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from .given_start import known_bases, known_transforms
 from .kalman import kalman_filter
-from .picture_steps import camera_poses_of_views, common_camera_doubts, pixel_noise, run_step1
+from .picture_steps import camera_poses_of_views, common_camera_doubt, pixel_noise, run_step1
 from .staged_fit import CommonCameraFit, CommonCameraOptions, StagedFit, with_region
 from .two_hands import place_bases
 from .two_poses import choose_poses
@@ -206,7 +206,7 @@ def fit_staged(
         report = report._replace(problems=(), hypotheses=())
     if choice is None and not report.explained:
         report = _with_fault_of_many_views(report, data, common_fit.camera_from_world, used)
-    camera_doubts = common_camera_doubts(
+    camera_doubt = common_camera_doubt(
         observations,
         used,
         common_fit,
@@ -217,6 +217,7 @@ def fit_staged(
             step1.camera_from_world,
         ),
     )
+    camera_doubts = () if camera_doubt is None else (camera_doubt.text,)
     findings = Findings(
         pose_findings(unusable | stale, data.view_ids),
         detection_findings(mismatched, data.view_ids),
@@ -283,6 +284,7 @@ def fit_staged(
             # With a wrong camera any poses explain the pictures as badly.
             *((choice.warning,) if choice and choice.warning and not camera_doubts else ()),
         ),
+        camera_doubt,
     )
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool
 
 from ..cameras import AbstractLens, Camera, Pinhole, Radial, initial_lens
 from ..data_checks import (
+    CameraDoubt,
     camera_misfit,
     camera_problem,
     mask_unusable_views,
@@ -113,23 +114,24 @@ def pixel_noise(common_fit: CommonCameraFit) -> float:
     return max(float(common_fit.pixel_sigma), pooled)
 
 
-def common_camera_doubts(
+def common_camera_doubt(
     observations: Observations,
     used: np.ndarray,
     common_fit: CommonCameraFit,
     lens: str | AbstractLens,
     is_known: bool,
     fit_with: Callable[[str], CommonCameraFit],
-) -> tuple[str, ...]:
-    """Return what is wrong with the common camera; see `camera_problem`."""
+) -> CameraDoubt | None:
+    """Return what is wrong with the common camera, if anything; see `camera_problem`."""
     camera, poses = common_fit.camera, common_fit.camera_from_world
     misfit = camera_misfit(observations, used, camera, poses)
     if misfit is None:
-        return ()
+        return None
 
     def camera_and_poses(name: str) -> tuple[Camera, SE3]:
         """Return the common camera with another lens, and the poses of the views."""
         fit = fit_with(name)
         return fit.camera, fit.camera_from_world
 
-    return (camera_problem(misfit, lens, is_known, camera_and_poses, observations, used),)
+    text = camera_problem(misfit, lens, is_known, camera_and_poses, observations, used)
+    return CameraDoubt(text, misfit)

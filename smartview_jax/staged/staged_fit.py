@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration, mount_frames, mount_from_holder_matrices
 from ..cameras import Camera
-from ..data_checks import ConventionReport
+from ..data_checks import CameraDoubt, ConventionReport
 from ..dataset import Dataset
 from ..fit_result import FitResult, Rejection
 from ..geometry import ViewedRegion, host_matrices
@@ -85,6 +85,7 @@ class StagedFit(eqx.Module):
         conventions: how well robot and camera motion agree.
         result: whether all steps converged.
         warnings: the reasons to doubt the answer, a sentence each.
+        camera_doubt: the one about the common camera, which is among them; None without.
 
     For example:
 
@@ -104,6 +105,7 @@ class StagedFit(eqx.Module):
     conventions: ConventionReport = eqx.field(static=True)
     result: FitResult = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    camera_doubt: CameraDoubt | None = eqx.field(static=True, default=None)
 
     def interpolation(self, data: Dataset) -> Interpolation:
         """Return the paper's comparison method: interpolation between the viewpoints of `data`."""

@@ -7,6 +7,7 @@ from .model_comparison import compare_models as compare_models
 from .model_selection import WHITE_NOISE as WHITE_NOISE
 from .model_selection import ModelName as ModelName
 from .model_selection import encompassing_field as encompassing_field
+from .noise_estimate import MIN_SHAPE_SIGMAS as MIN_SHAPE_SIGMAS
 from .noise_estimate import CandidateResult as CandidateResult
 from .noise_estimate import NoiseEstimate as NoiseEstimate
 from .noise_estimate import TargetScaleEvidence as TargetScaleEvidence

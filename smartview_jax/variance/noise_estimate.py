@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration, TargetShape
+from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..engine import TARGET_SCALE, Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
 from .kenward_roger import SmallSampleCorrection
@@ -52,6 +52,10 @@ class TargetScaleEvidence(NamedTuple):
     std: float
 
 
+MIN_SHAPE_SIGMAS = 3.0
+"""The smallest bow or stretch of the target that is named, in standard deviations."""
+
+
 class TargetShapeEstimate(NamedTuple):
     """The estimated shape of the target.
 
@@ -78,6 +82,21 @@ class TargetShapeEstimate(NamedTuple):
         difference = along_z[np.argmax(heights)] - along_z[np.argmin(heights)]
         std = np.sqrt(difference @ self.covariance @ difference)
         return float(np.ptp(heights)), float(std)
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """By which part the target is longer along x than along y, and its standard deviation."""
+        k = SHAPE_NAMES.index("aspect")
+        # x is stretched by this part of the half size, and y shortened.
+        by_aspect = 2.0 / float(self.shape.half_size)
+        coefficient = float(np.asarray(self.shape.coefficients)[k])
+        return by_aspect * coefficient, by_aspect * float(np.sqrt(self.covariance[k, k]))
+
+    @property
+    def is_stretched(self) -> bool:
+        """Whether the target is certainly longer along one axis than stated."""
+        stretch, std = self.stretch
+        return abs(stretch) > MIN_SHAPE_SIGMAS * std
 
 
 class NoiseEstimate(NamedTuple):
