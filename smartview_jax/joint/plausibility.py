@@ -6,12 +6,12 @@ errors of arms, with the fit without a smooth robot error, and with the accuracy
 calibration needs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ..calibration import BOW, PRINT, Calibration
-from ..cameras import lens_name
+from ..cameras import Camera, lens_name
 from ..dataset import (
     MINIMUM_RELIABLE_VIEWS,
     PoseObservations,
@@ -47,6 +47,14 @@ MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """Probabilities of a wrong target size above which a warning mentions the estimated size, and above
 which it mentions only this size."""
 
+MAX_PRINCIPAL_POINT_OFFSET = 0.15
+"""Distance of the principal point from the middle of the picture, over its width or height, above
+which a warning asks whether the pixels are of these pictures. Lenses are mounted to within some
+hundredths; half of a cropped picture is a quarter off."""
+
+MIN_OFFSET_SIGMAS = 3.0
+"""Smallest excess over it, in standard deviations, with which it is named."""
+
 RICHER_LENSES = {
     "pinhole": "opencv4",
     "radial": "opencv4",
@@ -81,6 +89,7 @@ def plausibility_warnings(
         f"the data do not determine: {direction.description}; {_advice(direction, fit.calibration)}"
         for direction in fit.observability.null_directions
     ]
+    warnings += principal_point_warnings(fit.calibration.camera, fit.std, "camera")
     # Before the target: its size is found wrong if a known focal length is.
     warnings += contradicted_values
     warnings += _target_warnings(fit)
@@ -132,6 +141,37 @@ def _chain_warnings(fit: JointFit) -> list[str]:
     return [
         f"the chain leaves residuals of {rms:.0f} px: poses and pictures do not belong together; "
         f"mirrored pictures, a wrong pose convention, or mispaired views?"
+    ]
+
+
+def principal_point_warnings(camera: Camera, std: Mapping[str, float], path: str) -> list[str]:
+    """Return a warning if the principal point is far from the middle of the picture.
+
+    So it is where the pixels were measured in pictures of another size, or in cropped ones.
+
+    Args:
+        camera: as found.
+        std: standard deviations of the parameters that were fitted, by name.
+        path: path of the camera's parameters, such as `camera`.
+    """
+    names = [f"{path}.{name}" for name in ("u0", "v0")]
+    # A camera that was given is judged by its own test.
+    if not set(names) <= set(std):
+        return []
+    size = np.array(camera.image_size, dtype=float)
+    point = np.array([float(camera.u0), float(camera.v0)])
+    # The centre of the first pixel is (0, 0).
+    offset = np.abs(point - 0.5 * (size - 1.0))
+    excess = offset - MAX_PRINCIPAL_POINT_OFFSET * size
+    if not (excess > MIN_OFFSET_SIGMAS * np.array([std[name] for name in names])).any():
+        return []
+    width, height = camera.image_size
+    owner = path.removesuffix(".camera") + ": " if path != "camera" else ""
+    return [
+        f"{owner}the principal point {vector_text(point, 0)} px is far from the middle of pictures "
+        f"of {width} x {height} px: were the pixels measured in pictures of another size, or in "
+        "cropped ones? State the size of the pictures in which the target was detected; if these "
+        "are parts of larger ones, or the lens is shifted, this is right"
     ]
 
 

@@ -39,7 +39,7 @@ from ..staged import with_region
 from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .held_parameters import held_camera_warnings
-from .plausibility import MIN_SCALE_PROBABILITY
+from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
 from .several_arms import JoinedArms, added_by_estimation, join_arms
 from .view_rejection import is_plausible
@@ -257,6 +257,8 @@ def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
             f"the data do not determine {listed(undetermined, MAX_LISTED)}: turn the robot about "
             "other axes, hold them by fixed=, or give priors"
         )
+    for name, calibration in fit.calibrations.items():
+        warnings += principal_point_warnings(calibration.camera, fit.std, f"{name}.camera")
     for arm, built in fit.built_by_arm.items():
         named = f"{arm}: " if fit.bases else ""
         warnings += [f"{named}{text}" for text in _estimate_warnings(fit, arm, prior)]

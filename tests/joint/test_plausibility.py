@@ -8,7 +8,7 @@ import pytest
 from fit_scenes import MANY_VIEWS, POINTS, scene_of
 from jaxlie import SE3, SO3
 
-from smartview_jax import calibrate, fit_joint, fit_staged
+from smartview_jax import Noise, calibrate, fit_joint, fit_staged
 from smartview_jax.simulation import PaperSetUp, paper_scene, simulate
 
 ROBOT = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
@@ -79,6 +79,33 @@ def test_mirrored_pictures_are_named(scene):
     flipped = data.pixels.at[..., 0].set(data.image_size[0] - 1 - data.pixels[..., 0])
     with pytest.raises(ValueError, match="but do if the pictures are mirrored"):
         calibrate(dataclasses.replace(data, pixels=flipped), "radial")
+
+
+@pytest.mark.parametrize(
+    ("size", "named"), [((640, 480), False), ((1280, 960), True), ((320, 240), True)]
+)
+def test_pixels_of_pictures_of_another_size_are_named(scene, size, named):
+    """The camera is found in the pixels that were measured; only its middle looks odd."""
+    camera = scene.calibration.camera
+    data = dataclasses.replace(scene.data, image_size=size)
+    start = dataclasses.replace(
+        scene.calibration, camera=dataclasses.replace(camera, image_size=size)
+    )
+    fit = fit_joint(data, start, noise=Noise(0.15, 1e-4, 2e-4))
+    words = f"far from the middle of pictures of {size[0]} x {size[1]} px"
+    assert bool([text for text in fit.warnings if words in text]) == named
+
+
+def test_a_known_camera_with_a_shifted_lens_is_believed(scene):
+    camera = scene.calibration.camera
+    pixels = np.array(scene.data.pixels)
+    pixels[..., 1] += 150.0
+    data = dataclasses.replace(scene.data, pixels=jnp.asarray(pixels))
+    known = dataclasses.replace(camera, v0=camera.v0 + 150.0)
+    start = dataclasses.replace(scene.calibration, camera=known)
+    for fixed, count in (((), 1), (("camera",), 0)):
+        fit = fit_joint(data, start, noise=Noise(0.15, 1e-4, 2e-4), fixed=fixed)
+        assert len([text for text in fit.warnings if "principal point" in text]) == count
 
 
 def test_one_wrong_pose_is_left_out(scene):

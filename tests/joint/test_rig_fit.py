@@ -236,6 +236,12 @@ def test_reasons_to_doubt_are_said(fit):
     )
     (text,) = rig_warnings(weak, prior)
     assert "the robot's poses err by 50 mm" in text
+    calibration = fit.calibrations["camera2"]
+    width, height = calibration.camera.image_size
+    of_half = dataclasses.replace(calibration.camera, image_size=(2 * width, 2 * height))
+    halved = fit.calibrations | {"camera2": dataclasses.replace(calibration, camera=of_half)}
+    (text,) = rig_warnings(dataclasses.replace(fit, calibrations=halved), prior)
+    assert text.startswith("camera2: the principal point (")
     size = TargetScaleEvidence(0.9, 0.98, 0.001)
     sizes = {"target_scale": size, "wall.target_scale": size}
     larger = fit.noise_estimate._replace(target_scales=sizes, converged=False)
