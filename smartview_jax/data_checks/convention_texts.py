@@ -131,6 +131,11 @@ def closure_error_text(error: ClosureError, short: bool = False) -> str:
 
 def of_tracked_poses(text: str) -> str:
     """Return a sentence about pictures as one about tracked poses."""
-    return text.replace("the target's points", "the tracked positions").replace(
-        "the pictures", "the tracked poses"
-    )
+    for of_pictures, of_tracker in (
+        ("the target's points", "the tracked positions"),
+        ("the target seems to be", "the tracked target seems to be"),
+        ("the pictures", "the tracked poses"),
+        ("the camera moved", "the tracker moved"),
+    ):
+        text = text.replace(of_pictures, of_tracker)
+    return text

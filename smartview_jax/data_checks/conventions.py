@@ -170,7 +170,7 @@ def check_conventions(
             problems = problem_of_views(given_error, error, [ids[k] for k in views]) or problems
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
-        problems = length_unit_problems(ratio, robot, camera, used)
+        problems = length_unit_problems(ratio, robot, camera, used, tracked)
     ambiguities = ()
     if comparable and is_accepted and not problems:
         rival_score = MAX_RIVAL_SCORE_RATIO * max(given_error.score, CLOSURE_SCORE_FLOOR)
