@@ -5,10 +5,10 @@
 alike (`conventions.py`, with the usual mistakes in `mistakes.py` and `length_units.py`, judged by
 `rotation_angles.py` and by the closure of motions, `closure.py`) and tell a wrong mount at all
 (`inverted_poses.py`), whether something was changed between two views (`changes.py`) or the poses
-lag (`pose_lag.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
-contradict the others (`view_consistency.py`); all judge by transforms of their own
-(`transform_fit.py`), some by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
-compares the cameras of a rig.
+lag (`pose_lag.py`, by the fit in `lag_fit.py`; `faults_of_many_views.py` asks both), and which
+single views are numbered wrongly (`shifted_numbering.py`) or contradict the others
+(`view_consistency.py`); all judge by transforms of their own (`transform_fit.py`), some by the odds
+of an explanation (`misfit_evidence.py`). `rig_checks.py` compares the cameras of a rig.
 """
 
 from .camera_checks import camera_misfit as camera_misfit
@@ -21,6 +21,9 @@ from .closure import relative_motions as relative_motions
 from .conventions import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
+from .faults_of_many_views import RobotAndCamera as RobotAndCamera
+from .faults_of_many_views import SharedFault as SharedFault
+from .faults_of_many_views import find_shared_fault as find_shared_fault
 from .length_units import mistaken_unit as mistaken_unit
 from .mistakes import target_turns as target_turns
 from .pose_lag import PoseLag as PoseLag

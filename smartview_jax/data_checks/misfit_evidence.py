@@ -22,7 +22,12 @@ MIN_VARIANCE = 1e-18
 
 def closure_variances(closure: Poses) -> Float[np.ndarray, "2"]:
     """Return the variances of the closure errors of the views, of translation and rotation."""
-    return np.maximum(np.mean(_errors(closure) ** 2, axis=(0, 2)), MIN_VARIANCE)
+    return error_variances(_errors(closure))
+
+
+def error_variances(errors: Float[np.ndarray, "views 2 3"]) -> Float[np.ndarray, "2"]:
+    """Return the variances of the views' errors, of translation (m^2) and rotation (rad^2)."""
+    return np.maximum(np.mean(errors**2, axis=(0, 2)), MIN_VARIANCE)
 
 
 def evidence(given_variances: Float[np.ndarray, "2"], corrected: Poses, parameters: int) -> float:
@@ -35,9 +40,23 @@ def evidence(given_variances: Float[np.ndarray, "2"], corrected: Poses, paramete
         corrected: closure error of each view with the explanation.
         parameters: how many numbers the explanation has.
     """
-    after, variances = _errors(corrected), closure_variances(corrected)
-    count = len(after)
-    scaled = after / np.sqrt(variances)[:, None]
+    return evidence_of_errors(given_variances, _errors(corrected), parameters)
+
+
+def evidence_of_errors(
+    given_variances: Float[np.ndarray, "2"],
+    errors: Float[np.ndarray, "views 2 3"],
+    parameters: int,
+) -> float:
+    """Return `evidence` for errors that are computed already.
+
+    Args:
+        given_variances: variances of the errors as given (`error_variances`).
+        errors: what the explanation leaves over, of translation (m) and rotation (rad).
+        parameters: how many numbers the explanation has.
+    """
+    variances, count = error_variances(errors), len(errors)
+    scaled = errors / np.sqrt(variances)[:, None]
     correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (6.0 * (count - 1))
     correlation = min(max(correlation, 0.0), 1.0)
     effective = max(count * (1.0 - correlation) / (1.0 + correlation), 1.0)

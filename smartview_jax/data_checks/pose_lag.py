@@ -1,81 +1,91 @@
-"""Find out whether the robot's poses lag the pictures by the same part of every move.
+"""Find out whether the robot's poses lag the camera's by the same part of every move.
 
 A controller that filters its poses, or is asked before the arm has settled, reports a pose between
-the previous view's and the picture's own; one that is asked too late reports a pose on the way to
-the next view's. Every view is then wrong by a few percent of its move, and no single view looks
-wrong. The part is found by the smallest misfit of robot and camera over all views that have a
-neighbour on that side, with positions on a straight line between two poses and rotations about one
-axis, as arms move from pose to pose. It is named where it is likely, by Schwarz's criterion, and
-removes most of the misfit.
+the previous view's and its own; one that is asked too late reports a pose on the way to the next
+view's. Every view is then wrong by a few percent of its move, and no single view looks wrong. The
+likeliest part is fitted with the chain (`lag_fit.py`), with positions on a straight line between
+two poses and rotations about one axis, as arms move from pose to pose. The question is the same for
+pictures and for tracked poses.
+
+The first step from no lag answers it for most data: where it is not larger than twice its own
+standard deviation, nothing else is computed.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool
-from scipy.optimize import minimize_scalar
-from scipy.spatial.transform import Rotation
 
-from ..calibration import mount_from_holder_matrices
+from ..calibration import ONE_ARM_MOUNTS
 from ..geometry import host_matrices
 from .changes import ChangeOptions
-from .closure import Poses
-from .conventions import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO
-from .misfit_evidence import closure_variances, evidence
+from .conventions import MAX_CLOSURE_SCORE
+from .lag_fit import MAX_FRACTION, LagEstimate, LagFit, LaggingViews
+from .misfit_evidence import error_variances, evidence_of_errors
 from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text
 
 MIN_VIEWS = 6
 """Smallest number of views in which a lag is looked for: a third of the views may not tell it."""
 
-MAX_FRACTION = 0.3
-"""Largest part of a move that is tried. Farther behind they look like poses of other views."""
+MIN_STEP = 2.0
+"""Smallest first step from no lag, in its own standard deviations, after which a lag is fitted."""
 
-FRACTION_TOLERANCE = 1e-3
-"""Accuracy of the part of a move that is searched for."""
+MAX_CORRECTED_RATIO = 0.5
+"""Largest ratio of the misfit without the lag to the given one with which a lag is named.
 
-ROUNDS = 8
-"""Number of rounds in which poses are corrected. Each leaves a part f / (1 - f) of the error, with
-the lag f."""
+An error that is linear in the pose, such as a wrong scale, resembles a lag: of independent poses
+half of the variance of a move is the variance of its end. A lag fitted to such an error leaves 0.71
+of it.
+"""
 
 
 class PoseLag(NamedTuple):
-    """A part of every move by which the robot's poses are not where the pictures were taken.
+    """A part of every move by which the robot's poses are not where the camera's were measured.
 
     Attributes:
         fraction: how far the poses lie behind, as a part of the move from the previous view;
             negative for poses on the way to the next view.
+        std: its standard deviation.
         misfit: mean misfit over the views without the lag, m and rad.
         given_misfit: the same with the poses as given.
         score, given_score: rotation plus translation over the distance to the target, of both.
+        evidence: difference of Schwarz's criterion, with the poses as given minus without the lag:
+            twice the logarithm of the odds of the lag.
     """
 
     fraction: float
+    std: float
     misfit: tuple[float, float]
     given_misfit: tuple[float, float]
     score: float
     given_score: float
+    evidence: float
 
     @property
     def contradicts(self) -> bool:
-        """Whether the poses are too far from the pictures for any calibration to be right."""
+        """Whether the poses are too far from the camera's for any calibration to be right."""
         return self.given_score > MAX_CLOSURE_SCORE
 
-    @property
-    def sentence(self) -> str:
-        """The lag in words, with the misfit that it explains, and what to do."""
-        percent = f"about {100.0 * abs(self.fraction):.2g} % of each move"
+    def sentence(self, tracked: bool = False) -> str:
+        """Return in words the lag, the misfit that it explains, and what to do.
+
+        Args:
+            tracked: whether a tracker gave the camera's poses, without pictures.
+        """
+        size, std = 100.0 * abs(self.fraction), 100.0 * self.std
+        part = f"about {size:.2g} +- {std:.1g} % of each move"
+        whose, measured = ("robot's ", "tracked pose") if tracked else ("", "picture")
         how = (
-            f"lag the pictures by {percent}: each lies between the previous view's pose and its own"
+            f"lag the {measured}s by {part}: each lies between the previous view's pose and its own"
             if self.fraction > 0.0
-            else f"lead the pictures by {percent}: each lies between its own and the next view's"
+            else f"lead the {measured}s by {part}: each lies between its own and the next view's"
         )
         return (
-            f"the poses {how}. Without that, robot and camera agree to {misfit_text(self.misfit)} "
-            f"instead of {misfit_text(self.given_misfit)} (means over the views). Read the pose "
-            "when the arm has settled, with the picture; for pictures taken in motion, give times "
-            "and a log of poses"
+            f"the {whose}poses {how}. Without that, robot and camera agree to "
+            f"{misfit_text(self.misfit)} instead of {misfit_text(self.given_misfit)} (means over "
+            f"the views). Read the pose when the arm has settled, with the {measured}; for "
+            f"{measured}s taken in motion, give times and a log of poses"
         )
 
 
@@ -98,6 +108,9 @@ def find_lag(
         options: the odds and the misfit from which a fault is looked for.
     """
     options = options or ChangeOptions()
+    # Between two hands that both move, no pose is on a straight way.
+    if mount not in ONE_ARM_MOUNTS:
+        return None
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
     # A pose without a picture was on the way as well.
     logged = np.flatnonzero(np.isfinite(robot).all(axis=(1, 2)))
@@ -107,65 +120,53 @@ def find_lag(
     if used.sum() < MIN_VIEWS:
         return None
     distance = median_distance(camera[used])
-
-    def closure_at(views: np.ndarray, poses: Poses) -> Poses:
-        """Return the closure errors of the views with these poses of the tool."""
-        holder = mount_from_holder_matrices(mount, poses)[views]
-        return fit_transforms(holder, camera[views], np.ones(np.count_nonzero(views), bool)).closure
-
-    if mean_misfit(closure_at(used, robot), distance)[1] < options.min_score:
-        return None
     lags = []
-    for sign, end in ((1.0, 0), (-1.0, -1)):
+    for direction, end in ((1.0, 0), (-1.0, -1)):
         # Nothing is known of the move to the first view, or from the last.
         views = used.copy()
         views[end] = False
-        given = closure_at(views, robot)
-        given_misfit, given_score = mean_misfit(given, distance)
-
-        def without(fraction: float, views: np.ndarray = views, sign: float = sign) -> Poses:
-            """Return the closure errors of the views with a lag removed."""
-            return closure_at(views, without_lag(robot, sign * fraction))
-
-        fraction = _least(lambda part: float(np.sum(np.log(closure_variances(without(part))))))
-        corrected = without(fraction)
-        misfit, score = mean_misfit(corrected, distance)
-        is_likely = evidence(closure_variances(given), corrected, 1) > 2.0 * np.log(
-            options.min_odds
-        )
-        if is_likely and score < MAX_CORRECTED_SCORE_RATIO * given_score:
-            lags.append(PoseLag(sign * fraction, misfit, given_misfit, score, given_score))
+        data = LaggingViews(robot, camera, views, mount, direction)
+        fit = LagFit(data)
+        if mean_misfit(fit.closure, distance)[1] < options.min_score:
+            continue
+        first = fit.step()
+        if not first.fraction > MIN_STEP * first.std:
+            continue
+        lag = _explained(data, fit.likeliest(first), distance)
+        if (
+            lag.evidence > 2.0 * np.log(options.min_odds)
+            and lag.score < MAX_CORRECTED_RATIO * lag.given_score
+            and abs(lag.fraction) < MAX_FRACTION
+        ):
+            lags.append(lag)
     return min(lags, key=lambda lag: lag.score, default=None)
 
 
-def without_lag(robot: Poses, fraction: float) -> Poses:
-    """Return poses that were logged with a lag where they should have been.
+def _explained(data: LaggingViews, estimate: LagEstimate, distance: float) -> PoseLag:
+    """Return a lag with what it explains.
 
     Args:
-        robot: the poses as logged.
-        fraction: as in `PoseLag`. The first pose has no previous one and stays, or the last.
+        data: the views.
+        estimate: the likeliest lag in the direction of `data`.
+        distance: median distance of the target from the camera, m.
     """
-    if fraction < 0.0:
-        return without_lag(robot[::-1], -fraction)[::-1]
-    corrected = robot.copy()
-    # logged = previous + (1 - fraction) (true - previous): with the previous poses as logged, then
-    # with the better ones.
-    stretch = 1.0 / (1.0 - fraction)
-    for _ in range(ROUNDS):
-        before = corrected[:-1].copy()
-        turns = Rotation.from_matrix(before[:, :3, :3].swapaxes(1, 2) @ robot[1:, :3, :3])
-        turned = Rotation.from_rotvec(stretch * turns.as_rotvec()).as_matrix()
-        corrected[1:, :3, :3] = before[:, :3, :3] @ turned
-        corrected[1:, :3, 3] = before[:, :3, 3] + stretch * (robot[1:, :3, 3] - before[:, :3, 3])
-    return corrected
 
+    def misfit_without(fraction: float) -> tuple[tuple[float, float], float]:
+        """Return the mean misfit with a lag removed, and its score."""
+        holder = data.mount_from_holder(fraction)
+        everything = np.ones(len(holder), dtype=bool)
+        closure = fit_transforms(holder, data.camera[data.views], everything).closure
+        return mean_misfit(closure, distance)
 
-def _least(function: Callable[[float], float]) -> float:
-    """Return the part of a move for which a function is least."""
-    found = minimize_scalar(
-        function,
-        bounds=(0.0, MAX_FRACTION),
-        method="bounded",
-        options={"xatol": FRACTION_TOLERANCE},
+    misfit, score = misfit_without(estimate.fraction)
+    given_misfit, given_score = misfit_without(0.0)
+    given = error_variances(estimate.errors_without)
+    return PoseLag(
+        data.direction * estimate.fraction,
+        estimate.std,
+        misfit,
+        given_misfit,
+        score,
+        given_score,
+        evidence_of_errors(given, estimate.errors, 1),
     )
-    return float(found.x)  # pyright: ignore[reportAttributeAccessIssue]

@@ -89,7 +89,7 @@ def _search(
     """
     camera = mean_camera_from_mount(world, T, C, np.ones(len(T)))
     unit = float(np.median(np.linalg.norm(C[:, :3, 3], axis=1)))
-    allowed = _allowed_steps(T, twists)
+    allowed = determined_steps(T, twists)
     residual, cost = _residual(camera, world, T, C, unit)
     damping = 1e-3
     for _ in range(MAX_STEPS):
@@ -113,12 +113,20 @@ def _search(
     return cost, camera, world
 
 
-def _allowed_steps(
-    T: _Matrices, twists: Float[np.ndarray, "twists 6"]
-) -> Float[np.ndarray, "12 allowed"]:
-    """Return an orthonormal basis of the steps of both transforms without undetermined ones."""
+def determined_steps(
+    mount_from_holder: _Matrices, twists: Float[np.ndarray, "twists 6"]
+) -> Float[np.ndarray, "12 determined"]:
+    """Return an orthonormal basis of the steps of both transforms without undetermined ones.
+
+    A step is a twist of `camera_from_mount` from its right and one of `holder_from_world` from its
+    left, each translation (m) first, then rotation (rad).
+
+    Args:
+        mount_from_holder: of the views to use.
+        twists: undetermined twists of the holder.
+    """
     # exp(a) T_i exp(b) = T_i for every view if a = -Ad(T_i) b.
-    moved = -host_adjoints(T).mean(axis=0) @ twists.T
+    moved = -host_adjoints(mount_from_holder).mean(axis=0) @ twists.T
     undetermined = np.concatenate([moved, twists.T])
     return np.linalg.svd(undetermined, full_matrices=True)[0][:, len(twists) :]
 

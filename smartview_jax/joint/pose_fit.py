@@ -17,7 +17,12 @@ from jaxtyping import Bool, Float
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera, Pinhole
-from ..data_checks import ConventionReport, check_conventions, find_change
+from ..data_checks import (
+    ConventionReport,
+    RobotAndCamera,
+    check_conventions,
+    find_shared_fault,
+)
 from ..dataset import (
     PoseDataset,
     chain_residuals,
@@ -283,7 +288,7 @@ class PoseStart(NamedTuple):
     Attributes:
         calibration: near the solution, by closed forms.
         consistent: mask of the pairs that agree with it.
-        ambiguities: what changed between the pairs, and what they cannot tell, in sentences.
+        ambiguities: what makes many pairs wrong together, and what they cannot tell, in sentences.
     """
 
     calibration: Calibration
@@ -373,7 +378,7 @@ def _check_conventions(
     measured: Float[np.ndarray, "views 4 4"],
     consistent: Bool[np.ndarray, "views"],
 ) -> tuple[str, ...]:
-    """Return in sentences what changed between the pairs, and what they cannot tell.
+    """Return in sentences what makes many pairs wrong together, and what they cannot tell.
 
     Raises:
         ValueError: robot and tracker do not move alike, with the likeliest mistake.
@@ -398,15 +403,20 @@ def _check_conventions(
     report = report_on(consistent)
     if report.problems:
         raise ValueError("; ".join(report.problems))
-    change = find_change(
-        host_mount_from_holder(data.mount, data.base_from_tool),
+    poses = RobotAndCamera(
+        data.base_from_tool,
         camera_from_world,
-        data.seen,
+        data.mount,
+        data.view_ids,
         report.length_ratio,
+        tracked=True,
     )
-    if change is None or not change.explains_most:
+    fault = find_shared_fault(poses, data.seen, consistent)
+    if fault is None or not fault.explains_most:
         return report.ambiguities
-    return (change.sentence(data.mount, data.view_ids), *report.ambiguities)
+    if fault.contradicts and fault.spares_no_view:
+        raise ValueError(fault.sentence)
+    return (fault.sentence, *report.ambiguities)
 
 
 def _contradictions(

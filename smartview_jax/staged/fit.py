@@ -19,13 +19,13 @@ from ..data_checks import (
     MINIMUM_POINTS,
     ConventionReport,
     Findings,
+    RobotAndCamera,
     camera_misfit,
     camera_problem,
     check_conventions,
     detection_findings,
-    find_change,
     find_consistent_views,
-    find_lag,
+    find_shared_fault,
     find_shifted_numbering,
     mask_unusable_views,
     median_reprojection_errors,
@@ -327,16 +327,14 @@ def _with_fault_of_many_views(
 
     It is a problem where no calibration can be right with it, else a doubt.
     """
-    robot = host_mount_from_holder(data.mount, data.base_from_tool)
-    change = find_change(robot, camera_from_world, used, report.length_ratio)
-    lag = find_lag(data.base_from_tool, camera_from_world, used, data.mount, report.length_ratio)
-    if lag is not None and (change is None or lag.score < change.changes[0].score):
-        text, contradicts = lag.sentence, lag.contradicts
-    elif change is not None:
-        text, contradicts = change.sentence(data.mount, data.view_ids), change.contradicts
-    else:
+    poses = RobotAndCamera(
+        data.base_from_tool, camera_from_world, data.mount, data.view_ids, report.length_ratio
+    )
+    fault = find_shared_fault(poses, used)
+    if fault is None:
         return report
-    return report._replace(change=text, problems=(text,) if contradicts else report.problems)
+    text = fault.sentence
+    return report._replace(change=text, problems=(text,) if fault.contradicts else report.problems)
 
 
 def _camera_doubts(

@@ -1,10 +1,12 @@
 """The joint fit to tracked poses: against SciPy, the truth, and what goes wrong with trackers."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation, Slerp
 from tracked_scene import MOUNT, ROBOT, TRACKER, VIEWS, WORLD, data_of, tracked, turned
 
 import smartview_jax as sv
@@ -166,6 +168,30 @@ def test_a_motion_about_one_axis_is_named_with_what_ends_it():
     assert "fixed=(" in " ".join(fit.warnings)
     with pytest.raises(ValueError, match="never rotates"):
         sv.fit_poses(data_of(5, turns=np.zeros((VIEWS, 3))))
+
+
+def read_too_late(poses, part):
+    """Poses that lie a part of each move before their own."""
+    logged = poses.copy()
+    for k, (before, pose) in enumerate(itertools.pairwise(poses), 1):
+        way = Slerp([0.0, 1.0], Rotation.from_matrix([before[:3, :3], pose[:3, :3]]))
+        logged[k, :3, :3] = way(1.0 - part).as_matrix()
+        logged[k, :3, 3] = part * before[:3, 3] + (1.0 - part) * pose[:3, 3]
+    return logged
+
+
+@pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
+def test_poses_that_were_read_too_late_are_named(mount):
+    robot, measured = tracked(6, mount=mount)
+    small, large = (
+        PoseDataset.from_poses(read_too_late(robot, part), measured, mount)
+        for part in (0.015, 0.05)
+    )
+    warning = start_from_poses(PoseDataset.from_poses(small, measured, mount)).ambiguities[0]
+    assert warning.startswith("the robot's poses lag the tracked poses by about 1.")
+    with pytest.raises(ValueError, match="lag the tracked poses by about 5"):
+        start_from_poses(PoseDataset.from_poses(large, measured, mount))
+    assert start_from_poses(PoseDataset.from_poses(robot, measured, mount)).ambiguities == ()
 
 
 def test_a_calibration_is_saved_with_its_camera_only(tmp_path, fit):
