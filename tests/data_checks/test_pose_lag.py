@@ -102,13 +102,29 @@ def test_the_stated_deviation_of_a_lag_is_true():
     assert 0.4 < np.mean(np.square(scores)) < 2.0
 
 
+def test_the_noise_counts_where_it_is_made():
+    """Rotations are noisy and positions are not: of the tool by the robot, or of the target."""
+    # Moves are 0.2 m long, and 14 views give 39 positions after the first.
+    expected = 1e-5 / 0.2 / np.sqrt(39.0)
+    assert found_lag(0.05, noise=(1e-5, 0.5)).std < 3.0 * expected
+    mount_from_holder, camera = moving_alike(noise=(0.0, 0.0))
+    rng = np.random.default_rng(0)
+    noisy = np.array(
+        [transform(turn, rng.normal(0, 1e-5, 3)) for turn in rng.normal(0, 0.5, (14, 3))]
+    )
+    robot = as_se3(lagging(np.linalg.inv(mount_from_holder), 0.05))
+    lag = find_lag(robot, as_se3(camera @ noisy), EVERY_VIEW, "eye_in_hand")
+    assert lag.std < 3.0 * expected
+
+
 def test_an_error_that_is_linear_in_the_pose_is_no_lag():
     """Such an error resembles a lag: half of the variance of a move is the one of its end."""
     for seed in range(8):
         mount_from_holder, camera = moving_alike(seed)
         robot = np.linalg.inv(mount_from_holder)
-        sheared = np.eye(3) + np.random.default_rng(seed).normal(0.0, 0.1, (3, 3))
-        robot[:, :3, 3] = robot[:, :3, 3] @ sheared.T
+        robot[:, :3, 3] *= 0.9
+        turns = Rotation.from_matrix(robot[:, :3, :3]).as_rotvec()
+        robot[:, :3, :3] = Rotation.from_rotvec(0.9 * turns).as_matrix()
         assert find_lag(as_se3(robot), as_se3(camera), EVERY_VIEW, "eye_in_hand") is None
 
 
