@@ -401,7 +401,7 @@ def _check_conventions(
         if everything.explained:
             raise ValueError("; ".join(everything.problems))
     report = report_on(consistent)
-    if report.problems:
+    if report.problems and report.explained:
         raise ValueError("; ".join(report.problems))
     poses = RobotAndCamera(
         data.base_from_tool,
@@ -412,11 +412,12 @@ def _check_conventions(
         tracked=True,
     )
     fault = find_shared_fault(poses, data.seen, consistent)
-    if fault is None or not fault.explains_most:
-        return report.ambiguities
-    if fault.contradicts and fault.spares_no_view:
+    is_named = fault is not None and fault.explains_most
+    if is_named and (report.problems or (fault.contradicts and fault.spares_no_view)):
         raise ValueError(fault.sentence)
-    return (fault.sentence, *report.ambiguities)
+    if report.problems:
+        raise ValueError("; ".join(report.problems))
+    return (fault.sentence, *report.ambiguities) if is_named else report.ambiguities
 
 
 def _contradictions(
