@@ -167,7 +167,7 @@ def estimate_time_offset(
     bounds = (max(seconds - step, low), min(seconds + step, high))
     if isinstance(data, PoseDataset):
         seconds = _minimum(score, bounds, START_TOLERANCE)
-        start, agree, _ = start_from_poses(cast(PoseDataset, data_at(seconds)))
+        start, agree, *_ = start_from_poses(cast(PoseDataset, data_at(seconds)))
         chain = TimedChain(
             host_matrices(start.camera_from_mount), host_matrices(start.holder_from_world), seconds
         )

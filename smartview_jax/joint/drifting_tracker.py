@@ -84,7 +84,6 @@ class TrackerDrift(NamedTuple):
         )
 
 
-@on_one_blas_thread
 def tracker_drift(
     data: PoseDataset,
     noise: TrackerNoise,
@@ -103,17 +102,39 @@ def tracker_drift(
         noise: the result of `likeliest_noise`.
         calibration, scale, robot_prior, tracker_prior: as there.
     """
-    probability = tracker_prior.drift_probability
-    if probability == 0.0 or data.seen.sum() < MINIMUM_RELIABLE_VIEWS:
+    if tracker_prior.drift_probability == 0.0 or data.seen.sum() < MINIMUM_RELIABLE_VIEWS:
         return None
     # A drift of the scale alone is in one of the six numbers of a pose.
     if noise.correlation < MIN_CORRELATION and not scale:
         return None
+    return likeliest_drift(data, noise, calibration, scale, robot_prior, tracker_prior)[0]
+
+
+@on_one_blas_thread
+def likeliest_drift(
+    data: PoseDataset,
+    noise: TrackerNoise,
+    calibration: Calibration,
+    scale: bool,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> tuple[TrackerDrift | None, float]:
+    """Return the drift, if the evidence is for one, and the logarithm of the likelier's evidence.
+
+    The evidence is of positions in metres.
+
+    Args:
+        data, noise, calibration, scale, robot_prior, tracker_prior: as in `tracker_drift`.
+    """
+    probability = tracker_prior.drift_probability
     steady, drifting = (_Chain(data, calibration, scale, noise, robot_prior) for _ in range(2))
-    odds = float(np.log(probability / (1.0 - probability)))
     without = steady.evidence(_priors(noise, robot_prior, tracker_prior), False)
-    with_drift = drifting.evidence(_priors(noise, robot_prior, tracker_prior, scale), True)
-    return drifting.drift() if with_drift + odds > without else None
+    if probability == 0.0:
+        return None, without
+    odds = float(np.log(probability / (1.0 - probability)))
+    priors = _priors(noise, robot_prior, tracker_prior, scale)
+    with_drift = drifting.evidence(priors, True) + odds
+    return (drifting.drift(), with_drift) if with_drift > without else (None, without)
 
 
 class _Chain:

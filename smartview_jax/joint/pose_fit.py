@@ -38,6 +38,7 @@ from .fit import fit_joint
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
+from .own_unit import has_own_unit
 from .robust_hand_eye import chain_errors, robust_hand_eye
 from .sensor_error import with_sensor_error
 from .tracker_noise import TrackerPrior, in_tracker_units, likeliest_noise, with_noise
@@ -51,6 +52,10 @@ CONSISTENT_ERROR = 3.5
 
 Of a normal distribution in three dimensions, one error in two million is larger.
 """
+
+MIN_UNIT_DOUBT = 3.0
+"""Smallest difference of the ratio of motions from one, in its standard deviations, from which a
+unit of the tracker's own is considered. It saves time: the evidence decides."""
 
 MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
 """Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost."""
@@ -234,7 +239,16 @@ def fit_poses(
     check_start(start, data)
     choice = ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors)
     require_moving_robot(data, blank, choice)
-    calibration, consistent, ambiguities = _start(data, blank, start, scale)
+    # A drift is estimated with the whole chain.
+    may_drift = not (data.states_covariance or fixed or priors)
+    begin = _start(data, blank, start, scale)
+    if may_drift and not scale and begin.unit_doubt > MIN_UNIT_DOUBT:
+        noises = prior, tracker_prior or TrackerPrior()
+        in_own_unit = _start_in_own_unit(data, blank, start, begin, *noises)
+        if in_own_unit is not None:
+            begin, scale, prior = in_own_unit, True, _without_target(prior, True)
+            choice = ParameterChoice.of((), (TARGET_SCALE,), None)
+    calibration, consistent, ambiguities, _ = begin
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
 
     # A drift is estimated with the whole chain.
@@ -289,11 +303,13 @@ class PoseStart(NamedTuple):
         calibration: near the solution, by closed forms.
         consistent: mask of the pairs that agree with it.
         ambiguities: what makes many pairs wrong together, and what they cannot tell, in sentences.
+        unit_doubt: difference of the ratio of motions from one, in its standard deviations.
     """
 
     calibration: Calibration
     consistent: Bool[np.ndarray, "views"]
     ambiguities: tuple[str, ...]
+    unit_doubt: float
 
 
 def start_from_poses(data: PoseDataset) -> PoseStart:
@@ -355,7 +371,7 @@ def _start(
     factor, consistent = robust_hand_eye(mount_from_holder, measured, data.seen, scale)
     measured = measured.copy()
     measured[:, :3, 3] *= factor
-    ambiguities = _check_conventions(data, measured, consistent)
+    ambiguities, unit_doubt = _check_conventions(data, measured, consistent)
     given = known_transforms(start, data.mount)
     step3 = solve_hand_eye(
         host_transforms(mount_from_holder),
@@ -370,15 +386,51 @@ def _start(
         holder_from_world=given[1] or step3.holder_from_world,
         target_scale=to_device(np.array(factor)),
     )
-    return PoseStart(found, consistent, ambiguities)
+    return PoseStart(found, consistent, ambiguities, unit_doubt)
+
+
+def _start_in_own_unit(
+    data: PoseDataset,
+    blank: Calibration,
+    start: Mapping[str, PoseLike] | None,
+    given: PoseStart,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> PoseStart | None:
+    """Return the start with a unit of the tracker's own, if the poses are rather in one.
+
+    Args:
+        data: the pairs.
+        blank, start: as in `_start`.
+        given: the start with the tracker's unit as stated.
+        robot_prior, tracker_prior: as in `fit_poses`.
+    """
+    try:
+        scaled = _start(data, blank, start, True)
+    except ValueError:
+        return None
+    others = np.flatnonzero(~(given.consistent & scaled.consistent))
+    agreeing = without_views(data, dict.fromkeys(others.tolist(), ""))
+    calibrations = given.calibration, scaled.calibration
+    if not has_own_unit(agreeing, *calibrations, robot_prior, tracker_prior):
+        return None
+    size = float(scaled.calibration.target_scale)
+    text = (
+        f"the tracker's unit of length is its own, {size:.3g} m, as of a single moving camera: it "
+        "is estimated with the transforms, as scale=True asks"
+    )
+    return scaled._replace(ambiguities=(text, *scaled.ambiguities))
 
 
 def _check_conventions(
     data: PoseDataset,
     measured: Float[np.ndarray, "views 4 4"],
     consistent: Bool[np.ndarray, "views"],
-) -> tuple[str, ...]:
+) -> tuple[tuple[str, ...], float]:
     """Return in sentences what makes many pairs wrong together, and what they cannot tell.
+
+    Returns:
+        The sentences, and `PoseStart.unit_doubt`.
 
     Raises:
         ValueError: robot and tracker do not move alike, with the likeliest mistake.
@@ -417,7 +469,8 @@ def _check_conventions(
         raise ValueError(fault.sentence)
     if report.problems:
         raise ValueError("; ".join(report.problems))
-    return (fault.sentence, *report.ambiguities) if is_named else report.ambiguities
+    unit_doubt = abs(report.length_ratio - 1.0) / report.length_ratio_std
+    return ((fault.sentence,) if is_named else ()) + report.ambiguities, unit_doubt
 
 
 def _contradictions(
