@@ -33,16 +33,10 @@ def has_own_unit(
     probability = robot_prior.wrong_target_probability
     if probability == 0.0:
         return False
+    noises = robot_prior, tracker_prior
     in_metres, in_own_unit = (
-        likeliest_drift(
-            data,
-            likeliest_noise(data, start, scale, robot_prior, tracker_prior),
-            start,
-            scale,
-            robot_prior,
-            tracker_prior,
-        )[1]
-        for start, scale in ((given, False), (scaled, True))
+        _evidence(data, given, False, *noises),
+        _evidence(data, scaled, True, *noises),
     )
     # The likelihood is of positions in the tracker's unit.
     size = float(np.log(scaled.target_scale))
@@ -52,3 +46,25 @@ def has_own_unit(
     prior = -0.5 * (size / std) ** 2 - np.log(std * np.sqrt(2.0 * np.pi))
     odds = np.log(probability / (1.0 - probability))
     return bool(in_own_unit + prior + odds > in_metres)
+
+
+def _evidence(
+    data: PoseDataset,
+    start: Calibration,
+    scale: bool,
+    robot_prior: RobotPrior,
+    tracker_prior: TrackerPrior,
+) -> float:
+    """Return the logarithm of the evidence of a chain, of a steady tracker or of one that drifts.
+
+    Args:
+        data, robot_prior, tracker_prior: as in `has_own_unit`.
+        start: near the solution.
+        scale: whether the tracker's unit is unknown.
+    """
+    try:
+        noise = likeliest_noise(data, start, scale, robot_prior, tracker_prior)
+        return likeliest_drift(data, noise, start, scale, robot_prior, tracker_prior)[1]
+    except np.linalg.LinAlgError:
+        # In a wrong unit the drift may be so large that the chain is lost in rounding errors.
+        return -np.inf
