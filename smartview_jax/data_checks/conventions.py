@@ -202,7 +202,7 @@ def check_conventions(
             problems = _problem_of_views(given_error, error, [ids[k] for k in views]) or problems
     # A wrong convention distorts the length ratio too, so units are checked only without one.
     if not problems:
-        problems = length_unit_problems(ratio, robot, camera, used)
+        problems = length_unit_problems(ratio, robot, camera, used, tracked)
     ambiguities = ()
     if comparable and is_accepted and not problems:
         rival_score = MAX_RIVAL_SCORE_RATIO * max(given_error.score, CLOSURE_SCORE_FLOOR)
@@ -231,9 +231,14 @@ def check_conventions(
 
 def _of_tracked_poses(text: str) -> str:
     """Return a sentence about pictures as one about tracked poses."""
-    return text.replace("the target's points", "the tracked positions").replace(
-        "the pictures", "the tracked poses"
-    )
+    for of_pictures, of_tracker in (
+        ("the target's points", "the tracked positions"),
+        ("the target seems to be", "the tracked target seems to be"),
+        ("the pictures", "the tracked poses"),
+        ("the camera moved", "the tracker moved"),
+    ):
+        text = text.replace(of_pictures, of_tracker)
+    return text
 
 
 def _is_better_scale(motions: RelativeMotions, given_error: ClosureError, ratio: float) -> bool:

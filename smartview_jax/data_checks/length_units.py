@@ -66,11 +66,24 @@ def mistaken_unit(ratio: float, tolerance: float = UNIT_TOLERANCE) -> str:
 
 
 def length_unit_problems(
-    ratio: float, robot: Poses, camera: Poses, used: np.ndarray
+    ratio: float, robot: Poses, camera: Poses, used: np.ndarray, tracked: bool = False
 ) -> tuple[str, ...]:
-    """Return problems with units of length, by the ratio of motions or by impossible distances."""
+    """Return problems with units of length, by the ratio of motions or by impossible distances.
+
+    Args:
+        ratio: of the camera's motion to the robot's.
+        robot, camera: the poses.
+        used: mask of the views to use.
+        tracked: whether a tracker gave the camera's poses, whose unit may be its own.
+    """
     if not 0.2 < ratio < 5.0:
         words = mistaken_unit(ratio, MAX_UNIT_ERROR)
+        if tracked and not words:
+            return (
+                f"the tracker moved {ratio:.3g} times as far as the robot: its unit of length is "
+                "its own, as of a single moving camera. Have it estimated (scale=True, or "
+                "smartview calibrate --free target_scale)",
+            )
         words = words or "robot positions and target points are not in the same unit"
         return (f"{words}: the camera moved {ratio:.3g} times as far as the robot",)
     # Both may be in the same wrong unit: their ratio is then 1, and only the distances show it.

@@ -113,6 +113,7 @@ def mistakes(
     yield from _mistakes_of_matrices()
     if tracked:
         yield from map(_of_tracker, _mistakes_of_matrices())
+        yield from map(_of_both, _mistakes_of_rotations())
     yield Mistake(
         "mirrored",
         "the tracked poses or the robot's are in a left-handed frame, positions and rotations "
@@ -143,8 +144,28 @@ def _of_tracker(mistake: Mistake) -> Mistake:
     return Mistake(f"tracker_{mistake.name}", f"in the tracked poses {mistake.description}", undo)
 
 
+def _of_both(mistake: Mistake) -> Mistake:
+    """Return a mistake in the robot's poses as one that a reader made in both files."""
+
+    def undo(given: GivenPoses) -> tuple[Poses, Poses]:
+        """Return the poses with the robot's and the tracked ones corrected."""
+        robot, _ = mistake.undo(given)
+        camera, _ = mistake.undo(GivenPoses(given.camera, given.robot))
+        return robot, camera
+
+    return Mistake(
+        f"both_{mistake.name}", f"in the robot's and the tracked poses {mistake.description}", undo
+    )
+
+
 def _mistakes_of_matrices() -> Iterator[Mistake]:
     """Yield the mistakes in which poses are written, whoever measured them."""
+    yield from _mistakes_of_rotations()
+    yield from _left_handed_positions()
+
+
+def _mistakes_of_rotations() -> Iterator[Mistake]:
+    """Yield the mistakes in which rotations are written, whoever measured them."""
     yield _rotation_mistake(
         "transposed", "the rotations are transposed, the positions are not", lambda r: r.inv()
     )
@@ -154,7 +175,6 @@ def _mistakes_of_matrices() -> Iterator[Mistake]:
             f"quaternions in the order {true} were read as {read}",
             lambda r, order=order: Rotation.from_quat(r.as_quat()[:, order]),
         )
-    yield from _left_handed_positions()
 
 
 def _rotation_mistake(
