@@ -34,10 +34,11 @@ def has_own_unit(
     if probability == 0.0:
         return False
     noises = robot_prior, tracker_prior
-    in_metres, in_own_unit = (
-        _evidence(data, given, False, *noises),
-        _evidence(data, scaled, True, *noises),
-    )
+    drifts, in_metres = _drift_and_evidence(data, given, False, *noises)
+    drifts_in_own_unit, in_own_unit = _drift_and_evidence(data, scaled, True, *noises)
+    # Of a steady tracker the joint fit asks whether the target has its stated size.
+    if not (drifts or drifts_in_own_unit):
+        return False
     # The likelihood is of positions in the tracker's unit.
     size = float(np.log(scaled.target_scale))
     in_own_unit += 3.0 * np.count_nonzero(data.seen) * size
@@ -48,14 +49,14 @@ def has_own_unit(
     return bool(in_own_unit + prior + odds > in_metres)
 
 
-def _evidence(
+def _drift_and_evidence(
     data: PoseDataset,
     start: Calibration,
     scale: bool,
     robot_prior: RobotPrior,
     tracker_prior: TrackerPrior,
-) -> float:
-    """Return the logarithm of the evidence of a chain, of a steady tracker or of one that drifts.
+) -> tuple[bool, float]:
+    """Return whether the tracker drifts, and the logarithm of the evidence of the likelier answer.
 
     Args:
         data, robot_prior, tracker_prior: as in `has_own_unit`.
@@ -64,7 +65,8 @@ def _evidence(
     """
     try:
         noise = likeliest_noise(data, start, scale, robot_prior, tracker_prior)
-        return likeliest_drift(data, noise, start, scale, robot_prior, tracker_prior)[1]
+        drift, evidence = likeliest_drift(data, noise, start, scale, robot_prior, tracker_prior)
     except np.linalg.LinAlgError:
         # In a wrong unit the drift may be so large that the chain is lost in rounding errors.
-        return -np.inf
+        return False, -np.inf
+    return drift is not None, evidence

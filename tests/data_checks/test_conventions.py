@@ -138,6 +138,10 @@ def in_millimetres(seen):
     seen[:, :3, 3] *= 1e3
 
 
+def in_a_unit_of_its_own(seen):
+    seen[:, :3, 3] *= 0.15
+
+
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
@@ -145,6 +149,7 @@ def in_millimetres(seen):
         (quaternion_read_as_xyzw, "in the tracked poses quaternions in the order wxyz were read"),
         (y_backwards, "in the tracked poses the positions are in a left-handed frame, or y has"),
         (in_millimetres, "the tracked positions look like millimetres where metres are expected"),
+        (in_a_unit_of_its_own, "the tracker moved 0.15 times as far as the robot: its unit of len"),
     ],
 )
 def test_mistakes_of_a_tracker_are_not_put_on_the_robot(poses, wrong, text):
@@ -153,6 +158,16 @@ def test_mistakes_of_a_tracker_are_not_put_on_the_robot(poses, wrong, text):
     wrong(tracked)
     report = check_conventions(robot, host_transforms(tracked), "eye_in_hand", tracked=True)
     assert text in report.problems[0].split("next best")[0]
+
+
+@pytest.mark.parametrize("wrong", [transposed, quaternion_read_as_xyzw])
+def test_a_mistake_of_one_reader_in_both_files_is_named(poses, wrong):
+    both = [np.array(transforms.as_matrix()) for transforms in poses]
+    for matrices in both:
+        wrong(matrices)
+    report = check_conventions(*map(host_transforms, both), "eye_in_hand", tracked=True)
+    assert report.explained
+    assert report.hypotheses[0].name.startswith("both_")
 
 
 def test_a_ratio_of_lengths_is_named_for_units_only_where_it_is_theirs():

@@ -87,6 +87,23 @@ def test_a_drifting_camera_without_a_unit():
     assert 1e-3 < std < 0.1
 
 
+def test_a_unit_of_the_trackers_own_is_not_taken_for_a_drift(fits):
+    data = PoseDataset.from_poses(*odometry(2, scale=2.5))
+    fit = sv.fit_poses(data, field=None)
+    asked = sv.fit_poses(data, scale=True, field=None)
+    np.testing.assert_allclose(error_of(fit), error_of(asked), atol=1e-9)
+    (text,) = set(fit.warnings) - set(asked.warnings)
+    assert text.startswith("the tracker's unit of length is its own, 2.")
+    assert all(float(metres.calibration.target_scale) == 1.0 for metres in fits)
+
+
+def test_a_steady_tracker_in_another_unit_is_left_to_the_joint_fit():
+    robot, measured = tracked(3)
+    measured[:, :3, 3] /= 1.5
+    fit = sv.fit_poses(PoseDataset.from_poses(robot, measured), field=None)
+    assert any("of its stated size" in text for text in fit.warnings)
+
+
 @pytest.mark.parametrize(
     ("given", "match"),
     [
