@@ -183,10 +183,20 @@ def _joint(sequence: Any, pairs: Any) -> np.ndarray:
     in_hand = bool(sequence.eye_in_hand)
     measured = np.linalg.inv(seen) if in_hand else seen
     data = PoseDataset.from_poses(flange, measured, "eye_in_hand" if in_hand else "eye_to_hand")
-    fit = sv.fit_poses(data, scale=str(sequence.manifest["track"]) == "monocular")
+    fit = _fit(data, str(sequence.manifest["track"]) == "monocular")
     if in_hand:
         return np.linalg.inv(host_matrices(fit.calibration.camera_from_tool))
     return host_matrices(fit.calibration.tool_from_world)
+
+
+def _fit(data: PoseDataset, scale: bool) -> sv.JointFit:
+    """Return the joint fit, with an unknown unit where a refusal asks for it."""
+    try:
+        return sv.fit_poses(data, scale=scale)
+    except ValueError as error:
+        if scale or "scale=True" not in str(error):
+            raise
+    return sv.fit_poses(data, scale=True)
 
 
 def _staged(pairs: Any) -> np.ndarray:

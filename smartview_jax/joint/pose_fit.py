@@ -464,13 +464,14 @@ def _check_conventions(
         tracked=True,
     )
     fault = find_shared_fault(poses, data.seen, consistent)
-    is_named = fault is not None and fault.explains_most
-    if is_named and (report.problems or (fault.contradicts and fault.spares_no_view)):
+    if fault is not None and not fault.explains_most:
+        fault = None
+    if fault is not None and (report.problems or (fault.contradicts and fault.spares_no_view)):
         raise ValueError(fault.sentence)
     if report.problems:
         raise ValueError("; ".join(report.problems))
     unit_doubt = abs(report.length_ratio - 1.0) / report.length_ratio_std
-    return ((fault.sentence,) if is_named else ()) + report.ambiguities, unit_doubt
+    return (() if fault is None else (fault.sentence,)) + report.ambiguities, unit_doubt
 
 
 def _contradictions(
