@@ -183,15 +183,15 @@ def read_too_late(poses, part):
 @pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
 def test_poses_that_were_read_too_late_are_named(mount):
     robot, measured = tracked(6, mount=mount)
-    small, large = (
+    in_time, late, later = (
         PoseDataset.from_poses(read_too_late(robot, part), measured, mount)
-        for part in (0.015, 0.05)
+        for part in (0.0, 0.015, 0.05)
     )
-    warning = start_from_poses(PoseDataset.from_poses(small, measured, mount)).ambiguities[0]
+    assert start_from_poses(in_time).ambiguities == ()
+    warning = start_from_poses(late).ambiguities[0]
     assert warning.startswith("the robot's poses lag the tracked poses by about 1.")
     with pytest.raises(ValueError, match="lag the tracked poses by about 5"):
-        start_from_poses(PoseDataset.from_poses(large, measured, mount))
-    assert start_from_poses(PoseDataset.from_poses(robot, measured, mount)).ambiguities == ()
+        start_from_poses(later)
 
 
 def test_a_calibration_is_saved_with_its_camera_only(tmp_path, fit):
