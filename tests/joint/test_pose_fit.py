@@ -332,3 +332,11 @@ def test_a_target_that_was_moved_between_two_pairs_is_named():
     robot, turned_over = tracked(4)
     turned_over[1::2, :3, :2] *= -1.0
     assert start_from_poses(PoseDataset.from_poses(robot, turned_over)).ambiguities == ()
+
+
+def test_a_moved_target_is_named_where_no_mistake_explains_the_pairs():
+    """By 20 mm and 6 degrees: a solution between both halves leaves large errors in all pairs."""
+    robot, measured = tracked(3)
+    measured[8:] = measured[8:] @ host_exponentials(np.array([0.02, 0.0, 0.0, 0.0, 0.1, 0.0]))
+    with pytest.raises(ValueError, match=r"^from view 8 on, .* as if the target had been moved"):
+        start_from_poses(PoseDataset.from_poses(robot, measured))
