@@ -213,9 +213,26 @@ def _checked(
         raise ValueError(
             f"points_in_camera: view {view}, point {point}: expected a depth above 0, found "
             f"{points[view, point, 2]:.4g} m; z is along the optical axis, and NaN says that a "
-            "point was not measured"
+            f"point was not measured{_axes_hint(points)}"
         )
     return points, target
+
+
+def _axes_hint(points: Float[np.ndarray, "views points 3"]) -> str:
+    """Return which other axes the measured points seem to have, as a question, or nothing."""
+    seen = points[np.isfinite(points).all(axis=2)]
+    ahead = (seen > 0.0).mean(axis=0)
+    if ahead[2] < 0.05:
+        return (
+            ". Nearly all depths are below 0: are the axes those of OpenGL, y up and z backwards? "
+            "Then give (x, -y, -z)"
+        )
+    if ahead[0] > 0.95:
+        return (
+            ". Nearly all x are above 0: are the axes those of a robot's body in ROS, x forwards, "
+            "y to the left and z up? Then give (-y, -z, x), or take the optical frame"
+        )
+    return ""
 
 
 def _has_enough(

@@ -121,6 +121,30 @@ def test_points_without_noise_leave_a_finite_covariance_and_no_doubt(along):
     assert not [str(w) for w in fit.warnings if "determine" in str(w)]
 
 
+@pytest.mark.parametrize(
+    ("read", "words"),
+    [
+        (lambda p: p * [1, -1, -1], r"those of OpenGL.* give \(x, -y, -z\)"),
+        (lambda p: p[..., [2, 0, 1]] * [1, -1, -1], r"body in ROS.* give \(-y, -z, x\)"),
+    ],
+    ids=["OpenGL", "ROS"],
+)
+def test_other_axes_of_the_sensor_are_named(read, words):
+    rng = np.random.default_rng(3)
+    points = measured(rng, poses_of(rng))
+    with pytest.raises(ValueError, match=words):
+        sv.depth.poses_from_points(read(points), TARGET)
+
+
+def test_what_is_advised_for_other_axes_is_right():
+    """Each advice, taken, gives the points as they were measured."""
+    x, y, z = point = np.array([0.1, 0.2, 0.7])
+    a, b, c = x, -y, -z
+    np.testing.assert_array_equal((a, -b, -c), point)
+    a, b, c = z, -x, -y
+    np.testing.assert_array_equal((-b, -c, a), point)
+
+
 def test_without_the_bias_the_hand_eye_transform_would_be_wrong():
     rng = np.random.default_rng(0)
     camera_from_world = poses_of(rng, 14)
