@@ -154,7 +154,12 @@ def check_conventions(
         hypotheses = naming_views(hypotheses, given, turns, used, ids)
         # Of a hundred mistakes one may by chance close a little better than the truth.
         certain = hypotheses[0].closure_error.score < MAX_CERTAIN_SCORE_RATIO * given_error.score
-        if is_accepted and not certain:
+        # A tracker may have any unit.
+        in_own_unit = tracked and not 0.2 < ratio < 5.0 and ratio > 0.0
+        if in_own_unit:
+            own_unit_score = closure_error(motions, ratio).score
+            in_own_unit = own_unit_score < hypotheses[0].closure_error.score
+        if in_own_unit or (is_accepted and not certain):
             hypotheses = ()
     suspicious = suspicious_views(differences)
     if hypotheses:

@@ -1,7 +1,7 @@
 """Find out whether a tracker that seems to drift has a unit of length of its own instead.
 
 The positions of a single moving camera have an unknown unit. Measured against a robot in metres
-they go astray more and more, as those of a tracker that drifts do, and a drift that is estimated
+they go astray more and more, as with a tracker that drifts, and a drift that is estimated
 absorbs most of it: robot and tracker then seem to agree, with a camera far from its place. So both
 models are compared by their evidence, with the prior of a target that is not of its stated size.
 """

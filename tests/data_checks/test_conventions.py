@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from host_poses import opencv_poses
 from jaxlie import SE3, SO3
+from robot_motions import CAMERA_FROM_MOUNT, HOLDER_FROM_WORLD, transform
 from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
@@ -11,6 +12,7 @@ from smartview_jax.data_checks import target_turns
 from smartview_jax.geometry import (
     EULER_CODECS,
     EULER_CONVENTIONS,
+    as_se3,
     host_exponentials,
     host_transforms,
     pose_codec,
@@ -158,6 +160,26 @@ def test_mistakes_of_a_tracker_are_not_put_on_the_robot(poses, wrong, text):
     wrong(tracked)
     report = check_conventions(robot, host_transforms(tracked), "eye_in_hand", tracked=True)
     assert text in report.problems[0].split("next best")[0]
+
+
+def test_a_unit_of_the_trackers_own_comes_before_mistakes_that_leave_more_over():
+    """On two straight ways a wrong sign of x removes most of the misfit by chance."""
+    rng = np.random.default_rng(13)
+    low, high = [-34.0, -34.0, -34.0, -0.1, -0.1, 0.4], [34.0, 34.0, 34.0, 0.1, 0.1, 0.7]
+    turns, shifts = np.split(rng.uniform(low, high, (3, 6)), 2, axis=1)
+    places = np.linspace(0.0, 2.0, 16)
+
+    def along(ends):
+        return np.array([np.interp(places, range(3), numbers) for numbers in ends.T]).T
+
+    seen = np.array(list(map(transform, along(turns), along(shifts))))
+    noise = map(transform, rng.normal(0.0, 0.1, (16, 3)), rng.normal(0.0, 5e-4, (16, 3)))
+    tracked = seen @ np.array(list(noise))
+    tracked[:, :3, 3] *= 6.3
+    robot = HOLDER_FROM_WORLD @ np.linalg.inv(seen) @ CAMERA_FROM_MOUNT
+    poses = as_se3(robot), as_se3(tracked)
+    (problem,) = check_conventions(*poses, "eye_in_hand", tracked=True).problems
+    assert problem.startswith("the tracker moved 6.3")
 
 
 @pytest.mark.parametrize("wrong", [transposed, quaternion_read_as_xyzw])
