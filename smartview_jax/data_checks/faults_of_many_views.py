@@ -4,7 +4,7 @@ No single view looks wrong with any of them. Where several explain the views, th
 is named.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,9 @@ from .changes import find_change
 from .pose_lag import PoseLag, find_lag
 from .set_up_drift import SetUpDrift, find_drift
 
+MIN_RATIO_DIFFERENCE = 0.01
+"""Smallest difference of the motions' lengths that may hide a fault, or come from one."""
+
 
 class SharedFault(NamedTuple):
     """A fault of many views.
@@ -24,13 +27,22 @@ class SharedFault(NamedTuple):
         sentence: what is wrong, how large it is and what it explains.
         contradicts: whether no calibration can be right with it.
         explains_most: whether robot and camera agree far better without it.
-        spares_no_view: whether every view is wrong, so that no majority of them can be right.
+        first_view: index of the first view after a change; 0 where every view is wrong.
     """
 
     sentence: str
     contradicts: bool
     explains_most: bool
-    spares_no_view: bool
+    first_view: int = 0
+
+    def divides(self, agreeing: Bool[np.ndarray, "views"]) -> bool:
+        """Return whether views that agree contain the fault, so that no majority is right.
+
+        Args:
+            agreeing: mask of the views that agree with each other.
+        """
+        before, every = agreeing[: self.first_view].sum(), agreeing.sum()
+        return self.first_view == 0 or bool(0.25 * every < before < 0.75 * every)
 
 
 class RobotAndCamera(NamedTuple):
@@ -43,6 +55,7 @@ class RobotAndCamera(NamedTuple):
         view_ids: names of the views.
         length_ratio: of the camera's motion to the robot's, as in `find_change`.
         tracked: whether a tracker gave the camera's poses, without pictures.
+        drifts: whether the tracker may drift by itself, which the fit of its poses estimates.
     """
 
     base_from_tool: SE3
@@ -51,6 +64,7 @@ class RobotAndCamera(NamedTuple):
     view_ids: Sequence[str]
     length_ratio: float = 1.0
     tracked: bool = False
+    drifts: bool = False
 
 
 def find_shared_fault(
@@ -60,7 +74,8 @@ def find_shared_fault(
 ) -> SharedFault | None:
     """Return the change or drift of the set-up, or the lag of the poses, that explains most.
 
-    The drift of a tracker is estimated by the fit of its poses, and is not looked for here.
+    A change may look like another size of the target, and a target of another size may hide a
+    change. So it is looked for with the robot's motion as reported, and as long as the camera's.
 
     Args:
         poses: of robot and camera.
@@ -72,25 +87,40 @@ def find_shared_fault(
     Returns:
         The fault; None if there is none.
     """
+    ratios = (poses.length_ratio, 1.0)
+    if abs(poses.length_ratio - 1.0) < MIN_RATIO_DIFFERENCE:
+        ratios = ratios[:1]
+    faults = [
+        fault
+        for ratio in ratios
+        for fault in _faults(poses._replace(length_ratio=ratio), used, agreeing)
+    ]
+    return min(faults, key=lambda entry: entry[0])[1] if faults else None
+
+
+def _faults(
+    poses: RobotAndCamera,
+    used: Bool[np.ndarray, "views"],
+    agreeing: Bool[np.ndarray, "views"] | None,
+) -> Iterator[tuple[float, SharedFault]]:
+    """Yield the faults that explain the views, each with the score that it leaves."""
     robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
-    change = find_change(robot, poses.camera_from_world, used, poses.length_ratio)
     lag = _lag(poses, used)
     if lag is None and agreeing is not None and (agreeing != used).any():
         lag = _lag(poses, agreeing)
-    faults = []
     if lag is not None:
-        faults.append(
-            (lag.score, SharedFault(lag.sentence(poses.tracked), lag.contradicts, True, True))
-        )
+        sentence = lag.sentence(poses.tracked)
+        yield lag.score, SharedFault(sentence, lag.contradicts, True)
+    change = find_change(robot, poses.camera_from_world, used, poses.length_ratio)
     if change is not None:
         sentence = change.sentence(poses.mount, poses.view_ids)
-        fault = SharedFault(sentence, change.contradicts, change.explains_most, False)
-        faults.append((change.changes[0].score, fault))
-    drift = None if poses.tracked else _drift(poses, robot, used)
+        best = change.changes[0]
+        contradicts, explains_most = change.contradicts, change.explains_most
+        yield best.score, SharedFault(sentence, contradicts, explains_most, best.first_view)
+    drift = None if poses.drifts else _drift(poses, robot, used)
     if drift is not None:
         sentence = drift.sentence(poses.mount, poses.view_ids)
-        faults.append((drift.score, SharedFault(sentence, drift.contradicts, True, True)))
-    return min(faults, key=lambda entry: entry[0])[1] if faults else None
+        yield drift.score, SharedFault(sentence, drift.contradicts, True)
 
 
 def _drift(

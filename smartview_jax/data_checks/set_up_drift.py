@@ -15,7 +15,7 @@ References:
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -129,7 +129,6 @@ def find_drift(
         options: which drift is named; by default `DriftOptions()`.
     """
     options = options or DriftOptions()
-    limit = 2.0 * np.log(options.min_odds)
     views = np.flatnonzero(used)
     if len(views) < options.min_views:
         return None
@@ -139,37 +138,44 @@ def find_drift(
         return None
     robot[:, :3, 3] *= length_ratio
     distance = median_distance(camera)
-    errors = host_logarithms(fit_transforms(robot, camera, np.ones(len(robot), bool)).closure)
+    fit = fit_transforms(robot, camera, np.ones(len(robot), bool))
+    at_mount, calibration = host_logarithms(fit.closure), _by_calibration(robot)
     # Views that were left out passed time as well.
     time = 2.0 * (views - views[0]) / (views[-1] - views[0]) - 1.0
-    constant = _by_calibration(robot)
-    drifts = {
-        kind: np.concatenate([constant, time[:, None, None] * constant[:, :, columns]], axis=2)
+    models = {
+        kind: np.concatenate([calibration, time[:, None, None] * calibration[..., columns]], axis=2)
         for kind, columns in (("camera", slice(0, 6)), ("target", slice(6, 12)))
     }
-    white = _Process.white(len(robot))
-    # A drift is rare: most sets are done with after a look at white errors.
-    without = _fitted(errors, constant, white)
-    given = _mean(without.remaining, distance)
-    fits = {kind: _fitted(errors, model, white) for kind, model in drifts.items()}
-    fits = {kind: fit for kind, fit in fits.items() if _odds(without, fit, len(errors)) > limit}
-    if fits:
-        kernels = _kernels(robot)
-        smooth = _likeliest(errors, constant, kernels)
-        fits = {
-            kind: fit
-            for kind, fit in fits.items()
-            if _odds(smooth, _likeliest(errors, drifts[kind], kernels), len(errors)) > limit
-        }
+    seen = _Errors.likelier(at_mount, calibration, robot @ fit.holder_from_world)
+    given, given_score = _mean(at_mount - calibration @ seen.white(calibration).numbers, distance)
     found = []
-    for kind, fit in fits.items():
-        change = host_exponentials(2.0 * fit.numbers[-6:])
+    for kind in _likely_kinds(seen, calibration, models, robot, options):
+        numbers = seen.white(models[kind]).numbers
+        change = host_exponentials(2.0 * numbers[-6:])
         translation, rotation = misfits(change[None])[0].tolist()
-        size = rotation + translation / distance
-        misfit, score = _mean(fit.remaining, distance)
-        if size > options.min_size:
-            found.append(SetUpDrift(kind, translation, rotation, misfit, given[0], score, given[1]))
+        misfit, score = _mean(at_mount - models[kind] @ numbers, distance)
+        if rotation + translation / distance > options.min_size:
+            found.append(SetUpDrift(kind, translation, rotation, misfit, given, score, given_score))
     return min(found, key=lambda drift: drift.score, default=None)
+
+
+def _likely_kinds(
+    seen: "_Errors",
+    calibration: Float[np.ndarray, "views 6 numbers"],
+    models: Mapping[str, Float[np.ndarray, "views 6 _"]],
+    mount_from_holder: Poses,
+    options: DriftOptions,
+) -> list[str]:
+    """Return the kinds of drift that are likely, also beyond the robot's own errors."""
+    limit = 2.0 * np.log(options.min_odds)
+    without = seen.white(calibration)
+    kinds = [kind for kind, model in models.items() if _odds(without, seen.white(model)) > limit]
+    # A drift is rare: most sets are done with after a look at white errors.
+    if not kinds:
+        return []
+    kernels = _kernels(mount_from_holder)
+    without = seen.likeliest(calibration, kernels)
+    return [k for k in kinds if _odds(without, seen.likeliest(models[k], kernels)) > limit]
 
 
 def _by_calibration(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 13"]:
@@ -224,27 +230,56 @@ def _kernels(mount_from_holder: Poses) -> Kernels:
     return kernels
 
 
-def _likeliest(
-    errors: Float[np.ndarray, "views 6"],
-    model: Float[np.ndarray, "views 6 numbers"],
-    kernels: Kernels,
-) -> "_LinearFit":
-    """Return the fit with the process that makes the errors likeliest.
+class _Errors(NamedTuple):
+    """The closure errors in the frame in which they are more like white noise.
 
-    Reaches and ratios are chosen one after the other, twice.
+    An arm's errors are independent at the mount; those of the poses from pictures at the target.
+
+    Attributes:
+        values: the errors, m and rad.
+        change: to this frame from the mount's, `(views, 6, 6)`.
     """
-    choice = [REACHES[1], REACHES[1], RATIOS[2], RATIOS[2]]
-    best = None
-    for _ in range(2):
-        for place, values in enumerate((REACHES, REACHES, RATIOS, RATIOS)):
-            for value in values:
-                tried = [*choice[:place], value, *choice[place + 1 :]]
-                axes, sizes = kernels[tried[0], tried[1]]
-                fit = _fitted(errors, model, _Process(axes, np.outer(sizes, tried[2:])))
-                if best is None or fit.likelihood < best.likelihood:
-                    best, choice = fit, tried
-    assert best is not None
-    return best
+
+    values: Float[np.ndarray, "views 6"]
+    change: Float[np.ndarray, "views 6 6"]
+
+    @classmethod
+    def likelier(
+        cls,
+        at_mount: Float[np.ndarray, "views 6"],
+        model: Float[np.ndarray, "views 6 numbers"],
+        mount_from_world: Poses,
+    ) -> "_Errors":
+        """Return the errors at the mount or at the target, where the model leaves white noise."""
+        eye = np.tile(np.eye(6), (len(at_mount), 1, 1))
+        changes = eye, host_adjoints(np.linalg.inv(mount_from_world))
+        frames = (cls((change @ at_mount[..., None])[..., 0], change) for change in changes)
+        return min(frames, key=lambda errors: errors.white(model).likelihood)
+
+    def white(self, model: Float[np.ndarray, "views 6 numbers"]) -> "_LinearFit":
+        """Return the fit of a model to errors that are white noise."""
+        return _fitted(self.values, self.change @ model, _Process.white(len(model)))
+
+    def likeliest(
+        self, model: Float[np.ndarray, "views 6 numbers"], kernels: Kernels
+    ) -> "_LinearFit":
+        """Return the fit with the process that makes the errors likeliest.
+
+        Reaches and ratios are chosen one after the other, twice.
+        """
+        choice = [REACHES[1], REACHES[1], RATIOS[2], RATIOS[2]]
+        best, turned = None, self.change @ model
+        for _ in range(2):
+            for place, values in enumerate((REACHES, REACHES, RATIOS, RATIOS)):
+                for value in values:
+                    tried = [*choice[:place], value, *choice[place + 1 :]]
+                    axes, sizes = kernels[tried[0], tried[1]]
+                    process = _Process(axes, np.outer(sizes, tried[2:]))
+                    fit = _fitted(self.values, turned, process)
+                    if best is None or fit.likelihood < best.likelihood:
+                        best, choice = fit, tried
+        assert best is not None
+        return best
 
 
 class _LinearFit(NamedTuple):
@@ -252,18 +287,18 @@ class _LinearFit(NamedTuple):
 
     Attributes:
         numbers: its numbers, translation in m and rotation in rad.
-        remaining: the errors that remain.
         likelihood: minus twice the logarithm of its likelihood, up to a constant.
+        error_count: number of errors, six for each view.
     """
 
     numbers: Float[np.ndarray, "numbers"]
-    remaining: Float[np.ndarray, "views 6"]
     likelihood: float
+    error_count: int
 
 
-def _odds(without: _LinearFit, drifting: _LinearFit, views: int) -> float:
+def _odds(without: _LinearFit, drifting: _LinearFit) -> float:
     """Return twice the logarithm of the odds of a drift, by Schwarz's criterion."""
-    return without.likelihood - drifting.likelihood - 6.0 * float(np.log(6.0 * views))
+    return without.likelihood - drifting.likelihood - 6.0 * float(np.log(without.error_count))
 
 
 def _fitted(
@@ -290,8 +325,7 @@ def _fitted(
         solution = np.linalg.lstsq(gram, right, rcond=1e-12)[0]
         variances = _variances(independent - design @ solution)
     likelihood = 3.0 * len(errors) * np.log(variances).sum() + 3.0 * np.log1p(process.sizes).sum()
-    numbers = solution / lengths
-    return _LinearFit(numbers, errors - model @ numbers, float(likelihood))
+    return _LinearFit(solution / lengths, float(likelihood), errors.size)
 
 
 def _variances(errors: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "2"]:

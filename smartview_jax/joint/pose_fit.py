@@ -462,11 +462,13 @@ def _check_conventions(
         data.view_ids,
         report.length_ratio,
         tracked=True,
+        # Trackers drift, whose poses then change or bend in part; depth sensors do not.
+        drifts=data.sensor is None,
     )
     fault = find_shared_fault(poses, data.seen, consistent)
-    if fault is not None and not fault.explains_most:
+    if fault is not None and poses.drifts and not fault.explains_most:
         fault = None
-    if fault is not None and (report.problems or (fault.contradicts and fault.spares_no_view)):
+    if fault is not None and (report.problems or (fault.contradicts and fault.divides(consistent))):
         raise ValueError(fault.sentence)
     if report.problems:
         raise ValueError("; ".join(report.problems))

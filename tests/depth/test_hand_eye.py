@@ -1,6 +1,7 @@
 """The hand-eye transform from a depth sensor: each view counts by its own covariance."""
 
 import dataclasses
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,7 @@ import smartview_jax as sv
 from smartview_jax.dataset import DepthSensor, PoseDataset
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transformed
+from smartview_jax.joint import start_from_poses
 from smartview_jax.simulation import simulate_depth_points
 
 VIEWS = 12
@@ -25,18 +27,19 @@ CAMERA_FROM_TOOL = np.linalg.inv(host_exponentials(np.array([0.02, -0.05, 0.08, 
 BASE_FROM_WORLD = host_exponentials(np.array([0.6, 0.1, 0.0, 0.0, 0.0, 0.4]))
 
 
-def scene(seed):
-    """Robot poses and measured points: from near to far, and of some views few points."""
+def scene(seed, farthest=1.5):
+    """Robot poses and measured points: from near to far (m), and of some far views few points."""
     rng = np.random.default_rng(seed)
     seen = np.tile(np.eye(4), (VIEWS, 1, 1))
     turns = rng.normal(size=(VIEWS, 3)) * [0.35, 0.35, 1.0]
     seen[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
     seen[:, :2, 3] = rng.uniform(-0.05, 0.05, (VIEWS, 2))
-    seen[:, 2, 3] = rng.uniform(0.3, 1.5, VIEWS)
+    seen[:, 2, 3] = rng.uniform(0.3, farthest, VIEWS)
     robot = BASE_FROM_WORLD @ np.linalg.inv(seen) @ CAMERA_FROM_TOOL
     points = simulate_depth_points(seen, TARGET, SENSOR, rng)
-    # A corner of the target in every third view.
-    points[::3, (x >= 3).ravel() | (y >= 3).ravel()] = np.nan
+    if farthest > 1.0:
+        # A corner of the target in every third view.
+        points[::3, (x >= 3).ravel() | (y >= 3).ravel()] = np.nan
     return robot @ host_exponentials(ROBOT * rng.normal(size=(VIEWS, 6))), points
 
 
@@ -155,3 +158,30 @@ def test_wrong_covariances_are_named(trials):
     stated = data.with_covariance(measured.covariance)
     with pytest.raises(ValueError, match="tracker_prior: the data set states the covariance"):
         sv.fit_poses(stated, tracker_prior=sv.joint.TrackerPrior())
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        ([0.005 * (k >= 6) for k in range(VIEWS)], "from view 6 on, .* the camera had been moved"),
+        ([0.012 * k / (VIEWS - 1) for k in range(VIEWS)], "as if the camera crept on the tool"),
+    ],
+    ids=["a step", "a drift"],
+)
+def test_a_mount_that_gives_way_is_named(steps, words):
+    """A depth sensor does not drift by itself, as trackers do."""
+    robot, points = scene(2, 0.7)
+    moved = points + np.array(steps)[:, None, None] * [1.0, 0.0, 0.0]
+    measured = sv.depth.poses_from_points(moved, TARGET)
+    doubts = start_from_poses(measured.dataset(robot)).ambiguities
+    assert [text for text in doubts if re.search(words, text)]
+    steady = sv.depth.poses_from_points(points, TARGET).dataset(robot)
+    assert start_from_poses(steady).ambiguities == ()
+
+
+def test_a_mount_that_moved_too_far_leaves_no_calibration():
+    robot, points = scene(2, 0.7)
+    after = (np.arange(VIEWS) >= 6)[:, None, None]
+    measured = sv.depth.poses_from_points(points + after * [0.1, 0.0, 0.0], TARGET)
+    with pytest.raises(ValueError, match=r"from view 6 on, .* the camera had been moved"):
+        start_from_poses(measured.dataset(robot))
