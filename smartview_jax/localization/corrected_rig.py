@@ -57,7 +57,7 @@ def judged_with_rig(
         search: how they are.
         occluders: triangles of known obstacles in the world, m.
     """
-    noise = noise_of_rig(found.results, scene, query)
+    noise = noise_of_rig(found.results, found.first, scene, query)
     if noise is None or not noise.is_likely:
         return JudgedScene(found._replace(results=_with_rig(found.results, noise)), scene, query)
     uncertainty = query.uncertainty.with_view_errors(noise.translation, noise.rotation)
@@ -75,7 +75,7 @@ def judged_with_rig(
     again = judged_in_rounds(
         scene,
         query,
-        _hypotheses_of(found.results),
+        [*_hypotheses_of(found.results), *(h for h in found.first if h.model not in known)],
         [k for k in searched if k not in known],
         search_again,
     )

@@ -66,8 +66,8 @@ class RigNoise(NamedTuple):
             frames, translation first, if they have.
         views: indices of the two views whose relative pose is off most.
         shift, turn: of the pose of one of them in the other, m and rad.
-        excess: largest of the two over what is usual, in standard deviations of a logarithm: 1.64
-            is exceeded by one arm in twenty. Where a noise is stated, over that noise.
+        excess: largest of the two over what is usual, in standard deviations of a logarithm: 1.28
+            is exceeded by one arm in ten. Where a noise is stated, over that noise.
     """
 
     as_stated: float
@@ -81,8 +81,8 @@ class RigNoise(NamedTuple):
 
     @property
     def is_likely(self) -> bool:
-        """Whether errors beyond the stated ones are likelier than none."""
-        return self.as_stated < 0.5
+        """Whether there are errors beyond the stated ones, with 95 % probability."""
+        return self.as_stated < 0.05
 
     def is_unusual(self, share: float) -> bool:
         """Return whether a share of all arms have smaller errors."""

@@ -106,7 +106,7 @@ class VerdictOptions:
     max_relative_std: float = 0.04
     min_margin: float = 8.0
     min_agreement: float = 1e-3
-    tolerated_arms: float = 0.95
+    tolerated_arms: float = 0.9
 
     def __post_init__(self) -> None:
         """Refuse limits that are not numbers: a comparison with NaN would accept any pose."""

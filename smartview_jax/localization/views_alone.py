@@ -8,6 +8,7 @@ object in a single picture.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,57 +16,101 @@ import numpy as np
 from jaxtyping import Float
 
 from ..geometry import host_adjoints
-from ..modeling import SeenViews
+from ..modeling import CalibrationUncertainty, SeenViews
 from ..runtime.array_namespace import to_device
 from .candidates import Prepared, Query
 from .edge_lines import EXPLAINED_DISTANCE, MAX_RADIUS
 from .edge_lookup import EdgeLookup
 from .evidence import evidence_of
 from .heavy_tails import NUMBERS
+from .hypotheses import Hypothesis
 from .localization import Localization
 from .pose_convergence import POSES_PER_BATCH, poses_on_edges
-from .pose_equations import UndeterminedPoseError
-from .refinement import measured_lines, refine_pose
+from .pose_equations import CommonErrors, UndeterminedPoseError
+from .refinement import RefinedPose, line_equations, measured_lines, refine_pose
 from .rig_noise import PoseInView, RigNoise, rig_noise
 from .scene import Scene
 from .verdict import judge, relative_std
 
 
-def noise_of_rig(results: Sequence[Localization], scene: Scene, query: Query) -> RigNoise | None:
+class Place(NamedTuple):
+    """Where an object of a model is or may be in all views.
+
+    Attributes:
+        model: index of the model.
+        pose: world_from_object.
+        explained_in_view: explained share of the visible edge length in each view; zero where the
+            pose is not known to fit.
+    """
+
+    model: int
+    pose: Float[np.ndarray, "4 4"]
+    explained_in_view: Sequence[float]
+
+
+def noise_of_rig(
+    results: Sequence[Localization],
+    hypotheses: Sequence[Hypothesis],
+    scene: Scene,
+    query: Query,
+) -> RigNoise | None:
     """Return how far the camera poses are off, by all objects; None where they do not tell.
 
     If any objects are accepted, only these tell: a pose that is not may be wrong.
 
     Args:
         results: of the search in all views.
+        hypotheses: poses from which they were found, the best first; a model that is nowhere in all
+            views may be near one of them in a view alone.
         scene: pictures and views.
         query: what was looked for.
     """
-    if len(scene.views.camera_from_world) < 2:
+    count = len(scene.views.camera_from_world)
+    if count < 2:
         return None
-    lookups = [_of_one_view(scene.lookup, k) for k in range(len(scene.views.camera_from_world))]
-    told = [obj for obj in results if obj.accepted] or results
-    objects = [poses_in_views(obj, scene.views, lookups, query) for obj in told]
+    lookups = [_of_one_view(scene.lookup, view) for view in range(count)]
+    places = [
+        Place(obj.model_index, obj.world_from_object, obj.verdict.evidence.explained_in_view)
+        for obj in results
+        if obj.accepted
+    ]
+    if not places:
+        known = [obj for obj in results if obj.verdict.decision == "open"]
+        nowhere = [0.0] * count
+        places = [Place(obj.model_index, obj.world_from_object, nowhere) for obj in known]
+        starts = [(obj.model_index, obj.world_from_object) for obj in results]
+        starts += [(each.model, each.world_from_object) for each in hypotheses]
+        for model in {each[0] for each in starts} - {obj.model_index for obj in known}:
+            poses = [pose for k, pose in starts if k == model][:POSES_PER_BATCH]
+            best = _best_in_one_view(np.stack(poses), query.models[model], scene.views, lookups)
+            places.append(Place(model, best, nowhere))
+    objects = [_poses_in_views(place, scene.views, lookups, query) for place in places]
     return rig_noise(objects, scene.views, query.uncertainty)
 
 
-def poses_in_views(
-    obj: Localization, views: SeenViews, lookups: Sequence[EdgeLookup], query: Query
-) -> list[PoseInView]:
-    """Return the poses of an object in the views that show it well enough alone.
+def _best_in_one_view(
+    starts: Float[np.ndarray, "starts 4 4"],
+    entry: Prepared,
+    views: SeenViews,
+    lookups: Sequence[EdgeLookup],
+) -> Float[np.ndarray, "4 4"]:
+    """Return the pose near one of some poses at which a view alone shows most edges."""
+    found = [poses_on_edges(entry.coarse, views, lookup, starts) for lookup in lookups]
+    poses = np.concatenate([each for each, _ in found])
+    explained = np.concatenate([lengths[:, 1] for _, lengths in found])
+    return poses[int(explained.argmax())]
 
-    Args:
-        obj: an object near its pose in all views.
-        views: cameras and poses.
-        lookups: edge points of each view alone.
-        query: what was looked for.
-    """
-    entry = query.models[obj.model_index]
+
+def _poses_in_views(
+    place: Place, views: SeenViews, lookups: Sequence[EdgeLookup], query: Query
+) -> list[PoseInView]:
+    """Return the poses of an object in the views that show it well enough alone."""
+    entry = query.models[place.model]
     seen = []
     for view, lookup in enumerate(lookups):
-        start = obj.world_from_object
-        share = obj.verdict.evidence.explained_in_view[view]
-        if not obj.accepted or not share >= query.options.accepted_share:
+        start = place.pose
+        # NaN, where too little of the object is visible, compares as False.
+        if not place.explained_in_view[view] >= query.options.accepted_share:
             starts = _starts(start, entry, views, view)
             poses, lengths = poses_on_edges(entry.coarse, views, lookup, starts)
             start = poses[int(lengths[:, 1].argmax())]
@@ -94,7 +139,7 @@ def _pose_in_view(
         query: what was looked for.
     """
     try:
-        refined = refine_pose(start, entry.model, entry.fine, views, lookup, query.uncertainty)
+        refined = refine_pose(start, entry.model, entry.fine, views, lookup)
     except UndeterminedPoseError:
         return None
     pose = refined.world_from_object
@@ -114,10 +159,31 @@ def _pose_in_view(
         view,
         pose,
         covariance,
-        refined.calibration_jacobian,
+        _by_calibration(refined, entry, views, query.uncertainty),
         -host_adjoints(object_from_camera),
         NUMBERS * int(refined.lines.measured[view].sum()) - 6,
     )
+
+
+def _by_calibration(
+    refined: RefinedPose, entry: Prepared, views: SeenViews, uncertainty: CalibrationUncertainty
+) -> Float[np.ndarray, "6 numbers"]:
+    """Return the derivatives of a pose's tangent by errors of the calibration.
+
+    The pose was fitted as if there were none: with them, an error of the camera's pose would hide
+    how exactly the picture shows the object.
+    """
+    if not uncertainty.names:
+        return np.zeros((6, 0))
+    pose, equations = refined.world_from_object, refined.equations
+    with_errors = line_equations(refined.lines, entry.model, entry.fine, views, pose, uncertainty)
+    # C J^T N^-1, where N contains the errors of the model.
+    V = equations.by_vertices
+    of_model = V @ CommonErrors.of(uncertainty, entry.model).vertices @ V.T
+    weighted = np.linalg.solve(equations.noise + of_model, equations.by_pose)
+    gain = refined.covariance @ weighted.T
+    # A larger number raises the prediction, and so lowers the residuals.
+    return -gain @ with_errors.by_calibration
 
 
 def _of_one_view(lookup: EdgeLookup, view: int) -> EdgeLookup:
