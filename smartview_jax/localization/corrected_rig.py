@@ -12,7 +12,7 @@ from .candidates import Query
 from .corrected_views import corrected_views
 from .hypotheses import Hypothesis
 from .localization import Localization
-from .rig_noise import RigNoise
+from .rig_noise import ViewDisagreement
 from .scene import Scene
 from .search_rounds import Found, judged_in_rounds
 from .views_alone import noise_of_rig
@@ -58,13 +58,16 @@ def judged_with_rig(
         occluders: triangles of known obstacles in the world, m.
     """
     noise = noise_of_rig(found.results, found.first, scene, query)
-    if noise is None or not noise.is_likely:
-        return JudgedScene(found._replace(results=_with_rig(found.results, noise)), scene, query)
+    disagreement = None if noise is None else noise.disagreement
+    if noise is None or not noise.disagreement.is_likely:
+        return JudgedScene(
+            found._replace(results=_with_disagreement(found.results, disagreement)), scene, query
+        )
     uncertainty = query.uncertainty.with_view_errors(noise.translation, noise.rotation)
     errors = np.concatenate([np.zeros(len(query.uncertainty.names)), noise.errors.ravel()])
     views = corrected_views(scene.views, uncertainty, errors)
     scene = Scene(views, scene.pictures, occluders)
-    query = query._replace(uncertainty=uncertainty, rig=noise)
+    query = query._replace(uncertainty=uncertainty, disagreement=disagreement)
     known = {obj.model_index for obj in found.results if obj.verdict.decision != "rejected"}
 
     def search_again(
@@ -79,15 +82,17 @@ def judged_with_rig(
         [k for k in searched if k not in known],
         search_again,
     )
-    again = again._replace(results=_with_rig(again.results, noise))
+    again = again._replace(results=_with_disagreement(again.results, disagreement))
     return JudgedScene(again, scene, query)
 
 
-def _with_rig(results: Sequence[Localization], noise: RigNoise | None) -> list[Localization]:
-    """Return results whose evidence contains the errors of the rig."""
+def _with_disagreement(
+    results: Sequence[Localization], disagreement: ViewDisagreement | None
+) -> list[Localization]:
+    """Return results whose evidence contains the disagreement of the views."""
     changed = []
     for obj in results:
-        evidence = obj.verdict.evidence._replace(disagreement=noise)
+        evidence = obj.verdict.evidence._replace(disagreement=disagreement)
         changed.append(obj._replace(verdict=obj.verdict._replace(evidence=evidence)))
     return changed
 

@@ -8,7 +8,7 @@ from scipy.special import binom, gammaln
 
 from .edge_lines import EXPLAINED_DISTANCE, MIN_POINT_SIGMA, EdgeLines
 from .moved_faces import MovedFace
-from .rig_noise import RigNoise
+from .rig_noise import ViewDisagreement
 from .wireframe import Wireframe
 
 MIN_PARALLAX = float(np.deg2rad(2.0))
@@ -71,7 +71,7 @@ class Evidence(NamedTuple):
     log_likelihood: float
     log_exactness: float
     moved: MovedFace | None = None
-    disagreement: RigNoise | None = None
+    disagreement: ViewDisagreement | None = None
     shadow_odds: float | None = None
     tolerance_px: float = 0.0
 

@@ -104,7 +104,7 @@ class _Judging:
     def __init__(self, scene: Scene, query: Query, tested: int):
         self.scene, self._tested = scene, tested
         self._prepared, self._uncertainty = query.models, query.uncertainty
-        self._options, self._rig = query.options, query.rig
+        self._options, self._disagreement = query.options, query.disagreement
         self._accepted: list[Localization] = []
 
     def in_order(self, candidates: Sequence[Candidate], known: Sequence[Localization]) -> Judgement:
@@ -213,7 +213,7 @@ class _Judging:
         uncertain = relative_std(entry.model, refined.covariance)
 
         def verdict_on(evidence: Evidence) -> Verdict:
-            with_rig = evidence._replace(disagreement=self._rig)
+            with_rig = evidence._replace(disagreement=self._disagreement)
             return judge(with_rig, self._tested, margin, name, uncertain, self._options)
 
         verdict = verdict_on(evidence)

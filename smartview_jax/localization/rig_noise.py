@@ -55,25 +55,18 @@ class PoseInView(NamedTuple):
     freedom: int
 
 
-class RigNoise(NamedTuple):
-    """How far the camera poses are off beyond what is stated.
+class ViewDisagreement(NamedTuple):
+    """By how much views disagree about the places of objects, beyond what is stated.
 
     Attributes:
-        as_stated: posterior probability that they have no further errors.
-        translation, rotation: standard deviations of each view's error, per axis of the camera, m
-            and rad, if they have.
-        errors: likeliest twists of the true `camera_from_world` from the given ones, in the camera
-            frames, translation first, if they have.
+        as_stated: posterior probability that camera poses have no further errors.
         views: indices of the two views whose relative pose is off most.
-        shift, turn: of the pose of one of them in the other, m and rad.
+        shift, turn: error of the pose of one of them in the other, m and rad.
         excess: largest of the two over what is usual, in standard deviations of a logarithm: 1.28
             is exceeded by one arm in ten. Where a noise is stated, over that noise.
     """
 
     as_stated: float
-    translation: float
-    rotation: float
-    errors: Float[np.ndarray, "views 6"]
     views: tuple[int, int]
     shift: float
     turn: float
@@ -90,13 +83,30 @@ class RigNoise(NamedTuple):
 
     @property
     def message(self) -> str:
-        """The error in words."""
+        """The disagreement in words."""
         first, second = self.views
         return (
             f"views {first} and {second} disagree by {np.degrees(self.turn):.2g} degrees and "
             f"{1e3 * self.shift:.2g} mm: the pose of one of them or the transform between their "
             "cameras is wrong"
         )
+
+
+class RigNoise(NamedTuple):
+    """How far the camera poses are off, if they have further errors than the stated ones.
+
+    Attributes:
+        disagreement: of the views; it says whether there are such errors.
+        translation, rotation: standard deviations of each view's error, per axis of the camera, m
+            and rad.
+        errors: likeliest twists of the true `camera_from_world` from the given ones, in the camera
+            frames, translation first.
+    """
+
+    disagreement: ViewDisagreement
+    translation: float
+    rotation: float
+    errors: Float[np.ndarray, "views 6"]
 
 
 def rig_noise(
@@ -141,15 +151,14 @@ def rig_noise(
     pair, shift, turn = _largest_relative_error(views, errors, medians)
     # A relative pose has the errors of two views, and each of them three axes.
     ratio = max(np.array([shift, turn]) / (np.sqrt(6.0) * medians))
-    return RigNoise(
+    disagreement = ViewDisagreement(
         float(np.exp(exact - np.logaddexp(exact, evidence))),
-        *typical.tolist(),
-        errors,
         pair,
         shift,
         turn,
         float(np.log(max(ratio, 1e-9)) / log_std),
     )
+    return RigNoise(disagreement, *typical.tolist(), errors)
 
 
 class _Information(NamedTuple):

@@ -27,7 +27,7 @@ from ..modeling import ObjectModel
 from .distinct_poses import surface_sigma
 from .evidence import Evidence, log_likelihood_of_found
 from .moved_faces import MovedFace
-from .rig_noise import RigNoise
+from .rig_noise import ViewDisagreement
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,8 +173,9 @@ def judge(
     shadow_odds = np.inf if evidence.shadow_odds is None else evidence.shadow_odds
     if shadow_odds <= -options.min_margin:
         against.append("it is the shadow of an equal object: its other edges are missing")
-    noise = evidence.disagreement
-    wrong_rig = [] if noise is None or not _is_rig_wrong(noise, options) else [noise.message]
+    differs = evidence.disagreement
+    is_rig_wrong = differs is not None and _is_rig_wrong(differs, options)
+    wrong_rig = [differs.message] if differs is not None and is_rig_wrong else []
     if against:
         against += wrong_rig
         return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
@@ -226,9 +227,10 @@ def judge(
     )
 
 
-def _is_rig_wrong(noise: RigNoise, options: VerdictOptions) -> bool:
+def _is_rig_wrong(disagreement: ViewDisagreement, options: VerdictOptions) -> bool:
     """Return whether the camera poses are off by more than is stated and than is usual."""
-    return noise.as_stated < options.min_agreement and noise.is_unusual(options.tolerated_arms)
+    is_off = disagreement.as_stated < options.min_agreement
+    return is_off and disagreement.is_unusual(options.tolerated_arms)
 
 
 def _amount(evidence: Evidence) -> str:
