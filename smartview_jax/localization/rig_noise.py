@@ -6,8 +6,9 @@ ones are a random twist of each view, with one variance for translations and one
 Their likelihood is restricted: the poses of the objects are unknown, and integrated out (Patterson
 and Thompson, "Recovery of inter-block information when block sizes are unequal", 1971).
 
-Either the rig is as stated, or its camera poses err: as the poses of good arms or, rarely, of weak
-ones (`RobotPrior`); where a noise of the robot is stated, by about as much more.
+The rig is as stated, or its camera poses err: as the poses of good arms or, rarely, of weak ones
+(`RobotPrior`); where a noise of the robot is stated, by about as much more. Before the pictures
+tell, both are equally likely.
 """
 
 from collections.abc import Sequence
@@ -93,7 +94,7 @@ class ViewDisagreement(NamedTuple):
 
 
 class RigNoise(NamedTuple):
-    """How far the camera poses are off, if they have further errors than the stated ones.
+    """The errors of the camera poses, if there are any beyond the stated ones.
 
     Attributes:
         disagreement: of the views; it says whether there are such errors.
@@ -124,16 +125,16 @@ def rig_noise(
         prior: how far the poses of arms are off.
     """
     usable = [[one for one in seen if one.freedom >= LEAST_FREEDOM] for seen in objects]
-    informed = [_information(seen, views, uncertainty) for seen in usable if len(seen) > 1]
-    if not informed:
+    by_object = [_equations(seen, views, uncertainty) for seen in usable if len(seen) > 1]
+    if not by_object:
         return None
-    total = _Information(*(np.sum(part, axis=0) for part in zip(*informed, strict=True)))
+    equations = _Equations(*(np.concatenate(part) for part in zip(*by_object, strict=True)))
     stated, count = covariance_factor(uncertainty.covariance), len(views.camera_from_world)
 
     def solved(sizes: Float[np.ndarray, "2"]) -> tuple[float, Float[np.ndarray, "errors"]]:
         """Return the restricted log-likelihood of two standard deviations, and the errors."""
         sigmas = np.diag(np.tile(np.repeat(sizes, 3), count))
-        return _solved(total, np.asarray(block_diag(stated, sigmas)))
+        return _solved(equations, np.asarray(block_diag(stated, sigmas)))
 
     medians = _usual_medians(views, uncertainty, prior)
     log_std = float(np.log(prior.group_geometric_std))
@@ -158,65 +159,58 @@ def rig_noise(
         turn,
         float(np.log(max(ratio, 1e-9)) / log_std),
     )
-    return RigNoise(disagreement, *typical.tolist(), errors)
+    return RigNoise(disagreement, float(typical[0]), float(typical[1]), errors)
 
 
-class _Information(NamedTuple):
-    """What objects say about the errors of the calibration and of each view.
+class _Equations(NamedTuple):
+    """Equations with unit noise about the errors of the calibration and of each view.
 
     Attributes:
-        matrix: information on the errors, the poses of the objects being unknown.
-        vector: its product with their estimate.
+        residuals: measured.
+        by_errors: their derivatives by all errors.
     """
 
-    matrix: Float[np.ndarray, "errors errors"]
-    vector: Float[np.ndarray, "errors"]
+    residuals: Float[np.ndarray, "n"]
+    by_errors: Float[np.ndarray, "n errors"]
 
 
-def _information(
+def _equations(
     seen: Sequence[PoseInView], views: SeenViews, uncertainty: CalibrationUncertainty
-) -> _Information:
-    """Return what the poses of one object in several views say about the errors."""
+) -> _Equations:
+    """Return what the poses of one object in several views say, whatever its true pose is."""
     numbers = len(uncertainty.names)
-    size = numbers + 6 * len(views.camera_from_world)
-    matrix, vector = np.zeros((size, size)), np.zeros(size)
-    with_pose, pose_matrix, pose_vector = np.zeros((size, 6)), np.zeros((6, 6)), np.zeros(6)
+    rows = []
     # y = x + Z u + e in each view, with the pose x of the object and the common errors u.
     for one in seen:
         y = host_logarithms(np.linalg.inv(seen[0].world_from_object) @ one.world_from_object)
-        # The covariance is an estimate: the errors have Student's t distribution.
-        weight = np.linalg.inv(one.covariance) * (one.freedom - 2.0) / one.freedom
-        Z = np.zeros((6, size))
+        Z = np.zeros((6, numbers + 6 * len(views.camera_from_world)))
         # The derivatives lead from the pose in this view to the true one, and y the other way.
         Z[:, :numbers] = -one.by_calibration
         place = numbers + 6 * one.view
         Z[:, place : place + 6] = -one.by_camera
-        matrix += Z.T @ weight @ Z
-        vector += Z.T @ weight @ y
-        with_pose += Z.T @ weight
-        pose_matrix += weight
-        pose_vector += weight @ y
-    factor = cho_factor(pose_matrix)
-    return _Information(
-        matrix - with_pose @ cho_solve(factor, with_pose.T),
-        vector - with_pose @ cho_solve(factor, pose_vector),
-    )
+        # The covariance is an estimate: the errors have Student's t distribution.
+        factor = np.linalg.cholesky(one.covariance * one.freedom / (one.freedom - 2.0))
+        rows.append(np.linalg.solve(factor, np.column_stack([np.eye(6), Z, y])))
+    # An orthogonal transform leaves the noise as it is, and x only in the first six rows.
+    triangular = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))[6:, 6:]
+    return _Equations(triangular[:, -1], triangular[:, :-1])
 
 
 def _solved(
-    information: _Information, factor: Float[np.ndarray, "errors numbers"]
+    equations: _Equations, factor: Float[np.ndarray, "errors numbers"]
 ) -> tuple[float, Float[np.ndarray, "errors"]]:
     """Return the restricted log-likelihood of a covariance of the errors, and the likeliest errors.
 
     Args:
-        information: from all objects.
+        equations: from all objects.
         factor: F, where the covariance is F F^T.
     """
-    # With A = 1 + F^T M F and b the vector: log L = (b^T F A^-1 F^T b - log|A|) / 2, but for a
-    # constant, and the likeliest errors are F A^-1 F^T b.
-    A = np.eye(factor.shape[1]) + factor.T @ information.matrix @ factor
-    of_A = cho_factor(A)
-    right = factor.T @ information.vector
+    # With G the derivatives times F, A = 1 + G^T G and b = G^T y:
+    #   log L = (b^T A^-1 b - log|A|) / 2
+    # but for a constant, and the likeliest errors are F A^-1 b.
+    G = equations.by_errors @ factor
+    of_A = cho_factor(np.eye(G.shape[1]) + G.T @ G)
+    right = G.T @ equations.residuals
     solution = cho_solve(of_A, right)
     log_determinant = 2.0 * np.log(np.diagonal(of_A[0])).sum()
     return float(0.5 * (right @ solution - log_determinant)), factor @ solution

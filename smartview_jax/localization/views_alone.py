@@ -34,7 +34,7 @@ from .verdict import judge, relative_std
 
 
 class Place(NamedTuple):
-    """Where an object of a model is or may be in all views.
+    """A pose at which an object of a model is or may be in all views.
 
     Attributes:
         model: index of the model.

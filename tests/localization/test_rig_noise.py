@@ -67,13 +67,13 @@ def test_restricted_likelihood_is_the_likelihood_of_the_differences(uncertainty)
     ((seen,), _) = seen_objects(
         np.random.default_rng(1), 1e-3, 5e-3, count=1, numbers=len(uncertainty.names)
     )
-    information = module._information(seen, VIEWS, uncertainty)
+    equations = module._equations(seen, VIEWS, uncertainty)
     sizes = [(1e-4, 1e-3), (2e-3, 4e-3)]
     of_sizes = []
     for size in sizes:
         sigmas = np.diag(np.tile(np.repeat(size, 3), 2))
         factor = np.asarray(block_diag(np.sqrt(uncertainty.covariance), sigmas))
-        of_sizes.append(module._solved(information, factor))
+        of_sizes.append(module._solved(equations, factor))
     expected = [dense(seen, uncertainty, size) for size in sizes]
     # The likelihoods agree but for a constant.
     assert of_sizes[0][0] - of_sizes[1][0] == pytest.approx(expected[0][0] - expected[1][0])
