@@ -47,6 +47,7 @@ BENCHMARKS = {
     "grasping": "grasps executed in physics, by staged and joint calibration: held, and foretold?",
     "hypotheses": "known objects searched without a start: ranks of the right pose, seconds",
     "localization": "known objects found and judged: recall, false accepts, errors, NEES, seconds",
+    "localization_wrong_rigs": "pictures of a wrong rig: named, and poses as exact as they say?",
     "asks": "what users ask most: each question with the command or call that answers it",
     "fuzz": "files with mistakes of 200 kinds: refused by name, or their values as they were",
     "mutations": "bugs put into the package on purpose: does the suite notice each of them",

@@ -12,6 +12,7 @@ from .evidence import log_likelihood_of
 from .hypotheses import Hypothesis
 from .pose_convergence import lengths_of_poses, poses_on_edges
 from .refinement import FIT_SAMPLES
+from .rig_noise import ViewDisagreement
 from .scene import Scene
 from .verdict import VerdictOptions
 from .wireframe import EDGE_SAMPLES, Wireframe
@@ -51,12 +52,14 @@ class Query(NamedTuple):
         options: limits of the verdict.
         workspace: two corners of a box in the world that contains the objects, m; None for
             anywhere.
+        disagreement: of the views as given, which were corrected by it; None for given views.
     """
 
     models: Sequence[Prepared]
     uncertainty: CalibrationUncertainty
     options: VerdictOptions
     workspace: Float[np.ndarray, "2 3"] | None = None
+    disagreement: ViewDisagreement | None = None
 
 
 class Candidate(NamedTuple):

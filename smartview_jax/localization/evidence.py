@@ -8,7 +8,7 @@ from scipy.special import binom, gammaln
 
 from .edge_lines import EXPLAINED_DISTANCE, MIN_POINT_SIGMA, EdgeLines
 from .moved_faces import MovedFace
-from .view_agreement import ViewDisagreement
+from .rig_noise import ViewDisagreement
 from .wireframe import Wireframe
 
 MIN_PARALLAX = float(np.deg2rad(2.0))
@@ -53,7 +53,8 @@ class Evidence(NamedTuple):
         log_likelihood: log-likelihood ratio of the found and missing edges, object to clutter.
         log_exactness: see `log_chance_of_exact_edges`.
         moved: see `likeliest_moved_face`; None where it was not computed.
-        disagreement: see `least_agreeing_view`; None where it was not computed, or is unknown.
+        disagreement: of the views about all objects (`rig_noise`); None where no object shows well
+            enough in two views alone.
         shadow_odds: see `log_odds_to_shadow`; None where nothing casts a shadow there.
         tolerance_px: part of `edge_rms` that the model's tolerance explains, px.
     """

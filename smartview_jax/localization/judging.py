@@ -29,7 +29,6 @@ from .pose_equations import UndeterminedPoseError
 from .refinement import RefinedPose, refine_pose
 from .scene import Scene, explained_among
 from .verdict import Verdict, judge, may_be_another_size, relative_std
-from .view_agreement import least_agreeing_view
 
 MAX_REJECTED = 12
 """Number of poses in a row without an accepted one, all models together, after which no further
@@ -105,7 +104,7 @@ class _Judging:
     def __init__(self, scene: Scene, query: Query, tested: int):
         self.scene, self._tested = scene, tested
         self._prepared, self._uncertainty = query.models, query.uncertainty
-        self._options = query.options
+        self._options, self._disagreement = query.options, query.disagreement
         self._accepted: list[Localization] = []
 
     def in_order(self, candidates: Sequence[Candidate], known: Sequence[Localization]) -> Judgement:
@@ -214,16 +213,13 @@ class _Judging:
         uncertain = relative_std(entry.model, refined.covariance)
 
         def verdict_on(evidence: Evidence) -> Verdict:
-            return judge(evidence, self._tested, margin, name, uncertain, self._options)
+            with_rig = evidence._replace(disagreement=self._disagreement)
+            return judge(with_rig, self._tested, margin, name, uncertain, self._options)
 
         verdict = verdict_on(evidence)
         if verdict.decision != "rejected":
-            disagreement = least_agreeing_view(
-                refined, entry.model, entry.fine, scene.views, self._uncertainty
-            )
-            evidence = evidence._replace(
-                disagreement=disagreement, shadow_odds=self._shadow_odds(best.model, refined, lines)
-            )
+            odds = self._shadow_odds(best.model, refined, lines)
+            evidence = evidence._replace(shadow_odds=odds)
             verdict = verdict_on(evidence)
         # Moving faces takes time: only poses that would be accepted are tested.
         if verdict.decision == "accepted" and may_be_another_size(evidence, self._options):

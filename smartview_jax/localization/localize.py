@@ -19,6 +19,7 @@ from ..features import PictureEvidence, picture_evidence, scaled_camera
 from ..modeling import AnyCalibration, CalibrationUncertainty, ObjectModel, RigViews, SeenViews
 from ..robots import CommandLike
 from .candidates import Prepared, Query
+from .corrected_rig import judged_with_rig
 from .depth_buffers import checked_triangles
 from .earlier_views import hypotheses_of, own_command, together_with
 from .hypotheses import ALL_HYPOTHESES, Hypothesis, checked_box, find_hypotheses
@@ -119,11 +120,12 @@ def localize(
         given = hypotheses_of(previous)
         known = {h.model for h in given}
         missing = [k for k in range(len(prepared)) if k not in known]
-    search = partial(_searched, views, prepared, box)
+    search = partial(_searched, prepared, box)
     scene = Scene(views, pictures, triangles)
     query = Query(prepared, uncertainty, options, box)
-    found = judged_in_rounds(scene, query, given, missing, search)
-    results = refined_together(found.results, scene, prepared, uncertainty)
+    found = judged_in_rounds(scene, query, given, missing, partial(search, views))
+    found, scene, query = judged_with_rig(found, scene, query, missing, search, triangles)
+    results = refined_together(found.results, scene, prepared, query.uncertainty)
     frame = calibration.frame if isinstance(calibration, RigViews) else "world"
     return Localizations(
         [result._replace(frame=frame) for result in _reported(results)],
@@ -215,9 +217,9 @@ def _check_models(
 
 
 def _searched(
-    views: SeenViews,
     prepared: Sequence[Prepared],
     box: Float[np.ndarray, "2 3"] | None,
+    views: SeenViews,
     pictures: Sequence[PictureEvidence],
     indices: Sequence[int],
 ) -> list[Hypothesis]:

@@ -36,11 +36,13 @@ class Found(NamedTuple):
         results: verdicts.
         tried: number of hypotheses of each model that were tried.
         left: number of poses of each model that might be objects, but were not judged.
+        first: hypotheses of the first round, the best first.
     """
 
     results: list[Localization]
     tried: list[int]
     left: list[int]
+    first: list[Hypothesis]
 
 
 def judged_in_rounds(
@@ -63,6 +65,7 @@ def judged_in_rounds(
     tried, left = [0] * len(prepared), [0] * len(prepared)
     results: list[Localization] = []
     accepted: list[Localization] = []
+    first: list[Hypothesis] = []
     waiting = search(scene.pictures, searched)
     # Objects of each model: found by the latest search, and in the last round.
     by_search: Counter[int] = Counter()
@@ -78,7 +81,8 @@ def judged_in_rounds(
         batch, waiting = _first_of_each_model(waiting)
         batch, given = [*given, *batch], ()
         if not batch:
-            return Found(results, tried, left)
+            return Found(results, tried, left, first)
+        first = first or batch
         tried = _added(tried, batch)
         candidates = _within(converged_candidates(free, prepared, batch), query)
         # Poses left open are judged again, with the objects found since as neighbours.

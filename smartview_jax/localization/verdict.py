@@ -13,7 +13,7 @@ A pose has to be likelier than what else may explain the edges:
 - the shadow of an equal object, by the same ratio of the edges that it does not have
   (`cast_shadows`).
 
-Its views have to agree (`view_agreement`), and it has to be precise.
+The views have to agree about all objects (`rig_noise`), and the pose has to be precise.
 `VerdictOptions` has the limits.
 """
 
@@ -27,7 +27,7 @@ from ..modeling import ObjectModel
 from .distinct_poses import surface_sigma
 from .evidence import Evidence, log_likelihood_of_found
 from .moved_faces import MovedFace
-from .view_agreement import ViewDisagreement
+from .rig_noise import ViewDisagreement
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,10 +74,9 @@ class VerdictOptions:
         min_margin: smallest log-likelihood ratio to the best rival, including exactness: ln(100)
             for each of some thirty poses that are examined. A pose that is less likely than a
             shadow by as much is rejected.
-        min_agreement: smallest probability of so large a difference between the views.
-        exact_rig_error: largest difference between the views, over the object's extent, of a
-            calibration and a robot that are taken as exact. They err by some tenths of a millimetre
-            where nobody says so.
+        min_agreement: smallest posterior probability of camera poses that are as exact as stated.
+        tolerated_arms: share of arms whose poses are off by less than the tolerated disagreement of
+            the views (`RobotPrior`); it is included in the covariance of the pose.
 
     Raises:
         ValueError: a limit that is not a finite number, named.
@@ -107,7 +106,7 @@ class VerdictOptions:
     max_relative_std: float = 0.04
     min_margin: float = 8.0
     min_agreement: float = 1e-3
-    exact_rig_error: float = 0.02
+    tolerated_arms: float = 0.9
 
     def __post_init__(self) -> None:
         """Refuse limits that are not numbers: a comparison with NaN would accept any pose."""
@@ -174,7 +173,11 @@ def judge(
     shadow_odds = np.inf if evidence.shadow_odds is None else evidence.shadow_odds
     if shadow_odds <= -options.min_margin:
         against.append("it is the shadow of an equal object: its other edges are missing")
+    differs = evidence.disagreement
+    is_rig_wrong = differs is not None and _is_rig_wrong(differs, options)
+    wrong_rig = [differs.message] if differs is not None and is_rig_wrong else []
     if against:
+        against += wrong_rig
         return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
     doubts = []
     if share < _accepted_share(evidence, options):
@@ -214,8 +217,7 @@ def judge(
             f"the object seems {size} than the model: moving face {face} {way} by {length} matches "
             "more edges"
         )
-    if evidence.disagreement is not None and _is_rig_wrong(evidence.disagreement, options):
-        doubts.append(evidence.disagreement.message)
+    doubts += wrong_rig
     if margin < options.min_margin:
         doubts.append(f"ambiguous: {rival} matches the pictures almost as well")
     if shadow_odds < options.min_margin:
@@ -226,13 +228,9 @@ def judge(
 
 
 def _is_rig_wrong(disagreement: ViewDisagreement, options: VerdictOptions) -> bool:
-    """Return whether views disagree by more than the errors of the rig explain.
-
-    A rig that is taken as exact errs too, by an amount that nobody stated.
-    """
-    is_small = disagreement.relative <= options.exact_rig_error
-    is_tolerated = is_small and not disagreement.is_rig_uncertain
-    return disagreement.probability < options.min_agreement and not is_tolerated
+    """Return whether the camera poses are off by more than is stated and than is usual."""
+    is_off = disagreement.as_stated < options.min_agreement
+    return is_off and disagreement.is_unusual(options.tolerated_arms)
 
 
 def _amount(evidence: Evidence) -> str:

@@ -202,6 +202,25 @@ class CalibrationUncertainty(NamedTuple):
             first += sum(np.size(leaf) for leaf in jax.tree.leaves(old))
         return self._replace(view_jacobian=factors[:, None] * self.view_jacobian)
 
+    def with_view_errors(self, translation: float, rotation: float) -> "CalibrationUncertainty":
+        """Return the uncertainty with a further error of each camera pose, six numbers a view.
+
+        Args:
+            translation: standard deviation of the twist of `camera_from_world`, per axis, m.
+            rotation: the same of its rotation, rad.
+        """
+        count, local, known = self.view_jacobian.shape
+        jacobian = np.zeros((count, local, known + 6 * count))
+        jacobian[:, :, :known] = self.view_jacobian
+        for k in range(count):
+            jacobian[k, -6:, known + 6 * k : known + 6 * k + 6] = np.eye(6)
+        variances = np.tile(np.repeat([translation**2, rotation**2], 3), count)
+        covariance = np.asarray(block_diag(self.covariance, np.diag(variances)))
+        names = correction_names([f"camera of view {k}" for k in range(count)])
+        return CalibrationUncertainty(
+            (*self.names, *names), covariance, jacobian, self.shared_count
+        )
+
     def propagate(
         self, view_sensitivity: Float[np.ndarray, "views *rest local"]
     ) -> Float[np.ndarray, "*rest numbers"]:
