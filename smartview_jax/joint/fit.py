@@ -57,6 +57,7 @@ from ..robot_errors import (
     checked_field_choice,
 )
 from ..runtime.array_namespace import to_device
+from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from ..runtime.modules import with_fields
 from ..staged import with_region
@@ -83,6 +84,7 @@ SIGMA_TOLERANCE = 1e-3
 """The relative change of the pixel sigma below which refitting stops."""
 
 
+@on_one_blas_thread
 def fit_joint(
     data: Dataset,
     start: Calibration,
