@@ -1,6 +1,5 @@
 """Hold the measurements of a data set as arrays, and compute their residuals by view."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,13 +12,13 @@ from ..geometry import as_se3, transformed_coordinates
 from ..robots import Command, HandPoses
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
-from ..runtime.modules import with_fields
+from ..runtime.modules import HostModule, with_fields
 from ..runtime.padding import padded_counts, repeat_last, without_padding
 from .depth_readings import DepthReadings
 from .pose_observations import PoseObservations
 
 
-class Observations(eqx.Module):
+class Observations(HostModule):
     """The arrays of a data set or of one view, without names, for compiled functions.
 
     Attributes:
