@@ -62,4 +62,4 @@ def test_methods_of_a_host_module_are_plain_and_the_module_is_an_argument():
     assert eqx.filter_jit(lambda module, x: module.times(x))(scaled, 2.0) == 6.0
     assert jax.tree.leaves(scaled) == [scaled.factor]
     with pytest.raises(dataclasses.FrozenInstanceError):
-        scaled.factor = 4.0
+        setattr(scaled, "factor", jnp.array(4.0))  # noqa: B010 - a type checker refuses the other
