@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import Unpack, cast, overload
 
 import equinox as eqx
@@ -22,10 +23,12 @@ from .joint import (
     RigFit,
     batch_least_squares,
     fit_joint,
+    needs_precompiling,
     precompile,
 )
 from .rig_pipeline import RigStart, calibrate_rig
 from .robot_errors import RobotError
+from .runtime.blas_threads import on_one_blas_thread
 from .runtime.compilation import refuse_traced
 from .runtime.double_precision import require_double_precision
 from .runtime.modules import module_of, with_fields
@@ -155,6 +158,7 @@ def calibrate(
 ) -> RigFit: ...
 
 
+@on_one_blas_thread
 def calibrate(
     data: Dataset | Rig,
     lens: str | AbstractLens = DEFAULT_LENS,
@@ -229,11 +233,12 @@ def calibrate(
     views_to_use(data, camera, translation_is_given)
     noise = joint_options.get("noise", "estimated")
     field = joint_options.get("field", "auto")
-    # XLA compiles the joint fit while the staged fit runs.
-    with ThreadPoolExecutor(max_workers=1) as background:
-        precompilation = background.submit(
-            precompile, data, lens, camera=camera, noise=noise, field=field
-        )
+    with ExitStack() as stack:
+        if needs_precompiling(data, lens, camera, noise, field):
+            # XLA compiles the joint fit while the staged fit runs. The end of the block waits for
+            # it, and ignores its errors: the fit below raises the same.
+            background = stack.enter_context(ThreadPoolExecutor(max_workers=1))
+            background.submit(precompile, data, lens, camera=camera, noise=noise, field=field)
         staged = fit_staged(
             data,
             lens,
@@ -242,8 +247,6 @@ def calibrate(
             start=start or _places_of_priors(priors, data.mount),
             progress=progress,
         )
-        # Wait for the precompilation. Its own errors are ignored: the fit below raises the same.
-        precompilation.exception()
     staged, start = with_start_doubts(staged, start, data, (*held, *priors))
     try:
         joint = fit_joint(

@@ -16,7 +16,8 @@ from standard_scene import POINTS, VIEWS
 from smartview_jax import calibrate, fit_joint, fit_staged
 from smartview_jax.calibration_pipeline import refit_uncorrected
 from smartview_jax.engine import Prior
-from smartview_jax.joint import precompile
+from smartview_jax.joint import needs_precompiling, precompile
+from smartview_jax.runtime.padding import padded_counts
 from smartview_jax.simulation import simulate
 from smartview_jax.staged import with_start_doubts
 
@@ -97,6 +98,22 @@ def test_what_is_rehearsed_is_the_fit_that_is_made(field, monkeypatch):
         for p in (*rehearsed, fit.problem)
     ]
     assert kinds[0] == kinds[1]
+
+
+def test_a_second_set_of_the_same_kind_is_not_rehearsed(monkeypatch):
+    """Its programs exist: only sets of other sizes, mounts, arms or options need others."""
+    monkeypatch.setattr(sys.modules[needs_precompiling.__module__], "_precompiled", set())
+    few, other, many = scene_of(0).data, scene_of(1).data, scene_of(0, MANY_VIEWS).data
+    options = ("opencv4", None, "estimated", "auto")
+    assert needs_precompiling(few, *options)
+    assert not needs_precompiling(other, *options)
+    assert needs_precompiling(many, *options) == (
+        padded_counts(*many.visible.shape) != padded_counts(*few.visible.shape)
+    )
+    assert needs_precompiling(few, "radial", *options[1:])
+    assert needs_precompiling(few, *options[:-1], None)
+    fixed_camera = dataclasses.replace(few, mount="eye_to_hand")
+    assert needs_precompiling(fixed_camera, *options)
 
 
 def test_what_is_wrong_with_the_data_is_said_at_once(monkeypatch):

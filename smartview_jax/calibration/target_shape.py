@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..runtime.array_namespace import AnyArray, array_namespace, as_float_array, to_device
 from ..runtime.compilation import is_traced
+from ..runtime.modules import HostModule
 
 SHAPE_NAMES = ("bow_x", "bow_xy", "bow_y", "aspect", "shear")
 """Names of the coefficients."""
@@ -31,7 +32,7 @@ EDGE = 1.25
 """Distance from the centre, in half sizes, beyond which the shape keeps its value."""
 
 
-class TargetShape(eqx.Module):
+class TargetShape(HostModule):
     """The deviation of a flat target's points from their stated places.
 
     Attributes:

@@ -17,6 +17,7 @@ from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
 from ..robots import Command, HandPoses, SerialArm
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import is_traced, refuse_traced
+from ..runtime.modules import HostModule
 from .dataset_text import dataset_text
 from .depth_readings import DepthNoise, DepthReadings, depth_readings
 from .input_checks import (
@@ -39,7 +40,7 @@ Without this view, the error on a held-out view was six times as large.
 """
 
 
-class Dataset(eqx.Module):
+class Dataset(HostModule):
     """A data set: points, pixels and robot poses of all views, with names and masks.
 
     An instance is immutable.

@@ -1,6 +1,5 @@
 """Hold the measurements of a data set as arrays, and compute their residuals by view."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,13 +12,13 @@ from ..geometry import as_se3, transformed_coordinates
 from ..robots import Command, HandPoses
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
-from ..runtime.modules import with_fields
-from ..runtime.padding import padded_counts, repeat_last, without_padding
+from ..runtime.modules import HostModule, with_fields
+from ..runtime.padding import host_without_padding, padded_counts, repeat_last
 from .depth_readings import DepthReadings
 from .pose_observations import PoseObservations
 
 
-class Observations(eqx.Module):
+class Observations(HostModule):
     """The arrays of a data set or of one view, without names, for compiled functions.
 
     Attributes:
@@ -121,11 +120,11 @@ def medians_by_view(
 
 def chain_residuals(
     calibration: Calibration, observations: AnyObservations
-) -> Float[Array, "views points 2"]:
+) -> Float[AnyArray, "views points 2"]:
     """Return measured minus predicted pixels through the chain (Eq. 10) at the reported poses.
 
     They are zero where a point is not visible, and infinite where a visible point cannot be
-    predicted.
+    predicted. Outside of `jit` and the like they are a NumPy array.
     """
     poses = calibration.camera_from_world_matrices(observations.command)
     return view_residuals(
@@ -141,18 +140,19 @@ def view_residuals(
     target_scale: Float[Array, ""],
     camera_from_world: Float[AnyArray, "views 4 4"],
     observations: AnyObservations,
-) -> Float[Array, "views points 2"]:
+) -> Float[AnyArray, "views points 2"]:
     """Return measured minus predicted pixels for given camera poses.
 
     They are zero where a point is not visible, and infinite where a visible point cannot be
-    predicted. All fits share this program, whatever they assume about the robot.
+    predicted. Outside of `jit` and the like they are a NumPy array. All fits share this program,
+    whatever they assume about the robot.
     """
     if is_traced(camera, target_scale, camera_from_world, observations):
         return _view_residuals(camera, target_scale, camera_from_world, observations)
     padded = observations.padded()
     poses = repeat_last(camera_from_world, len(padded.visible))
     residuals = _view_residuals(camera, target_scale, poses, padded)
-    return without_padding(residuals, *observations.visible.shape)
+    return host_without_padding(residuals, *observations.visible.shape)
 
 
 @compiled

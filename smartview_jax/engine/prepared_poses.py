@@ -18,9 +18,9 @@ from jaxtyping import Array, Float
 
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import AbstractField, RobotError, nominal_arm
-from ..robots import Command
+from ..robots import Command, SerialArm
 from ..runtime.compilation import compiled
-from ..runtime.padding import over_padded_views
+from ..runtime.padding import MIN_PADDED_COUNT, over_padded_views
 
 JOINT_DAMPING = 1e-2
 """Damping of the joint motion that corrects a pose for noise, in m and rad per radian."""
@@ -69,9 +69,20 @@ def prepare_poses(
     """
     if error is None:
         return None
-    field = error.field
-    evaluated = reported if corrections is None else _less_noise(field, reported, corrections)
-
+    field, evaluated = error.field, reported
+    if corrections is not None:
+        arm = nominal_arm(field)
+        if arm is not None and reported.joints is not None:
+            return over_padded_views(
+                lambda padded: _prepare_with_moved_joints(field, arm, *padded),
+                (reported, np.asarray(corrections)),
+                MIN_PADDED_COUNT,
+            )
+        # corrected = reported exp(-c), as in the chain.
+        pose = host_transforms(
+            host_matrices(reported.base_from_tool) @ host_exponentials(-np.asarray(corrections))
+        )
+        evaluated = Command(pose, reported.joints)
     return over_padded_views(lambda padded: _prepare(field, padded), evaluated)
 
 
@@ -81,35 +92,23 @@ def _prepare(field: AbstractField, evaluated: Command) -> PreparedPoses:
     return PreparedPoses.at(field, evaluated)
 
 
-def _less_noise(
-    field: AbstractField, reported: Command, corrections: Float[np.ndarray, "views 6"]
-) -> Command:
-    """Return the reported poses, corrected for noise."""
-    # corrected = reported exp(-c), as in the chain.
-    pose = host_transforms(
-        host_matrices(reported.base_from_tool) @ host_exponentials(-np.asarray(corrections))
-    )
-    arm = nominal_arm(field)
-    if reported.joints is None or arm is None:
-        return Command(pose, reported.joints)
+@compiled
+def _prepare_with_moved_joints(
+    field: AbstractField,
+    arm: SerialArm,
+    reported: Command,
+    corrections: Float[Array | np.ndarray, "views 6"],
+) -> PreparedPoses:
+    """Precompute the quantities of a field with the joints moved so that poses have less noise."""
     # The change of the joints that moves the tool by the twist -c, by damped least squares: a
     # redundant arm has several solutions, and a singular pose none.
-    by_coefficients = over_padded_views(lambda padded: _jacobian_at_zero(field, padded), reported)
     # The first coefficients of a field of arm errors are the offsets of its joints.
-    by_joints = np.asarray(by_coefficients)[..., : arm.joint_count]
-    damping = JOINT_DAMPING**2 * np.eye(arm.joint_count)
-    transposed = by_joints.swapaxes(1, 2)
-    change = np.linalg.solve(
-        transposed @ by_joints + damping, -transposed @ np.asarray(corrections)[..., None]
-    )[..., 0]
-    return over_padded_views(
-        lambda padded: arm.command(padded), np.asarray(reported.joints) + change
+    by_joints = field.jacobian(reported, jnp.zeros(field.size))[..., : arm.joint_count]
+    damping = jnp.broadcast_to(
+        JOINT_DAMPING**2 * jnp.eye(arm.joint_count), (len(by_joints),) + 2 * (arm.joint_count,)
     )
-
-
-@compiled
-def _jacobian_at_zero(
-    field: AbstractField, reported: Command
-) -> Float[Array, "views 6 coefficients"]:
-    """Return the Jacobian of a field without any error."""
-    return field.jacobian(reported, jnp.zeros(field.size))
+    transposed = by_joints.swapaxes(1, 2)
+    change = jnp.linalg.solve(
+        transposed @ by_joints + damping, -transposed @ corrections[..., None]
+    )[..., 0]
+    return PreparedPoses.at(field, arm.command(reported.joints + change))

@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..calibration import Calibration, TargetShape
 from ..dataset import AnyObservations, Observations, PoseObservations
 from ..robot_errors import RobotError
+from ..runtime.array_namespace import AnyArray
 from ..runtime.modules import with_fields
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import DepthEquations, depth_residuals, linearise_depths
@@ -50,9 +51,9 @@ class FittedChain(eqx.Module):
     """
 
     calibration: Calibration
-    pose_corrections: Float[Array, "corrected 6"]
-    field_corrections: Float[Array, "views 6"]
-    camera_from_world: Float[Array, "views 4 4"]
+    pose_corrections: Float[AnyArray, "corrected 6"]
+    field_corrections: Float[AnyArray, "views 6"]
+    camera_from_world: Float[AnyArray, "views 4 4"]
 
 
 class JointProblem(AbstractProblem):

@@ -38,6 +38,12 @@ from .parameters import Step
 
 _cholesky, _invert_triangular = get_lapack_funcs(("potrf", "trtri"))
 
+MAX_SINGLE_FACTORS = 16
+"""Largest number of matrices that LAPACK factorises one by one; NumPy takes as long for 20 at once.
+
+It was measured for the 6 x 6 blocks of the views: 6 instead of 29 microseconds for three of them.
+"""
+
 
 class BlockArrow(lx.AbstractLinearOperator):
     """A symmetric positive semidefinite linear operator on `Step`s, with the shape of an arrow.
@@ -255,6 +261,8 @@ def inverse_cholesky_factor(matrix: Float[AnyArray, "*batch n n"]) -> Float[AnyA
         # NumPy does not use that the matrix is triangular, which takes four times as long.
         factor, info = _cholesky(matrix, lower=1)
         return _invert_triangular(factor, lower=1)[0] if info == 0 else np.full_like(matrix, np.nan)
+    if 0 < len(matrix) <= MAX_SINGLE_FACTORS and matrix.ndim == 3:
+        return np.array([inverse_cholesky_factor(block) for block in matrix])
     # In units with a diagonal of one, pivoting does not depend on the units of the matrix.
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = 1.0 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))

@@ -16,7 +16,7 @@ from jaxtyping import Array
 
 from ..runtime.compilation import compiled
 from ..runtime.modules import with_fields
-from ..runtime.padding import repeat_last, without_padding
+from ..runtime.padding import host_without_padding, repeat_last
 from .abstract_problem import AbstractProblem, NormalEquations
 from .losses import Cauchy
 from .parameters import Step, host_step
@@ -193,15 +193,18 @@ def equations_without_padding(
 
 
 def chain_without_padding(chain: Any, original: AbstractProblem) -> Any:
-    """Return the chain of a padded problem without the padding; a rig's chains are unchanged."""
+    """Return the chain of a padded problem without the padding, on the host.
+
+    A rig's chains are unchanged.
+    """
     if not isinstance(original, JointProblem):
         return chain
     views = len(original.observations.visible)
     return with_fields(
         chain,
-        pose_corrections=without_padding(chain.pose_corrections, len(original.per_view_free)),
-        field_corrections=without_padding(chain.field_corrections, views),
-        camera_from_world=without_padding(chain.camera_from_world, views),
+        pose_corrections=host_without_padding(chain.pose_corrections, len(original.per_view_free)),
+        field_corrections=host_without_padding(chain.field_corrections, views),
+        camera_from_world=host_without_padding(chain.camera_from_world, views),
     )
 
 

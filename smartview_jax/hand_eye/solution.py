@@ -260,32 +260,41 @@ def _minimise(factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 
         residual = factor @ x
         return float(residual @ residual), 2.0 * derivative.T @ (factor.T @ residual)
 
-    parameters = np.zeros(6)
-    before, _ = cost(parameters)
+    before, _ = cost(np.zeros(6))
     if not np.isfinite(before):
         return _Minimum(start, np.nan, np.inf, False)
-    found = minimize(
-        cost, parameters, jac=True, method="BFGS", options={"gtol": 1e-10, "maxiter": 300}
-    )
-    parameters = found.x
-    after, gradient = cost(parameters)
-    # BFGS stops where rounding hides differences of the cost; the gradient is then still far above
-    # its own rounding. Gauss-Newton steps, which need no cost, bring it down.
-    for _ in range(_MAX_GAUSS_NEWTON_STEPS):
-        x, derivative = _entries(start, parameters)
-        trial = parameters - np.linalg.lstsq(factor @ derivative, factor @ x)[0]
-        trial_cost, trial_gradient = cost(trial)
-        if not np.abs(trial_gradient).max() < np.abs(gradient).max() or trial_cost > after * (
-            1.0 + 1e-12
-        ):
+    for tolerance in _GRADIENT_TOLERANCES:
+        found = minimize(
+            cost, np.zeros(6), jac=True, method="BFGS", options={"gtol": tolerance, "maxiter": 300}
+        )
+        parameters = found.x
+        after, gradient = cost(parameters)
+        # BFGS stops where rounding hides differences of the cost; the gradient is then still far
+        # above its own rounding. Gauss-Newton steps, which need no cost, bring it down.
+        for _ in range(_MAX_GAUSS_NEWTON_STEPS):
+            x, derivative = _entries(start, parameters)
+            trial = parameters - np.linalg.lstsq(factor @ derivative, factor @ x)[0]
+            trial_cost, trial_gradient = cost(trial)
+            if not np.abs(trial_gradient).max() < np.abs(gradient).max() or trial_cost > after * (
+                1.0 + 1e-12
+            ):
+                break
+            parameters, after, gradient = trial, trial_cost, trial_gradient
+        if np.abs(gradient).max() <= _GRADIENT_TOLERANCES[-1] * (1.0 + after):
             break
-        parameters, after, gradient = trial, trial_cost, trial_gradient
     x, _ = _entries(start, parameters)
     pose = host_poses(x[:9].reshape(3, 3), x[9:12])
     # Without a lower cost along the gradient BFGS reports a failure, also at the optimum.
     converged = found.success or bool(np.abs(gradient).max() < 1e-7 * (1.0 + after))
     return _Minimum(pose, before, after, converged)
 
+
+_GRADIENT_TOLERANCES = (1e-4, 1e-10)
+"""Gradients at which BFGS stops; the second if Gauss-Newton steps from the first do not reach it.
+
+The first is a tenth of a milliradian from the minimum, from where Gauss-Newton steps converge in a
+fraction of BFGS's steps.
+"""
 
 _MAX_GAUSS_NEWTON_STEPS = 20
 """Largest number of Gauss-Newton steps after BFGS. Each gains a factor of about the cost's root."""

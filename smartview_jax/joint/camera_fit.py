@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Unpack
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
@@ -148,7 +149,7 @@ def _corrected_poses_and_residuals(
     # camera_from_world <- exp(c) camera_from_world.
     poses = SE3.exp(corrections) @ camera_from_world
     fitted_observations = eqx.tree_at(lambda o: o.base_from_tool, observations, poses.inverse())
-    return poses, chain_residuals(calibration, fitted_observations)
+    return poses, jnp.asarray(chain_residuals(calibration, fitted_observations))
 
 
 def batch_least_squares(

@@ -57,6 +57,7 @@ from ..robot_errors import (
     checked_field_choice,
 )
 from ..runtime.array_namespace import to_device
+from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from ..runtime.modules import with_fields
 from ..staged import with_region
@@ -83,6 +84,7 @@ SIGMA_TOLERANCE = 1e-3
 """The relative change of the pixel sigma below which refitting stops."""
 
 
+@on_one_blas_thread
 def fit_joint(
     data: Dataset,
     start: Calibration,
@@ -300,7 +302,7 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     """Return the fit with the residuals of all data, its region of viewpoints and its warnings."""
     # Residuals include rejected observations. The region is added after they are computed, because
     # it changes the structure of the calibration, and so would need a new program.
-    residuals = chain_residuals(fit.calibration, all_data.observations)
+    residuals = to_device(chain_residuals(fit.calibration, all_data.observations))
     calibration = with_region(fit.calibration, used_data)
     digests = () if isinstance(all_data, PoseDataset) else digests_to_keep(all_data)
     fit = with_fields(fit, residuals=residuals, calibration=calibration, picture_digests=digests)
@@ -362,10 +364,12 @@ def _assemble_fit(
         pixel_sigma=float(problem.pixel_sigma) * float(np.sqrt(factor)),
         residuals=data.pixels,
         inliers=to_device(visible & (squares <= gate)),
-        pose_corrections=chain.pose_corrections
-        if len(chain.pose_corrections)
-        else to_device(np.zeros((data.view_count, 6))),
-        field_corrections=chain.field_corrections,
+        pose_corrections=to_device(
+            chain.pose_corrections
+            if len(chain.pose_corrections)
+            else np.zeros((data.view_count, 6))
+        ),
+        field_corrections=to_device(chain.field_corrections),
         start=problem.parameters.start if noise_estimate is None else noise_estimate.calibration,
         problem=problem,
         solution=solution,

@@ -102,7 +102,7 @@ class PoseFit(JointFit):
         """Return the fit of tracked poses, given as a joint fit in units of the tracker's noise."""
         values = {field.name: getattr(fit, field.name) for field in dataclasses.fields(JointFit)}
         # Also of the pairs that the fit does not use.
-        values["residuals"] = chain_residuals(fit.calibration, data.observations)
+        values["residuals"] = to_device(chain_residuals(fit.calibration, data.observations))
         values |= {"pose_format": data.pose_format, "sensor": data.sensor}
         errors = tracked_pose_errors(data, fit.calibration)
         errors[~data.seen] = np.nan

@@ -4,6 +4,10 @@ In a new process compilation takes far longer than the fits. XLA compiles withou
 interpreter lock, so a second thread can do it while the first steps of a calibration run.
 """
 
+from collections.abc import Hashable
+from typing import Any
+
+import jax
 import numpy as np
 
 from ..calibration import Calibration
@@ -12,7 +16,32 @@ from ..dataset import Dataset
 from ..engine import Noise, Prior, build_problem, solve
 from ..geometry import host_transforms
 from ..robot_errors import FieldChoice
+from ..runtime.padding import padded_counts
 from ..variance import encompassing_field
+
+_precompiled: set[Hashable] = set()
+"""The kinds of data and options for which this process has precompiled."""
+
+
+def needs_precompiling(data: Dataset, *options: Any) -> bool:
+    """Return whether this is the first call in this process for data and options of this kind.
+
+    It may err, since it tells kinds apart by what is cheap to look at: an error costs time only.
+
+    Args:
+        data: the data set to be fitted.
+        options: what `precompile` is given with it.
+    """
+    kind = (
+        type(data),
+        padded_counts(*data.visible.shape),
+        data.mount,
+        *(jax.tree.structure(part) for part in (data.arm, data.joints, data.depths, data.hands)),
+        *(x if isinstance(x, str) else jax.tree.structure(x) for x in options),
+    )
+    is_new = kind not in _precompiled
+    _precompiled.add(kind)
+    return is_new
 
 
 def precompile(

@@ -183,7 +183,7 @@ def _assembled(
             pixel_sigmas[name] = sigma * relative.get(name, 1.0)
             gate = MAX_INLIER_CHI_SQUARE * pixel_sigmas[name] ** 2
             inliers[name] = np.asarray(data.visible) & (np.sum(own**2, axis=-1) <= gate)
-            residuals[name] = chain_residuals(calibration, data.observations)
+            residuals[name] = to_device(chain_residuals(calibration, data.observations))
             calibrations[name] = with_region(calibration, data)
     left_out = [entry for arm in arms.values() for entry in arm.rejected]
     return RigFit(

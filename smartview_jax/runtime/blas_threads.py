@@ -7,10 +7,14 @@ deviations of errors then takes twice as long.
 
 import functools
 from collections.abc import Callable
+from contextvars import ContextVar
 from typing import ParamSpec, TypeVar
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+
+_is_limited: ContextVar[bool] = ContextVar("_is_limited", default=False)
+"""Whether a function of this thread has set the limit already."""
 
 
 def on_one_blas_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -18,8 +22,14 @@ def on_one_blas_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        with _controller().limit(limits=1, user_api="blas"):
+        if _is_limited.get():
             return function(*args, **kwargs)
+        token = _is_limited.set(True)
+        try:
+            with _controller().limit(limits=1, user_api="blas"):
+                return function(*args, **kwargs)
+        finally:
+            _is_limited.reset(token)
 
     return call
 

@@ -99,11 +99,12 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        element_count = sum(x.size for x in jax.tree.leaves((args, kwargs)) if hasattr(x, "size"))
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        element_count = sum(getattr(leaf, "size", 0) for leaf in leaves)
         # Cost and benefit of optimisation were measured on CPUs only, so other backends always
         # optimise.
         is_small = element_count < MIN_OPTIMISED_ELEMENTS and jax.default_backend() == "cpu"
-        return (fast_compiling if is_small else fully_optimised)(*args, **kwargs)
+        return (fast_compiling if is_small else fully_optimised)(args, kwargs, leaves, structure)
 
     return call
 
@@ -115,18 +116,31 @@ def compiled_optimised(function: Callable[_P, _R]) -> Callable[_P, _R]:
     points. LLVM's level 2 is used: at level 3, XLA's own default, the linearisation of many points
     takes twice as long as at level 2.
     """
-    return _compiled_at_level(function, 2)
+    program = _compiled_at_level(function, 2)
+
+    @functools.wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        return program(args, kwargs, *jax.tree.flatten((args, kwargs)))
+
+    return call
 
 
-def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> Callable[_P, _R]:
-    """Compile a function with `eqx.filter_jit` at an LLVM level, without fusion emitters."""
+def _compiled_at_level(
+    function: Callable[..., _R], optimisation_level: int
+) -> Callable[[Any, Any, list[Any], Any], _R]:
+    """Compile a function with `eqx.filter_jit` at an LLVM level, without fusion emitters.
+
+    Returns:
+        The program of the arguments by position and by name, which are given a second time
+        flattened: the leaves and the structure of `(args, kwargs)`.
+    """
     # A user's setting of JAX for all programs applies here too.
     if jax.config.values["jax_disable_most_optimizations"]:
         optimisation_level = 0
 
     # At the first call, because an import must not start JAX's devices.
     @functools.cache
-    def prepared() -> tuple[Any, Callable[_P, _R]]:
+    def prepared() -> tuple[Any, Callable[..., _R]]:
         cpu_options = CPU_OPTIONS | (FAST_COMPILING_OPTIONS if optimisation_level == 0 else {})
         options = {"xla_backend_optimization_level": optimisation_level} | _known(cpu_options)
         store = ProgramStore and ProgramStore(function, options)
@@ -135,15 +149,14 @@ def _compiled_at_level(function: Callable[_P, _R], optimisation_level: int) -> C
     # Within the trace of another program JAX accepts no compiler options: the outer ones apply.
     nested = eqx.filter_jit(function)
 
-    @functools.wraps(function)
-    def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        if is_traced(args, kwargs):
+    def call(args: Any, kwargs: Any, leaves: list[Any], structure: Any) -> _R:
+        if any(isinstance(leaf, Tracer) for leaf in leaves):
             return nested(*args, **kwargs)
         require_double_precision()
         keep_compiled_programs()
         store, top_level = prepared()
         if store is not None:
-            program, arrays = store.find(args, kwargs)
+            program, arrays = store.find(leaves, structure)
             if program is not None:
                 return program(arrays)
         return top_level(*args, **kwargs)

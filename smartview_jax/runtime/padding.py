@@ -72,15 +72,19 @@ def _repeat_last(array: Any, count: int, axis: int) -> Any:
     return np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis)
 
 
-def over_padded_views(program: Callable[[Any], Any], by_view: Any) -> Any:
+def over_padded_views(
+    program: Callable[[Any], Any], by_view: Any, at_least: int = MIN_PADDED_VIEWS
+) -> Any:
     """Run a program on arrays by views, padded in their number, and return its result on the host.
 
     Args:
-        program: maps arrays whose first axis is the views to such arrays; does little per view.
+        program: maps arrays whose first axis is the views to such arrays.
         by_view: pytree of its arguments with at least one array.
+        at_least: number of views, after padding, of few views; the default is for programs that
+            compute little for each view.
     """
     views = len(jax.tree.leaves(by_view)[0])
-    padded = repeat_last(by_view, padded_counts(max(views, MIN_PADDED_VIEWS))[0])
+    padded = repeat_last(by_view, padded_counts(max(views, at_least))[0])
     return jax.tree.map(lambda x: np.asarray(x)[:views], program(padded))
 
 
@@ -118,6 +122,12 @@ def without_padding(arrays: _Tree, *counts: int) -> _Tree:
         counts: number of entries along the first axis, and so on.
     """
     return jax.tree.map(lambda x: _first_entries(x, counts), arrays)
+
+
+def host_without_padding(arrays: _Tree, *counts: int) -> _Tree:
+    """Return what `without_padding` does as NumPy arrays, which takes a tenth of the time."""
+    first = tuple(slice(count) for count in counts)
+    return jax.tree.map(lambda x: np.asarray(x)[first], arrays)
 
 
 def _first_entries(array: Any, counts: tuple[int, ...]) -> Any:

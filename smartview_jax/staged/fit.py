@@ -270,7 +270,7 @@ def fit_staged(
         step1.calibrations,
         common_fit,
         step3,
-        chain_residuals(calibration, data.observations),
+        to_device(chain_residuals(calibration, data.observations)),
         to_device(inliers),
         _rejections(data, unusable, np.asarray(common_fit.inliers))
         + tuple(Rejection(ids[view], None, text) for view, text in reasons.items()),

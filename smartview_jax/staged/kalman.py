@@ -29,8 +29,9 @@ from jaxtyping import Array, Bool, Float
 from ..cameras import Camera
 from ..dataset import MAD_TO_SIGMA, Observations, medians_by_view
 from ..geometry import transformed_coordinates
+from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
-from ..runtime.padding import repeat_last, without_padding
+from ..runtime.padding import host_without_padding, repeat_last, without_padding
 from .kalman_pass import PassResult, PassSettings, run_pass
 from .staged_fit import CommonCameraOptions
 
@@ -230,14 +231,14 @@ def _mean_squared_residual(
 
 def pixel_residuals(
     observations: Observations, camera: Camera, camera_from_world: SE3
-) -> Float[Array, "views points 2"]:
+) -> Float[AnyArray, "views points 2"]:
     """Return measured minus projected pixels; 1e4 px for a visible point without projection."""
     if is_traced(observations, camera, camera_from_world):
         return _pixel_residuals(observations, camera, camera_from_world)
     padded = observations.padded()
     poses = repeat_last(camera_from_world, len(padded.visible))
     residuals = _pixel_residuals(padded, camera, poses)
-    return without_padding(residuals, *observations.visible.shape)
+    return host_without_padding(residuals, *observations.visible.shape)
 
 
 @compiled

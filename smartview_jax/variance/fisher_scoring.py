@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from ..runtime.array_namespace import AnyArray, array_namespace
 from .likelihood import (
+    IS_POSE_KIND,
     Kinds,
     LinearisedViews,
     Marginalisation,
@@ -23,6 +24,7 @@ from .likelihood import (
     kinds_of,
     marginalise,
     rows_of_views,
+    with_added_diagonal,
 )
 
 MAX_LOG_CHANGE = 15.0
@@ -45,9 +47,6 @@ MAX_SCORING_STEPS = 100
 
 INITIAL_DAMPING, DAMPING_BOUNDS = 1e-2, (1e-6, 1e8)
 """Damping of the first step (INITIAL_DAMPING), and its lower and upper limit (DAMPING_BOUNDS)."""
-
-_IS_POSE_KIND = np.repeat(np.eye(2), 3, axis=1)
-"""One where a view's own parameter belongs to the translation (row 0) or the rotation (row 1)."""
 
 
 class StandardDeviationPrior(NamedTuple):
@@ -133,37 +132,36 @@ def fisher_information(
     # (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S).
     shared_traces = shared_precisions @ covariance**2 @ shared_precisions.T
     weighted_gain = marginal.gain * xp.sqrt(per_view_precision)[..., None]
-    pose_kinds = (slice(0, 3), slice(3, 6))
-    rows_of_kinds = [rows_of_views(weighted_gain[:, rows]) for rows in pose_kinds]
-    products = [rows.T @ rows @ covariance for rows in rows_of_kinds]
-    cross_traces = (
-        xp.stack([xp.sum(covariance * product.T, axis=1) for product in products])
-        @ shared_precisions.T
+    shape = 2, 3 * len(weighted_gain), len(covariance)
+    kinds_rows = [rows_of_views(weighted_gain[:, rows]) for rows in (slice(0, 3), slice(3, 6))]
+    rows = xp.concatenate(kinds_rows)
+    rows_covariance = (rows @ covariance).reshape(shape)
+    cross_traces = (rows_covariance**2).sum(axis=1) @ shared_precisions.T
+    products = rows.reshape(shape).swapaxes(1, 2) @ rows_covariance
+    entries, transposed = (
+        x.reshape(2, covariance.size) for x in (products, products.swapaxes(1, 2))
     )
-    per_view_traces = xp.stack([xp.sum(a * b.T) for a in products for b in products])
+    per_view_traces = entries @ transposed.T
     excess = per_view_inverse * (2.0 * per_view_covariance - per_view_inverse)
     weighted_excess = per_view_precision[:, :, None] * excess * per_view_precision[:, None]
-    per_view_traces = (
-        per_view_traces.reshape(2, 2)
-        + _IS_POSE_KIND @ xp.sum(weighted_excess, axis=0) @ _IS_POSE_KIND.T
-    )
+    per_view_traces = per_view_traces + IS_POSE_KIND @ weighted_excess.sum(axis=0) @ IS_POSE_KIND.T
     product_traces = _arranged(per_view_traces, cross_traces, shared_traces)
-    diagonal = xp.diagonal(per_view_covariance, axis1=1, axis2=2)
+    diagonal = per_view_covariance.diagonal(axis1=1, axis2=2)
     traces = xp.concatenate(
         [
-            _IS_POSE_KIND @ xp.sum(per_view_precision * diagonal, axis=0),
-            shared_precisions @ xp.diagonal(covariance),
+            IS_POSE_KIND @ (per_view_precision * diagonal).sum(axis=0),
+            shared_precisions @ covariance.diagonal(),
         ]
     )
 
     count = kinds.counts
-    parameter_count = xp.sum(views.per_view_free, dtype=float) + len(covariance)
+    parameter_count = views.per_view_free.sum(dtype=float) + len(covariance)
     # C^-1 = P_0 + sum_j P_j with P_0 the information of the pixels. C P_0 = 1 - sum_j C P_j in the
     # formula above, with N the number of marginalised parameters, gives
     # (0, 0): n_0 - N + sum_jk tr(C P_j C P_k),  (0, j): tr(C P_j) - sum_k tr(C P_j C P_k).
-    pixel = count[0] - parameter_count + xp.sum(product_traces)
-    pixel_robot = (traces - xp.sum(product_traces, axis=1))[:-1]
-    robot = product_traces[:-1, :-1] + xp.diag(count[1:] - 2.0 * traces[:-1])
+    pixel = count[0] - parameter_count + product_traces.sum()
+    pixel_robot = (traces - product_traces.sum(axis=1))[:-1]
+    robot = with_added_diagonal(product_traces[:-1, :-1], count[1:] - 2.0 * traces[:-1])
     # log sigma = -log(precision) / 2: a factor of 4, times the half of the formula.
     return 2.0 * _arranged(xp.reshape(pixel, (1, 1)), pixel_robot[None], robot)
 

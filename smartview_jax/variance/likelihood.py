@@ -22,6 +22,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..engine import BlockArrow, Step, inverse_cholesky_factor
@@ -40,6 +41,11 @@ RELATIVE_RIDGE = 1e-13
 
 It keeps the variance of an undetermined parameter finite.
 """
+
+IS_POSE_KIND = np.repeat(np.eye(2), 3, axis=1)
+"""One where a view's own parameter belongs to the translation (row 0) or the rotation (row 1)."""
+
+_ONE = np.ones(1)
 
 
 class LinearisedViews(NamedTuple):
@@ -135,7 +141,7 @@ class StandardDeviations(NamedTuple):
     def vector(self) -> Float[AnyArray, "kinds"]:
         """The standard deviations as a vector: pixel, translation, rotation, field."""
         xp = array_namespace(*self)
-        pixel_and_pose = xp.stack([self.pixel, self.translation, self.rotation])
+        pixel_and_pose = xp.array([self.pixel, self.translation, self.rotation])
         return xp.concatenate([pixel_and_pose, self.field])
 
     @classmethod
@@ -156,8 +162,8 @@ class StandardDeviations(NamedTuple):
         """
         xp = array_namespace(*self)
         # Index -1 (no group) reads the one at the end, which `where` then discards.
-        field = xp.concatenate([self.field, xp.ones(1)])[group_index]
-        pose_sigmas = xp.repeat(xp.stack([self.translation, self.rotation]), 3)
+        field = xp.concatenate([self.field, _ONE])[group_index]
+        pose_sigmas = self.translation * IS_POSE_KIND[0] + self.rotation * IS_POSE_KIND[1]
         return Step(xp.where(group_index >= 0, 1.0 / field, known_weight), 1.0 / pose_sigmas[None])
 
 
@@ -268,10 +274,11 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
     pixel_precision = sigmas.pixel**-2
 
     shared = pixel_precision * matrix.shared
-    shared = shared + xp.diag(prior_precision.shared + RELATIVE_RIDGE * xp.diagonal(shared))
+    ridge = RELATIVE_RIDGE * shared.diagonal()
+    shared = with_added_diagonal(shared, prior_precision.shared + ridge)
     # A fixed correction has a zero column; 1 on the diagonal keeps the equations solvable.
     diagonal = xp.where(views.per_view_free, prior_precision.per_view, 1.0)
-    per_view = pixel_precision * matrix.per_view + xp.eye(6)[None] * diagonal[:, None]
+    per_view = with_added_diagonal(pixel_precision * matrix.per_view, diagonal)
     shared_gradient = (
         pixel_precision * views.gradient.shared + prior_precision.shared * offset.shared
     )
@@ -295,14 +302,16 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
     )
     step = Step(shared_step, xp.negative(per_view_step))
 
-    penalty = prior_precision.shared @ offset.shared**2 + xp.sum(
-        prior_precision.per_view * offset.per_view**2
+    penalty = (
+        prior_precision.shared @ offset.shared**2
+        + (prior_precision.per_view * offset.per_view**2).sum()
     )
-    gradient_step_product = -(shared_rhs @ shared_rhs + xp.sum(per_view_rhs**2))
+    gradient_step_product = -(shared_rhs @ shared_rhs + (per_view_rhs**2).sum())
     log_determinant = _log_determinant(shared_whitening) + _log_determinant(per_view_whitening)
-    log_prior_determinant = xp.sum(
-        xp.log(xp.where(has_unknown_sigma, prior_precision.shared, 1.0))
-    ) + xp.sum(xp.where(views.per_view_free, xp.log(weights.per_view**2), 0.0))
+    log_prior_determinant = (
+        xp.log(xp.where(has_unknown_sigma, prior_precision.shared, 1.0)).sum()
+        + xp.where(views.per_view_free, xp.log(weights.per_view**2), 0.0).sum()
+    )
     value = (
         -views.statistic_count * xp.log(pixel_precision)
         + pixel_precision * views.residual_sum_of_squares
@@ -340,8 +349,8 @@ def gradient(
     prior_precision, step, pixel_gradient = marginal.prior_precision, marginal.step, views.gradient
     offset = views.offset_from_prior
     shared_offset, per_view_offset = offset.shared + step.shared, offset.per_view + step.per_view
-    shared_variance = xp.diagonal(marginal.shared_covariance)
-    per_view_variance = xp.diagonal(marginal.per_view_covariance, axis1=1, axis2=2)
+    shared_variance = marginal.shared_covariance.diagonal()
+    per_view_variance = marginal.per_view_covariance.diagonal(axis1=1, axis2=2)
     # Parameters without a prior of unknown standard deviation, and fixed ones, do not contribute.
     shared = xp.where(
         views.group_index >= 0,
@@ -359,10 +368,10 @@ def gradient(
     # effective number of parameters that the pixels determine.
     pixel_precision = sigmas.pixel**-2
     effective_parameters = (
-        xp.sum(views.per_view_free, dtype=float)
+        views.per_view_free.sum(dtype=float)
         + len(shared)
         - prior_precision.shared @ shared_variance
-        - xp.sum(prior_precision.per_view * per_view_variance)
+        - (prior_precision.per_view * per_view_variance).sum()
     )
     shared_terms = pixel_precision * pixel_gradient.shared - prior_precision.shared * shared_offset
     per_view_terms = (
@@ -371,15 +380,15 @@ def gradient(
     by_log_precision = (
         pixel_precision * views.residual_sum_of_squares
         + shared_terms @ step.shared
-        + xp.sum(per_view_terms * step.per_view)
+        + (per_view_terms * step.per_view).sum()
         + effective_parameters
         - views.statistic_count
     )
     # Precision w = 1 / sigma^2: d log w / d sigma = -2 / sigma.
     return StandardDeviations(
         -2.0 * by_log_precision / sigmas.pixel,
-        -2.0 * xp.sum(per_view[:, :3]) / sigmas.translation,
-        -2.0 * xp.sum(per_view[:, 3:]) / sigmas.rotation,
+        -2.0 * per_view[:, :3].sum() / sigmas.translation,
+        -2.0 * per_view[:, 3:].sum() / sigmas.rotation,
         -2.0 * (kinds.groups @ shared) / sigmas.field,
     )
 
@@ -401,7 +410,20 @@ def _times_vectors(
 def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> AnyScalar:
     """Compute the log-determinant of matrices from their inverse Cholesky factors."""
     xp = array_namespace(whitening)
-    return -2.0 * xp.sum(xp.log(xp.diagonal(whitening, axis1=-2, axis2=-1)))
+    return -2.0 * xp.log(whitening.diagonal(axis1=-2, axis2=-1)).sum()
+
+
+def with_added_diagonal(
+    matrices: Float[AnyArray, "*batch n n"], values: Float[AnyArray, "*batch n"]
+) -> Float[AnyArray, "*batch n n"]:
+    """Return matrices with values added to their diagonals."""
+    if array_namespace(matrices, values) is jnp:
+        identity = jnp.broadcast_to(jnp.eye(matrices.shape[-1]), matrices.shape)
+        return matrices + identity * values[..., None, :]
+    # `eye` and `diag` take longer than all of this for small matrices.
+    result = matrices.copy()
+    np.einsum("...ii->...i", result)[...] += values
+    return result
 
 
 def kinds_of(views: LinearisedViews, groups: int) -> Kinds:

@@ -6,7 +6,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from smartview_jax.engine.parameters import Step
-from smartview_jax.engine.schur import BlockArrow, SchurCholesky, eliminate
+from smartview_jax.engine.schur import BlockArrow, SchurCholesky, eliminate, inverse_cholesky_factor
 
 
 def arrow(views, shared=7, seed=0):
@@ -77,3 +77,17 @@ def test_batches_of_systems_by_vmap():
 def test_other_operators_are_refused():
     with pytest.raises(ValueError, match="solves a BlockArrow, damped or not; found Diagonal"):
         SchurCholesky().init(lx.DiagonalLinearOperator(jnp.ones(3)), {})
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_the_inverse_factors_of_few_and_of_many_blocks_are_those_of_each(count):
+    """Few are factorised one by one and many at once; units of metres and radians differ much."""
+    rng = np.random.default_rng(count)
+    factors = rng.normal(size=(count, 6, 9))
+    units = np.repeat([1e8, 1.0], 3)
+    blocks = (factors @ factors.swapaxes(1, 2)) * np.outer(units, units)
+    expected = np.linalg.inv(np.linalg.cholesky(blocks)) * units
+    result = inverse_cholesky_factor(blocks) * units
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-12)
+    blocks[-1] -= 2.0 * np.diag(np.diagonal(blocks[-1]))
+    assert np.isnan(inverse_cholesky_factor(blocks)[-1]).all()

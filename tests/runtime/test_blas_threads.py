@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from smartview_jax.runtime import blas_threads
 from smartview_jax.runtime.blas_threads import on_one_blas_thread
 
 
@@ -37,3 +38,30 @@ def test_an_error_leaves_the_threads_as_they_were_too(two_threads):
     with pytest.raises(ValueError, match="no"):
         fail()
     assert thread_counts() == two_threads
+
+
+def test_the_limit_is_set_once_for_functions_within_functions(two_threads, monkeypatch):
+    limits = []
+    controller = blas_threads._controller()
+
+    def counted(**options):
+        limits.append(options)
+        return threadpool_limits(**options)
+
+    monkeypatch.setattr(controller, "limit", counted)
+
+    @on_one_blas_thread
+    def inner():
+        assert set(thread_counts()) == {1}
+
+    @on_one_blas_thread
+    def outer():
+        inner()
+        inner()
+
+    outer()
+    assert len(limits) == 1
+    assert thread_counts() == two_threads
+    # A later call sets it again.
+    inner()
+    assert len(limits) == 2

@@ -48,7 +48,7 @@ def test_what_is_given_decides(monkeypatch):
     levels = []
 
     def recorded(function, level):
-        return lambda *args: levels.append(level) or function(*args)
+        return lambda args, *_: levels.append(level) or function(*args)
 
     monkeypatch.setattr(compilation, "_compiled_at_level", recorded)
     function = compiled(root_mean_square)

@@ -1,6 +1,7 @@
 """Modules whose fields are changed at once are the same as those of `dataclasses.replace`."""
 
 import dataclasses
+import types
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.engine import BlockArrow
-from smartview_jax.runtime.modules import with_fields
+from smartview_jax.runtime.modules import HostModule, with_fields
 
 
 class Pair(eqx.Module):
@@ -46,3 +47,19 @@ def test_a_linear_operator_keeps_its_structure():
 def test_a_field_that_does_not_exist_is_named():
     with pytest.raises(TypeError, match="Pair has no field third"):
         with_fields(Pair(jnp.ones(1), jnp.ones(1)), third=jnp.ones(1))
+
+
+class Scaled(HostModule):
+    factor: jax.Array
+
+    def times(self, x):
+        return self.factor * x
+
+
+def test_methods_of_a_host_module_are_plain_and_the_module_is_an_argument():
+    scaled = Scaled(jnp.array(3.0))
+    assert isinstance(scaled.times, types.MethodType)
+    assert eqx.filter_jit(lambda module, x: module.times(x))(scaled, 2.0) == 6.0
+    assert jax.tree.leaves(scaled) == [scaled.factor]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(scaled, "factor", jnp.array(4.0))  # noqa: B010 - a type checker refuses the other

@@ -234,7 +234,7 @@ def test_arguments_that_are_equal_but_not_the_same_have_programs_of_their_own(st
 
     programs = store(tripled)
     for flag, factor in ((True, 3.0), (1, 4.0), (True, 3.0)):
-        program, arrays = programs.find((np.ones(2), flag), {})
+        program, arrays = programs.find(*jax.tree.flatten(((np.ones(2), flag), {})))
         result, same = program(arrays)
         np.testing.assert_array_equal(result, [factor, factor])
         assert same is flag
@@ -245,7 +245,9 @@ def test_arguments_without_effect_decide_too(store):
         return 2.0 * x
 
     for size in (3, 4):
-        program, arrays = store(first_doubled).find((np.ones(2), np.ones(size)), {})
+        program, arrays = store(first_doubled).find(
+            *jax.tree.flatten(((np.ones(2), np.ones(size)), {}))
+        )
         np.testing.assert_array_equal(program(arrays), [2.0, 2.0])
 
 
@@ -253,8 +255,8 @@ def test_of_a_function_of_the_user_nothing_is_kept(store):
     def mine(x):
         return x + 1.0
 
-    assert store(mine, "__main__").find((np.ones(2),), {})[0] is None
-    assert store(mine).find((np.ones(2),), {})[0] is not None
+    assert store(mine, "__main__").find(*jax.tree.flatten(((np.ones(2),), {})))[0] is None
+    assert store(mine).find(*jax.tree.flatten(((np.ones(2),), {})))[0] is not None
 
 
 def test_with_other_settings_jax_is_asked_itself(store):
@@ -264,8 +266,8 @@ def test_with_other_settings_jax_is_asked_itself(store):
     programs = store(doubled)
     for setting in (jax.debug_nans(True), jax.disable_jit()):
         with setting:
-            assert programs.find((np.ones(2),), {})[0] is None
-    assert programs.find((np.ones(2),), {})[0] is not None
+            assert programs.find(*jax.tree.flatten(((np.ones(2),), {})))[0] is None
+    assert programs.find(*jax.tree.flatten(((np.ones(2),), {})))[0] is not None
 
 
 def test_a_program_is_of_the_strictness_that_it_was_traced_with(store):
@@ -276,12 +278,12 @@ def test_a_program_is_of_the_strictness_that_it_was_traced_with(store):
 
     arguments = np.ones((2, 2)), np.ones(2)
     for programs in (store(added), store(added)):
-        program, arrays = programs.find(arguments, {})
+        program, arrays = programs.find(*jax.tree.flatten((arguments, {})))
         np.testing.assert_array_equal(program(arrays), np.full((2, 2), 2.0))
         with jax.numpy_rank_promotion("raise"), pytest.raises(ValueError, match="rank_promotion"):
-            programs.find(arguments, {})
+            programs.find(*jax.tree.flatten((arguments, {})))
         with jax.numpy_rank_promotion("raise"):
-            program, arrays = programs.find((np.ones(2), np.ones(2)), {})
+            program, arrays = programs.find(*jax.tree.flatten(((np.ones(2), np.ones(2)), {})))
         np.testing.assert_array_equal(program(arrays), [2.0, 2.0])
 
 
@@ -290,7 +292,7 @@ def test_a_program_that_calls_python_stays_in_its_process(store, tmp_path):
     def called_back(x):
         return x + jax.pure_callback(lambda: np.ones(2), jax.ShapeDtypeStruct((2,), x.dtype))
 
-    program, arrays = store(called_back).find((np.ones(2),), {})
+    program, arrays = store(called_back).find(*jax.tree.flatten(((np.ones(2),), {})))
     np.testing.assert_array_equal(program(arrays), [2.0, 2.0])
     assert not list(tmp_path.glob("*-trace")) + list(tmp_path.glob("*-program"))
 
@@ -300,7 +302,7 @@ def test_a_process_with_other_constants_has_other_programs(store, tmp_path, monk
         return radial._FOLD_STRENGTH * x
 
     def found():
-        program, arrays = store(folded).find((np.ones(1),), {})
+        program, arrays = store(folded).find(*jax.tree.flatten(((np.ones(1),), {})))
         return program(arrays)[0]
 
     as_it_is = radial._FOLD_STRENGTH
@@ -318,7 +320,7 @@ def test_a_broken_file_is_no_error(store, tmp_path, suffix):
         return 2.0 * x
 
     for _ in range(3):
-        program, arrays = store(doubled).find((np.ones(2),), {})
+        program, arrays = store(doubled).find(*jax.tree.flatten(((np.ones(2),), {})))
         np.testing.assert_array_equal(program(arrays), [2.0, 2.0])
         (file,) = tmp_path.glob(f"*{suffix}")
         file.write_bytes(file.read_bytes()[:100])
@@ -330,14 +332,14 @@ def test_a_planted_program_is_not_run(store, tmp_path):
     def doubled(x):
         return 2.0 * x
 
-    store(doubled).find((np.ones(2),), {})
+    store(doubled).find(*jax.tree.flatten(((np.ones(2),), {})))
     (program,) = tmp_path.glob("*-program")
     for without_trace in (False, True):
         planted = Calls(os.mkdir, str(tmp_path / "planted"))
         program.write_bytes(zlib.compress(pickle.dumps(planted)))
         if without_trace:
             next(tmp_path.glob("*-trace")).unlink()
-        run, arrays = store(doubled).find((np.ones(2),), {})
+        run, arrays = store(doubled).find(*jax.tree.flatten(((np.ones(2),), {})))
         np.testing.assert_array_equal(run(arrays), [2.0, 2.0])
         assert not (tmp_path / "planted").exists()
 
@@ -350,7 +352,7 @@ def test_another_functions_program_is_not_taken_for_its_own(store, tmp_path):
         return 3.0 * x
 
     for function in (doubled, tripled):
-        store(function).find((np.ones(2),), {})
+        store(function).find(*jax.tree.flatten(((np.ones(2),), {})))
     (program,) = tmp_path.glob("doubled*-program")
     (other,) = tmp_path.glob("tripled*-program")
     program.write_bytes(other.read_bytes())
@@ -364,9 +366,9 @@ def test_in_a_folder_that_others_can_write_nothing_is_kept_or_read(store, tmp_pa
     def doubled(x):
         return 2.0 * x
 
-    assert store(doubled).find((np.ones(2),), {})[0] is not None
+    assert store(doubled).find(*jax.tree.flatten(((np.ones(2),), {})))[0] is not None
     tmp_path.chmod(mode)
-    assert store(doubled).find((np.ones(2),), {})[0] is None
+    assert store(doubled).find(*jax.tree.flatten(((np.ones(2),), {})))[0] is None
 
 
 @pytest.mark.parametrize("suffix", ["-trace", "-program"])
@@ -374,7 +376,7 @@ def test_a_file_that_others_can_write_is_not_read(store, tmp_path, suffix):
     def doubled(x):
         return 2.0 * x
 
-    store(doubled).find((np.ones(2),), {})
+    store(doubled).find(*jax.tree.flatten(((np.ones(2),), {})))
     (file,) = tmp_path.glob(f"*{suffix}")
     assert store_module._content(file) is not None
     file.chmod(0o666)
