@@ -8,7 +8,6 @@ from typing import Unpack, cast, overload
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array
 
 from .argument_checks import require_instance, require_one_of
 from .calibration import Calibration, transform_names
@@ -28,6 +27,7 @@ from .joint import (
 )
 from .rig_pipeline import RigStart, calibrate_rig
 from .robot_errors import RobotError
+from .runtime.array_namespace import AnyArray
 from .runtime.blas_threads import on_one_blas_thread
 from .runtime.compilation import refuse_traced
 from .runtime.double_precision import require_double_precision
@@ -325,7 +325,7 @@ def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str
     """Return the warnings from comparing the joint fit's residuals with the staged fit's."""
     inliers = np.asarray(joint.inliers)
 
-    def rms(residuals: Array) -> float:
+    def rms(residuals: AnyArray) -> float:
         return float(np.sqrt(np.mean(np.sum(np.asarray(residuals)[inliers] ** 2, axis=-1))))
 
     staged_rms, joint_rms = rms(staged.residuals), rms(joint.residuals)

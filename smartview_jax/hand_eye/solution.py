@@ -15,6 +15,7 @@ result depends on the unit of length. It is the metre here, unless a length scal
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -263,30 +264,50 @@ def _minimise(factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 
     before, _ = cost(np.zeros(6))
     if not np.isfinite(before):
         return _Minimum(start, np.nan, np.inf, False)
-    for tolerance in _GRADIENT_TOLERANCES:
-        found = minimize(
-            cost, np.zeros(6), jac=True, method="BFGS", options={"gtol": tolerance, "maxiter": 300}
-        )
-        parameters = found.x
-        after, gradient = cost(parameters)
-        # BFGS stops where rounding hides differences of the cost; the gradient is then still far
-        # above its own rounding. Gauss-Newton steps, which need no cost, bring it down.
-        for _ in range(_MAX_GAUSS_NEWTON_STEPS):
-            x, derivative = _entries(start, parameters)
-            trial = parameters - np.linalg.lstsq(factor @ derivative, factor @ x)[0]
-            trial_cost, trial_gradient = cost(trial)
-            if not np.abs(trial_gradient).max() < np.abs(gradient).max() or trial_cost > after * (
-                1.0 + 1e-12
-            ):
-                break
-            parameters, after, gradient = trial, trial_cost, trial_gradient
-        if np.abs(gradient).max() <= _GRADIENT_TOLERANCES[-1] * (1.0 + after):
-            break
-    x, _ = _entries(start, parameters)
+    search = _search_from(cost, factor, start, _GRADIENT_TOLERANCES[0])
+    if search.gradient > _GRADIENT_TOLERANCES[1] * (1.0 + search.cost):
+        search = _search_from(cost, factor, start, _GRADIENT_TOLERANCES[1])
+    x, _ = _entries(start, search.parameters)
     pose = host_poses(x[:9].reshape(3, 3), x[9:12])
     # Without a lower cost along the gradient BFGS reports a failure, also at the optimum.
-    converged = found.success or bool(np.abs(gradient).max() < 1e-7 * (1.0 + after))
-    return _Minimum(pose, before, after, converged)
+    converged = search.succeeded or search.gradient < 1e-7 * (1.0 + search.cost)
+    return _Minimum(pose, before, search.cost, converged)
+
+
+class _SearchEnd(NamedTuple):
+    """The end of one search: parameters, cost, largest gradient, and whether BFGS succeeded."""
+
+    parameters: np.ndarray
+    cost: float
+    gradient: float
+    succeeded: bool
+
+
+def _search_from(
+    cost: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    factor: Float[np.ndarray, "rows 13"],
+    start: Float[np.ndarray, "4 4"],
+    tolerance: float,
+) -> _SearchEnd:
+    """Search by BFGS to a gradient, then by Gauss-Newton as long as the gradient falls.
+
+    BFGS stops where rounding hides differences of the cost; the gradient is then still far above
+    its own rounding. Gauss-Newton steps, which need no cost, bring it down.
+    """
+    found = minimize(
+        cost, np.zeros(6), jac=True, method="BFGS", options={"gtol": tolerance, "maxiter": 300}
+    )
+    parameters, (least, slope) = found.x, cost(found.x)
+    gradient = float(np.abs(slope).max())
+    for _ in range(_MAX_GAUSS_NEWTON_STEPS):
+        x, derivative = _entries(start, parameters)
+        trial = parameters - np.linalg.lstsq(factor @ derivative, factor @ x)[0]
+        trial_cost, slope = cost(trial)
+        trial_gradient = float(np.abs(slope).max())
+        if not trial_gradient < gradient or trial_cost > least * (1.0 + 1e-12):
+            break
+        parameters, least, gradient = trial, trial_cost, trial_gradient
+    return _SearchEnd(parameters, least, gradient, bool(found.success))
 
 
 _GRADIENT_TOLERANCES = (1e-4, 1e-10)
