@@ -124,7 +124,7 @@ def rig_noise(
         uncertainty: of the calibration in these views.
         prior: how far the poses of arms are off.
     """
-    usable = [[one for one in seen if one.freedom >= LEAST_FREEDOM] for seen in objects]
+    usable = [[pose for pose in seen if pose.freedom >= LEAST_FREEDOM] for seen in objects]
     by_object = [_equations(seen, views, uncertainty) for seen in usable if len(seen) > 1]
     if not by_object:
         return None
@@ -181,15 +181,15 @@ def _equations(
     numbers = len(uncertainty.names)
     rows = []
     # y = x + Z u + e in each view, with the pose x of the object and the common errors u.
-    for one in seen:
-        y = host_logarithms(np.linalg.inv(seen[0].world_from_object) @ one.world_from_object)
+    for pose in seen:
+        y = host_logarithms(np.linalg.inv(seen[0].world_from_object) @ pose.world_from_object)
         Z = np.zeros((6, numbers + 6 * len(views.camera_from_world)))
         # The derivatives lead from the pose in this view to the true one, and y the other way.
-        Z[:, :numbers] = -one.by_calibration
-        place = numbers + 6 * one.view
-        Z[:, place : place + 6] = -one.by_camera
+        Z[:, :numbers] = -pose.by_calibration
+        place = numbers + 6 * pose.view
+        Z[:, place : place + 6] = -pose.by_camera
         # The covariance is an estimate: the errors have Student's t distribution.
-        factor = np.linalg.cholesky(one.covariance * one.freedom / (one.freedom - 2.0))
+        factor = np.linalg.cholesky(pose.covariance * pose.freedom / (pose.freedom - 2.0))
         rows.append(np.linalg.solve(factor, np.column_stack([np.eye(6), Z, y])))
     # An orthogonal transform leaves the noise as it is, and x only in the first six rows.
     triangular = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"))[6:, 6:]

@@ -114,9 +114,9 @@ def _poses_in_views(
             starts = _starts(start, entry, views, view)
             poses, lengths = poses_on_edges(entry.coarse, views, lookup, starts)
             start = poses[int(lengths[:, 1].argmax())]
-        one = _pose_in_view(start, entry, views, view, lookup, query)
-        if one is not None:
-            seen.append(one)
+        in_view = _pose_in_view(start, entry, views, view, lookup, query)
+        if in_view is not None:
+            seen.append(in_view)
     return seen
 
 
