@@ -57,7 +57,7 @@ def _smoothed(
     errors = []
     for weight in SMOOTHNESS:
         numbers, bends = smoothing_spline(times[kept], values[kept], weight)
-        predicted = _between(times[kept], numbers, bends, times[left_out])
+        predicted = spline_between(times[kept], numbers, bends, times[left_out])
         errors.append(np.sum((predicted - values[left_out]) ** 2))
     best = int(np.argmin(errors))
     if best == 0:
@@ -104,7 +104,7 @@ def smoothing_spline(
     return values - weight * np.diff(changes, axis=0), bends
 
 
-def _between(
+def spline_between(
     times: Float[np.ndarray, "knots"],
     values: Float[np.ndarray, "knots numbers"],
     bends: Float[np.ndarray, "knots numbers"],

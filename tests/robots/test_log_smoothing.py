@@ -7,7 +7,7 @@ from scipy.interpolate import make_smoothing_spline
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.robots import Trajectory, smoothed_log
-from smartview_jax.robots.log_smoothing import JUDGED, smoothing_spline
+from smartview_jax.robots.log_smoothing import JUDGED, smoothing_spline, spline_between
 
 TIMES = np.arange(0.0, 4.0, 0.004)
 
@@ -56,3 +56,7 @@ def test_the_spline_is_scipys(weight):
     found, bends = smoothing_spline(times, values, weight)
     np.testing.assert_allclose(found, expected(times), atol=1e-9)
     np.testing.assert_allclose(bends, expected.derivative(2)(times), atol=1e-9)
+    between = times[:-1] + rng.uniform(0.1, 0.4, 59)
+    np.testing.assert_allclose(
+        spline_between(times, found, bends, between), expected(between), atol=1e-9
+    )
