@@ -8,9 +8,9 @@ import scipy.stats
 from fit_scenes import MANY_VIEWS, scene_of, scene_with, thinned
 from jaxlie import SE3, SO3
 from shared_data import shared_pairs
-from starts import nudged
+from starts import nudged, reference_start
 
-from smartview_jax import Noise, Prior, fit_joint, fit_staged
+from smartview_jax import Noise, Prior, fit_joint
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.robot_errors import (
@@ -195,8 +195,7 @@ def test_a_real_target_is_smaller_than_it_is_said_to_be():
     """rct: ways of an arm are not 2 % off. What its field has left is half of the chain's error."""
     data, reference = shared_pairs("rct_circle10x10")
     data = thinned(data, 7)
-    start = fit_staged(data).calibration
-    found = fit_joint(data, start, lens="opencv4", noise="estimated")
+    found = fit_joint(data, reference_start(reference), noise="estimated")
     scale = found.noise_estimate.target_scale
     assert scale.probability > 0.9
     assert float(found.calibration.target_scale) == pytest.approx(0.977, abs=0.003)
