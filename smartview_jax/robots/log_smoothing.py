@@ -72,7 +72,7 @@ def smoothing_spline(
     """Return the natural cubic spline that is near the values and bends little.
 
     It minimises the sum of squared distances from the values plus the weight times the integral of
-    the squared second derivative. SciPy's `make_smoothing_spline` returns the same, but sets up its
+    the squared second derivative. SciPy's smoothing spline is the same one, but SciPy sets up its
     equations in a loop over the knots, for each weight again.
 
     Args:
