@@ -66,22 +66,9 @@ def test_the_poses_at_the_corrected_times_calibrate_better(scene, found):
     assert rms[1] < 0.7 * rms[0]
 
 
-def test_a_camera_beside_the_robot_gives_the_same_offset(scene, found):
-    data, trajectory, times = scene
-    beside = data.__class__.from_arrays(
-        data.points[0],
-        np.where(np.asarray(data.visible)[..., None], np.asarray(data.pixels), np.nan),
-        data.base_from_tool.inverse(),
-        data.image_size,
-        mount="eye_to_hand",
-    )
-    inverse = Trajectory.of(trajectory.times, np.linalg.inv(trajectory.base_from_tool))
-    other = sv.estimate_time_offset(beside, inverse, times, "radial", max_offset=0.3)
-    assert other.seconds == pytest.approx(found.seconds, abs=0.5 * found.std)
-
-
-def test_tracked_poses_tell_the_offset_too():
-    """Of a marker at half a metre, seen to 0.3 mm and 0.1 degrees by a camera on a moving arm."""
+@pytest.fixture(scope="module")
+def tracked():
+    """A marker at half a metre, seen to 0.3 mm and 0.1 degrees by a camera on a moving arm."""
     rng, calibration = np.random.default_rng(0), paper_calibration()
     times = np.sort(rng.uniform(LOG_TIMES[0] + 1.0, LOG_TIMES[-1] - 1.0, 15))
 
@@ -91,12 +78,26 @@ def test_tracked_poses_tell_the_offset_too():
     errors = rng.normal(size=(15, 6)) * np.repeat([3e-4, 2e-3], 3)
     measured = SE3.exp(jnp.asarray(errors)) @ calibration.camera_from_world(commands(times))
     data = PoseDataset.from_poses(commands(times), measured)
-    trajectory = Trajectory.of(LOG_TIMES, commands(LOG_TIMES))
-    found = sv.estimate_time_offset(data, trajectory, times - OFFSET, max_offset=0.3)
+    return data, Trajectory.of(LOG_TIMES, commands(LOG_TIMES)), times - OFFSET
+
+
+def test_tracked_poses_tell_the_offset_too(tracked):
+    found = sv.estimate_time_offset(*tracked, max_offset=0.3)
     assert abs(found.seconds - OFFSET) < 3.0 * found.std
     # At 5 cm/s 0.3 mm are 6 ms, and 15 pairs tell the offset four times as well.
     assert found.std < 3e-3
     assert isinstance(found.data, PoseDataset)
+
+
+def test_a_camera_beside_the_robot_gives_the_same_offset(tracked):
+    """Of a robot that carries the target by the same motion: all its poses are inverted."""
+    data, trajectory, times = tracked
+    on_hand = sv.estimate_time_offset(*tracked, max_offset=0.3)
+    poses = data.base_from_tool.inverse(), as_se3(data.tracked_matrices)
+    beside = PoseDataset.from_poses(*poses, mount="eye_to_hand")
+    inverse = Trajectory.of(trajectory.times, np.linalg.inv(trajectory.base_from_tool))
+    other = sv.estimate_time_offset(beside, inverse, times, max_offset=0.3)
+    assert other.seconds == pytest.approx(on_hand.seconds, abs=0.5 * on_hand.std)
 
 
 @pytest.mark.parametrize("scatter", [0.0, 1.0, 4.0])
@@ -110,14 +111,14 @@ def test_views_that_contradict_each_other_widen_the_interval(scatter):
     assert standard_deviation(profile, 0.0, 10.0) == pytest.approx(expected)
 
 
-def test_what_cannot_be_found_is_said(scene):
-    data, trajectory, times = scene
+def test_what_cannot_be_found_is_said(tracked):
+    data, trajectory, times = tracked
     with pytest.raises(ValueError, match="picture_times: expected 15 times, one for each view"):
         sv.estimate_time_offset(data, trajectory, times[:-1])
     with pytest.raises(ValueError, match="not within the logged times"):
         sv.estimate_time_offset(data, trajectory, times + 50.0)
     with pytest.raises(ValueError, match=r"agree best at .* ms, the end of the range"):
-        sv.estimate_time_offset(data, trajectory, times + 1.5, "radial", max_offset=0.5)
+        sv.estimate_time_offset(data, trajectory, times + 1.5, max_offset=0.5)
     # One pose throughout: every offset is as good as any other.
     still = np.broadcast_to(host_matrices(as_se3(trajectory.base_from_tool[:1])), (1000, 4, 4))
     no_offset = r"hardly moved|did not move|the end of the range|do not move alike"

@@ -217,13 +217,13 @@ def mean_pose(
 
 
 def mean_matrix(
-    matrices: Float[np.ndarray, "poses 4 4"], weights: Float[np.ndarray, "poses"]
-) -> Float[np.ndarray, "4 4"]:
+    matrices: Float[np.ndarray, "*batch poses 4 4"], weights: Float[np.ndarray, "poses"]
+) -> Float[np.ndarray, "*batch 4 4"]:
     """Return the chordal mean of poses as 4x4 matrices; see `mean_pose`."""
     # R = argmin over rotations of sum_i w_i |R_i - R|^2 = nearest_rotation(sum_i w_i R_i),
     # t = sum_i w_i t_i,   with weights w_i that are normalised to the sum 1.
-    mean = np.einsum("i,ijk->jk", weights / weights.sum(), matrices)
-    mean[:3, :3] = host_nearest_rotation(mean[:3, :3])
+    mean = np.einsum("i,...ijk->...jk", weights / weights.sum(), matrices)
+    mean[..., :3, :3] = host_nearest_rotation(mean[..., :3, :3])
     return mean
 
 

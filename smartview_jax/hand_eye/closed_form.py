@@ -88,18 +88,18 @@ def mean_holder_from_world(
 
 
 def mean_camera_from_mount(
-    holder_from_world: _Matrix,
+    holder_from_world: Float[np.ndarray, "*starts 4 4"],
     mount_from_holder: _Matrices,
     camera_from_world: _Matrices,
     weights: _Weights,
-) -> _Matrix:
+) -> Float[np.ndarray, "*starts 4 4"]:
     """Compute `camera_from_mount` for a given `holder_from_world`, averaged over the views.
 
     The errors of the two then cancel in the chain.
     """
     # Eq. 10 for one view: camera_from_mount = camera_from_world (mount_from_holder
     # holder_from_world)^-1.
-    mount_from_world = mount_from_holder @ holder_from_world
+    mount_from_world = mount_from_holder @ holder_from_world[..., None, :, :]
     return mean_matrix(camera_from_world @ np.linalg.inv(mount_from_world), weights)
 
 
