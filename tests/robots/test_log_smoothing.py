@@ -1,13 +1,11 @@
 """The motion in a noisy log, against the motion itself."""
 
 import numpy as np
-import pytest
 from robot_motion import motion
-from scipy.interpolate import make_smoothing_spline
 
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.robots import Trajectory, smoothed_log
-from smartview_jax.robots.log_smoothing import JUDGED, smoothing_spline, spline_between
+from smartview_jax.robots.log_smoothing import JUDGED
 
 TIMES = np.arange(0.0, 4.0, 0.004)
 
@@ -45,18 +43,3 @@ def test_a_robot_that_rests_most_of_the_time_moves_as_fast():
     poses[:, :3, 3] += np.random.default_rng(0).normal(0.0, 1e-4, (len(times), 3))
     found = smoothed_log(Trajectory.of(times, poses)).base_from_tool
     assert np.abs(found - actual)[:, :3, 3].max() < 4e-4
-
-
-@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e6])
-def test_the_spline_is_scipys(weight):
-    rng = np.random.default_rng(0)
-    times = np.cumsum(rng.uniform(0.5, 2.0, 60))
-    values = rng.normal(size=(60, 3))
-    expected = make_smoothing_spline(times, values, lam=weight)
-    found, bends = smoothing_spline(times, values, weight)
-    np.testing.assert_allclose(found, expected(times), atol=1e-9)
-    np.testing.assert_allclose(bends, expected.derivative(2)(times), atol=1e-9)
-    between = times[:-1] + rng.uniform(0.1, 0.4, 59)
-    np.testing.assert_allclose(
-        spline_between(times, found, bends, between), expected(between), atol=1e-9
-    )
