@@ -181,7 +181,7 @@ def _likely_kinds(
 def _by_calibration(mount_from_holder: Poses) -> Float[np.ndarray, "views 6 13"]:
     """Return the derivatives of the closure errors by twists of both transforms, and the size.
 
-    The size is that of the robot's motion, in which a creeping target would otherwise be hidden.
+    The size scales the robot's motion. A wrong one would hide a target that creeps.
     """
     eye = np.broadcast_to(np.eye(6), (len(mount_from_holder), 6, 6))
     size = np.zeros((len(mount_from_holder), 6, 1))
@@ -233,7 +233,7 @@ def _kernels(mount_from_holder: Poses) -> Kernels:
 class _Errors(NamedTuple):
     """The closure errors in the frame in which they are more like white noise.
 
-    An arm's errors are independent at the mount; those of the poses from pictures at the target.
+    An arm's errors are independent at the mount; errors of poses from pictures, at the target.
 
     Attributes:
         values: the errors, m and rad.
@@ -308,7 +308,7 @@ def _fitted(
 ) -> _LinearFit:
     """Fit a linear model to the closure errors by generalised least squares.
 
-    The variances of translation and rotation are those of what remains.
+    The variances of translation and rotation are estimated from the errors that remain.
     """
     columns = model.shape[2]
     whole = process.whitened(np.concatenate([model, errors[:, :, None]], axis=2))

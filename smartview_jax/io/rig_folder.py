@@ -305,7 +305,7 @@ def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:
             differently.
     """
     targets: dict[str, AbstractTarget] = {}
-    # Listed points may be those of a target that another camera describes.
+    # The target of listed points may be described by another camera.
     for name, data in sorted(rig.cameras.items(), key=lambda item: item[1].target is None):
         target = described_target(data, f"save_rig: camera {name!r}")
         known = targets.setdefault(rig.targets[name], target)
