@@ -65,13 +65,15 @@ class SetUpDrift(NamedTuple):
 
     Attributes:
         kind: `"camera"` or `"target"`.
-        translation, rotation: from the first view to the last, m and rad.
+        views: indices of the first view and of the last that were used.
+        translation, rotation: of the drift between these two, m and rad.
         misfit: mean misfit over the views without the drift, m and rad.
         given_misfit: the same with the drift.
         score, given_score: rotation plus translation over the distance to the target, of both.
     """
 
     kind: str
+    views: tuple[int, int]
     translation: float
     rotation: float
     misfit: tuple[float, float]
@@ -100,9 +102,10 @@ class SetUpDrift(NamedTuple):
         else:
             place, frame = ("on the table", "base") if in_hand else ("in the hand", "tool")
         size = misfit_text((self.translation, self.rotation))
+        first, last = (view_ids[view] for view in self.views)
         return (
             f"the views drift away from the robot's poses, as if the {self.kind} crept {place} by "
-            f"{size} from view {view_ids[0]} to view {view_ids[-1]} (or the controller's {frame} "
+            f"{size} from view {first} to view {last} (or the controller's {frame} "
             "frame drifted, the robot warmed up, or it errs along the path of the views): without "
             f"that, robot and camera agree to {misfit_text(self.misfit)} instead of "
             f"{misfit_text(self.given_misfit)} (means over the views). Fasten camera and target, "
@@ -155,7 +158,9 @@ def find_drift(
         translation, rotation = misfits(change[None])[0].tolist()
         misfit, score = _mean(at_mount - models[kind] @ numbers, distance)
         if rotation + translation / distance > options.min_size:
-            found.append(SetUpDrift(kind, translation, rotation, misfit, given, score, given_score))
+            ends = int(views[0]), int(views[-1])
+            sizes = translation, rotation, misfit, given, score, given_score
+            found.append(SetUpDrift(kind, ends, *sizes))
     return min(found, key=lambda drift: drift.score, default=None)
 
 

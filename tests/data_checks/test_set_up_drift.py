@@ -54,6 +54,15 @@ def test_the_drift_is_over_the_time_of_all_views_also_of_those_left_out():
 
 
 @pytest.mark.parametrize("noise", [(1e-5, 1e-3), (2e-4, 0.02), (2e-3, 0.2)])
+def test_the_views_between_which_it_crept_are_named():
+    used = EVERY_VIEW.copy()
+    used[[0, VIEWS - 1]] = False
+    drift = found(creeping([0.0, 0.0, 0.0], [0.003, 0.0, 0.0]), used=used)
+    assert drift.views == (1, VIEWS - 2)
+    assert "from view v1 to view v12" in drift.sentence("eye_in_hand", IDS)
+    assert drift.translation == pytest.approx(0.003 * (VIEWS - 3) / (VIEWS - 1), rel=0.2)
+
+
 def test_white_errors_are_no_drift(noise):
     for seed in range(10):
         assert found(seed=seed, noise=noise) is None
