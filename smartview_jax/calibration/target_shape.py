@@ -12,7 +12,13 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..runtime.array_namespace import AnyArray, array_namespace, as_float_array, to_device
+from ..runtime.array_namespace import (
+    AnyArray,
+    array_namespace,
+    as_float_array,
+    to_device,
+    to_device_together,
+)
 from ..runtime.compilation import is_traced
 from ..runtime.modules import HostModule
 
@@ -109,7 +115,7 @@ def flat_shape(
         np.array([np.mean(x * x), np.mean(x * y), np.mean(y * y)]),
         np.zeros(len(SHAPE_NAMES)),
     )
-    return TargetShape(*map(to_device, arrays))
+    return TargetShape(*to_device_together(arrays))
 
 
 def shape_to_dict(shape: TargetShape) -> dict[str, object]:

@@ -15,9 +15,9 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import to_device, to_device_together
 from ..runtime.modules import with_fields
-from .parameters import Step
+from .parameters import Step, host_step
 from .schur import BlockArrow
 
 _Problem = TypeVar("_Problem", bound="AbstractProblem")
@@ -145,7 +145,7 @@ class AbstractProblem(eqx.Module):
     def zero_step(self) -> Step:
         """Return the zero step."""
         zeros = np.zeros(len(self.free)), np.zeros(self.per_view_free.shape)
-        return Step(*map(to_device, zeros))
+        return to_device_together(host_step(*zeros))
 
     def unscaled_step(self, z: Step) -> Step:
         """Convert a scaled step of the free parameters to all parameters in their own units."""

@@ -18,7 +18,7 @@ from ..cameras import AbstractLens, Camera, initial_lens
 from ..dataset import TYPICAL_OFFSET_STD, TYPICAL_SCALE_STD, Dataset, chain_residuals
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import to_device, to_device_together
 from ..runtime.compilation import compiled, refuse_traced
 from ..runtime.modules import with_fields
 from .abstract_problem import AbstractBuiltProblem
@@ -30,6 +30,7 @@ from .parameters import (
     TARGET_SCALE,
     Parameters,
     Step,
+    host_step,
     is_size,
     parameter_mask,
     parameter_names,
@@ -165,16 +166,20 @@ def build_problem(
         usable = np.isin(np.arange(data.view_count), views).repeat(6)
         is_free[shared_size:] &= usable | (weight[shared_size:] > 0.0)
     # Arrays are created by NumPy, because every JAX operation on the host would be compiled.
-    units = np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
+    arrays = {
+        "pixel_sigma": np.array(noise_model.pixel if noise_model else 1.0),
+        "free": np.flatnonzero(is_free[:shared_size]),
+        "per_view_free": is_free[shared_size:].reshape(-1, 6),
+        "prior_mean": _host_step_from_vector(mean, shared_size),
+        "prior_weight": _host_step_from_vector(weight, shared_size),
+        "scale": host_step(
+            np.ones(is_free[:shared_size].sum()), np.ones((len(names[shared_size:]) // 6, 6))
+        ),
+    }
     problem = JointProblem(
         parameters=shared,
         observations=data.observations,
-        pixel_sigma=to_device(np.array(noise_model.pixel if noise_model else 1.0)),
-        free=to_device(np.flatnonzero(is_free[:shared_size])),
-        per_view_free=to_device(is_free[shared_size:].reshape(-1, 6)),
-        prior_mean=step_from_vector(mean, shared_size),
-        prior_weight=step_from_vector(weight, shared_size),
-        scale=Step(*map(to_device, units)),
+        **to_device_together(arrays),
         loss=loss_by_name(loss),
         prepared_poses=prepare_poses(start.robot_error, data.observations.command),
     )
@@ -320,7 +325,12 @@ def _values_at(parameters: Parameters, other: Calibration) -> Float[Array, "shar
 
 def step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
     """Split a flat vector into the shared parameters and six per view."""
-    return Step(to_device(vector[:shared_size]), to_device(vector[shared_size:].reshape(-1, 6)))
+    return to_device_together(_host_step_from_vector(vector, shared_size))
+
+
+def _host_step_from_vector(vector: Float[np.ndarray, "parameters"], shared_size: int) -> Step:
+    """Return the step of `step_from_vector` as NumPy arrays."""
+    return host_step(vector[:shared_size], vector[shared_size:].reshape(-1, 6))
 
 
 def unprojectable_points(data: Dataset, start: Calibration) -> Bool[np.ndarray, "views points"]:

@@ -47,7 +47,9 @@ def calibrate_many(
     its work is done again in a new one; only a data set that kills its worker repeatedly becomes an
     error. Few data sets and results are in memory at a time, so that `datasets` may be a generator
     of any number. Programs are compiled by the first data set; workers read them from the folder
-    described in `runtime.compilation_cache`.
+    described in `runtime.compilation_cache`. For 500 data sets or more, or an unknown number,
+    worker processes of this machine optimise the programs: they compile longer and run faster, and
+    results differ by rounding.
 
     A script that uses processes needs `if __name__ == "__main__":` before the call, because each
     process imports the script.
@@ -95,7 +97,8 @@ def _calibrations(
     options: dict[str, Any],
 ) -> Iterator[ManyOutcome]:
     """Yield the calibrations, after the arguments were checked."""
-    total = f" of {len(datasets)}" if isinstance(datasets, Sized) else ""
+    dataset_count = len(datasets) if isinstance(datasets, Sized) else None
+    total = "" if dataset_count is None else f" of {dataset_count}"
     # Only the names of data sets in work are kept.
     names: dict[int, str] = {}
 
@@ -105,7 +108,7 @@ def _calibrations(
             yield dataset
 
     job = functools.partial(_calibrate_one, options=options)
-    for count, outcome in enumerate(outcomes(job, named(), executor), 1):
+    for count, outcome in enumerate(outcomes(job, named(), executor, dataset_count), 1):
         name = names.pop(outcome.number)
         progress(f"{name}: {'failed' if outcome.error else 'calibrated'}, {count}{total}")
         yield ManyOutcome(outcome.number, name, outcome.result, outcome.error)

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..runtime.array_namespace import as_float_array
+from ..runtime.array_namespace import as_float_array, to_device_together
 from ..runtime.compilation import one_program
+from ..runtime.modules import module_of
 
 _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
 """Value of `ViewedRegion.side` for each name that a file may contain."""
@@ -77,14 +78,15 @@ class ViewedRegion(eqx.Module):
         min_tool_height = np.inf
         if tools is not None and side != 0.0:
             min_tool_height = float((side * (tools[:, 2] - plane_z)).min())
-        return cls(
-            side,
-            plane_z,
-            centroid,
-            max(float(radius), MIN_RADIUS_FRACTION * float(distances.mean())),
-            np.array([distances.min(), distances.max()]),
-            min_tool_height,
-        )
+        fields = {
+            "side": side,
+            "plane_z": plane_z,
+            "centroid": centroid,
+            "radius": max(float(radius), MIN_RADIUS_FRACTION * float(distances.mean())),
+            "distance_range": np.array([distances.min(), distances.max()]),
+            "min_tool_height": min_tool_height,
+        }
+        return module_of(cls, to_device_together(fields))
 
     @property
     def above(self) -> bool | None:

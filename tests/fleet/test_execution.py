@@ -9,6 +9,7 @@ from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 import pytest
 
 from smartview_jax.fleet import execution, outcomes
+from smartview_jax.runtime import compilation
 
 
 class InPlace(ThreadPoolExecutor):
@@ -58,7 +59,7 @@ def pools(monkeypatch):
     made = []
 
     def replace(deaths):
-        def renewed(count):
+        def renewed(count, _):
             made.append(count)
             pool = InPlace()
             pool.deaths = deaths
@@ -146,6 +147,22 @@ def test_processes_are_replaced_and_errors_arrive(tmp_path):
     for number in (0, 1, 3, 4):
         assert found[number].result == (number, True)
     assert str(found[2].error) == "ParticularError: one and two"
+
+
+def optimises(_):
+    return compilation._min_elements == 0
+
+
+@pytest.mark.parametrize(
+    ("inputs", "count", "many"),
+    [
+        (range(2), None, False),
+        (range(2), execution.MIN_OPTIMISED_JOBS, True),
+        (iter([0]), None, True),
+    ],
+)
+def test_processes_optimise_their_programs_for_many_jobs(inputs, count, many):
+    assert {one.result for one in outcomes(optimises, inputs, 1, count)} == {many}
 
 
 def test_a_script_without_a_guard_is_told(monkeypatch):

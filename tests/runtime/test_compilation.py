@@ -59,6 +59,21 @@ def test_what_is_given_decides(monkeypatch):
     assert levels == [0, 2, 2]
 
 
+def test_optimised_on_request(monkeypatch):
+    levels = []
+    monkeypatch.setattr(
+        compilation,
+        "_compiled_at_level",
+        lambda function, level: lambda args, *_: levels.append(level) or function(*args),
+    )
+    monkeypatch.setattr(compilation, "_min_elements", compilation.MIN_OPTIMISED_ELEMENTS)
+    function = compiled(root_mean_square)
+    function(jnp.zeros(3))
+    compilation.optimise_all_programs()
+    function(jnp.zeros(3))
+    assert levels == [0, 2]
+
+
 def test_options_that_the_compiler_lacks_are_left_out(monkeypatch):
     """XLA would refuse to compile anything with them."""
     monkeypatch.setattr(compilation, "FIRST_VERSION_TO_ASK", (0,))
