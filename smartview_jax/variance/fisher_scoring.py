@@ -276,7 +276,9 @@ class _Objective:
         self.prior_precision = np.zeros(len(self.is_active))
         if prior is not None:
             self.prior_precision[1:] = np.where(active, prior.log_std**-2, 0.0)
+            self.log_median = np.log(prior.median)
         self.lower_bounds = views.lower_bounds(len(self.is_active))
+        self.log_white_sigma = np.log(self.lower_bounds[0])
         min_excess = MIN_RELATIVE_EXCESS * self.lower_bounds
         self.initial_log_excess = 0.5 * np.log(
             np.maximum(start.vector**2 - self.lower_bounds**2, min_excess**2)
@@ -319,8 +321,8 @@ class _Objective:
         """Return the prior's negative logarithm and its gradient by the log standard deviations."""
         if self.prior is None:
             return 0.0, np.zeros_like(logarithms)
-        precision, offset = self.prior_precision[1:], logarithms[1:] - np.log(self.prior.median)
-        log_pixel_ratio = logarithms[0] - np.log(self.lower_bounds[0])
+        precision, offset = self.prior_precision[1:], logarithms[1:] - self.log_median
+        log_pixel_ratio = logarithms[0] - self.log_white_sigma
         value = 0.5 * precision @ offset**2 + self.prior.pixel_rate * log_pixel_ratio
         return value, np.concatenate([[self.prior.pixel_rate], precision * offset])
 

@@ -420,9 +420,10 @@ def with_added_diagonal(
     if array_namespace(matrices, values) is jnp:
         identity = jnp.broadcast_to(jnp.eye(matrices.shape[-1]), matrices.shape)
         return matrices + identity * values[..., None, :]
-    # `eye` and `diag` take longer than all of this for small matrices.
-    result = matrices.copy()
-    np.einsum("...ii->...i", result)[...] += values
+    # `eye`, `diag` and `einsum` take longer than all of this for small matrices. A copy is
+    # contiguous, so that every n+1-th entry of its rows in a row is on a diagonal.
+    result, n = matrices.copy(), matrices.shape[-1]
+    result.reshape(*matrices.shape[:-2], n * n)[..., :: n + 1] += values
     return result
 
 
