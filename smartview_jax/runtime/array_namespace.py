@@ -5,7 +5,7 @@ NumPy evaluates a formula on small arrays in less time than JAX needs to compile
 
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,6 @@ AnyArray: TypeAlias = Array | np.ndarray
 AnyScalar: TypeAlias = Float[AnyArray, ""] | float
 """A number: a JAX or NumPy array without axes, or a `float`, which includes NumPy's scalars."""
 
-
-_Tree = TypeVar("_Tree")
 
 _HOST_TYPES = (np.ndarray, np.generic, float)
 
@@ -41,7 +39,7 @@ def to_device(array: AnyArray | float | list[float]) -> Array:
     return jax.device_put(np.asarray(array))
 
 
-def to_device_together(arrays: _Tree) -> _Tree:
+def to_device_together(arrays: Any) -> Any:
     """Return a pytree of numbers and NumPy arrays as JAX arrays.
 
     One transfer of all takes hardly longer than one of a single array.
