@@ -197,6 +197,17 @@ def test_what_a_file_would_call_is_not_called(content, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_of_getattr_only_members_of_enumerations_are_left():
+    """So old versions of Python pickle such a member."""
+    member = b"cbuiltins\ngetattr\n(cjax._src.core\nMemorySpace\nX\x04\x00\x00\x00HosttR."
+    with pytest.raises((TypeError, ValueError, AttributeError)):
+        # It is read, but no program.
+        unpickled_program(member, 1, 1)
+    attribute = b"cbuiltins\ngetattr\n(cjax._src.core\nShapedArray\nX\x08\x00\x00\x00__init__tR."
+    with pytest.raises(pickle.UnpicklingError, match="its attributes may not be in a program"):
+        unpickled_program(attribute, 1, 1)
+
+
 @pytest.mark.parametrize("name", ["cameras.camera\nnp.memmap", "cameras.camera\neqx.Module"])
 def test_what_a_module_imported_cannot_be_reached_through_it(name):
     with pytest.raises(pickle.UnpicklingError, match="may not be in a trace"):

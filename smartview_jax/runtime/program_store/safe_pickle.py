@@ -4,6 +4,7 @@ Unpickling imports and calls whatever the file names. Here a name that is not li
 before anything is imported.
 """
 
+import enum
 import io
 import pickle
 from typing import Any
@@ -116,7 +117,17 @@ class _ProgramReader(_JaxPjrtUnpickler):
         """Return a class or function that may be in a program."""
         if (module_name, global_name) in _PROGRAM_CLASSES:
             return super().find_class(module_name, global_name)
+        # Python before 3.11.4 pickles a member of an enumeration as an attribute of its class.
+        if (module_name, global_name) == ("builtins", "getattr"):
+            return _member
         raise pickle.UnpicklingError(f"{module_name}.{global_name} may not be in a program")
+
+
+def _member(enumeration: Any, name: str) -> Any:
+    """Return the member of an enumeration; nothing else has its attributes read."""
+    if not isinstance(enumeration, enum.EnumMeta):
+        raise pickle.UnpicklingError(f"{enumeration!r}: its attributes may not be in a program")
+    return enumeration[name]
 
 
 def _is_data_class(candidate: Any) -> bool:
