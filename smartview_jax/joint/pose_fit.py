@@ -7,7 +7,7 @@ is estimated with the robot's; `tracker_noise` finds the ratios of its parts.
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
@@ -15,31 +15,24 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..argument_checks import require_instance, require_names
-from ..calibration import Calibration, host_mount_from_holder
-from ..cameras import Camera, Pinhole
-from ..data_checks import (
-    ConventionReport,
-    RobotAndCamera,
-    check_conventions,
-    find_shared_fault,
-)
+from ..calibration import Calibration
+from ..cameras import Camera
 from ..dataset import (
     PoseDataset,
     chain_residuals,
 )
 from ..engine import TARGET_SCALE, ParameterChoice, Prior
-from ..geometry import PoseLike, host_matrices, host_transforms
-from ..hand_eye import solve_hand_eye
+from ..geometry import PoseLike, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
-from ..staged import check_start, known_transforms
+from ..staged import check_start
 from .drifting_tracker import TrackerDrift, tracker_drift, with_uncertain_drift
 from .fit import fit_joint
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
-from .own_unit import has_own_unit
-from .robust_hand_eye import chain_errors, robust_hand_eye
+from .pose_start import blank_calibration, start_in_own_unit, start_of_poses
+from .robust_hand_eye import chain_errors
 from .sensor_error import with_sensor_error
 from .tracker_noise import TrackerPrior, in_tracker_units, likeliest_noise, with_noise
 from .undetermined import require_moving_robot
@@ -56,12 +49,6 @@ Of a normal distribution in three dimensions, one error in two million is larger
 MIN_UNIT_DOUBT = 3.0
 """Smallest difference of the ratio of motions from one, in its standard deviations, from which a
 unit of the tracker's own is considered. It saves time: the evidence decides."""
-
-MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
-"""Share of agreeing pairs below which a mistake in all pairs is asked for, at some cost."""
-
-NO_CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
-"""The camera of a calibration whose camera nobody stated."""
 
 
 @runtime_checkable
@@ -235,24 +222,21 @@ def fit_poses(
         raise ValueError("tracker_prior: the data set states the covariance of each pose already")
     camera = data.camera if camera is None else camera
     has_camera = camera is not None
-    blank = _blank(data, camera)
+    blank = blank_calibration(data, camera)
     check_start(start, data)
     choice = ParameterChoice.of(fixed, (TARGET_SCALE,) if scale else (), priors)
     require_moving_robot(data, blank, choice)
     # A drift is estimated with the whole chain.
     may_drift = not (data.states_covariance or fixed or priors)
-    begin = _start(data, blank, start, scale)
+    begin = start_of_poses(data, blank, start, scale)
     if may_drift and not scale and begin.unit_doubt > MIN_UNIT_DOUBT:
         noises = prior, tracker_prior or TrackerPrior()
-        in_own_unit = _start_in_own_unit(data, blank, start, begin, *noises)
+        in_own_unit = start_in_own_unit(data, blank, start, begin, *noises)
         if in_own_unit is not None:
             begin, scale, prior = in_own_unit, True, _without_target(prior, True)
             choice = ParameterChoice.of((), (TARGET_SCALE,), None)
     calibration, consistent, ambiguities, _ = begin
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
-
-    # A drift is estimated with the whole chain.
-    may_drift = not (data.states_covariance or fixed or priors)
 
     def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerDrift | None]:
         """Return the pairs that agree, with the tracker's noise, the fit to them and the drift."""
@@ -296,33 +280,6 @@ def fit_poses(
     return PoseFit.of(fit, data, has_camera, drift)
 
 
-class PoseStart(NamedTuple):
-    """The start of a fit to tracked poses.
-
-    Attributes:
-        calibration: near the solution, by closed forms.
-        consistent: mask of the pairs that agree with it.
-        ambiguities: what makes many pairs wrong together, and what they cannot tell, in sentences.
-        unit_doubt: difference of the ratio of motions from one, in its standard deviations.
-    """
-
-    calibration: Calibration
-    consistent: Bool[np.ndarray, "views"]
-    ambiguities: tuple[str, ...]
-    unit_doubt: float
-
-
-def start_from_poses(data: PoseDataset) -> PoseStart:
-    """Return the start of a fit, with no choice of the user's.
-
-    Raises:
-        ValueError: as `fit_poses`.
-    """
-    blank = _blank(data, None)
-    require_moving_robot(data, blank, ParameterChoice.of())
-    return _start(data, blank, None, False)
-
-
 def tracked_pose_errors(
     data: PoseDataset, calibration: Calibration
 ) -> Float[np.ndarray, "views 2"]:
@@ -339,12 +296,6 @@ def pose_rms(errors: Float[np.ndarray, "views 2"]) -> tuple[float, float]:
     return float(distance), float(angle)
 
 
-def _blank(data: PoseDataset, camera: Camera | None) -> Calibration:
-    """Return a calibration whose transforms are not known yet."""
-    identity = host_transforms(np.eye(4))
-    return Calibration(camera or NO_CAMERA, identity, identity, data.mount)
-
-
 def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
     """Return the prior without a target's shape and a lens, which tracked poses do not have."""
     return dataclasses.replace(
@@ -354,126 +305,6 @@ def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
         wrong_lens_probability=0.0,
         wrong_target_probability=0.0 if scale else prior.wrong_target_probability,
     )
-
-
-def _start(
-    data: PoseDataset, blank: Calibration, start: Mapping[str, PoseLike] | None, scale: bool
-) -> PoseStart:
-    """Return a calibration near the solution, and the pairs that agree with it.
-
-    Args:
-        data: the pairs.
-        blank: a calibration with the tracker's camera.
-        start, scale: as in `fit_poses`.
-    """
-    mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
-    measured = data.tracked_matrices
-    factor, consistent = robust_hand_eye(mount_from_holder, measured, data.seen, scale)
-    measured = measured.copy()
-    measured[:, :3, 3] *= factor
-    ambiguities, unit_doubt = _check_conventions(data, measured, consistent)
-    given = known_transforms(start, data.mount)
-    step3 = solve_hand_eye(
-        host_transforms(mount_from_holder),
-        host_transforms(measured),
-        weights=consistent.astype(float),
-        start=given,
-        camera_on_hand=data.mount == "eye_in_hand",
-    )
-    found = dataclasses.replace(
-        blank,
-        camera_from_mount=given[0] or step3.camera_from_mount,
-        holder_from_world=given[1] or step3.holder_from_world,
-        target_scale=to_device(np.array(factor)),
-    )
-    return PoseStart(found, consistent, ambiguities, unit_doubt)
-
-
-def _start_in_own_unit(
-    data: PoseDataset,
-    blank: Calibration,
-    start: Mapping[str, PoseLike] | None,
-    given: PoseStart,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> PoseStart | None:
-    """Return the start with a unit of the tracker's own, if the poses are rather in one.
-
-    Args:
-        data: the pairs.
-        blank, start: as in `_start`.
-        given: the start with the tracker's unit as stated.
-        robot_prior, tracker_prior: as in `fit_poses`.
-    """
-    try:
-        scaled = _start(data, blank, start, True)
-    except ValueError:
-        return None
-    others = np.flatnonzero(~(given.consistent & scaled.consistent))
-    agreeing = without_views(data, dict.fromkeys(others.tolist(), ""))
-    calibrations = given.calibration, scaled.calibration
-    if not has_own_unit(agreeing, *calibrations, robot_prior, tracker_prior):
-        return None
-    size = float(scaled.calibration.target_scale)
-    text = (
-        f"the tracker's unit of length is its own, {size:.3g} m, as of a single moving camera: it "
-        "is estimated with the transforms, as scale=True asks"
-    )
-    return scaled._replace(ambiguities=(text, *scaled.ambiguities))
-
-
-def _check_conventions(
-    data: PoseDataset,
-    measured: Float[np.ndarray, "views 4 4"],
-    consistent: Bool[np.ndarray, "views"],
-) -> tuple[tuple[str, ...], float]:
-    """Return in sentences what makes many pairs wrong together, and what they cannot tell.
-
-    Returns:
-        The sentences, and `PoseStart.unit_doubt`.
-
-    Raises:
-        ValueError: robot and tracker do not move alike, with the likeliest mistake.
-    """
-    camera_from_world = host_transforms(measured)
-
-    def report_on(views: Bool[np.ndarray, "views"]) -> ConventionReport:
-        return check_conventions(
-            data.base_from_tool,
-            camera_from_world,
-            data.mount,
-            views.astype(float),
-            view_ids=data.view_ids,
-            tracked=True,
-        )
-
-    # With a mistake in all pairs some agree by chance.
-    if consistent.sum() < MIN_SHARE_WITHOUT_DOUBT * data.seen.sum():
-        everything = report_on(data.seen)
-        if everything.explained:
-            raise ValueError("; ".join(everything.problems))
-    report = report_on(consistent)
-    if report.problems and report.explained:
-        raise ValueError("; ".join(report.problems))
-    poses = RobotAndCamera(
-        data.base_from_tool,
-        camera_from_world,
-        data.mount,
-        data.view_ids,
-        report.length_ratio,
-        tracked=True,
-        # Trackers drift, whose poses then change or bend in part; depth sensors do not.
-        drifts=data.sensor is None,
-    )
-    fault = find_shared_fault(poses, data.seen, consistent)
-    if fault is not None and poses.drifts and not fault.explains_most:
-        fault = None
-    if fault is not None and (report.problems or (fault.contradicts and fault.divides(consistent))):
-        raise ValueError(fault.sentence)
-    if report.problems:
-        raise ValueError("; ".join(report.problems))
-    unit_doubt = abs(report.length_ratio - 1.0) / report.length_ratio_std
-    return (() if fault is None else (fault.sentence,)) + report.ambiguities, unit_doubt
 
 
 def _contradictions(

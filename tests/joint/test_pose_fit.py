@@ -15,7 +15,7 @@ from smartview_jax.dataset import PoseDataset
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_adjoints, host_exponentials, host_logarithms, host_matrices
 from smartview_jax.joint import TrackerPrior
-from smartview_jax.joint.pose_fit import start_from_poses
+from smartview_jax.joint.pose_start import start_from_poses
 from smartview_jax.joint.robust_hand_eye import robust_hand_eye
 from smartview_jax.simulation import random_scene
 
