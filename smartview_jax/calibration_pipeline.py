@@ -113,8 +113,9 @@ def _warnings(staged: StagedFit, joint: JointFit) -> tuple[str, ...]:
     repetitions = [
         text for text in repetition_warnings(staged.rejected) if text not in joint.warnings
     ]
+    answered = _answered_doubts(staged, joint)
     return (
-        *(text for text in staged.warnings if text not in _answered_doubts(staged, joint)),
+        *(text for text in staged.warnings if text not in answered),
         *_staged_comparison_warnings(staged, joint),
         *joint.warnings,
         *repetitions,

@@ -5,11 +5,11 @@
 alike (`conventions.py`, with the usual mistakes in `mistakes.py`, `misread_angles.py` and
 `length_units.py`, judged by `rotation_angles.py` and by the closure of motions, `closure.py`) and
 tell a wrong mount at all (`inverted_poses.py`), whether the set-up changed between two views
-(`changes.py`) or drifts (`set_up_drift.py`) or the poses lag (`pose_lag.py`, by the fit in
-`lag_fit.py`; `faults_of_many_views.py` asks all three), and which single views are numbered wrongly
-(`shifted_numbering.py`) or contradict the others (`view_consistency.py`); all judge by transforms
-of their own (`transform_fit.py`), some by the odds of an explanation (`misfit_evidence.py`).
-`rig_checks.py` compares the cameras of a rig.
+(`changes.py`) or drifts (`set_up_drift.py`, beyond the errors of `smooth_errors.py`) or the poses
+lag (`pose_lag.py`, by the fit in `lag_fit.py`; `faults_of_many_views.py` asks all three), and which
+single views are numbered wrongly (`shifted_numbering.py`) or contradict the others
+(`view_consistency.py`); all judge by transforms of their own (`transform_fit.py`), some by the odds
+of an explanation (`misfit_evidence.py`). `rig_checks.py` compares the cameras of a rig.
 """
 
 from .camera_checks import CameraDoubt as CameraDoubt

@@ -20,7 +20,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
-from ..geometry import host_matrices, mean_matrix
+from ..geometry import mean_matrix
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .misfit_evidence import closure_variances, evidence
 from .transform_fit import (
@@ -30,6 +30,7 @@ from .transform_fit import (
     median_distance,
     misfit_text,
     misfits,
+    motions_of_views,
 )
 
 
@@ -161,10 +162,10 @@ def find_change(
     views, fewest = np.flatnonzero(used), options.min_views_on_a_side
     if len(views) < 2 * fewest:
         return None
-    robot, camera = host_matrices(mount_from_holder)[views], host_matrices(camera_from_world)[views]
-    if not (np.isfinite(robot).all() and np.isfinite(camera).all()):
+    motions = motions_of_views(mount_from_holder, camera_from_world, views, length_ratio)
+    if motions is None:
         return None
-    robot[:, :3, 3] *= length_ratio
+    robot, camera = motions
     places = np.arange(fewest, len(views) - fewest + 1)
     search = _Search.of(robot, camera, len(places))
     misfit, score = mean_misfit(search.fit.closure, search.distance)

@@ -14,7 +14,7 @@ from jaxtyping import Bool
 from ..calibration import host_mount_from_holder
 from .changes import find_change
 from .pose_lag import PoseLag, find_lag
-from .set_up_drift import SetUpDrift, find_drift
+from .set_up_drift import find_drift
 
 MIN_RATIO_DIFFERENCE = 0.01
 """Smallest difference of the motions' lengths that may hide a fault, or come from one."""
@@ -117,19 +117,12 @@ def _faults(
         best = change.changes[0]
         contradicts, explains_most = change.contradicts, change.explains_most
         yield best.score, SharedFault(sentence, contradicts, explains_most, best.first_view)
-    drift = None if poses.drifts else _drift(poses, robot, used)
+    if poses.drifts:
+        return
+    drift = find_drift(robot, poses.camera_from_world, used, poses.length_ratio)
     if drift is not None:
         sentence = drift.sentence(poses.mount, poses.view_ids)
         yield drift.score, SharedFault(sentence, drift.contradicts, True)
-
-
-def _drift(
-    poses: RobotAndCamera, mount_from_holder: SE3, used: Bool[np.ndarray, "views"]
-) -> SetUpDrift | None:
-    """Return the drift of the set-up, if there is one."""
-    return find_drift(
-        mount_from_holder, poses.camera_from_world, used, poses.mount, poses.length_ratio
-    )
 
 
 def _lag(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> PoseLag | None:

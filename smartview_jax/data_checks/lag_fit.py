@@ -17,7 +17,7 @@ from ..dataset import undetermined_twists
 from ..geometry import host_adjoints, host_cross_matrices, host_exponentials, host_logarithms
 from ..hand_eye import determined_steps
 from .closure import Poses
-from .misfit_evidence import error_variances
+from .misfit_evidence import error_variances, in_parts
 from .transform_fit import fit_transforms
 
 MAX_FRACTION = 0.3
@@ -140,7 +140,7 @@ def _solved(
     Args:
         model: columns of the chain's steps, of the lag's, and the closure.
     """
-    estimate, steps = _solved_with_noise(model, error_variances(_in_parts(model[:, :, -1])))
+    estimate, steps = _solved_with_noise(model, error_variances(in_parts(model[:, :, -1])))
     for _ in range(NOISE_ROUNDS - 1):
         estimate, steps = _solved_with_noise(model, error_variances(estimate.errors))
     return estimate, steps
@@ -166,18 +166,13 @@ def _solved_with_noise(
         for size in (closure, lag)
     )
     errors, errors_without = (
-        _in_parts((rows[:, closure] - rows[:, : len(steps)] @ steps).reshape(count, 6) * sigmas)
+        in_parts((rows[:, closure] - rows[:, : len(steps)] @ steps).reshape(count, 6) * sigmas)
         for steps in (with_lag, without)
     )
     unit_variance = triangle[closure, closure] ** 2 / max(6 * count - closure, 1)
     size = abs(triangle[lag, lag])
     std = float(np.sqrt(unit_variance) / size) if size > 0.0 else np.inf
     return LagEstimate(float(with_lag[lag]), std, errors, errors_without), with_lag
-
-
-def _in_parts(errors: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 2 3"]:
-    """Return errors by translation and rotation."""
-    return errors.reshape(-1, 2, 3)
 
 
 def _deviance(errors: Float[np.ndarray, "views 2 3"]) -> float:

@@ -22,7 +22,7 @@ MIN_VARIANCE = 1e-18
 
 def closure_variances(closure: Poses) -> Float[np.ndarray, "2"]:
     """Return the variances of the closure errors of the views, of translation and rotation."""
-    return error_variances(_errors(closure))
+    return error_variances(in_parts(host_logarithms(closure)))
 
 
 def error_variances(errors: Float[np.ndarray, "views 2 3"]) -> Float[np.ndarray, "2"]:
@@ -40,7 +40,7 @@ def evidence(given_variances: Float[np.ndarray, "2"], corrected: Poses, paramete
         corrected: closure error of each view with the explanation.
         parameters: how many numbers the explanation has.
     """
-    return evidence_of_errors(given_variances, _errors(corrected), parameters)
+    return evidence_of_errors(given_variances, in_parts(host_logarithms(corrected)), parameters)
 
 
 def evidence_of_errors(
@@ -65,6 +65,6 @@ def evidence_of_errors(
     return gain - parameters * np.log(6.0 * effective)
 
 
-def _errors(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
-    """Return the closure error of each view, of translation (m) and rotation (rad)."""
-    return host_logarithms(closure).reshape(-1, 2, 3)
+def in_parts(twists: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 2 3"]:
+    """Return twists by translation (m) and rotation (rad)."""
+    return twists.reshape(-1, 2, 3)

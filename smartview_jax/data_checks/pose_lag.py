@@ -127,12 +127,13 @@ def find_lag(
         views[end] = False
         data = LaggingViews(robot, camera, views, mount, direction)
         fit = LagFit(data)
-        if mean_misfit(fit.closure, distance)[1] < options.min_score:
+        given = mean_misfit(fit.closure, distance)
+        if given[1] < options.min_score:
             continue
         first = fit.step()
         if not first.fraction > MIN_STEP * first.std:
             continue
-        lag = _explained(data, fit.likeliest(first), distance)
+        lag = _explained(data, fit.likeliest(first), given, distance)
         if (
             lag.evidence > 2.0 * np.log(options.min_odds)
             and lag.score < MAX_CORRECTED_RATIO * lag.given_score
@@ -142,31 +143,30 @@ def find_lag(
     return min(lags, key=lambda lag: lag.score, default=None)
 
 
-def _explained(data: LaggingViews, estimate: LagEstimate, distance: float) -> PoseLag:
+def _explained(
+    data: LaggingViews,
+    estimate: LagEstimate,
+    given: tuple[tuple[float, float], float],
+    distance: float,
+) -> PoseLag:
     """Return a lag with what it explains.
 
     Args:
         data: the views.
         estimate: the likeliest lag in the direction of `data`.
+        given: mean misfit and score without a lag.
         distance: median distance of the target from the camera, m.
     """
-
-    def misfit_without(fraction: float) -> tuple[tuple[float, float], float]:
-        """Return the mean misfit with a lag removed, and its score."""
-        holder = data.mount_from_holder(fraction)
-        everything = np.ones(len(holder), dtype=bool)
-        closure = fit_transforms(holder, data.camera[data.views], everything).closure
-        return mean_misfit(closure, distance)
-
-    misfit, score = misfit_without(estimate.fraction)
-    given_misfit, given_score = misfit_without(0.0)
-    given = error_variances(estimate.errors_without)
+    holder = data.mount_from_holder(estimate.fraction)
+    everything = np.ones(len(holder), dtype=bool)
+    closure = fit_transforms(holder, data.camera[data.views], everything).closure
+    misfit, score = mean_misfit(closure, distance)
     return PoseLag(
         data.direction * estimate.fraction,
         estimate.std,
         misfit,
-        given_misfit,
+        given[0],
         score,
-        given_score,
-        evidence_of_errors(given, estimate.errors, 1),
+        given[1],
+        evidence_of_errors(error_variances(estimate.errors_without), estimate.errors, 1),
     )

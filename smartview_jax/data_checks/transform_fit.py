@@ -3,12 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxlie import SE3
+from jaxtyping import Bool, Float, Int
 
 from ..dataset import undetermined_twists
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
 from .closure import Poses
+from .misfit_evidence import in_parts
 
 Matrix = Float[np.ndarray, "4 4"]
 """A homogeneous matrix, m."""
@@ -35,7 +37,12 @@ class TransformFit(NamedTuple):
 
 def misfits(closure: Poses) -> Float[np.ndarray, "views 2"]:
     """Return the length of the twist of each closure: translation (m), rotation (rad)."""
-    return np.linalg.norm(host_logarithms(closure).reshape(-1, 2, 3), axis=2)
+    return _lengths(host_logarithms(closure))
+
+
+def _lengths(twists: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 2"]:
+    """Return the lengths of twists: translation (m), rotation (rad)."""
+    return np.linalg.norm(in_parts(twists), axis=2)
 
 
 def mean_misfit(closure: Poses, distance: float) -> tuple[tuple[float, float], float]:
@@ -48,7 +55,14 @@ def mean_misfit(closure: Poses, distance: float) -> tuple[tuple[float, float], f
     Returns:
         The misfit, and as its score rotation plus translation over the distance.
     """
-    translation, rotation = misfits(closure).mean(axis=0).tolist()
+    return mean_size(host_logarithms(closure), distance)
+
+
+def mean_size(
+    twists: Float[np.ndarray, "views 6"], distance: float
+) -> tuple[tuple[float, float], float]:
+    """Return the mean lengths of twists (m and rad), and their score, as `mean_misfit`."""
+    translation, rotation = _lengths(twists).mean(axis=0).tolist()
     return (translation, rotation), rotation + translation / distance
 
 
@@ -60,6 +74,27 @@ def median_distance(camera_from_world: Poses) -> float:
 def misfit_text(misfit: Float[np.ndarray, "2"] | tuple[float, float]) -> str:
     """Return a misfit in words, in degrees and millimetres."""
     return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"
+
+
+def motions_of_views(
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    views: Int[np.ndarray, "used"],
+    length_ratio: float,
+) -> tuple[Poses, Poses] | None:
+    """Return the poses of robot and camera in some views; None if one of them is not finite.
+
+    Args:
+        mount_from_holder: the robot's part of the chain, `(views)`.
+        camera_from_world: from the pictures alone, `(views)`.
+        views: indices of the views.
+        length_ratio: by which the robot's positions are multiplied.
+    """
+    robot, camera = host_matrices(mount_from_holder)[views], host_matrices(camera_from_world)[views]
+    if not (np.isfinite(robot).all() and np.isfinite(camera).all()):
+        return None
+    robot[:, :3, 3] *= length_ratio
+    return robot, camera
 
 
 def fit_transforms(

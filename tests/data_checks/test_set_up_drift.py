@@ -28,7 +28,7 @@ def creeping(turn, shift):
 
 def found(camera=STEADY, target=STEADY, used=EVERY_VIEW, seed=0, **options):
     motions = moving_alike(seed, camera, target, **options)
-    return find_drift(*map(as_se3, motions), used, "eye_in_hand")
+    return find_drift(*map(as_se3, motions), used)
 
 
 @pytest.mark.parametrize("kind", ["camera", "target"])
@@ -88,7 +88,7 @@ def test_the_robots_errors_along_a_path_are_no_drift():
         errors += rng.normal(0.0, 0.1, errors.shape) * sizes
         erring = np.array([transform(np.rad2deg(e[3:]), e[:3]) for e in errors])
         seen = CAMERA_FROM_MOUNT @ erring @ robot @ HOLDER_FROM_WORLD
-        drift = find_drift(as_se3(robot), as_se3(seen), EVERY_VIEW, "eye_in_hand")
+        drift = find_drift(as_se3(robot), as_se3(seen), EVERY_VIEW)
         named += drift is not None
     assert named <= 5
 
@@ -102,7 +102,7 @@ def test_few_views_tell_no_drift():
 def test_no_drift_is_named_at_a_missing_pose():
     motions = list(moving_alike(0))
     motions[1][2] = np.nan
-    assert find_drift(*map(as_se3, motions), EVERY_VIEW, "eye_in_hand") is None
+    assert find_drift(*map(as_se3, motions), EVERY_VIEW) is None
 
 
 def test_the_size_is_that_of_the_motion_in_the_pictures():
