@@ -223,6 +223,8 @@ def _print_result(result: RigResult) -> None:
                 table.add_row(*row)
             console.print(table)
     console.print(rig_summary(result.fit, result.held_out), highlight=False)
+    for name, sensor in result.fit.sensors.items():
+        console.print(f"{name}: depth sensor: {sensor.described}", highlight=False, markup=False)
     if result.budget is not None:
         for name, budget in result.budget.cameras.items():
             console.print(f"{name}: {budget.summary}", highlight=False, markup=False)
@@ -257,11 +259,13 @@ def _document(result: RigResult) -> dict[str, Any]:
         mount = calibration.transform_names[0]
         parts = [f"{part}.{k}" for part in ("translation", "rotation") for k in "xyz"]
         scores = None if result.held_out is None else result.held_out[name].errors.rms
+        sensor = fit.sensors.get(name)
         cameras[name] = {
             mount: transform_document(calibration.camera_from_mount),
             "std": {part: fit.std[f"{name}.{mount}.{part}"] for part in parts},
             "rms_px": fit.rms(name),
             "held_out_rms_px": scores,
+            "depth_sensor": None if sensor is None else dataclasses.asdict(sensor),
         }
     robots = {
         name: {"translation": noise.translation, "rotation": noise.rotation}

@@ -86,9 +86,9 @@ class Rig:
 
         Raises:
             TypeError: a data set of another type.
-            ValueError: no camera; an unusable name; depths at the points; states whose poses
-                differ; one arm with different joints; one target at two places or of two sizes; or
-                arms without a target in common.
+            ValueError: no camera; an unusable name; states whose poses differ; one arm with
+                different joints; one target at two places or of two sizes; or arms without a target
+                in common.
         """
         if not cameras:
             raise ValueError("Rig: expected at least one camera, found none")
@@ -100,11 +100,6 @@ class Rig:
                 raise ValueError(
                     f"Rig: camera {name!r}: a camera on one arm's hand that sees a target on "
                     "another's is calibrated alone, by calibrate(data)"
-                )
-            if data.depths is not None:
-                raise ValueError(
-                    f"Rig: camera {name!r}: depths count in the fit of one camera only; drop them "
-                    "by data.with_depths(None)"
                 )
             if not NAME.fullmatch(name):
                 raise ValueError(

@@ -61,6 +61,7 @@ from .problem import JointProblem as JointProblem
 from .problem_builder import BuiltProblem as BuiltProblem
 from .problem_builder import build_problem as build_problem
 from .problem_builder import unprojectable_views_message as unprojectable_views_message
+from .problem_builder import with_depth_bias as with_depth_bias
 from .problem_builder import with_field as with_field
 from .problem_builder import with_free_camera_poses as with_free_camera_poses
 from .problem_builder import with_lens as with_lens

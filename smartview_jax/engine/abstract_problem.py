@@ -103,9 +103,12 @@ class AbstractProblem(eqx.Module):
         """The number of visible points in all pictures, or of numbers of tracked poses."""
 
     @property
+    @abc.abstractmethod
     def number_count(self) -> int:
-        """The number of measured numbers: two for each visible point."""
-        return 2 * self.visible_count
+        """The number of measured numbers: two for each visible point, and its depth if it has one.
+
+        Of tracked poses it is the number of their coordinates.
+        """
 
     @property
     @abc.abstractmethod

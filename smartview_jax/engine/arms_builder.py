@@ -18,7 +18,7 @@ from .arms_problem import ArmInRig, ArmsProblem
 from .parameters import POSE_CORRECTIONS, Step, host_retract_transform, parameter_mask
 from .priors import ParameterChoice, Prior
 from .problem_builder import prior_means_and_weights
-from .rig_builder import BuiltRig, rig_parameter_names
+from .rig_builder import BuiltRig, camera_mask, rig_parameter_names
 from .rig_problem import RigProblem
 
 BASE_FROM_WORLD = "base_from_world"
@@ -145,7 +145,7 @@ def build_arms(
     )
     problem = ArmsProblem(
         arms=_placed(parts, place, bases),
-        camera_mask=to_device(np.array([".camera." in name for name in names])),
+        camera_mask=to_device(camera_mask(names)),
         pixel_sigma=to_device(np.array(1.0)),
         free=to_device(np.flatnonzero(shared.free)),
         per_view_free=to_device(per_view_free),

@@ -141,6 +141,11 @@ class ArmsProblem(AbstractRigProblem):
         return sum(arm.problem.visible_count for arm in self.arms)
 
     @property
+    def number_count(self) -> int:
+        """The number of measured numbers, as in `AbstractProblem`."""
+        return sum(arm.problem.number_count for arm in self.arms)
+
+    @property
     def observation_count(self) -> int:
         """The number of points in all pictures, visible or not."""
         return sum(arm.problem.observation_count for arm in self.arms)

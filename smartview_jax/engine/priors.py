@@ -1,7 +1,7 @@
 """Define Gaussian priors on single parameters, and what a fit holds, frees and assumes."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, TypedDict
 
 from ..argument_checks import require_instance, require_names
@@ -77,6 +77,19 @@ class ParameterChoice(NamedTuple):
     def states(self, path: str) -> bool:
         """Return whether the user made any choice of this very path."""
         return path in (*self.fixed, *self.free, *self.priors)
+
+    def of_camera(self, name: str) -> "ParameterChoice":
+        """Return the choice that concerns the lens of a rig's camera, in the camera's own names."""
+        start, lens = f"{name}.", f"{name}.camera"
+
+        def own(paths: Iterable[str]) -> tuple[str, ...]:
+            """Return the paths of the lens, without the camera's name."""
+            whole = (lens if path == name else path for path in paths)
+            return tuple(path.removeprefix(start) for path in whole if path.startswith(lens))
+
+        of_lens = {path: prior for path, prior in self.priors.items() if path.startswith(lens)}
+        priors = {path.removeprefix(start): prior for path, prior in of_lens.items()}
+        return ParameterChoice(own(self.fixed), own(self.free), priors)
 
     def holding(self, *paths: str) -> "ParameterChoice":
         """Return the choice with further parameters held."""

@@ -109,10 +109,7 @@ class JointProblem(AbstractProblem):
 
     @property
     def number_count(self) -> int:
-        """The number of measured numbers: two for each visible point, and its depth if it has one.
-
-        Of tracked poses it is the number of their coordinates.
-        """
+        """The number of measured numbers, as in `AbstractProblem`."""
         depths = self.seen_points.depths if self.has_depths else None
         used = 0 if depths is None else int((depths.used & self.observations.visible).sum())
         return 2 * self.visible_count + used

@@ -137,7 +137,7 @@ def build_problem(
     noise_model = noise if isinstance(noise, Noise) else None
     if start.depth_bias is not None:
         choice = choice._replace(priors=TYPICAL_DEPTH_BIAS | choice.priors)
-        data = _with_known_depth_noise(data, noise_model)
+        data = data if noise_model is None else with_known_depth_noise(data, noise_model)
     shared = Parameters(start)
     shared_size = shared.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
@@ -249,14 +249,23 @@ def with_depth_bias(start: Calibration, data: Dataset) -> Calibration:
     return dataclasses.replace(start, depth_bias=DepthBias())
 
 
-def _with_known_depth_noise(data: Dataset, noise: Noise | None) -> Dataset:
-    """Return the data whose depths count relative to a stated noise of pixels, if it is known."""
+def with_known_depth_noise(data: Dataset, noise: Noise, factor: float = 1.0) -> Dataset:
+    """Return the data whose depths count relative to a stated noise of pixels.
+
+    Data without depths, and depths that count relative to a noise already, stay as they are.
+
+    Args:
+        data: the data set.
+        noise: the noise; without standard deviations of the poses it states none.
+        factor: of this camera's pixel noise.
+    """
     depths, stated = data.depths, data.depth_noise
-    assert depths is not None
-    if noise is None or not noise.has_pose_prior or depths.is_weighed:
+    if depths is None or not noise.has_pose_prior or depths.is_weighed:
         return data
     common = 0.0 if stated is None else stated.common or 0.0
-    return dataclasses.replace(data, depths=depths.weighed(noise.within_view_pixel, common))
+    return dataclasses.replace(
+        data, depths=depths.weighed(factor * noise.within_view_pixel, common)
+    )
 
 
 def _is_same_field(first: AbstractField, second: AbstractField) -> bool:

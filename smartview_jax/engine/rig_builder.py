@@ -1,11 +1,12 @@
 """Build the least-squares problem of a rig: one robot, and several cameras and targets."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Unpack
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Bool
 
 from ..calibration import Calibration
 from ..dataset import Rig
@@ -15,6 +16,7 @@ from ..runtime.padding import padded_counts, repeat_last
 from .abstract_problem import AbstractBuiltProblem
 from .noise import Noise
 from .parameters import (
+    DEPTH_BIAS_NAMES,
     ROBOT_ERROR,
     TARGET_SCALE,
     Parameters,
@@ -28,10 +30,13 @@ from .prepared_poses import PreparedPoses, prepare_poses
 from .priors import ParameterChoice, ParameterOptions
 from .problem import JointProblem
 from .problem_builder import (
+    TYPICAL_DEPTH_BIAS,
     prior_means_and_weights,
     step_from_vector,
     unprojectable_points,
+    with_depth_bias,
     with_field,
+    with_known_depth_noise,
 )
 from .rig_problem import CameraGroup, RigProblem
 
@@ -102,14 +107,22 @@ def build_rig(
     field = checked_field_choice(field)
     if field == "auto":
         _require_one_robot_error(starts)
-    starts = {name: with_field(start, field) for name, start in starts.items()}
+    starts = {
+        name: with_depth_bias(with_field(start, field), rig.cameras[name])
+        for name, start in starts.items()
+    }
     camera_names = rig_parameter_names(rig, starts)
     names = tuple(dict.fromkeys(name for own in camera_names.values() for name in own))
     error = next(iter(starts.values())).robot_error
     prepared = prepare_poses(error, rig.command)
     place = {name: k for k, name in enumerate(names)}
     index = {camera: [place[name] for name in own] for camera, own in camera_names.items()}
-    groups, cameras = _grouped(rig, starts, prepared, index, relative_sigmas or {})
+    relative = dict.fromkeys(rig.cameras, 1.0) | dict(relative_sigmas or {})
+    weighed = {
+        name: with_known_depth_noise(data, noise, relative[name])
+        for name, data in rig.cameras.items()
+    }
+    groups, cameras = _grouped(rig.with_cameras(weighed), starts, prepared, index, relative)
 
     corrections = correction_names(rig.view_ids)
     whole, size = (*names, *corrections), len(names)
@@ -122,15 +135,21 @@ def build_rig(
     placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
     is_free[size:] &= placed.repeat(6)
     fitted_field = None if field == "auto" else field
-    mean, weight = prior_means_and_weights(whole, size, choice.priors, noise, fitted_field, 1.0)
-    is_camera = np.array([".camera." in name for name in names])
+    typical = {
+        f"{camera}.{path}": prior
+        for camera, start in starts.items()
+        if start.depth_bias is not None
+        for path, prior in TYPICAL_DEPTH_BIAS.items()
+    }
+    priors = typical | choice.priors
+    mean, weight = prior_means_and_weights(whole, size, priors, noise, fitted_field, 1.0)
     states = len(rig.view_ids)
     problem = RigProblem(
         groups=groups,
         command=rig.command,
         start_error=error,
         pixel_sigma=to_device(np.array(noise.pixel)),
-        camera_mask=to_device(is_camera),
+        camera_mask=to_device(camera_mask(names)),
         free=to_device(np.flatnonzero(is_free[:size])),
         per_view_free=to_device(is_free[size:].reshape(-1, 6)),
         prior_mean=step_from_vector(mean, size),
@@ -146,6 +165,12 @@ def build_rig(
         cameras,
         camera_names,
     )
+
+
+def camera_mask(names: Sequence[str]) -> Bool[np.ndarray, "shared"]:
+    """Return the mask of the parameters of cameras and of their depths, by their names."""
+    own = ("camera", DEPTH_BIAS_NAMES[0].split(".")[0])
+    return np.array([any(f".{part}." in name for part in own) for name in names])
 
 
 def _require_one_robot_error(starts: Mapping[str, Calibration]) -> None:
@@ -185,6 +210,7 @@ def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str
         target = f"{rig.targets[camera]}." if several else ""
         prefixes = {
             "camera": f"{camera}.",
+            DEPTH_BIAS_NAMES[0].split(".")[0]: f"{camera}.",
             start.transform_names[0]: f"{camera}.",
             start.transform_names[1]: target,
             TARGET_SCALE: target,
@@ -217,9 +243,10 @@ def _grouped(
             own = np.full(views, len(rig.view_ids))
             own[: rig.cameras[camera].view_count] = rig.state_index[camera]
             states.append(own)
-            sigma = relative_sigmas.get(camera, 1.0)
             problems.append(
-                _camera_alone(rig, camera, starts[camera], prepared, sigma, (views, points))
+                _camera_alone(
+                    rig, camera, starts[camera], prepared, relative_sigmas[camera], (views, points)
+                )
             )
         stacked = jax.tree.map(
             lambda *x: to_device(np.stack([np.asarray(y) for y in x])), *problems

@@ -74,8 +74,12 @@ class RigProblem(AbstractRigProblem):
     @property
     def visible_count(self) -> int:
         """The number of visible points in all pictures."""
-        counts = (np.asarray(g.problems.observations.visible).sum() for g in self.groups)
-        return int(sum(counts))
+        return sum(group.problems.visible_count for group in self.groups)
+
+    @property
+    def number_count(self) -> int:
+        """The number of measured numbers, as in `AbstractProblem`."""
+        return sum(group.problems.number_count for group in self.groups)
 
     @property
     def observation_count(self) -> int:
@@ -105,8 +109,8 @@ class RigProblem(AbstractRigProblem):
         groups = tuple(_with_prepared_poses(group, prepared) for group in self.groups)
         return dataclasses.replace(self, groups=groups)
 
-    def observation_residuals(self, z: Step) -> tuple[Array, ...]:
-        """Return the whitened residuals of each group's observations."""
+    def observation_residuals(self, z: Step) -> tuple[Any, ...]:
+        """Return the whitened residuals of each group's pixels, and of its depths if it has any."""
         return self._by_group(z, lambda problem, own: problem.observation_residuals(own))
 
     def chain(self, z: Step) -> tuple[FittedChain, ...]:

@@ -64,7 +64,7 @@ from .folder_pictures import LoadOptions, picture_files, read_board_heights
 from .joints import joints_entry, refuse_unreadable_joints, write_joints
 from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
-from .point_depths import with_folder_depths, write_depths
+from .point_depths import DEPTHS_FILE, with_folder_depths, write_depths
 from .poses import (
     OTHER_POSES_FILE,
     POSES_FILE,
@@ -345,7 +345,7 @@ def _save_pictures(data: Dataset, folder: Path, pose_format: str) -> None:
         data.mount,
         {
             "detections": {"rows": rows},
-            **write_depths(data, folder),
+            **write_depths(data, folder / DEPTHS_FILE),
             **written_joints(folder, data),
             **of_other,
         },

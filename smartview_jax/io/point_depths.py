@@ -44,6 +44,7 @@ def with_folder_depths(
     content: Mapping[str, Any],
     description_path: Path,
     options: LoadOptions,
+    table: str = DEPTHS_FILE,
 ) -> Dataset:
     """Return the data set of a folder with the depths at its points, if it has any.
 
@@ -53,6 +54,7 @@ def with_folder_depths(
         content: content of its description.
         description_path: path of the description, for error messages.
         options: how the folder is read.
+        table: name of the table of depths in the folder.
 
     Raises:
         ValueError: a wrong picture or table, or depths that do not belong to the target.
@@ -64,7 +66,7 @@ def with_folder_depths(
         depths, notes = _depths_of_pictures(data, folder, dict(content), description_path, options)
     elif "depths" in content:
         entry = content["depths"]
-        depths = _read_depths(folder / DEPTHS_FILE, data, entry.get("rows"))
+        depths = _read_depths(folder / table, data, entry.get("rows"))
     else:
         return data
     noise = entry.get("noise")
@@ -143,7 +145,7 @@ def _read_depths(
     return depths
 
 
-def write_depths(data: Dataset, folder: Path) -> dict[str, Any]:
+def write_depths(data: Dataset, path: Path) -> dict[str, Any]:
     """Write the depths of a data set, if it has any, and return the entry that describes them.
 
     Depths that were left out as outliers have no row.
@@ -155,7 +157,8 @@ def write_depths(data: Dataset, folder: Path) -> dict[str, Any]:
         (data.view_ids[view], int(point), float(measured[view, point]))
         for view, point in np.argwhere(data.depths.used)
     ]
-    write_table(folder / DEPTHS_FILE, _COLUMNS, rows)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_table(path, _COLUMNS, rows)
     noise = dataclasses.asdict(data.depth_noise)
     if noise["common"] is None:
         del noise["common"]

@@ -32,6 +32,13 @@ Of several arms, each has its own tables, and a camera states which arm moved it
       right: {poses: {file: right/poses.csv, codec: fanuc_wpr, length_unit: mm, angle_unit: deg,
                       direction: base_from_tool}}
 
+A camera that measures depths too has the entry `depth_pictures` or `depths` of `point_depths`; the
+table of the latter is `depths/<camera>.csv`:
+
+    cameras:
+      wrist: {image_size: [640, 480],
+              depth_pictures: {pattern: "depth/wrist/{view}.png", unit: mm}}
+
 Detected points of a camera are kept in `detections/<camera>.csv`. All else is as in a folder with
 one camera (`dataset_folder`).
 """
@@ -66,6 +73,7 @@ from .folder_description import (
     without_nulls,
 )
 from .folder_pictures import LoadOptions, picture_files
+from .point_depths import with_folder_depths, write_depths
 from .poses import poses_entry
 from .robot_readings import RobotReadings, read_robot_readings, table_of_views
 from .rough_pose import rough_pose_of
@@ -75,8 +83,8 @@ from .target_file import read_target
 if TYPE_CHECKING:
     from ..schemas.rig import RigFile
 
-DETECTIONS_FOLDER = "detections"
-"""The name of the folder with a table of detected points for each camera."""
+DETECTIONS_FOLDER, DEPTHS_FOLDER = "detections", "depths"
+"""The names of the folders with a table of detected points, or of depths, for each camera."""
 
 
 def is_rig_folder(folder: str | os.PathLike[str]) -> bool:
@@ -140,6 +148,14 @@ def load_rig(
         first = next(patterns[name] for name in cameras if arms[name] == arm)
         named = {"pictures": {"pattern": first}} if pattern else {}
         readings_of[arm] = read_robot_readings(folder, {**robot, **named}, path, bad_views)
+
+    def with_depths(name: str, data: Dataset, options: LoadOptions) -> Dataset:
+        """Return a camera's data set with the depths at its points, if it has any."""
+        entries = {**robots[arms[name]], **content["cameras"][name]}
+        table = f"{DEPTHS_FOLDER}/{name}.csv"
+        with errors_at(f"cameras.{name}"):
+            return with_folder_depths(data, folder, entries, path, options, table)
+
     data = {}
     for name, camera in cameras.items():
         readings, table = readings_of[arms[name]], table_of_views(folder, robots[arms[name]])
@@ -148,6 +164,7 @@ def load_rig(
         if pattern is None:
             seen = _detected_views(camera, readings)
             data[name] = detected_dataset(camera, readings.of_views(seen), options, path)
+            data[name] = with_depths(name, data[name], options)
             continue
         files = picture_files(
             folder,
@@ -163,6 +180,7 @@ def load_rig(
             raise FileNotFoundError(f"{folder / patterns[name]}: camera {name} has no picture")
         files = {view: files[view] for view in seen}
         data[name] = camera_dataset(camera, readings.of_views(seen), files, options, path)
+        data[name] = with_depths(name, data[name], options)
     for arm, robot in robots.items():
         own = {name: seen for name, seen in data.items() if arms[name] == arm}
         _refuse_unseen_states(readings_of[arm].view_ids, own, table_of_views(folder, robot))
@@ -282,6 +300,7 @@ def _save_rig(rig: Rig, folder: Path, pose_format: str) -> None:
             **({} if one_target else {"target": rig.targets[name]}),
             **({"arm": rig.arms[name]} if several else {}),
             "detections": {"rows": rows},
+            **write_depths(data, folder / DEPTHS_FOLDER / f"{name}.csv"),
         }
     described = {name: target_to_dict(target) for name, target in targets.items()}
     entries: dict[str, Any] = {"cameras": cameras}

@@ -8,21 +8,19 @@ from typing import Any
 import jax
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from ..argument_checks import require_instance, require_one_of
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..cameras import AbstractLens
 from ..dataset import (
     Dataset,
-    DepthSensor,
     PoseDataset,
     chain_residuals,
     digests_to_keep,
     repeated_views,
 )
 from ..engine import (
-    DEPTH_BIAS_NAMES,
     ROBOT_ERROR,
     AbstractLoss,
     BlockArrow,
@@ -62,6 +60,7 @@ from ..runtime.compilation import refuse_traced
 from ..runtime.modules import with_fields
 from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise, with_weighed_depths
+from .fitted_depth_sensor import fitted_depth_sensor
 from .gross_errors import remove_gross_errors, without_views
 from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
@@ -385,36 +384,7 @@ def _assemble_fit(
         parameter_names=built.shared_names,
         view_ids=data.view_ids,
         result=solver_result(solution),
-        sensor=_depth_sensor(data, calibration, built.shared_names, common_covariance),
-    )
-
-
-def _depth_sensor(
-    data: Dataset,
-    calibration: Calibration,
-    names: Sequence[str],
-    covariance: Float[np.ndarray, "free free"],
-) -> DepthSensor | None:
-    """Return bias and noise of the depths at the points; None without a depth sensor."""
-    bias, noise = calibration.depth_bias, data.depth_noise
-    if bias is None or noise is None:
-        return None
-    # A held parameter has no uncertainty.
-    rows = [names.index(name) if name in names else -1 for name in DEPTH_BIAS_NAMES]
-    padded = np.pad(covariance, (0, 1))
-    scale_std, offset_std = map(float, np.sqrt(np.diagonal(padded)[rows]))
-    product = scale_std * offset_std
-    correlation = float(padded[rows[0], rows[1]]) / product if product else 0.0
-    return DepthSensor(
-        float(bias.scale),
-        float(bias.offset),
-        scale_std,
-        offset_std,
-        correlation,
-        None,
-        noise.constant,
-        noise.quadratic,
-        noise.common or 0.0,
+        sensor=fitted_depth_sensor(data, calibration, built.shared_names, common_covariance),
     )
 
 

@@ -9,6 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
+from ..dataset import DepthSensor
 from ..engine import (
     BuiltArms,
     BuiltRig,
@@ -57,6 +58,7 @@ class RigFit(eqx.Module):
         bases: transform from each arm's base to the base of the first; empty for one arm.
         arms: name of the arm of each camera.
         warnings: reasons to doubt the result, a sentence each.
+        sensors: depth sensor of each camera that has one, by the camera's name.
         picture_digests: digests of each camera's pictures, by its name, by which
             `smartview evaluate` recognises them.
 
@@ -88,6 +90,7 @@ class RigFit(eqx.Module):
     bases: dict[str, SE3]
     arms: dict[str, str] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    sensors: dict[str, DepthSensor] = eqx.field(static=True, default_factory=dict)
     picture_digests: dict[str, tuple[str, ...]] = eqx.field(static=True, default_factory=dict)
 
     def __repr__(self) -> str:
@@ -111,6 +114,8 @@ class RigFit(eqx.Module):
                 f"  +- {1e3 * np.hypot.reduce(places):.2f} mm and "
                 f"{np.degrees(np.hypot.reduce(turns)):.3f} degrees; {self.rms(name):.3f} px RMS",
             ]
+            if name in self.sensors:
+                lines.append(f"  depth sensor: {self.sensors[name].described}")
         for arm, built in self.built_by_arm.items():
             robot, states = self.noises[arm], len(built.problem.per_view_free)
             lines.append(
@@ -191,6 +196,7 @@ class RigFit(eqx.Module):
             dataclasses.replace(noise, pixel=sigma, white_pixel=white),
             sigma,
             Observability(rank, len(kept), directions, (), smallest),
+            self.sensors.get(camera),
         )
 
     def of_arm(

@@ -30,6 +30,7 @@ from ..engine import (
     covariance,
     per_view_std,
     reduced_equations,
+    with_depth_bias,
 )
 from ..fit_result import Rejection
 from ..geometry import host_matrices
@@ -38,6 +39,7 @@ from ..runtime.array_namespace import to_device
 from ..staged import with_region
 from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
+from .fitted_depth_sensor import fitted_depth_sensor
 from .held_parameters import held_camera_warnings
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
@@ -95,6 +97,10 @@ def fit_rig(
     """
     require_instance("rig", rig, Rig)
     choice, prior = ParameterChoice.of(**parameters), robot_prior or RobotPrior()
+    starts = {
+        name: with_depth_bias(start, rig.cameras[name]) if name in rig.cameras else start
+        for name, start in starts.items()
+    }
     several, arms = len(rig.arm_names) > 1, {}
     choices = choices_of_arms(rig, starts, choice)
     for arm in rig.arm_names:
@@ -168,7 +174,7 @@ def _assembled(
         common = common + added
         std = np.sqrt(std**2 + np.diagonal(added))
     of_states = per_view_std(reduced, common, 1.0)[np.asarray(built.problem.per_view_free)]
-    calibrations, residuals, inliers, pixel_sigmas = {}, {}, {}, {}
+    calibrations, residuals, inliers, pixel_sigmas, sensors = {}, {}, {}, {}, {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):
         sigma = float(arm.built.problem.pixel_sigma)
@@ -185,6 +191,9 @@ def _assembled(
             inliers[name] = np.asarray(data.visible) & (np.sum(own**2, axis=-1) <= gate)
             residuals[name] = to_device(chain_residuals(calibration, data.observations))
             calibrations[name] = with_region(calibration, data)
+            sensor = fitted_depth_sensor(data, calibration, built.shared_names, common, f"{name}.")
+            if sensor is not None:
+                sensors[name] = sensor
     left_out = [entry for arm in arms.values() for entry in arm.rejected]
     return RigFit(
         calibrations=calibrations,
@@ -213,6 +222,7 @@ def _assembled(
         result=solver_result(solution),
         bases={} if joined is None else joined.bases,
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
+        sensors=sensors,
     )
 
 

@@ -354,6 +354,7 @@ def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]
     for arm in fit.bases:
         moved = ", ".join(name for name in fit.calibrations if fit.arms[name] == arm)
         facts.append((f"arm {arm}", f"of the cameras {moved}"))
+    facts += [(f"depth sensor of {name}", own.described) for name, own in fit.sensors.items()]
     facts.append(("joint fit", fit.result.message))
     for arm, estimate in fit.noise_estimates.items():
         robot = arm if fit.bases else "the robot"

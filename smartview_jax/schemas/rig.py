@@ -9,6 +9,8 @@ from ..argument_checks import errors_at
 from .calibration import ImageSize
 from .dataset import (
     END_MARK,
+    DepthPicturesEntry,
+    DepthsEntry,
     DetectionsEntry,
     JointsEntry,
     PosesEntry,
@@ -42,13 +44,25 @@ class RigPicturesEntry(Entry):
 
 
 class RigCameraEntry(Entry):
-    """The size of a camera's pictures, its mount, and the names of its target and of its arm."""
+    """A camera: the size of its pictures, its mount, its target and arm by name, its depths."""
 
     image_size: ImageSize
     mount: _Mount | None = None
     target: PrintableText | None = None
     arm: PrintableText | None = None
     detections: DetectionsEntry | None = None
+    depth_pictures: DepthPicturesEntry | None = None
+    depths: DepthsEntry | None = None
+
+    @model_validator(mode="after")
+    def _check_depths(self) -> "RigCameraEntry":
+        if self.depth_pictures is not None and self.depths is not None:
+            raise ValueError("depths: a camera with depth_pictures has none")
+        if self.depth_pictures is not None and self.depth_pictures.camera is not None:
+            raise ValueError(
+                "depth_pictures.camera: leave it out; known cameras of a rig are given by --camera"
+            )
+        return self
 
 
 class RobotEntries(Entry):

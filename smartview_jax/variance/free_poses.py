@@ -8,8 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..calibration import TargetShape
-from ..engine import BuiltProblem, JointProblem, NormalEquations, Step, solve
+from ..calibration import Calibration, TargetShape
+from ..engine import (
+    BuiltProblem,
+    JointProblem,
+    NormalEquations,
+    ParameterChoice,
+    Prior,
+    Step,
+    solve,
+)
 from .likelihood import LinearisedViews
 from .view_statistics import ViewStatistics, with_free_poses
 
@@ -42,6 +50,20 @@ class FreePoseFit(NamedTuple):
     equations: NormalEquations
     sum_of_squares: float
     shape: TargetShape | None
+
+
+def choice_for_free_poses(
+    choice: ParameterChoice, start: Calibration, view_count: int
+) -> ParameterChoice:
+    """Return a choice of parameters with which any number of views can be fitted with free poses.
+
+    One or two views do not tell a lens: it is held. The prior on the mount has no effect, since
+    every view has a free pose, but so few views are refused without one.
+    """
+    if view_count >= 3:
+        return choice
+    mount = {start.transform_names[0]: Prior(std=1.0)}
+    return choice.holding("camera")._replace(priors=choice.priors | mount)
 
 
 def fit_free_poses(

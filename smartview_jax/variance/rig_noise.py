@@ -13,7 +13,6 @@ from ..engine import (
     BuiltRig,
     Noise,
     ParameterChoice,
-    Prior,
     Step,
     build_problem,
     build_rig,
@@ -25,7 +24,7 @@ from ..robot_errors import AbstractField, FieldChoice, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .averaged_fit import average_over_models, averaged_noise
 from .fisher_scoring import StandardDeviationPrior
-from .free_poses import fit_free_poses
+from .free_poses import choice_for_free_poses, fit_free_poses
 from .kenward_roger import SmallSampleCorrection, small_sample_correction
 from .likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations
 from .model_average import between_models_covariance
@@ -162,17 +161,8 @@ def _camera_noise(rig: Rig, name: str, start: Calibration) -> CameraNoise:
     field = encompassing_field(data, len(usable)) if data.arm is None else None
     groups = 0 if field is None else len(field.groups)
     noise = Noise(1.0, 1.0, 1.0, field=(1.0,) * groups)
-    # One or two views do not tell a lens: it is held. The prior has no effect, since every view has
-    # a free pose, but so few views are refused without one.
-    few = len(usable) < 3
-    built = build_problem(
-        data,
-        start.uncorrected,
-        noise=noise,
-        field=field,
-        fixed=("camera",) if few else (),
-        priors={start.transform_names[0]: Prior(std=1.0)} if few else None,
-    )
+    choice = choice_for_free_poses(ParameterChoice.of(), start, len(usable))
+    built = build_problem(data, start.uncorrected, noise=noise, field=field, **choice._asdict())
     fit = fit_free_poses(built, usable, None)
     poses = built.pose_parameters(usable)
     views = ViewStatistics(built, poses, fit.sum_of_squares)

@@ -2,6 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from depth_scene import depth_scene
 from fit_scenes import scene_of
 from jax.flatten_util import ravel_pytree
 from scipy_optimum import residuals_and_jacobian, scipy_optimum
@@ -17,11 +18,22 @@ NOISE = Noise(0.15, 1e-4, 2e-4)
 
 @pytest.fixture(scope="module")
 def pair():
-    """The problem of an arm that carries two cameras at one place, with lenses of two kinds."""
-    data = scene_of(0, translation_noise=1e-4).data
+    """The problem of an arm that carries two cameras at one place, with lenses of two kinds.
+
+    The left one measures depths too.
+    """
+    scene = depth_scene(0, translation_noise=1e-4)
     start = nudged(paper_calibration())
     starts = {"left": start, "right": with_lens(start, "opencv4")}
-    return build_rig(Rig({"left": data, "right": data}), starts, noise=NOISE).problem
+    rig = Rig({"left": scene.data.with_depths(scene.depths), "right": scene.data})
+    return build_rig(rig, starts, noise=NOISE).problem
+
+
+def test_depths_count_as_measured_numbers(pair):
+    left, right = depth_scene(0, translation_noise=1e-4), scene_of(0, translation_noise=1e-4)
+    visible = np.asarray(right.data.visible)
+    depths = np.isfinite(left.depths) & visible
+    assert pair.number_count == 4 * visible.sum() + depths.sum()
 
 
 def test_scipy_finds_the_same_optimum(pair):

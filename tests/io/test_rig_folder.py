@@ -3,6 +3,7 @@
 import dataclasses
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 from detected_sample import detected_sample
@@ -11,6 +12,7 @@ from jaxlie import SE3
 from text_files import edit
 
 from smartview_jax import Rig, load_dataset, load_rig, save_rig
+from smartview_jax.dataset import DepthNoise
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import is_rig_folder, sample_folder
 from smartview_jax.robots import six_axes
@@ -92,6 +94,44 @@ def test_a_camera_has_the_states_of_which_it_has_pictures(pictured):
     assert messages == [
         f"{name}: detections of 2 views from {name}.csv" for name in ("left", "right")
     ]
+
+
+def test_depths_of_a_camera_are_written_and_read(rig, tmp_path):
+    wrist = rig.cameras["wrist"]
+    depths = 0.2 + 2e-4 * np.random.default_rng(0).normal(size=wrist.visible.shape)
+    depths[1, 2] = np.nan
+    noise = DepthNoise(2e-4, 2e-3)
+    with_depths = {**rig.cameras, "wrist": wrist.with_depths(depths, noise)}
+    save_rig(rig.with_cameras(with_depths), tmp_path)
+    loaded = load_rig(tmp_path).cameras
+    assert loaded["fixed"].depths is None
+    assert loaded["wrist"].depth_noise == noise
+    used = np.isfinite(depths) & np.asarray(wrist.visible)
+    np.testing.assert_array_equal(loaded["wrist"].depths.used, used)
+    np.testing.assert_allclose(loaded["wrist"].depths.measured[used], depths[used], rtol=1e-12)
+    edit(tmp_path / "depths/wrist.csv", "0,0,", "0,99,")
+    with pytest.raises(ValueError, match=r"wrist\.csv: view state 0: the target has no point 99"):
+        load_rig(tmp_path)
+
+
+def test_depth_pictures_of_a_camera_are_read(pictured, tmp_path):
+    folder = tmp_path / "rig"
+    shutil.copytree(pictured, folder)
+    entry = 'depth_pictures: {pattern: "depth/{view}.png", unit: mm, noise: {constant: 0.001}}'
+    edit(folder / "dataset.yaml", "left: {", f"left: {{{entry}, ")
+    with pytest.raises(FileNotFoundError, match=r"depth/0\.png"):
+        load_rig(folder)
+    (folder / "depth").mkdir()
+    width, height = detected_sample().image_size
+    for view in "01":
+        cv2.imwrite(str(folder / f"depth/{view}.png"), np.full((height, width), 431, np.uint16))
+    data = load_rig(folder).cameras["left"]
+    seen = np.asarray(data.visible)
+    np.testing.assert_array_equal(data.depths.used, seen)
+    np.testing.assert_allclose(np.asarray(data.depths.measured)[seen], 0.431)
+    edit(folder / "dataset.yaml", "unit: mm, noise: {constant: 0.001}", "unit: mm, camera: c.yaml")
+    with pytest.raises(ValueError, match=r"cameras\.left.*depth_pictures\.camera: leave it out"):
+        load_rig(folder)
 
 
 @pytest.mark.parametrize(
