@@ -67,6 +67,7 @@ from .problem_builder import with_free_camera_poses as with_free_camera_poses
 from .problem_builder import with_lens as with_lens
 from .rig_builder import BuiltRig as BuiltRig
 from .rig_builder import build_rig as build_rig
+from .rig_builder import require_starts as require_starts
 from .rig_builder import rig_parameter_names as rig_parameter_names
 from .rig_problem import CameraGroup as CameraGroup
 from .rig_problem import RigProblem as RigProblem

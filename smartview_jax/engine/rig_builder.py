@@ -167,6 +167,14 @@ def build_rig(
     )
 
 
+def require_starts(rig: Rig, starts: Mapping[str, Calibration]) -> None:
+    """Raise a ValueError unless there is one start for each camera of a rig."""
+    if set(starts) != set(rig.cameras):
+        raise ValueError(
+            f"starts: expected the cameras {', '.join(rig.cameras)}, found {', '.join(starts)}"
+        )
+
+
 def camera_mask(names: Sequence[str]) -> Bool[np.ndarray, "shared"]:
     """Return the mask of the parameters of cameras and of their depths, by their names."""
     own = ("camera", DEPTH_BIAS_NAMES[0].split(".")[0])
@@ -195,10 +203,7 @@ def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str
     Raises:
         ValueError: starts that do not belong to the rig.
     """
-    if set(starts) != set(rig.cameras):
-        raise ValueError(
-            f"starts: expected the cameras {', '.join(rig.cameras)}, found {', '.join(starts)}"
-        )
+    require_starts(rig, starts)
     several = len(set(rig.targets.values())) > 1
     several_arms = len(rig.arm_names) > 1
     of_cameras: dict[str, tuple[str, ...]] = {}

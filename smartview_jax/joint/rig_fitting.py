@@ -30,6 +30,7 @@ from ..engine import (
     covariance,
     per_view_std,
     reduced_equations,
+    require_starts,
     with_depth_bias,
 )
 from ..fit_result import Rejection
@@ -97,10 +98,8 @@ def fit_rig(
     """
     require_instance("rig", rig, Rig)
     choice, prior = ParameterChoice.of(**parameters), robot_prior or RobotPrior()
-    starts = {
-        name: with_depth_bias(start, rig.cameras[name]) if name in rig.cameras else start
-        for name, start in starts.items()
-    }
+    require_starts(rig, starts)
+    starts = {name: with_depth_bias(own, rig.cameras[name]) for name, own in starts.items()}
     several, arms = len(rig.arm_names) > 1, {}
     choices = choices_of_arms(rig, starts, choice)
     for arm in rig.arm_names:
