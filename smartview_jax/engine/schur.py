@@ -261,15 +261,19 @@ def inverse_cholesky_factor(matrix: Float[AnyArray, "*batch n n"]) -> Float[AnyA
         # NumPy does not use that the matrix is triangular, which takes four times as long.
         factor, info = _cholesky(matrix, lower=1)
         return _invert_triangular(factor, lower=1)[0] if info == 0 else np.full_like(matrix, np.nan)
-    if 0 < len(matrix) <= MAX_SINGLE_FACTORS and matrix.ndim == 3:
-        return np.array([inverse_cholesky_factor(block) for block in matrix])
+    if 0 < matrix.size <= MAX_SINGLE_FACTORS * matrix.shape[-1] ** 2:
+        blocks = matrix.reshape(-1, *matrix.shape[-2:])
+        return np.array([inverse_cholesky_factor(x) for x in blocks]).reshape(matrix.shape)
     # In units with a diagonal of one, pivoting does not depend on the units of the matrix.
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = 1.0 / np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
     try:
         factor = np.linalg.cholesky(matrix * unit[..., None] * unit[..., None, :])
     except np.linalg.LinAlgError:
-        return np.full_like(matrix, np.nan)
+        if matrix.ndim == 2:
+            return np.full_like(matrix, np.nan)
+        # NumPy does not say which one it was.
+        return np.array([inverse_cholesky_factor(x) for x in matrix])
     return _inverse_of_lower(factor) * unit[..., None, :]
 
 

@@ -94,7 +94,7 @@ class LikelihoodMaximum(NamedTuple):
 
 def fisher_information(
     views: LinearisedViews, marginal: Marginalisation, kinds: Kinds
-) -> Float[AnyArray, "kinds kinds"]:
+) -> Float[AnyArray, "*searches kinds kinds"]:
     """Compute the Fisher information matrix of the logarithms of the standard deviations.
 
     With P_j the prior precisions of one kind of random number j, n_j their count, and C the
@@ -119,10 +119,9 @@ def fisher_information(
 
     # P_j as rows of weights: the groups of the field, and last the parameters with a known prior.
     has_known_prior = (views.group_index < 0).astype(float)
-    shared_precisions = (
-        xp.concatenate([kinds.groups, has_known_prior[None]])
-        * marginal.prior_precision.shared[None]
-    )
+    members = xp.concatenate([kinds.groups, has_known_prior[..., None, :]], axis=-2)
+    shared_precisions = members * marginal.prior_precision.shared[..., None, :]
+    columns_of_precisions = shared_precisions.swapaxes(-1, -2)
 
     # P_j are diagonal: tr(C P_j C P_k) = sum_ab P_j,a C_ab^2 P_k,b, summed block by block. For the
     # blocks of the views, with N_j = sum_v K_v^T P_j K_v, where only three rows of a view belong to
@@ -130,55 +129,61 @@ def fisher_information(
     # parameter, and tr(N_j C_ss N_k C_ss) is the sum over all pairs of views. It needs a correction
     # for the pairs of a view with itself, which also contain D_v^-1, entry by entry:
     # (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S).
-    shared_traces = shared_precisions @ covariance**2 @ shared_precisions.T
+    shared_traces = shared_precisions @ covariance**2 @ columns_of_precisions
     weighted_gain = marginal.gain * xp.sqrt(per_view_precision)[..., None]
-    shape = 2, 3 * len(weighted_gain), len(covariance)
-    kinds_rows = [rows_of_views(weighted_gain[:, rows]) for rows in (slice(0, 3), slice(3, 6))]
-    rows = xp.concatenate(kinds_rows)
+    *searches, views_count, _, shared_count = weighted_gain.shape
+    shape = *searches, 2, 3 * views_count, shared_count
+    kinds_rows = [rows_of_views(weighted_gain[..., k : k + 3, :]) for k in (0, 3)]
+    rows = xp.concatenate(kinds_rows, axis=-2)
     rows_covariance = (rows @ covariance).reshape(shape)
-    cross_traces = (rows_covariance**2).sum(axis=1) @ shared_precisions.T
-    products = rows.reshape(shape).swapaxes(1, 2) @ rows_covariance
+    cross_traces = (rows_covariance**2).sum(axis=-2) @ columns_of_precisions
+    products = rows.reshape(shape).swapaxes(-1, -2) @ rows_covariance
     entries, transposed = (
-        x.reshape(2, covariance.size) for x in (products, products.swapaxes(1, 2))
+        x.reshape(*searches, 2, shared_count**2) for x in (products, products.swapaxes(-1, -2))
     )
-    per_view_traces = entries @ transposed.T
+    per_view_traces = entries @ transposed.swapaxes(-1, -2)
     excess = per_view_inverse * (2.0 * per_view_covariance - per_view_inverse)
-    weighted_excess = per_view_precision[:, :, None] * excess * per_view_precision[:, None]
-    per_view_traces = per_view_traces + IS_POSE_KIND @ weighted_excess.sum(axis=0) @ IS_POSE_KIND.T
-    product_traces = _arranged(per_view_traces, cross_traces, shared_traces)
-    diagonal = per_view_covariance.diagonal(axis1=1, axis2=2)
+    weighted_excess = per_view_precision[..., None] * excess * per_view_precision[..., None, :]
+    own_pairs = IS_POSE_KIND @ weighted_excess.sum(axis=-3) @ IS_POSE_KIND.T
+    product_traces = _arranged(per_view_traces + own_pairs, cross_traces, shared_traces)
+    diagonal = per_view_covariance.diagonal(axis1=-2, axis2=-1)
+    variance = covariance.diagonal(axis1=-2, axis2=-1)
     traces = xp.concatenate(
         [
-            IS_POSE_KIND @ (per_view_precision * diagonal).sum(axis=0),
-            shared_precisions @ covariance.diagonal(),
-        ]
+            (per_view_precision * diagonal).sum(axis=-2) @ IS_POSE_KIND.T,
+            (shared_precisions @ variance[..., None])[..., 0],
+        ],
+        axis=-1,
     )
 
     count = kinds.counts
-    parameter_count = views.per_view_free.sum(dtype=float) + len(covariance)
+    parameter_count = views.per_view_free.sum(dtype=float) + shared_count
     # C^-1 = P_0 + sum_j P_j with P_0 the information of the pixels. C P_0 = 1 - sum_j C P_j in the
     # formula above, with N the number of marginalised parameters, gives
     # (0, 0): n_0 - N + sum_jk tr(C P_j C P_k),  (0, j): tr(C P_j) - sum_k tr(C P_j C P_k).
-    pixel = count[0] - parameter_count + product_traces.sum()
-    pixel_robot = (traces - product_traces.sum(axis=1))[:-1]
-    robot = with_added_diagonal(product_traces[:-1, :-1], count[1:] - 2.0 * traces[:-1])
+    pixel = count[..., 0] - parameter_count + product_traces.sum(axis=(-2, -1))
+    pixel_robot = (traces - product_traces.sum(axis=-1))[..., :-1]
+    robot = with_added_diagonal(
+        product_traces[..., :-1, :-1], count[..., 1:] - 2.0 * traces[..., :-1]
+    )
     # log sigma = -log(precision) / 2: a factor of 4, times the half of the formula.
-    return 2.0 * _arranged(xp.reshape(pixel, (1, 1)), pixel_robot[None], robot)
+    return 2.0 * _arranged(pixel[..., None, None], pixel_robot[..., None, :], robot)
 
 
 def _arranged(
-    upper_left: Float[AnyArray, "m m"],
-    upper_right: Float[AnyArray, "m n"],
-    lower_right: Float[AnyArray, "n n"],
-) -> Float[AnyArray, "both both"]:
-    """Return the symmetric matrix with these blocks."""
+    upper_left: Float[AnyArray, "*searches m m"],
+    upper_right: Float[AnyArray, "*searches m n"],
+    lower_right: Float[AnyArray, "*searches n n"],
+) -> Float[AnyArray, "*searches both both"]:
+    """Return the symmetric matrices with these blocks."""
     # Twice as fast as `block`, which matters in evaluations that take less than a millisecond.
     xp = array_namespace(lower_right)
     return xp.concatenate(
         [
-            xp.concatenate([upper_left, upper_right], axis=1),
-            xp.concatenate([upper_right.T, lower_right], axis=1),
-        ]
+            xp.concatenate([upper_left, upper_right], axis=-1),
+            xp.concatenate([upper_right.swapaxes(-1, -2), lower_right], axis=-1),
+        ],
+        axis=-2,
     )
 
 
@@ -199,93 +204,185 @@ def maximise(
             field; the others stay at zero (their lower bound).
         prior: prior of the standard deviations; None for none.
     """
+    return maximise_each(views, start, np.asarray(active)[None], prior)[0]
+
+
+def maximise_each(
+    views: LinearisedViews,
+    start: StandardDeviations,
+    active: Bool[AnyArray, "searches robot"],
+    prior: StandardDeviationPrior | None = None,
+) -> list[LikelihoodMaximum]:
+    """Maximise as `maximise` does for several choices of the errors that are fitted.
+
+    The searches are independent but take their steps together: for few views nearly all of the time
+    of a step is NumPy's calls, however many matrices each is given.
+
+    Args:
+        views: the linearised views.
+        start: standard deviations at which all searches begin.
+        active: as of `maximise`, for each search.
+        prior: prior of the standard deviations; None for none.
+    """
     views, start, prior = jax.tree.map(np.asarray, (views, start, prior))
-    active = np.asarray(active)
-    # A group whose standard deviation stays at zero holds its parameters at their prior means.
-    is_held = (views.group_index >= 0) & ~np.append(active[2:], True)[views.group_index]
-    objective = _Objective(views.with_held(is_held), start, active, prior)
-    # A standard deviation estimated from n random numbers has a logarithm with standard deviation
-    # of about 1 / sqrt(2 n), which is the unit of each coordinate of the search.
-    units = 1.0 / np.sqrt(2.0 * np.maximum(kinds_of(views, len(start.field)).counts, 1.0))
-    best = initial = objective.at(np.zeros(len(units)))
-    slopes = objective.slopes(best)
-    damping, steps, converged = INITIAL_DAMPING, 0, not np.isfinite(initial.deviance)
-    while steps < MAX_SCORING_STEPS and not converged:
-        change, predicted_increase = _damped_step(slopes, damping, units)
-        trial = objective.at(best.x + change)
-        increase = 0.5 * (best.deviance - trial.deviance)
-        if increase > 0.0:
-            best, slopes = trial, objective.slopes(trial)
-        # Damping by the ratio of actual to predicted increase of the log-likelihood: a fifth above
-        # 0.5, six times below 0.1.
-        if increase > 0.5 * predicted_increase:
-            damping *= 0.2
-        elif not increase > 0.1 * predicted_increase:
-            damping *= 6.0
-        damping = min(max(damping, DAMPING_BOUNDS[0]), DAMPING_BOUNDS[1])
-        steps, converged = steps + 1, bool(predicted_increase < LOG_LIKELIHOOD_TOLERANCE)
-    return LikelihoodMaximum(
-        best.sigmas,
-        float(best.deviance),
-        float(initial.deviance - best.deviance),
-        slopes.information,
-        steps,
-    )
+    search = _Search(views, start, np.asarray(active), prior)
+    for _ in range(MAX_SCORING_STEPS):
+        if not search.is_running:
+            break
+        search.step()
+    return search.maxima
 
 
-class _Point(NamedTuple):
-    """The objective at a point x of the search.
+class _Points(NamedTuple):
+    """The objective of each search at its point x.
 
     `log_sigma_by_x` is the derivative of each log standard deviation by its coordinate,
     `prior_gradient` the gradient of the prior's negative logarithm by the log standard deviations.
     """
 
-    x: Float[np.ndarray, "kinds"]
-    sigmas: StandardDeviations
-    log_sigma_by_x: Float[np.ndarray, "kinds"]
-    prior_gradient: Float[np.ndarray, "kinds"]
+    x: Float[np.ndarray, "searches kinds"]
+    vector: Float[np.ndarray, "searches kinds"]
+    log_sigma_by_x: Float[np.ndarray, "searches kinds"]
+    prior_gradient: Float[np.ndarray, "searches kinds"]
     marginal: Marginalisation
-    deviance: float
+    deviance: Float[np.ndarray, "searches"]
 
 
-class _Slopes(NamedTuple):
-    """The derivatives of half the deviance at a point x of the search.
+class _Best(NamedTuple):
+    """The best point of each search, with the derivatives of half the deviance there.
 
     `gradient` and `expected_hessian` are by x, and `information` is the expected Hessian by the
     logarithms of the standard deviations.
     """
 
-    information: Float[np.ndarray, "kinds kinds"]
-    gradient: Float[np.ndarray, "kinds"]
-    expected_hessian: Float[np.ndarray, "kinds kinds"]
+    x: Float[np.ndarray, "searches kinds"]
+    vector: Float[np.ndarray, "searches kinds"]
+    deviance: Float[np.ndarray, "searches"]
+    information: Float[np.ndarray, "searches kinds kinds"]
+    gradient: Float[np.ndarray, "searches kinds"]
+    expected_hessian: Float[np.ndarray, "searches kinds kinds"]
+
+    def replaced(self, others: "_Best", where: Bool[np.ndarray, "searches"]) -> "_Best":
+        """Return these points with others in the place of some."""
+        if where.all():
+            return others
+        return _Best(
+            *(
+                np.where(where.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
+                for old, new in zip(self, others, strict=True)
+            )
+        )
+
+    def selected(self, where: Bool[np.ndarray, "searches"]) -> "_Best":
+        """Return the points of some of the searches."""
+        return _Best(*(array[where] for array in self))
 
 
-class _Objective:
-    """The deviance, with the prior, as a function of unbounded coordinates x."""
+class _Search:
+    """Several searches that take their steps together, from the same start."""
 
     def __init__(
         self,
         views: LinearisedViews,
         start: StandardDeviations,
-        active: Bool[np.ndarray, "robot"],
+        active: Bool[np.ndarray, "searches robot"],
         prior: StandardDeviationPrior | None,
     ):
-        self.views, self.prior = views, prior
-        self.kinds = kinds_of(views, len(start.field))
-        self.is_active = np.concatenate([[True], active])
-        self.prior_precision = np.zeros(len(self.is_active))
+        self._views, self._start, self._active, self._prior = views, start, active, prior
+        self._objective = _Objective(views, start, active, prior)
+        # A standard deviation estimated from n random numbers has a logarithm with standard
+        # deviation of about 1 / sqrt(2 n), which is the unit of each coordinate of the search.
+        counts = kinds_of(views, len(start.field)).counts
+        self._units = 1.0 / np.sqrt(2.0 * np.maximum(counts, 1.0))
+        points = self._objective.points(np.zeros((len(active), len(counts))))
+        self._best = self._objective.best_of(points)
+        self._start_deviance = points.deviance
+        self._damping, self._steps = np.full(len(active), INITIAL_DAMPING), 0
+        # The numbers of the searches that have not ended; all arrays are theirs.
+        self._numbers = np.arange(len(active))
+        self._maxima: dict[int, LikelihoodMaximum] = {}
+        self._end(~np.isfinite(points.deviance))
+
+    @property
+    def is_running(self) -> bool:
+        """Whether a search has not converged."""
+        return len(self._numbers) > 0
+
+    @property
+    def maxima(self) -> list[LikelihoodMaximum]:
+        """The result of each search."""
+        self._end(np.ones(len(self._numbers), dtype=bool))
+        return [self._maxima[k] for k in range(len(self._start_deviance))]
+
+    def step(self) -> None:
+        """Take a step of each search that has not converged."""
+        change, predicted_increase = _damped_steps(self._best, self._damping, self._units)
+        trial = self._objective.points(self._best.x + change)
+        increase = 0.5 * (self._best.deviance - trial.deviance)
+        if (increase > 0.0).any():
+            self._best = self._best.replaced(self._objective.best_of(trial), increase > 0.0)
+        # Damping by the ratio of actual to predicted increase of the log-likelihood: a fifth above
+        # 0.5, six times below 0.1.
+        is_good, is_poor = (
+            increase > 0.5 * predicted_increase,
+            ~(increase > 0.1 * predicted_increase),
+        )
+        factor = np.where(is_good, 0.2, np.where(is_poor, 6.0, 1.0))
+        self._damping = np.clip(self._damping * factor, *DAMPING_BOUNDS)
+        self._steps += 1
+        self._end(predicted_increase < LOG_LIKELIHOOD_TOLERANCE)
+
+    def _end(self, has_ended: Bool[np.ndarray, "searches"]) -> None:
+        """Keep the results of searches that have ended, and go on with the others."""
+        if not has_ended.any():
+            return
+        best = self._best
+        for k in np.flatnonzero(has_ended):
+            number = int(self._numbers[k])
+            self._maxima[number] = LikelihoodMaximum(
+                StandardDeviations.from_vector(best.vector[k]),
+                float(best.deviance[k]),
+                float(self._start_deviance[number] - best.deviance[k]),
+                best.information[k],
+                self._steps,
+            )
+        runs = ~has_ended
+        self._numbers = self._numbers[runs]
+        if self.is_running:
+            self._best, self._damping = best.selected(runs), self._damping[runs]
+            active = self._active[self._numbers]
+            self._objective = _Objective(self._views, self._start, active, self._prior)
+
+
+class _Objective:
+    """The deviance, with the prior, as a function of unbounded coordinates x, of each search."""
+
+    def __init__(
+        self,
+        views: LinearisedViews,
+        start: StandardDeviations,
+        active: Bool[np.ndarray, "searches robot"],
+        prior: StandardDeviationPrior | None,
+    ):
+        # A group whose standard deviation stays at zero holds its parameters at their prior means.
+        is_in_group = np.append(active[:, 2:], np.ones((len(active), 1), dtype=bool), axis=1)
+        is_held = (views.group_index >= 0) & ~is_in_group[:, views.group_index]
+        self.views, self.prior = views.with_held_in_searches(is_held), prior
+        self.kinds = kinds_of(self.views, len(start.field))
+        self.is_active = np.insert(active, 0, True, axis=1)
+        self.prior_precision = np.zeros(self.is_active.shape)
         if prior is not None:
-            self.prior_precision[1:] = np.where(active, prior.log_std**-2, 0.0)
+            self.prior_precision[:, 1:] = np.where(active, prior.log_std**-2, 0.0)
             self.log_median = np.log(prior.median)
-        self.lower_bounds = views.lower_bounds(len(self.is_active))
+        self.lower_bounds = views.lower_bounds(self.is_active.shape[1])
         self.log_white_sigma = np.log(self.lower_bounds[0])
         min_excess = MIN_RELATIVE_EXCESS * self.lower_bounds
         self.initial_log_excess = 0.5 * np.log(
             np.maximum(start.vector**2 - self.lower_bounds**2, min_excess**2)
         )
 
-    def at(self, x: Float[np.ndarray, "kinds"]) -> _Point:
-        """Evaluate the objective at a point of the search."""
+    def points(self, x: Float[np.ndarray, "searches kinds"]) -> _Points:
+        """Evaluate the objective at a point of each search."""
         # sigma = sqrt(bound^2 + excess^2) with
         #     log(excess) = initial_log_excess + MAX_LOG_CHANGE tanh(x / MAX_LOG_CHANGE):
         # x is unbounded, and no constraint is needed if a sigma goes to its lower bound.
@@ -294,56 +391,66 @@ class _Objective:
         excess = np.where(self.is_active, excess, 0.0)
         vector = np.hypot(self.lower_bounds, excess)
         log_sigma_by_x = (excess / vector) ** 2 * (1.0 - saturation**2)
-        sigmas = StandardDeviations.from_vector(vector)
         negative_log_prior, prior_gradient = self._negative_log_prior(np.log(vector))
-        marginal = marginalise(self.views, sigmas)
-        deviance = float(marginal.deviance + 2.0 * negative_log_prior)
-        return _Point(x, sigmas, log_sigma_by_x, prior_gradient, marginal, deviance)
+        marginal = marginalise(self.views, StandardDeviations.from_vector(vector))
+        deviance = np.asarray(marginal.deviance + 2.0 * negative_log_prior)
+        return _Points(x, vector, log_sigma_by_x, prior_gradient, marginal, deviance)
 
-    def slopes(self, point: _Point) -> _Slopes:
-        """Evaluate gradient and information matrix at a point of the search."""
-        sigmas, log_sigma_by_x = point.sigmas, point.log_sigma_by_x
+    def best_of(self, points: _Points) -> _Best:
+        """Evaluate gradients and information matrices at points."""
+        vector, log_sigma_by_x = points.vector, points.log_sigma_by_x
+        sigmas = StandardDeviations.from_vector(vector)
         # Derivative of half the deviance by log(sigma): dD / d log(sigma) = sigma dD / dsigma.
-        by_sigma = gradient(self.views, sigmas, point.marginal, self.kinds).vector
-        log_gradient = 0.5 * by_sigma * sigmas.vector + point.prior_gradient
-        information = np.asarray(fisher_information(self.views, point.marginal, self.kinds))
-        information = information + np.diag(self.prior_precision)
+        by_sigma = gradient(self.views, sigmas, points.marginal, self.kinds).vector
+        log_gradient = 0.5 * by_sigma * vector + points.prior_gradient
+        information = with_added_diagonal(
+            np.asarray(fisher_information(self.views, points.marginal, self.kinds)),
+            self.prior_precision,
+        )
         # The chain rule from log(sigma) to x; each coordinate acts on one sigma.
-        return _Slopes(
+        return _Best(
+            points.x,
+            vector,
+            points.deviance,
             information,
             log_sigma_by_x * log_gradient,
-            information * np.outer(log_sigma_by_x, log_sigma_by_x),
+            information * log_sigma_by_x[:, None] * log_sigma_by_x[..., None],
         )
 
     def _negative_log_prior(
-        self, logarithms: Float[np.ndarray, "kinds"]
-    ) -> tuple[float, Float[np.ndarray, "kinds"]]:
+        self, logarithms: Float[np.ndarray, "searches kinds"]
+    ) -> tuple[Float[np.ndarray, "*searches"], Float[np.ndarray, "searches kinds"]]:
         """Return the prior's negative logarithm and its gradient by the log standard deviations."""
+        slopes = np.zeros_like(logarithms)
         if self.prior is None:
-            return 0.0, np.zeros_like(logarithms)
-        precision, offset = self.prior_precision[1:], logarithms[1:] - self.log_median
-        log_pixel_ratio = logarithms[0] - self.log_white_sigma
-        value = 0.5 * precision @ offset**2 + self.prior.pixel_rate * log_pixel_ratio
-        return value, np.concatenate([[self.prior.pixel_rate], precision * offset])
+            return np.zeros(()), slopes
+        offset = logarithms[:, 1:] - self.log_median
+        slopes[:, 0], slopes[:, 1:] = self.prior.pixel_rate, self.prior_precision[:, 1:] * offset
+        log_pixel_ratio = logarithms[:, 0] - self.log_white_sigma
+        value = 0.5 * np.vecdot(slopes[:, 1:], offset) + self.prior.pixel_rate * log_pixel_ratio
+        return value, slopes
 
 
-def _damped_step(
-    slopes: _Slopes, damping: float, units: Float[np.ndarray, "kinds"]
-) -> tuple[Float[np.ndarray, "kinds"], float]:
-    """Return the change of x of one damped Fisher scoring step, and the increase it predicts.
+def _damped_steps(
+    best: _Best, damping: Float[np.ndarray, "searches"], units: Float[np.ndarray, "kinds"]
+) -> tuple[Float[np.ndarray, "searches kinds"], Float[np.ndarray, "searches"]]:
+    """Return the changes of x of one damped Fisher scoring step, and the increases they predict.
 
     With damping, a variance component that tends to zero approaches it by a factor per step.
     """
     # (H + lambda 1) d = -g, in the units of the coordinates; H is the expected Hessian, g the
     # gradient.
-    gradient_in_units = units * slopes.gradient
-    hessian = slopes.expected_hessian * np.outer(units, units)
-    step = -np.linalg.solve(hessian + damping * np.eye(len(units)), gradient_in_units)
-    longest = np.abs(units * step).max()
-    if longest > MAX_LOG_STEP:
-        step = step * (MAX_LOG_STEP / longest)
-    predicted_increase = -step @ (gradient_in_units + 0.5 * hessian @ step)
+    gradient_in_units = units * best.gradient
+    hessian = best.expected_hessian * np.outer(units, units)
+    damped = with_added_diagonal(hessian, damping[:, None])
+    step = -np.linalg.solve(damped, gradient_in_units[..., None])[..., 0]
+    longest = np.abs(units * step).max(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        step = step * np.minimum(MAX_LOG_STEP / longest, 1.0)[:, None]
+    predicted_increase = -np.vecdot(
+        step, gradient_in_units + 0.5 * (hessian @ step[..., None])[..., 0]
+    )
     # log sigma += log(1 + 2 d) / 2 multiplies the variance by 1 + 2 d. The expectation is linear in
     # the variances, so that a single variance component is found in one step.
     variance_factors = np.maximum(1.0 + 2.0 * units * step, np.exp(-2.0 * MAX_LOG_STEP))
-    return 0.5 * np.log(variance_factors), float(predicted_increase)
+    return 0.5 * np.log(variance_factors), predicted_increase

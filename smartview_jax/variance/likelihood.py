@@ -17,7 +17,7 @@ Reference: Patterson and Thompson, Recovery of inter-block information when bloc
 
 import dataclasses
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -45,11 +45,15 @@ It keeps the variance of an undetermined parameter finite.
 IS_POSE_KIND = np.repeat(np.eye(2), 3, axis=1)
 """One where a view's own parameter belongs to the translation (row 0) or the rotation (row 1)."""
 
-_ONE = np.ones(1)
+AnyScalars: TypeAlias = Float[AnyArray, "*searches"] | float
+"""A number, or one for each of several searches."""
 
 
 class LinearisedViews(NamedTuple):
     """The observations' normal equations for a pixel sigma of 1 px, and the layout of the priors.
+
+    Several searches that hold different parameters have views in common: see
+    `with_held_in_searches`.
 
     Attributes:
         matrix: normal equations of the free shared parameters and each view's own, without priors.
@@ -68,10 +72,10 @@ class LinearisedViews(NamedTuple):
 
     matrix: BlockArrow
     gradient: Step
-    residual_sum_of_squares: AnyScalar
+    residual_sum_of_squares: AnyScalars
     offset_from_prior: Step
-    known_weight: Float[AnyArray, "shared"]
-    group_index: Int[AnyArray, "shared"]
+    known_weight: Float[AnyArray, "*searches shared"]
+    group_index: Int[AnyArray, "*searches shared"]
     per_view_free: Bool[AnyArray, "views 6"]
     statistic_count: AnyScalar
     white_sigma: AnyScalar
@@ -100,6 +104,47 @@ class LinearisedViews(NamedTuple):
             group_index=self.group_index[kept],
         )
 
+    def with_held_in_searches(self, held: Bool[AnyArray, "searches shared"]) -> "LinearisedViews":
+        """Return the views with other shared parameters held in each of several searches.
+
+        Arrays that differ between the searches get these as their first axis. Parameters that all
+        searches hold are left out. One that a single search holds stays, as a number of which its
+        prior alone knows, so that it contributes nothing: no information, no offset, and a prior
+        with a known standard deviation of one.
+
+        Args:
+            held: mask of the parameters to hold at their prior means.
+        """
+        is_used = ~held.all(axis=0)
+        views, held = self.with_held(~is_used), held[:, is_used]
+        if not held.any():
+            return views
+        matrix, gradient = views.matrix, views.gradient
+        # As in `with_held`, with d = 0 for the parameters that are not held.
+        change = np.where(held, -views.offset_from_prior.shared, 0.0)
+        gradient_change = change @ matrix.shared
+        border_change = change @ rows_of_views(matrix.border).T
+        growth = np.vecdot(2.0 * gradient.shared + gradient_change, change)
+        is_off = held[:, :, None] | held[:, None, :]
+        return views._replace(
+            matrix=with_fields(
+                matrix,
+                shared=np.where(is_off, 0.0, matrix.shared),
+                border=np.where(held[:, None, None], 0.0, matrix.border),
+            ),
+            gradient=Step(
+                np.where(held, 0.0, gradient.shared + gradient_change),
+                gradient.per_view + border_change.reshape(-1, *gradient.per_view.shape),
+            ),
+            residual_sum_of_squares=views.residual_sum_of_squares + growth,
+            offset_from_prior=Step(
+                np.where(held, 0.0, views.offset_from_prior.shared),
+                views.offset_from_prior.per_view,
+            ),
+            known_weight=np.where(held, 1.0, views.known_weight),
+            group_index=np.where(held, -1, views.group_index),
+        )
+
     def lower_bounds(self, component_count: int) -> Float[AnyArray, "kinds"]:
         """Return all lower bounds, in the order of `StandardDeviations.vector`."""
         xp = array_namespace(self.white_sigma)
@@ -115,14 +160,15 @@ class Kinds(NamedTuple):
         counts: number of random numbers of each kind, in the order of `StandardDeviations.vector`.
     """
 
-    groups: Float[AnyArray, "groups shared"]
-    counts: Float[AnyArray, "kinds"]
+    groups: Float[AnyArray, "*searches groups shared"]
+    counts: Float[AnyArray, "*searches kinds"]
 
 
 class StandardDeviations(NamedTuple):
     """The standard deviations of all errors, all positive.
 
-    Their squares are the variance components.
+    Their squares are the variance components. Those of several searches are arrays with these as
+    first axis.
 
     Attributes:
         pixel: effective pixel sigma, px.
@@ -132,25 +178,27 @@ class StandardDeviations(NamedTuple):
             `ROBOT_SIGMA_FLOOR` disables a group.
     """
 
-    pixel: AnyScalar
-    translation: AnyScalar
-    rotation: AnyScalar
-    field: Float[AnyArray, "groups"]
+    pixel: AnyScalars
+    translation: AnyScalars
+    rotation: AnyScalars
+    field: Float[AnyArray, "*searches groups"]
 
     @property
-    def vector(self) -> Float[AnyArray, "kinds"]:
+    def vector(self) -> Float[AnyArray, "*searches kinds"]:
         """The standard deviations as a vector: pixel, translation, rotation, field."""
         xp = array_namespace(*self)
         pixel_and_pose = xp.array([self.pixel, self.translation, self.rotation])
-        return xp.concatenate([pixel_and_pose, self.field])
+        return xp.concatenate([pixel_and_pose.T, self.field], axis=-1)
 
     @classmethod
-    def from_vector(cls, vector: Float[AnyArray, "kinds"]) -> "StandardDeviations":
+    def from_vector(cls, vector: Float[AnyArray, "*searches kinds"]) -> "StandardDeviations":
         """Create the standard deviations from a vector in the order of `vector`."""
-        return cls(vector[0], vector[1], vector[2], vector[3:])
+        return cls(*vector.T[:3], vector[..., 3:])
 
     def prior_weights(
-        self, group_index: Int[AnyArray, "shared"], known_weight: Float[AnyArray, "shared"]
+        self,
+        group_index: Int[AnyArray, "*searches shared"],
+        known_weight: Float[AnyArray, "*searches shared"],
     ) -> Step:
         """Return one over the prior standard deviation of every parameter.
 
@@ -161,10 +209,17 @@ class StandardDeviations(NamedTuple):
             known_weight: weights of the parameters that belong to no group.
         """
         xp = array_namespace(*self)
-        # Index -1 (no group) reads the one at the end, which `where` then discards.
-        field = xp.concatenate([self.field, _ONE])[group_index]
-        pose_sigmas = self.translation * IS_POSE_KIND[0] + self.rotation * IS_POSE_KIND[1]
-        return Step(xp.where(group_index >= 0, 1.0 / field, known_weight), 1.0 / pose_sigmas[None])
+        # Index -1 (no group) reads the last one, which `where` then discards.
+        field = xp.concatenate([self.field, xp.ones((*self.field.shape[:-1], 1))], axis=-1)
+        field = (
+            field[..., group_index]
+            if group_index.ndim == 1
+            else xp.take_along_axis(field, group_index, -1)
+        )
+        translation, rotation = (xp.asarray(x)[..., None] for x in self[1:3])
+        pose_sigmas = translation * IS_POSE_KIND[0] + rotation * IS_POSE_KIND[1]
+        weights = xp.where(group_index >= 0, 1.0 / field, known_weight)
+        return Step(weights, 1.0 / pose_sigmas[..., None, :])
 
 
 @eqx.filter_custom_jvp
@@ -205,7 +260,8 @@ def posterior_mode_step(views: LinearisedViews, sigmas: StandardDeviations) -> S
 class Marginalisation:
     """The result of marginalising all fitted parameters, with the parts that its derivatives need.
 
-    The covariances are computed on first use, because a deviance alone does not need them.
+    The covariances are computed on first use, because a deviance alone does not need them. With
+    standard deviations for each of several searches, all arrays have these as first axis.
 
     Attributes:
         deviance: -2 log of the restricted likelihood, up to a constant; see `deviance`.
@@ -218,44 +274,47 @@ class Marginalisation:
             the views' own parameters marginalised.
     """
 
-    deviance: AnyScalar
+    deviance: AnyScalars
     step: Step
     prior_precision: Step
-    whitened_border: Float[AnyArray, "views 6 shared"]
-    per_view_whitening: Float[AnyArray, "views 6 6"]
-    shared_whitening: Float[AnyArray, "shared shared"]
+    whitened_border: Float[AnyArray, "*searches views 6 shared"]
+    per_view_whitening: Float[AnyArray, "*searches views 6 6"]
+    shared_whitening: Float[AnyArray, "*searches shared shared"]
 
     # With A the information matrix, D_v a view's own block, B_v its border and K_v the gain, the
     # blocks of A^-1 are C (shared), -K_v C, and D_v^-1 + K_v C K_v^T.
     @cached_property
-    def shared_covariance(self) -> Float[AnyArray, "shared shared"]:
+    def shared_covariance(self) -> Float[AnyArray, "*searches shared shared"]:
         """The covariance of the shared parameters, with the views' own parameters marginalised."""
-        return self.shared_whitening.T @ self.shared_whitening
+        return self.shared_whitening.swapaxes(-1, -2) @ self.shared_whitening
 
     @cached_property
-    def gain(self) -> Float[AnyArray, "views 6 shared"]:
+    def gain(self) -> Float[AnyArray, "*searches views 6 shared"]:
         """The inverse of each view's own block times its border block, `K_v = D_v^-1 B_v`."""
-        return self.per_view_whitening.swapaxes(1, 2) @ self.whitened_border
+        return self.per_view_whitening.swapaxes(-1, -2) @ self.whitened_border
 
     @cached_property
-    def gain_covariance(self) -> Float[AnyArray, "views 6 shared"]:
+    def gain_covariance(self) -> Float[AnyArray, "*searches views 6 shared"]:
         """The covariance of each view's own parameters with the shared ones, times -1."""
         # One product of two matrices, rather than one for each view.
         return (rows_of_views(self.gain) @ self.shared_covariance).reshape(self.gain.shape)
 
     @cached_property
-    def per_view_inverse(self) -> Float[AnyArray, "views 6 6"]:
+    def per_view_inverse(self) -> Float[AnyArray, "*searches views 6 6"]:
         """The covariance of each view's own parameters for known shared parameters."""
-        return self.per_view_whitening.swapaxes(1, 2) @ self.per_view_whitening
+        return self.per_view_whitening.swapaxes(-1, -2) @ self.per_view_whitening
 
     @cached_property
-    def per_view_covariance(self) -> Float[AnyArray, "views 6 6"]:
+    def per_view_covariance(self) -> Float[AnyArray, "*searches views 6 6"]:
         """The covariance of each view's own parameters."""
-        return self.per_view_inverse + self.gain_covariance @ self.gain.swapaxes(1, 2)
+        return self.per_view_inverse + self.gain_covariance @ self.gain.swapaxes(-1, -2)
 
 
 def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginalisation:
-    """Marginalise all fitted parameters at given standard deviations of errors."""
+    """Marginalise all fitted parameters at given standard deviations of errors.
+
+    Either may be given for several searches, as by `LinearisedViews.with_held_in_searches`.
+    """
     # With p = 1 / sigma^2 = pixel_precision, M and g the views' matrix and gradient for 1 px,
     # W = prior_precision, o = offset_from_prior, n = statistic_count and
     # R = residual_sum_of_squares, the information matrix of the posterior and its gradient are
@@ -271,46 +330,51 @@ def marginalise(views: LinearisedViews, sigmas: StandardDeviations) -> Marginali
     prior_precision = Step(
         weights.shared**2, xp.where(views.per_view_free, weights.per_view**2, 0.0)
     )
-    pixel_precision = sigmas.pixel**-2
+    pixel_precision = xp.asarray(sigmas.pixel) ** -2.0
+    of_vectors, of_matrices, of_blocks = (
+        pixel_precision.reshape(*pixel_precision.shape, *(1,) * axes) for axes in (1, 2, 3)
+    )
 
-    shared = pixel_precision * matrix.shared
-    ridge = RELATIVE_RIDGE * shared.diagonal()
+    shared = of_matrices * matrix.shared
+    ridge = RELATIVE_RIDGE * _diagonal(shared)
     shared = with_added_diagonal(shared, prior_precision.shared + ridge)
     # A fixed correction has a zero column; 1 on the diagonal keeps the equations solvable.
     diagonal = xp.where(views.per_view_free, prior_precision.per_view, 1.0)
-    per_view = with_added_diagonal(pixel_precision * matrix.per_view, diagonal)
-    shared_gradient = (
-        pixel_precision * views.gradient.shared + prior_precision.shared * offset.shared
-    )
+    per_view = with_added_diagonal(of_blocks * matrix.per_view, diagonal)
+    shared_gradient = of_vectors * views.gradient.shared + prior_precision.shared * offset.shared
     per_view_gradient = (
-        pixel_precision * views.gradient.per_view + prior_precision.per_view * offset.per_view
+        of_matrices * views.gradient.per_view + prior_precision.per_view * offset.per_view
     )
 
     # With D_v a view's own block, B_v its border, F_v D_v F_v^T = 1 and E_v = F_v B_v, the Schur
     # complement is S = A_shared - sum_v E_v^T E_v; with F S F^T = 1, the whitened gradients are
     # c_v = F_v h_v and c = F (h_shared - sum_v E_v^T c_v), and h^T A^-1 h = |c|^2 + sum_v |c_v|^2.
     per_view_whitening = inverse_cholesky_factor(per_view)
-    whitened_border = (pixel_precision * per_view_whitening) @ matrix.border
+    whitened_border = (of_blocks * per_view_whitening) @ matrix.border
     border_rows = rows_of_views(whitened_border)
-    shared_whitening = inverse_cholesky_factor(shared - border_rows.T @ border_rows)
+    border_columns = border_rows.swapaxes(-1, -2)
+    shared_whitening = inverse_cholesky_factor(shared - border_columns @ border_rows)
     per_view_rhs = _times_vectors(per_view_whitening, per_view_gradient)
-    shared_rhs = shared_whitening @ (shared_gradient - border_rows.T @ per_view_rhs.reshape(-1))
-    shared_step = xp.negative(shared_whitening.T @ shared_rhs)
-    per_view_step = _times_vectors(
-        per_view_whitening.swapaxes(1, 2),
-        per_view_rhs + (border_rows @ shared_step).reshape(per_view_rhs.shape),
+    all_rhs = per_view_rhs.reshape(border_rows.shape[:-1])
+    shared_rhs = _times_vectors(
+        shared_whitening, shared_gradient - _times_vectors(border_columns, all_rhs)
     )
+    shared_step = xp.negative(_times_vectors(shared_whitening.swapaxes(-1, -2), shared_rhs))
+    by_shared = _times_vectors(border_rows, shared_step).reshape(per_view_rhs.shape)
+    per_view_step = _times_vectors(per_view_whitening.swapaxes(-1, -2), per_view_rhs + by_shared)
     step = Step(shared_step, xp.negative(per_view_step))
 
-    penalty = (
-        prior_precision.shared @ offset.shared**2
-        + (prior_precision.per_view * offset.per_view**2).sum()
+    penalty = xp.vecdot(prior_precision.shared, offset.shared**2) + (
+        prior_precision.per_view * offset.per_view**2
+    ).sum(axis=(-2, -1))
+    gradient_step_product = -(xp.vecdot(shared_rhs, shared_rhs) + xp.vecdot(all_rhs, all_rhs))
+    log_determinant = _log_determinant(shared_whitening) + _log_determinant(per_view_whitening).sum(
+        axis=-1
     )
-    gradient_step_product = -(shared_rhs @ shared_rhs + (per_view_rhs**2).sum())
-    log_determinant = _log_determinant(shared_whitening) + _log_determinant(per_view_whitening)
-    log_prior_determinant = (
-        xp.log(xp.where(has_unknown_sigma, prior_precision.shared, 1.0)).sum()
-        + xp.where(views.per_view_free, xp.log(weights.per_view**2), 0.0).sum()
+    log_shared_precision = xp.log(xp.where(has_unknown_sigma, prior_precision.shared, 1.0))
+    log_per_view_precision = xp.where(views.per_view_free, xp.log(weights.per_view**2), 0.0)
+    log_prior_determinant = log_shared_precision.sum(axis=-1) + log_per_view_precision.sum(
+        axis=(-2, -1)
     )
     value = (
         -views.statistic_count * xp.log(pixel_precision)
@@ -342,15 +406,15 @@ def gradient(
         kinds: result of `kinds_of`, if it is known; None computes it.
     """
     if kinds is None:
-        kinds = kinds_of(views, len(sigmas.field))
+        kinds = kinds_of(views, sigmas.field.shape[-1])
     # dD / d log w_j = w_j E[(o_j + s_j)^2] - 1 for the precision w_j of a prior, where the
     # posterior expectation is (o_j + s_j)^2 + C_jj with C = A^-1.
     xp = array_namespace(marginal.shared_whitening)
     prior_precision, step, pixel_gradient = marginal.prior_precision, marginal.step, views.gradient
     offset = views.offset_from_prior
     shared_offset, per_view_offset = offset.shared + step.shared, offset.per_view + step.per_view
-    shared_variance = marginal.shared_covariance.diagonal()
-    per_view_variance = marginal.per_view_covariance.diagonal(axis1=1, axis2=2)
+    shared_variance = _diagonal(marginal.shared_covariance)
+    per_view_variance = _diagonal(marginal.per_view_covariance)
     # Parameters without a prior of unknown standard deviation, and fixed ones, do not contribute.
     shared = xp.where(
         views.group_index >= 0,
@@ -366,51 +430,58 @@ def gradient(
     # dD / d log p = p (R + 2 g.s + s.M s) + tr(p M C) - n, in the notation of `marginalise`, with
     # p M s = -p g - W (o + s) at the best step, and tr(p M C) = parameter_count - tr(W C), the
     # effective number of parameters that the pixels determine.
-    pixel_precision = sigmas.pixel**-2
+    pixel_precision = xp.asarray(sigmas.pixel) ** -2.0
+    of_vectors, of_matrices = pixel_precision[..., None], pixel_precision[..., None, None]
     effective_parameters = (
         views.per_view_free.sum(dtype=float)
-        + len(shared)
-        - prior_precision.shared @ shared_variance
-        - (prior_precision.per_view * per_view_variance).sum()
+        + shared.shape[-1]
+        - xp.vecdot(prior_precision.shared, shared_variance)
+        - (prior_precision.per_view * per_view_variance).sum(axis=(-2, -1))
     )
-    shared_terms = pixel_precision * pixel_gradient.shared - prior_precision.shared * shared_offset
+    shared_terms = of_vectors * pixel_gradient.shared - prior_precision.shared * shared_offset
     per_view_terms = (
-        pixel_precision * pixel_gradient.per_view - prior_precision.per_view * per_view_offset
+        of_matrices * pixel_gradient.per_view - prior_precision.per_view * per_view_offset
     )
     by_log_precision = (
         pixel_precision * views.residual_sum_of_squares
-        + shared_terms @ step.shared
-        + (per_view_terms * step.per_view).sum()
+        + xp.vecdot(shared_terms, step.shared)
+        + (per_view_terms * step.per_view).sum(axis=(-2, -1))
         + effective_parameters
         - views.statistic_count
     )
     # Precision w = 1 / sigma^2: d log w / d sigma = -2 / sigma.
     return StandardDeviations(
         -2.0 * by_log_precision / sigmas.pixel,
-        -2.0 * per_view[:, :3].sum() / sigmas.translation,
-        -2.0 * per_view[:, 3:].sum() / sigmas.rotation,
-        -2.0 * (kinds.groups @ shared) / sigmas.field,
+        -2.0 * per_view[..., :3].sum(axis=(-2, -1)) / sigmas.translation,
+        -2.0 * per_view[..., 3:].sum(axis=(-2, -1)) / sigmas.rotation,
+        -2.0 * _times_vectors(kinds.groups, shared) / sigmas.field,
     )
 
 
 def rows_of_views(
-    blocks: Float[AnyArray, "views own columns"],
-) -> Float[AnyArray, "rows columns"]:
+    blocks: Float[AnyArray, "*searches views own columns"],
+) -> Float[AnyArray, "*searches rows columns"]:
     """Return the blocks of all views one below the other, as a single matrix."""
-    return blocks.reshape(blocks.shape[0] * blocks.shape[1], blocks.shape[2])
+    *searches, views, size, columns = blocks.shape
+    return blocks.reshape(*searches, views * size, columns)
 
 
 def _times_vectors(
-    matrices: Float[AnyArray, "views 6 6"], vectors: Float[AnyArray, "views 6"]
-) -> Float[AnyArray, "views 6"]:
-    """Multiply the matrix of every view by the vector of that view."""
+    matrices: Float[AnyArray, "*batch m n"], vectors: Float[AnyArray, "*batch n"]
+) -> Float[AnyArray, "*batch m"]:
+    """Multiply every matrix by the vector with the same index."""
     return (matrices @ vectors[..., None])[..., 0]
 
 
-def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> AnyScalar:
+def _diagonal(matrices: Float[AnyArray, "*batch n n"]) -> Float[AnyArray, "*batch n"]:
+    """Return the diagonals of matrices."""
+    return matrices.diagonal(axis1=-2, axis2=-1)
+
+
+def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> AnyScalars:
     """Compute the log-determinant of matrices from their inverse Cholesky factors."""
     xp = array_namespace(whitening)
-    return -2.0 * xp.log(whitening.diagonal(axis1=-2, axis2=-1)).sum()
+    return -2.0 * xp.log(_diagonal(whitening)).sum(axis=-1)
 
 
 def with_added_diagonal(
@@ -430,7 +501,9 @@ def with_added_diagonal(
 def kinds_of(views: LinearisedViews, groups: int) -> Kinds:
     """Return the kind of each random number of the views, given the number of groups."""
     xp = array_namespace(views.group_index)
-    indicator = (views.group_index[None] == xp.arange(groups)[:, None]).astype(float)
+    index = views.group_index
+    indicator = (index[..., None, :] == xp.arange(groups)[:, None]).astype(float)
     robot = xp.sum(views.per_view_free.reshape(-1, 2, 3), axis=(0, 2), dtype=float)
     statistics = xp.reshape(xp.asarray(views.statistic_count), 1)
-    return Kinds(indicator, xp.concatenate([statistics, robot, xp.sum(indicator, axis=1)]))
+    of_all = xp.broadcast_to(xp.concatenate([statistics, robot]), (*index.shape[:-1], 3))
+    return Kinds(indicator, xp.concatenate([of_all, xp.sum(indicator, axis=-1)], axis=-1))

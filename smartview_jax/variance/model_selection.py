@@ -38,7 +38,7 @@ from ..robot_errors import (
     RobotPrior,
     field_name,
 )
-from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, maximise
+from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, maximise_each
 from .likelihood import LinearisedViews, StandardDeviations
 
 MIN_GENERIC_ARM_VIEWS = 10
@@ -218,20 +218,25 @@ def fit_candidates(
         wrong_target_probability: prior probability that the target does not have its stated size.
     """
     # Every model is a mask on the same statistics, so the views are linearised once.
-    fitted: dict[ModelName, FittedCandidate] = {}
     size_odds = wrong_target_probability / (1.0 - wrong_target_probability)
+    names, log_odds, masks = [], [], []
     for free_sizes in _choices_of_sizes(groups):
         # The probability is zero only if no size is tested.
         size_log_odds = len(free_sizes) * np.log(size_odds) if free_sizes else 0.0
         for name, model in models.items():
             # The target's shape is in all models: its size is estimated, not selected.
             model_groups = model.groups | {*SHAPE_GROUPS, *free_sizes}
-            active = np.array([True, True, *(group in model_groups for group in groups)])
-            maximum, evidence = fit_good_or_weak_robot(views, initial, active, prior)
-            log_weight = float(evidence + model.log_odds + size_log_odds)
-            if np.isfinite(log_weight):
-                fitted[ModelName(name, free_sizes)] = FittedCandidate(active, maximum, log_weight)
-    return fitted
+            names.append(ModelName(name, free_sizes))
+            log_odds.append(model.log_odds + size_log_odds)
+            masks.append(np.array([True, True, *(group in model_groups for group in groups)]))
+    fits = fit_good_or_weak_robot(views, initial, np.array(masks), prior)
+    return {
+        name: FittedCandidate(active, maximum, log_weight)
+        for name, active, odds, (maximum, evidence) in zip(
+            names, masks, log_odds, fits, strict=True
+        )
+        if np.isfinite(log_weight := float(evidence + odds))
+    }
 
 
 def _choices_of_sizes(groups: Sequence[str]) -> list[tuple[str, ...]]:
@@ -246,33 +251,45 @@ def _choices_of_sizes(groups: Sequence[str]) -> list[tuple[str, ...]]:
 def fit_good_or_weak_robot(
     views: LinearisedViews,
     initial: StandardDeviations,
-    active: Bool[np.ndarray, "robot"],
+    active: Bool[np.ndarray, "models robot"],
     prior: StandardDeviationPrior,
-) -> tuple[LikelihoodMaximum, float]:
-    """Fit a model for a good and for a weak robot.
+) -> list[tuple[LikelihoodMaximum, float]]:
+    """Fit models for a good and for a weak robot.
+
+    Args:
+        views: the linearised views.
+        initial: standard deviations at which the searches begin.
+        active: mask of the standard deviations that each model fits.
+        prior: prior of the standard deviations.
 
     Returns:
-        The better maximum, and the logarithm of the evidence of both together.
+        The better maximum of each model, and the logarithm of the evidence of both together.
     """
-    good = maximise(views, initial, active, prior)
-    good_evidence = log_evidence(good, active, prior)
+    fits = [
+        (good, log_evidence(good, mask, prior))
+        for good, mask in zip(maximise_each(views, initial, active, prior), active, strict=True)
+    ]
     # With the noise of a good robot, a weak one need not be considered.
-    log_excess = np.log(good.sigmas.vector[1:3] / prior.median[:2]) / prior.log_std[:2]
-    if not (prior.weak_probability > 0.0 and log_excess.max() > MIN_WEAK_ROBOT_EXCESS):
-        return good, good_evidence
+    noise = np.array([good.sigmas.vector[1:3] for good, _ in fits])
+    log_excess = np.log(noise / prior.median[:2]) / prior.log_std[:2]
+    may_be_weak = np.flatnonzero(log_excess.max(axis=1) > MIN_WEAK_ROBOT_EXCESS)
+    if prior.weak_probability == 0.0 or not len(may_be_weak):
+        return fits
     of_weak = prior.of_weak_robot
     # From the good robot's noise the search can end in a local maximum with wrong positions only
     # and a hundredfold pixel noise, so it starts at the typical noise of weak robots.
     start = initial._replace(
         translation=np.asarray(of_weak.median[0]), rotation=np.asarray(of_weak.median[1])
     )
-    weak = maximise(views, start, active, of_weak)
     log_odds = np.log(prior.weak_probability / (1.0 - prior.weak_probability))
-    weak_evidence = log_evidence(weak, active, of_weak) + log_odds
-    if not np.isfinite(weak_evidence):
-        return good, good_evidence
-    both = float(np.logaddexp(good_evidence, weak_evidence))
-    return (weak if weak_evidence > good_evidence else good), both
+    weak_fits = maximise_each(views, start, active[may_be_weak], of_weak)
+    for k, weak in zip(may_be_weak, weak_fits, strict=True):
+        good, good_evidence = fits[k]
+        weak_evidence = log_evidence(weak, active[k], of_weak) + log_odds
+        if np.isfinite(weak_evidence):
+            both = float(np.logaddexp(good_evidence, weak_evidence))
+            fits[k] = (weak if weak_evidence > good_evidence else good), both
+    return fits
 
 
 def log_evidence(

@@ -77,7 +77,8 @@ class RobotEvidence(NamedTuple):
         active_names = {*groups, *SHAPE_GROUPS}
         active = np.array([True, True, *(name in active_names for name in self.group_names)])
         initial = initial_standard_deviations(deviations, self.initial_sigma)
-        maximum, evidence = fit_good_or_weak_robot(self.views, initial, active, deviations)
+        fits = fit_good_or_weak_robot(self.views, initial, active[None], deviations)
+        maximum, evidence = fits[0]
 
         # Pixel noise and the target's shape differ between data sets: they are integrated out, by
         # the Schur complement of the information that includes their priors.
