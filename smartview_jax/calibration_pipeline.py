@@ -340,7 +340,7 @@ def _staged_comparison_warnings(staged: StagedFit, joint: JointFit) -> tuple[str
         uncorrected_rms = rms(
             # The problem's points already include the target's shape.
             chain_residuals(
-                dataclasses.replace(joint.calibration.uncorrected, target_shape=None),
+                with_fields(joint.calibration.uncorrected, target_shape=None),
                 joint.problem.observations,
             )
         )

@@ -9,7 +9,6 @@ One class serves both: the camera is on its *mount* (the tool, or the base) and 
 commands use the true tool pose, not the reported one.
 """
 
-import dataclasses
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -33,6 +32,7 @@ from ..robot_errors import AbstractField, RobotError
 from ..robots import Command, CommandLike, JointsLike, as_command
 from ..runtime.array_namespace import AnyArray, as_float_array
 from ..runtime.compilation import is_traced
+from ..runtime.modules import with_fields
 from ..runtime.padding import over_padded_views
 from .chain import (
     BASES,
@@ -271,7 +271,7 @@ class Calibration(eqx.Module):
     @property
     def uncorrected(self) -> "Calibration":
         """The calibration without robot error, for programs that use the transforms only."""
-        return self if self.robot_error is None else dataclasses.replace(self, robot_error=None)
+        return self if self.robot_error is None else with_fields(self, robot_error=None)
 
     def camera_from_world(self, base_from_tool: CommandLike, *, corrected: bool = True) -> SE3:
         """Return the extrinsics at the given robot poses, `(*views)`, by the chain of Eq. 10.

@@ -7,7 +7,6 @@ stretched along one axis more than along the other, or sheared. Equal stretch of
 target's scale.
 """
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -15,12 +14,11 @@ from jaxtyping import Array, Bool, Float
 from ..runtime.array_namespace import (
     AnyArray,
     array_namespace,
-    as_float_array,
     to_device,
     to_device_together,
 )
 from ..runtime.compilation import is_traced
-from ..runtime.modules import HostModule
+from ..runtime.modules import HostModule, with_fields
 
 SHAPE_NAMES = ("bow_x", "bow_xy", "bow_y", "aspect", "shear")
 """Names of the coefficients."""
@@ -54,8 +52,10 @@ class TargetShape(HostModule):
     mean_products: Float[Array, "3"]
     coefficients: Float[Array, "5"]
 
-    def displaced(self, points: Float[AnyArray, "*points 3"]) -> Float[Array, "*points 3"]:
+    def displaced(self, points: Float[AnyArray, "*points 3"]) -> Float[AnyArray, "*points 3"]:
         """Return the true positions of points, for a target of its stated size.
+
+        Outside of `jit` and the like they are a NumPy array.
 
         Args:
             points: points as stated, in the target's frame, m.
@@ -66,7 +66,7 @@ class TargetShape(HostModule):
             shape, stated = jax.tree.map(np.asarray, (self, points))
         xp = array_namespace(shape, stated)
         displacement = xp.einsum("...ci,c->...i", shape.directions(stated), shape.coefficients)
-        return as_float_array(stated + displacement)
+        return stated + displacement
 
     def directions(self, points: Float[AnyArray, "*points 3"]) -> Float[AnyArray, "*points 5 3"]:
         """Return how each coefficient displaces each point, per metre."""
@@ -86,7 +86,7 @@ class TargetShape(HostModule):
 
     def with_coefficients(self, coefficients: Float[np.ndarray, "5"]) -> "TargetShape":
         """Return the shape with other coefficients."""
-        return eqx.tree_at(lambda shape: shape.coefficients, self, to_device(coefficients))
+        return with_fields(self, coefficients=to_device(coefficients))
 
 
 def flat_shape(

@@ -17,7 +17,7 @@ from ..geometry import PoseLike, as_se3, check_rigid, host_matrices
 from ..robots import Command, HandPoses, SerialArm
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import is_traced, refuse_traced
-from ..runtime.modules import HostModule
+from ..runtime.modules import HostModule, with_fields
 from .dataset_text import dataset_text
 from .depth_readings import DepthNoise, DepthReadings, depth_readings
 from .input_checks import (
@@ -377,9 +377,8 @@ class Dataset(HostModule):
 
     def with_visible(self, visible: Bool[np.ndarray, "views points"]) -> "Dataset":
         """Return the data set with only the given visible observations."""
-        return dataclasses.replace(
-            self, visible=to_device(np.asarray(self.visible) & np.asarray(visible))
-        )
+        visible = np.asarray(self.visible) & np.asarray(visible)
+        return with_fields(self, visible=to_device(visible))
 
     def mask_views(self, views: Sequence[int] | np.ndarray) -> "Dataset":
         """Return the data set with some views masked; shapes and so compiled programs stay."""
@@ -388,7 +387,7 @@ class Dataset(HostModule):
         visible = np.asarray(self.visible) & unmasked[:, None]
         pixels = np.where(visible[..., None], self.pixels, np.nan)
         visible, pixels = jax.device_put((visible, pixels))
-        return dataclasses.replace(self, visible=visible, pixels=pixels)
+        return with_fields(self, visible=visible, pixels=pixels)
 
     def select(self, views: Sequence[int] | np.ndarray) -> "Dataset":
         """Return a data set of the given views only, in the given order.

@@ -4,7 +4,6 @@ A problem adds its observations: their residuals, and their normal equations.
 """
 
 import abc
-import dataclasses
 from collections.abc import Collection
 from typing import Any, TypeVar
 
@@ -16,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import to_device, to_device_together
-from ..runtime.modules import with_fields
+from ..runtime.modules import HostModule, with_fields
 from .parameters import Step, host_step
 from .schur import BlockArrow
 
@@ -24,7 +23,7 @@ _Problem = TypeVar("_Problem", bound="AbstractProblem")
 _Built = TypeVar("_Built", bound="AbstractBuiltProblem")
 
 
-class NormalEquations(eqx.Module):
+class NormalEquations(HostModule):
     """The cost, its gradient and the Gauss-Newton matrix at a step.
 
     Attributes:
@@ -38,7 +37,7 @@ class NormalEquations(eqx.Module):
     matrix: BlockArrow
 
 
-class ViewBlocks(eqx.Module):
+class ViewBlocks(HostModule):
     """The terms that each view, or state of a rig's robot, adds to the normal equations' matrix.
 
     Attributes:
@@ -52,7 +51,7 @@ class ViewBlocks(eqx.Module):
     per_view: Float[Array, "corrected 6 6"]
 
 
-class AbstractProblem(eqx.Module):
+class AbstractProblem(HostModule):
     """A least-squares problem: observations, and Gaussian priors of the parameters.
 
     Attributes:
@@ -308,7 +307,7 @@ class AbstractRigProblem(AbstractProblem):
         return True
 
 
-class AbstractBuiltProblem(eqx.Module):
+class AbstractBuiltProblem(HostModule):
     """A least-squares problem together with the names of its parameters.
 
     Attributes:
@@ -324,7 +323,7 @@ class AbstractBuiltProblem(eqx.Module):
     def holding(self: _Built, names: Collection[str]) -> _Built:
         """Return the problem with these shared parameters held at the start."""
         kept = [k for k, name in enumerate(self.shared_names) if name not in names]
-        return dataclasses.replace(
+        return with_fields(
             self,
             problem=self.problem.with_free(np.array(kept, dtype=int)),
             shared_names=tuple(self.shared_names[k] for k in kept),

@@ -17,7 +17,6 @@ import difflib
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +28,7 @@ from ..calibration import BASES, Calibration, DepthBias
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import to_device
+from ..runtime.modules import HostModule
 
 _AXES = ("x", "y", "z")
 POSE_CORRECTIONS = "pose_corrections"
@@ -171,7 +171,7 @@ class ParameterLayout(NamedTuple):
         )
 
 
-class Parameters(eqx.Module):
+class Parameters(HostModule):
     """The parameters of a calibration as a flat vector, changed by steps from a start.
 
     Attributes:

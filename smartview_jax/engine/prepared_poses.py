@@ -10,7 +10,6 @@ that the robot reports, and shrinking gains nothing.
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
@@ -20,13 +19,14 @@ from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import AbstractField, RobotError, nominal_arm
 from ..robots import Command, SerialArm
 from ..runtime.compilation import compiled
+from ..runtime.modules import HostModule
 from ..runtime.padding import MIN_PADDED_COUNT, over_padded_views
 
 JOINT_DAMPING = 1e-2
 """Damping of the joint motion that corrects a pose for noise, in m and rad per radian."""
 
 
-class PreparedPoses(eqx.Module):
+class PreparedPoses(HostModule):
     """The precomputed quantities of an error field at the poses where it is evaluated.
 
     Attributes:

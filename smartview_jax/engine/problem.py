@@ -19,7 +19,7 @@ from ..calibration import Calibration, TargetShape
 from ..dataset import AnyObservations, Observations, PoseObservations
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import AnyArray
-from ..runtime.modules import with_fields
+from ..runtime.modules import HostModule, with_fields
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
@@ -38,7 +38,7 @@ _DIRECT, _TWIST = slice(0, -6), slice(-6, None)
 """Rows of a view's normal equations: of camera and shape, and of the twist of its pose."""
 
 
-class FittedChain(eqx.Module):
+class FittedChain(HostModule):
     """The chain of transforms of every view at a step.
 
     Attributes:

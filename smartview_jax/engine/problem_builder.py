@@ -72,7 +72,7 @@ class BuiltProblem(AbstractBuiltProblem):
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "views 6"]) -> "BuiltProblem":
         """Return the problem with the robot error field at poses corrected for noise."""
-        return dataclasses.replace(self, problem=self.problem.with_noise_corrections(corrections))
+        return with_fields(self, problem=self.problem.with_noise_corrections(corrections))
 
     @property
     def sigma_known(self) -> bool:
@@ -209,7 +209,7 @@ def with_free_camera_poses(
     identity = host_transforms(np.eye(4))
     error = None if field is None else RobotError.zero(field)
     identity_start = Calibration(camera, identity, identity, "eye_in_hand", robot_error=error)
-    repositioned = dataclasses.replace(
+    repositioned = with_fields(
         data,
         base_from_tool=host_mount_from_holder("eye_in_hand", camera_from_world),
         mount="eye_in_hand",
@@ -222,7 +222,7 @@ def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibratio
     """Return the start with another lens, initialised from the present one; None keeps it."""
     # The region describes the data of an earlier fit, so it does not apply to a start.
     if start.region is not None:
-        start = dataclasses.replace(start, region=None)
+        start = with_fields(start, region=None)
     if lens is None:
         return start
     return eqx.tree_at(lambda c: c.camera.lens, start, initial_lens(lens, start.camera.lens))
@@ -237,13 +237,13 @@ def with_field(start: Calibration, field: FieldChoice) -> Calibration:
     current = start.robot_error
     if current is not None and _is_same_field(current.field, field):
         return start
-    return dataclasses.replace(start, robot_error=RobotError.zero(field))
+    return with_fields(start, robot_error=RobotError.zero(field))
 
 
 def with_depth_bias(start: Calibration, data: Dataset) -> Calibration:
     """Return the start with a bias of depths where the data have depths, and without elsewhere."""
     if data.depths is None:
-        return start if start.depth_bias is None else dataclasses.replace(start, depth_bias=None)
+        return start if start.depth_bias is None else with_fields(start, depth_bias=None)
     if start.depth_bias is not None:
         return start
     return dataclasses.replace(start, depth_bias=DepthBias())

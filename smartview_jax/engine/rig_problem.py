@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
 from ..robots import Command
+from ..runtime.modules import HostModule
 from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
 from .parameters import Step, host_values
 from .prepared_poses import PreparedPoses, prepare_poses
@@ -25,7 +26,7 @@ from .problem import FittedChain, JointProblem
 from .schur import BlockArrow
 
 
-class CameraGroup(eqx.Module):
+class CameraGroup(HostModule):
     """Cameras with the same kind of lens and mount, stacked, so that one program serves them all.
 
     Attributes:

@@ -54,6 +54,9 @@ class BlockArrow(lx.AbstractLinearOperator):
         per_view: diagonal block of each view's own parameters; empty without any.
     """
 
+    # As of a `HostModule`, which cannot be a base of Lineax's operators.
+    __getattribute__ = object.__getattribute__
+
     shared: Float[Array, "shared shared"]
     border: Float[Array, "views 6 shared"]
     per_view: Float[Array, "views 6 6"]

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from ..runtime.array_namespace import as_float_array, to_device_together
 from ..runtime.compilation import one_program
-from ..runtime.modules import module_of
+from ..runtime.modules import HostModule, module_of
 
 _SIDES = {"+z": 1.0, "-z": -1.0, "both": 0.0}
 """Value of `ViewedRegion.side` for each name that a file may contain."""
@@ -26,7 +26,7 @@ Views that were all taken from one position would otherwise have a radius of zer
 """
 
 
-class ViewedRegion(eqx.Module):
+class ViewedRegion(HostModule):
     """A region of camera positions in the target's (= world) frame.
 
     Attributes:

@@ -27,6 +27,7 @@ from scipy.optimize import minimize
 
 from ..dataset import require_motion, undetermined_twists
 from ..geometry import host_logarithms, host_matrices, host_poses, host_transforms
+from ..runtime.modules import HostModule
 from .closed_form import CLOSED_FORMS, mean_camera_from_mount
 from .frobenius import frobenius_factor
 from .minimum_norm import minimum_norm_transforms
@@ -48,7 +49,7 @@ class SearchRecord(NamedTuple):
     message: str
 
 
-class HandEyeResult(eqx.Module):
+class HandEyeResult(HostModule):
     """The result of Step 3: hand-eye and world transforms, and the record of both searches.
 
     Attributes:

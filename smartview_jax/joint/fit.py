@@ -165,7 +165,7 @@ def fit_joint(
     report, start = progress or (lambda _: None), with_lens(start, lens)
     # The engine works with true points; the shape is estimated with the noise.
     stated_shape = None if noise == "estimated" else start.target_shape
-    start = dataclasses.replace(start, target_shape=None)
+    start = with_fields(start, target_shape=None)
 
     def fit_once(
         data: Dataset, rejected_points: tuple[Rejection, ...]
@@ -190,7 +190,7 @@ def fit_joint(
             chosen = chosen.holding(*unused).freeing(*noise_estimate.free)
             chosen = chosen._replace(priors=chosen.priors | noise_estimate.priors(start))
         if shape is not None:
-            data = dataclasses.replace(data, points=shape.displaced(data.points))
+            data = with_fields(data, points=to_device(shape.displaced(data.points)))
         built = build_problem(
             data,
             initial,
@@ -221,7 +221,7 @@ def fit_joint(
             problem, solution, equations, _ = solve_with_estimated_sigma(
                 built.problem, solve_problem, variance_factor, SIGMA_TOLERANCE, MAX_SIGMA_FITS
             )
-            built = dataclasses.replace(built, problem=problem)
+            built = with_fields(built, problem=problem)
         _log.info("%d steps to a cost of %.6g", solution.steps, solution.costs[-1])
         joint_fit = _assemble_fit(
             data, built, solution, equations, noise_estimate, rejected_points, shape
@@ -289,7 +289,7 @@ def _embedded(
     sigmas = dict(zip(names, estimate.noise.field, strict=True))
     groups = [name for name, _ in field.groups]
     return (
-        dataclasses.replace(calibration, robot_error=embedded),
+        with_fields(calibration, robot_error=embedded),
         # The standard deviation of a held group has no effect.
         dataclasses.replace(estimate.noise, field=tuple(sigmas.get(name, 1.0) for name in groups)),
         field,
@@ -355,8 +355,8 @@ def _assemble_fit(
     if noise_estimate is not None and error is not None:
         field = noise_estimate.field
         error = None if field is None else error.converted_to(field)
-        calibration = dataclasses.replace(calibration, robot_error=error)
-    calibration = dataclasses.replace(calibration, target_shape=shape)
+        calibration = with_fields(calibration, robot_error=error)
+    calibration = with_fields(calibration, target_shape=shape)
     return JointFit(
         calibration=calibration,
         covariance=common_covariance,

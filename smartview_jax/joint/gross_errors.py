@@ -35,6 +35,7 @@ from ..fit_result import Rejection
 from ..geometry import host_matrices, host_transforms
 from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.blas_threads import on_one_blas_thread
+from ..runtime.modules import with_fields
 from ..staged import (
     MAX_UNCHECKED_POINTS,
     estimate_view_poses,
@@ -121,7 +122,7 @@ def remove_gross_errors(
         poses,
         to_device(trusted.astype(float)),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(
-            dataclasses.replace(
+            with_fields(
                 start.uncorrected,
                 camera_from_mount=camera_from_mount,
                 holder_from_world=holder_from_world,

@@ -21,13 +21,14 @@ from ..engine import (
 )
 from ..fit_result import FitResult, Rejection
 from ..runtime.compilation import is_traced
+from ..runtime.modules import HostModule
 from ..variance import NoiseEstimate, p_value
 from .fit_text import fit_html, fit_line, fit_text, noise_text, points_and_residual
 from .influence import Influence, deletion_changes
 from .saved_estimate import SavedEstimate
 
 
-class JointFit(eqx.Module):
+class JointFit(HostModule):
     """The result of a joint fit.
 
     Attributes:

@@ -1,6 +1,5 @@
 """Provide a fitted robot error field, which maps reported poses to actual poses and back."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +9,11 @@ from jaxtyping import Array, Float
 from ..robots import Command, CommandLike, JointsLike, as_command
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled, compiled_optimised
+from ..runtime.modules import HostModule
 from .field import INVERSION_STEPS, AbstractField
 
 
-class RobotError(eqx.Module):
+class RobotError(HostModule):
     """A robot error field with fitted coefficients.
 
     Attributes:

@@ -2,12 +2,12 @@
 
 from typing import TypeAlias
 
-import equinox as eqx
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms
+from ..runtime.modules import HostModule
 
 MAX_TOOL_COORDINATE = 10.0
 """Largest plausible coordinate of the tool in the base frame, m.
@@ -16,7 +16,7 @@ No arm is that long; a larger number is in another unit, such as millimetres.
 """
 
 
-class HandPoses(eqx.Module):
+class HandPoses(HostModule):
     """The poses of two hands, one with the camera and one with the target, each in its own base.
 
     Attributes:
@@ -47,7 +47,7 @@ class HandPoses(eqx.Module):
         return host_transforms(np.linalg.inv(base @ other) @ own)
 
 
-class Command(eqx.Module):
+class Command(HostModule):
     """A tool pose that a robot reports or is commanded, with joint readings where they are known.
 
     `SerialArm.command` makes one from joint angles.

@@ -7,11 +7,13 @@ the host: a program takes NumPy arrays too, and to make a JAX array of each one 
 of the program's own work.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import jax
 import numpy as np
+from jaxtyping import Int
 
 from .array_namespace import to_device
 
@@ -67,9 +69,13 @@ def _repeat_last(array: Any, count: int, axis: int) -> Any:
     missing = count - array.shape[axis]
     if missing <= 0 or array.shape[axis] == 0:
         return array
-    whole = np.asarray(array)
-    last = np.take(whole, [-1], axis=axis)
-    return np.concatenate([whole, np.repeat(last, missing, axis=axis)], axis=axis)
+    return np.asarray(array).take(_last_repeated(array.shape[axis], count), axis)
+
+
+@functools.cache
+def _last_repeated(size: int, count: int) -> Int[np.ndarray, "count"]:
+    """Return the indices of so many entries, the last of `size` ones again and again."""
+    return np.minimum(np.arange(count), size - 1)
 
 
 def over_padded_views(

@@ -31,6 +31,7 @@ from ..dataset import MAD_TO_SIGMA, Observations, medians_by_view
 from ..geometry import transformed_coordinates
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled, is_traced
+from ..runtime.modules import HostModule
 from ..runtime.padding import host_without_padding, repeat_last, without_padding
 from .kalman_pass import PassResult, PassSettings, run_pass
 from .staged_fit import CommonCameraOptions
@@ -67,7 +68,7 @@ _SIGMA_FLOOR = 1e-3
 """Smallest pixel standard deviation, px; noise-free data would make it zero."""
 
 
-class KalmanResult(eqx.Module):
+class KalmanResult(HostModule):
     """The result of Step 2: the common camera, the pose of every view, and their covariance.
 
     Attributes:

@@ -15,6 +15,7 @@ from ..dataset import Dataset
 from ..fit_result import FitResult, Rejection
 from ..geometry import ViewedRegion, host_matrices
 from ..hand_eye import HandEyeResult
+from ..runtime.modules import HostModule, with_fields
 from .interpolation import Interpolation
 from .weng import ViewCalibrations
 
@@ -70,7 +71,7 @@ class CommonCameraFit(Protocol):
     def message(self) -> str: ...
 
 
-class StagedFit(eqx.Module):
+class StagedFit(HostModule):
     """The result of the staged pipeline.
 
     Attributes:
@@ -147,4 +148,4 @@ def with_region(
     # How low the tool came over the target matters only if the tool carries the camera.
     tool_positions = world_from_mount[:, :3, 3] if in_hand else None
     region = ViewedRegion.from_positions(world_from_camera[:, :3, 3], points, tool_positions)
-    return dataclasses.replace(calibration, region=region)
+    return with_fields(calibration, region=region)

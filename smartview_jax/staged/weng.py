@@ -24,6 +24,7 @@ from ..cameras import Camera, unit_rays
 from ..dataset import Observations, coplanar, extents
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
+from ..runtime.modules import HostModule
 from ..runtime.padding import MAX_PADDED_OBSERVATIONS, MIN_PADDED_COUNT, without_padding
 from .weng_alternation import ViewFit, fit_view
 from .weng_start import Intrinsics, Start, view_starts
@@ -40,7 +41,7 @@ _COLLINEARITY_TOLERANCE = 1e-3
 """Ratio of second to largest extent of the points below which they count as one line."""
 
 
-class ViewCalibrations(eqx.Module):
+class ViewCalibrations(HostModule):
     """The result of Step 1: one set of intrinsics and one pose for each view.
 
     Attributes:

@@ -17,6 +17,7 @@ from ..engine import (
     ParameterOptions,
 )
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
+from ..runtime.modules import with_fields
 from .averaged_fit import AveragedFit, average_over_models, averaged_noise
 from .depth_weights import with_weighed_depths
 from .kenward_roger import small_sample_correction
@@ -127,7 +128,7 @@ def estimate_noise(
         averaged_noise(maximum.sigmas, views, fitted_field, prior),
         fitted_field,
         first.basis,
-        dataclasses.replace(
+        with_fields(
             chain.calibration,
             robot_error=None
             if fitted_field is None or error is None

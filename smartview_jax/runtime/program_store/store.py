@@ -77,7 +77,7 @@ class Program(NamedTuple):
             outputs[0].block_until_ready()
         arrays_of_result = iter(outputs)
         return self.structure.unflatten(
-            [next(arrays_of_result) if _is_kind(x) else x for x in self.leaves]
+            [next(arrays_of_result) if type(x) is ArrayKind else x for x in self.leaves]
         )
 
 
@@ -112,10 +112,11 @@ class ProgramStore:
         if any(getattr(jax.config, name) != value for name, value in _PLAIN_SETTINGS.items()):
             return None, []
         kinds = [_kind_of(leaf) for leaf in leaves]
-        arrays = [leaf for leaf, kind in zip(leaves, kinds, strict=True) if _is_kind(kind)]
+        types = tuple(map(type, kinds))
+        arrays = [leaf for leaf, known in zip(leaves, types, strict=True) if known is ArrayKind]
         promotion = tuple(getattr(jax.config, name) for name in _PROMOTION_SETTINGS)
         # The types are in the key because 1 == True and 0 == False.
-        key = structure, tuple(kinds), tuple(map(type, kinds)), promotion
+        key = structure, tuple(kinds), types, promotion
         programs = self._programs
         if key not in programs:
             # The lock keeps two threads from compiling the same program.
@@ -175,20 +176,24 @@ def _kind_of(leaf: Any) -> Any:
     """Return the kind of an array; anything else unchanged."""
     # NumPy's arrays first: to ask whether something is one of JAX takes ten times as long.
     if isinstance(leaf, _HOST_ARRAYS):
-        return ArrayKind(leaf.shape, _name_of(leaf.dtype))
+        return _kind_on_host(leaf.shape, leaf.dtype)
     if isinstance(leaf, jax.Array):
-        sharding = None if leaf.sharding == _first_device() else leaf.sharding
-        return ArrayKind(leaf.shape, _name_of(leaf.dtype), leaf.weak_type, sharding)
+        kind = _kind_on_host(leaf.shape, leaf.dtype)
+        sharding = leaf.sharding
+        if leaf.weak_type or sharding != _first_device():
+            sharding = None if sharding == _first_device() else sharding
+            return kind._replace(weak=leaf.weak_type, sharding=sharding)
+        return kind
     return leaf
 
 
 _HOST_ARRAYS = (np.ndarray, np.generic)
 
 
-@functools.cache
-def _name_of(dtype: np.dtype) -> str:
-    """Return the name of a type of numbers, which NumPy puts together each time."""
-    return dtype.name
+@functools.lru_cache(maxsize=10_000)
+def _kind_on_host(shape: tuple[int, ...], dtype: np.dtype) -> ArrayKind:
+    """Return the kind of NumPy's arrays; a calibration asks a thousand times for a few of them."""
+    return ArrayKind(shape, dtype.name)
 
 
 @functools.cache
