@@ -285,7 +285,8 @@ def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
     settings = {name: jax.config.values[name] for name in _SHARED_SETTINGS}
     # A forked process would have locks of JAX's threads, but not the threads that release them.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, context, _start_worker, (settings, optimise))
+    threads = max(_processor_count() // count, 1)
+    pool = ProcessPoolExecutor(count, context, _start_worker, (settings, optimise, threads))
     try:
         pool.submit(os.getpid).result()
     except BrokenExecutor as error:
@@ -297,8 +298,17 @@ def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
     return pool
 
 
-def _start_worker(settings: dict[str, Any], optimise: bool) -> None:
-    """Prepare a worker process."""
+def _start_worker(settings: dict[str, Any], optimise: bool, threads: int) -> None:
+    """Prepare a worker process.
+
+    Args:
+        settings: JAX's settings, by name.
+        optimise: whether to optimise the programs of small data sets.
+        threads: number of threads on which its programs run.
+    """
+    # XLA reads it when it starts, which is at the first job. Its threads wait for work without
+    # pause, and each of several processes would have as many as there are processors.
+    os.environ.setdefault("NPROC", str(threads))
     if optimise:
         optimise_all_programs()
     for name, value in settings.items():
