@@ -321,8 +321,7 @@ fraction of BFGS's steps.
 _MAX_GAUSS_NEWTON_STEPS = 20
 """Largest number of Gauss-Newton steps after BFGS. Each gains a factor of about the cost's root."""
 
-_CROSS_PRODUCT = np.cross(np.eye(3)[:, None], np.eye(3)[None]).swapaxes(1, 2).reshape(3, 9)
-"""The matrix that takes a vector a to the entries of `[a]x`, the matrix of its vector product."""
+_IDENTITY, _ONE = np.eye(3), np.ones(1)
 
 
 def _entries(
@@ -333,24 +332,22 @@ def _entries(
     X is `start` times `Rz Ry Rx` (Eq. 16), so that no start is at gimbal lock; its translation is
     the start's plus the last three parameters.
     """
-    rotation = start[:3, :3]
-    axes = []
-    for axis, angle in zip((2, 1, 0), parameters[:3], strict=True):
-        # Each angle turns about an axis of the frame that the previous rotations have reached.
-        axes.append(rotation[:, axis])
-        rotation = rotation @ _turn_about(axis, angle)
+    yaw, pitch, roll = parameters[:3].tolist()
+    cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
+    cr, sr = math.cos(roll), math.sin(roll)
+    # The rows of Rz Ry Rx. The yaw mixes the first two, and the roll the last two columns.
+    u1, u2, u3 = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    v1, v2, v3 = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    w1, w2, w3 = -sp, cp * sr, cp * cr
+    turn_and_derivatives = (
+        ((u1, u2, u3), (v1, v2, v3), (w1, w2, w3)),
+        ((-v1, -v2, -v3), (u1, u2, u3), (0.0, 0.0, 0.0)),
+        ((cy * w1, cy * w2, cy * w3), (sy * w1, sy * w2, sy * w3), (-cp, -sp * sr, -sp * cr)),
+        ((0.0, u3, -u2), (0.0, v3, -v2), (0.0, w3, -w2)),
+    )
+    rotations = start[:3, :3] @ np.array(turn_and_derivatives)
     derivative = np.zeros((13, 6))
-    # dR = [a]x R for a rotation about the axis a, with the matrix [a]x of the vector product.
-    turns = (np.array(axes) @ _CROSS_PRODUCT).reshape(3, 3, 3) @ rotation
-    derivative[:9, :3] = turns.reshape(3, 9).T
-    derivative[9:12, 3:] = np.eye(3)
-    return np.concatenate([rotation.ravel(), start[:3, 3] + parameters[3:], [1.0]]), derivative
-
-
-def _turn_about(axis: int, angle: float) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation about a coordinate axis; SciPy takes ten times as long for one matrix."""
-    matrix, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
-    cosine, sine = math.cos(angle), math.sin(angle)
-    matrix[i, i] = matrix[j, j] = cosine
-    matrix[i, j], matrix[j, i] = -sine, sine
-    return matrix
+    derivative[:9, :3] = rotations[1:].reshape(3, 9).T
+    derivative[9:12, 3:] = _IDENTITY
+    x = np.concatenate([rotations[0].ravel(), start[:3, 3] + parameters[3:], _ONE])
+    return x, derivative

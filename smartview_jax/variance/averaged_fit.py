@@ -45,7 +45,7 @@ class AveragedFit(NamedTuple):
     """The fit of the averaged model.
 
     Attributes:
-        shape: the target's shape; None if it is held as stated.
+        statistics: the statistics of the views at the fit.
         chain: the chain of the fit, or of every camera of a rig.
         z: the step of the fit.
         views: the views linearised there.
@@ -57,7 +57,7 @@ class AveragedFit(NamedTuple):
             evaluated.
     """
 
-    shape: TargetShape | None
+    statistics: ViewStatistics
     chain: Any
     z: Step
     views: LinearisedViews
@@ -66,6 +66,11 @@ class AveragedFit(NamedTuple):
     maximum: LikelihoodMaximum
     converged: bool
     noise_corrections: Float[np.ndarray, "views 6"]
+
+    @property
+    def shape(self) -> TargetShape | None:
+        """The target's shape; None if it is held as stated."""
+        return self.statistics.shape
 
 
 class SecondPass(NamedTuple):
@@ -203,7 +208,7 @@ def _iterate_to_convergence(
             chain, linearised = chain_at(views.problem, initial), views.linearise(initial)
             maximum = _maximum_at(linearised, sigmas, prior)
             return AveragedFit(
-                views.shape, chain, initial, linearised, {}, {}, maximum, False, corrections
+                views, chain, initial, linearised, {}, {}, maximum, False, corrections
             )
         previous, kept = sigmas, drop_negligible(posterior_probabilities(fitted))
         sigmas = averaged_models(linearised, views.group_names, fitted, kept)
@@ -212,7 +217,7 @@ def _iterate_to_convergence(
         converged = bool((change <= tolerance).all())
         maximum = _maximum_at(linearised, sigmas, prior)
         last = AveragedFit(
-            views.shape,
+            views,
             solution.chain,
             solution.z,
             linearised,

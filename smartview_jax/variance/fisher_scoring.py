@@ -131,17 +131,23 @@ def fisher_information(
     # (D^-1 + S)^2 - S^2 = D^-1 (D^-1 + 2 S).
     shared_traces = shared_precisions @ covariance**2 @ columns_of_precisions
     weighted_gain = marginal.gain * xp.sqrt(per_view_precision)[..., None]
-    *searches, views_count, _, shared_count = weighted_gain.shape
-    shape = *searches, 2, 3 * views_count, shared_count
+    *searches, view_count, _, shared_count = weighted_gain.shape
+    row_count, entry_count = 3 * view_count, shared_count**2
     kinds_rows = [rows_of_views(weighted_gain[..., k : k + 3, :]) for k in (0, 3)]
     rows = xp.concatenate(kinds_rows, axis=-2)
-    rows_covariance = (rows @ covariance).reshape(shape)
-    cross_traces = (rows_covariance**2).sum(axis=-2) @ columns_of_precisions
-    products = rows.reshape(shape).swapaxes(-1, -2) @ rows_covariance
-    entries, transposed = (
-        x.reshape(*searches, 2, shared_count**2) for x in (products, products.swapaxes(-1, -2))
-    )
-    per_view_traces = entries @ transposed.swapaxes(-1, -2)
+    rows_covariance = rows @ covariance
+    by_kind = rows_covariance.reshape(*searches, 2, row_count, shared_count)
+    cross_traces = (by_kind**2).sum(axis=-2) @ columns_of_precisions
+    if 2 * row_count <= shared_count:
+        # With N_j = R_j^T R_j the trace is the sum of the squares of R_j C_ss R_k^T.
+        pairs = rows_covariance @ rows.swapaxes(-1, -2)
+        pairs = pairs.reshape(*searches, 2, row_count, 2, row_count)
+        per_view_traces = (pairs**2).sum(axis=(-3, -1))
+    else:
+        products = rows.reshape(by_kind.shape).swapaxes(-1, -2) @ by_kind
+        entries = products.reshape(*searches, 2, entry_count)
+        transposed = products.swapaxes(-1, -2).reshape(*searches, 2, entry_count)
+        per_view_traces = entries @ transposed.swapaxes(-1, -2)
     excess = per_view_inverse * (2.0 * per_view_covariance - per_view_inverse)
     weighted_excess = per_view_precision[..., None] * excess * per_view_precision[..., None, :]
     own_pairs = IS_POSE_KIND @ weighted_excess.sum(axis=-3) @ IS_POSE_KIND.T

@@ -109,7 +109,7 @@ def estimate_noise(
     field_group_count = sum(name not in TARGET_GROUPS for name in views.group_names)
     parameter_names = (*built.shared_names, *views.shape_names)
     lens = lens_evidence(
-        views.at(average.shape, average.noise_corrections),
+        average.statistics,
         average.z,
         linearised,
         maximum.sigmas,

@@ -134,13 +134,6 @@ class ViewStatistics:
         views._set_shape(shape)
         return views
 
-    def at(
-        self, shape: TargetShape | None, corrections: Float[np.ndarray, "views 6"]
-    ) -> "ViewStatistics":
-        """Return the statistics at a fit: with its target shape and noise corrections."""
-        views = self.with_noise_corrections(corrections)
-        return views if shape is None else views.with_shape(shape)
-
     def moved(self, z: Step, step: Step) -> tuple["ViewStatistics", Step]:
         """Return the statistics and the step of the problem after a step of all parameters.
 
