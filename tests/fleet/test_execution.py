@@ -5,7 +5,10 @@ import os
 import signal
 import weakref
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from pathlib import Path
 
+import jax
+import numpy as np
 import pytest
 
 from smartview_jax.fleet import execution, outcomes
@@ -163,6 +166,21 @@ def optimises(_):
 )
 def test_processes_optimise_their_programs_for_many_jobs(inputs, count, many):
     assert {one.result for one in outcomes(optimises, inputs, 1, count)} == {many}
+
+
+def threads_of_programs(_):
+    jax.device_put(np.ones(1))
+    names = [(task / "comm").read_text() for task in Path("/proc/self/task").iterdir()]
+    return sum("XLAEigen" in name for name in names)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="Linux lists threads there")
+def test_as_many_processes_as_processors_run_programs_on_one_thread_each(monkeypatch):
+    # The tests have several devices, each with threads of its own.
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    monkeypatch.delenv("NPROC", raising=False)
+    count = len(os.sched_getaffinity(0))
+    assert [one.result for one in outcomes(threads_of_programs, [0], count)] == [1]
 
 
 def test_a_script_without_a_guard_is_told(monkeypatch):

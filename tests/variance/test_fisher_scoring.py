@@ -1,4 +1,5 @@
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 from linear_world import (
@@ -13,8 +14,9 @@ from linear_world import (
     some_held,
     with_held,
 )
+from scipy.optimize import minimize
 
-from smartview_jax.variance.fisher_scoring import fisher_information, maximise
+from smartview_jax.variance.fisher_scoring import fisher_information, maximise, maximise_each
 from smartview_jax.variance.likelihood import (
     ROBOT_SIGMA_FLOOR,
     StandardDeviations,
@@ -68,6 +70,38 @@ def test_information_is_what_second_derivatives_are_on_average(world):
     assert (np.abs(mean - told) < 4.0 * error + 1e-6).all()
 
 
+@pytest.mark.parametrize("views", [1, 3, 20])
+def test_information_is_that_of_dense_matrices(world, views):
+    """Traces of products of the whole covariance and its precisions, for few views and for many."""
+    whole = linearised(world, drawn(world, 2))
+    matrix = eqx.tree_at(
+        lambda m: (m.border, m.per_view),
+        whole.matrix,
+        (whole.matrix.border[:views], whole.matrix.per_view[:views]),
+    )
+    some = whole._replace(
+        matrix=matrix,
+        gradient=whole.gradient._replace(per_view=whole.gradient.per_view[:views]),
+        offset_from_prior=whole.offset_from_prior._replace(
+            per_view=whole.offset_from_prior.per_view[:views]
+        ),
+        per_view_free=whole.per_view_free[:views],
+        statistic_count=6.0 * views,
+    )
+    own = np.tile(np.repeat([1, 2], 3), views)
+    kind = np.concatenate([np.where(GROUP >= 0, GROUP + 3, -1), own])
+    of_pixels = np.asarray(jax.tree.map(jax.numpy.asarray, matrix).as_matrix())
+    precisions = [np.diag((kind == k) / TRUTH.vector[k] ** 2) for k in range(1, 5)]
+    of_pixels = of_pixels / TRUTH.pixel**2
+    covariance = np.linalg.inv(of_pixels + sum(precisions))
+    products = [covariance @ part for part in (of_pixels, *precisions)]
+    expected = np.array([[2.0 * np.trace(a @ b) for b in products] for a in products])
+    counts = np.array([6.0 * views, *(np.count_nonzero(kind == k) for k in range(1, 5))])
+    expected += 2.0 * np.diag(counts - 2.0 * np.trace(products, axis1=1, axis2=2))
+    found = fisher_information(some, marginalise(some, TRUTH), kinds_of(some, 2))
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+
+
 def test_the_sizes_found_are_true_on_average(world):
     start = StandardDeviations.from_vector(np.full(5, 0.1))
     found = [
@@ -119,3 +153,26 @@ def test_views_that_cannot_be_linearised_have_no_maximum(world):
         found = maximise(broken, TRUTH, ALL_ACTIVE)
         assert np.isnan(found.deviance)
         assert found.steps == 0
+
+
+def test_searches_that_step_together_end_where_scipy_does(world):
+    """They hold different groups, and end after different numbers of steps."""
+    views = linearised(world, drawn(world, 7))
+    active = np.array(
+        [[True, True, True, True], [True, True, False, False], [True, True, True, False]]
+    )
+    found = maximise_each(views, TRUTH, active)
+    assert len({one.steps for one in found}) > 1
+    for mask, one in zip(active, found, strict=True):
+        held = (GROUP >= 0) & ~np.append(mask[2:], True)[GROUP]
+        free, kept = np.append(True, mask), views.with_held(held)
+
+        def deviance_at(logs, free=free, kept=kept):
+            numbers = np.full(5, ROBOT_SIGMA_FLOOR)
+            numbers[free] = np.exp(logs)
+            return marginalise(kept, StandardDeviations.from_vector(numbers)).deviance
+
+        best = minimize(deviance_at, np.log(TRUTH.vector[free]), method="Nelder-Mead")
+        assert one.deviance == pytest.approx(best.fun, abs=1e-3)
+        np.testing.assert_allclose(one.sigmas.vector[free], np.exp(best.x), rtol=0.05)
+        np.testing.assert_allclose(one.sigmas.vector[~free], ROBOT_SIGMA_FLOOR)
