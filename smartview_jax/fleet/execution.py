@@ -245,7 +245,10 @@ class _Workers:
             future: Future[Any] = Future()
             future.set_exception(error)
             return future
-        return executor.submit(_call, job)
+        if executor is self._given:
+            return executor.submit(_call, job)
+        with _threads_of_new_processes(self._process_count):
+            return executor.submit(_call, job)
 
     def renew(self) -> None:
         """Go on in new processes."""
@@ -285,10 +288,11 @@ def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
     settings = {name: jax.config.values[name] for name in _SHARED_SETTINGS}
     # A forked process would have locks of JAX's threads, but not the threads that release them.
     context = multiprocessing.get_context("spawn")
-    threads = max(_processor_count() // count, 1)
-    pool = ProcessPoolExecutor(count, context, _start_worker, (settings, optimise, threads))
+    pool = ProcessPoolExecutor(count, context, _start_worker, (settings, optimise))
     try:
-        pool.submit(os.getpid).result()
+        with _threads_of_new_processes(count):
+            first = pool.submit(os.getpid)
+        first.result()
     except BrokenExecutor as error:
         raise RuntimeError(
             "worker processes cannot be started. They import the script that starts them, so a "
@@ -298,17 +302,26 @@ def _process_pool(count: int, optimise: bool) -> ProcessPoolExecutor:
     return pool
 
 
-def _start_worker(settings: dict[str, Any], optimise: bool, threads: int) -> None:
-    """Prepare a worker process.
+@contextmanager
+def _threads_of_new_processes(count: int) -> Iterator[None]:
+    """Give each of so many processes its share of the threads that run programs.
 
-    Args:
-        settings: JAX's settings, by name.
-        optimise: whether to optimise the programs of small data sets.
-        threads: number of threads on which its programs run.
+    XLA would start one for each processor in each process, and they wait for work without pause.
+    It reads their number from the environment when it starts, which is while a process imports its
+    modules, so that only its parent can set it. A user's own number is kept.
     """
-    # XLA reads it when it starts, which is at the first job. Its threads wait for work without
-    # pause, and each of several processes would have as many as there are processors.
-    os.environ.setdefault("NPROC", str(threads))
+    if "NPROC" in os.environ:
+        yield
+        return
+    os.environ["NPROC"] = str(max(_processor_count() // count, 1))
+    try:
+        yield
+    finally:
+        del os.environ["NPROC"]
+
+
+def _start_worker(settings: dict[str, Any], optimise: bool) -> None:
+    """Prepare a worker process."""
     if optimise:
         optimise_all_programs()
     for name, value in settings.items():
