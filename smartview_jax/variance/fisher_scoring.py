@@ -372,7 +372,8 @@ class _Objective:
     ):
         # A group whose standard deviation stays at zero holds its parameters at their prior means.
         is_in_group = np.append(active[:, 2:], np.ones((len(active), 1), dtype=bool), axis=1)
-        is_held = (views.group_index >= 0) & ~is_in_group[:, views.group_index]
+        group_index = np.asarray(views.group_index)
+        is_held = (group_index >= 0) & ~is_in_group[:, group_index]
         self.views, self.prior = views.with_held_in_searches(is_held), prior
         self.kinds = kinds_of(self.views, len(start.field))
         self.is_active = np.insert(active, 0, True, axis=1)
@@ -409,10 +410,8 @@ class _Objective:
         # Derivative of half the deviance by log(sigma): dD / d log(sigma) = sigma dD / dsigma.
         by_sigma = gradient(self.views, sigmas, points.marginal, self.kinds).vector
         log_gradient = 0.5 * by_sigma * vector + points.prior_gradient
-        information = with_added_diagonal(
-            np.asarray(fisher_information(self.views, points.marginal, self.kinds)),
-            self.prior_precision,
-        )
+        information = np.asarray(fisher_information(self.views, points.marginal, self.kinds))
+        information = np.asarray(with_added_diagonal(information, self.prior_precision))
         # The chain rule from log(sigma) to x; each coordinate acts on one sigma.
         return _Best(
             points.x,

@@ -104,7 +104,7 @@ class LinearisedViews(NamedTuple):
             group_index=self.group_index[kept],
         )
 
-    def with_held_in_searches(self, held: Bool[AnyArray, "searches shared"]) -> "LinearisedViews":
+    def with_held_in_searches(self, held: Bool[np.ndarray, "searches shared"]) -> "LinearisedViews":
         """Return the views with other shared parameters held in each of several searches.
 
         Arrays that differ between the searches get these as their first axis. Parameters that all
@@ -115,8 +115,8 @@ class LinearisedViews(NamedTuple):
         Args:
             held: mask of the parameters to hold at their prior means.
         """
-        is_used = ~held.all(axis=0)
-        views, held = self.with_held(~is_used), held[:, is_used]
+        is_unused = np.asarray(held.all(axis=0))
+        views, held = self.with_held(is_unused), held[:, ~is_unused]
         if not held.any():
             return views
         matrix, gradient = views.matrix, views.gradient
@@ -133,12 +133,12 @@ class LinearisedViews(NamedTuple):
                 border=np.where(held[:, None, None], 0.0, matrix.border),
             ),
             gradient=Step(
-                np.where(held, 0.0, gradient.shared + gradient_change),
+                np.where(held, 0.0, gradient.shared + gradient_change),  # pyright: ignore[reportArgumentType]
                 gradient.per_view + border_change.reshape(-1, *gradient.per_view.shape),
             ),
             residual_sum_of_squares=views.residual_sum_of_squares + growth,
             offset_from_prior=Step(
-                np.where(held, 0.0, views.offset_from_prior.shared),
+                np.where(held, 0.0, views.offset_from_prior.shared),  # pyright: ignore[reportArgumentType]
                 views.offset_from_prior.per_view,
             ),
             known_weight=np.where(held, 1.0, views.known_weight),
@@ -193,7 +193,8 @@ class StandardDeviations(NamedTuple):
     @classmethod
     def from_vector(cls, vector: Float[AnyArray, "*searches kinds"]) -> "StandardDeviations":
         """Create the standard deviations from a vector in the order of `vector`."""
-        return cls(*vector.T[:3], vector[..., 3:])
+        pixel, translation, rotation = vector.T[:3]
+        return cls(pixel, translation, rotation, vector[..., 3:])
 
     def prior_weights(
         self,
@@ -478,7 +479,7 @@ def _diagonal(matrices: Float[AnyArray, "*batch n n"]) -> Float[AnyArray, "*batc
     return matrices.diagonal(axis1=-2, axis2=-1)
 
 
-def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> AnyScalars:
+def _log_determinant(whitening: Float[AnyArray, "*batch n n"]) -> Float[AnyArray, "*batch"]:
     """Compute the log-determinant of matrices from their inverse Cholesky factors."""
     xp = array_namespace(whitening)
     return -2.0 * xp.log(_diagonal(whitening)).sum(axis=-1)
