@@ -13,6 +13,7 @@ CACHE_SETTINGS = {
     "JAX_COMPILATION_CACHE_DIR",
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
     "JAX_DISABLE_MOST_OPTIMIZATIONS",
+    "JAX_TRACEBACK_IN_LOCATIONS_LIMIT",
     "XLA_FLAGS",
 }
 """Where these tests keep their programs, and which: with other optimisation they are others."""

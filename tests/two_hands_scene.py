@@ -11,7 +11,8 @@ from smartview_jax.geometry import host_matrices
 from smartview_jax.simulation import random_two_hand_scene
 from smartview_jax.targets import Chessboard
 
-BOARD = Chessboard(5, 4, 0.01)
+BOARD = Chessboard(4, 3, 0.0125)
+"""Twelve points, for which the programs of the standard scene have room."""
 
 TRANSLATION, ROTATION = 1e-4, 2e-4
 """Noise of the reports of each arm, m and rad."""

@@ -88,3 +88,4 @@ from .solver import padded_step as padded_step
 from .solver import solve as solve
 from .structured_lm import StructuredLM as StructuredLM
 from .structured_lm import is_converged as is_converged
+from .view_normal_equations import linearise_views as linearise_views

@@ -137,15 +137,16 @@ def padded(problem: _Problem) -> _Problem:
         loss = with_fields(Cauchy(), scale=np.array(np.inf if loss is None else loss.scale))
     observations = problem.observations.padded()
     views = len(observations.visible)
-    # The corrections of added views are held, without priors.
-    more_views = views - len(problem.per_view_free) if len(problem.per_view_free) else 0
+    # The corrections of added views, and of all views of a robot that is trusted, are held and
+    # without priors: with and without a model of noise the program is the same.
+    more_views = views - len(problem.per_view_free)
 
     def with_zeros(per_view: Array) -> np.ndarray:
-        """Append zeros for the added views."""
+        """Append zeros for the added corrections."""
         return np.concatenate([per_view, np.zeros((more_views, 6), per_view.dtype)])
 
     def padded_as_prior(step: Step) -> Step:
-        """Append zeros for the added views to a prior's mean or weight."""
+        """Append zeros for the added corrections to a prior's mean or weight."""
         return host_step(np.asarray(step.shared), with_zeros(step.per_view))
 
     return with_fields(
@@ -156,7 +157,7 @@ def padded(problem: _Problem) -> _Problem:
         per_view_free=with_zeros(problem.per_view_free),
         prior_mean=padded_as_prior(problem.prior_mean),
         prior_weight=padded_as_prior(problem.prior_weight),
-        scale=host_step(scale, np.asarray(repeat_last(problem.scale.per_view, views))),
+        scale=host_step(scale, np.concatenate([problem.scale.per_view, np.ones((more_views, 6))])),
         loss=loss,
     )
 

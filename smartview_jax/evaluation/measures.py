@@ -111,9 +111,9 @@ def _chain_reprojection_errors(calibration: Calibration, data: Dataset) -> Repro
 def errors_of_predictions(
     camera: Camera,
     data: Dataset,
-    predicted: Float[Array, "views points 2"],
-    valid: Bool[Array, "views points"],
-    depth: Float[Array, "views points"],
+    predicted: Float[AnyArray, "views points 2"],
+    valid: Bool[AnyArray, "views points"],
+    depth: Float[AnyArray, "views points"],
 ) -> ReprojectionErrors:
     """Return the reprojection errors of predicted pixels whose points have the given depths (m)."""
     error = np.linalg.norm(np.asarray(data.pixels) - np.asarray(predicted), axis=-1)

@@ -31,6 +31,7 @@ from ..variance import (
     Walk,
     likeliest_walk,
     moved_transforms,
+    walk_log_evidence,
 )
 from .joint_fit import JointFit
 from .tracker_noise import TrackerNoise, TrackerPrior, in_metres, noise_priors, scaled_pairs
@@ -163,7 +164,7 @@ class _Chain:
         logarithms = np.pad(white, (0, len(priors.means) - len(white)))
         for _ in range(DRIFT_ROUNDS):
             logarithms = self._round(logarithms, priors, drifts)
-        return self.likeliest.evidence
+        return walk_log_evidence(self.walk, self.likeliest, priors)
 
     def _round(
         self, start: Float[np.ndarray, "kinds"], priors: LogNormalPriors, drifts: bool

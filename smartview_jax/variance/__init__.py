@@ -31,4 +31,5 @@ from .tracker_drift import LikeliestWalk as LikeliestWalk
 from .tracker_drift import Walk as Walk
 from .tracker_drift import likeliest_walk as likeliest_walk
 from .tracker_drift import serial_correlation as serial_correlation
+from .tracker_drift import walk_log_evidence as walk_log_evidence
 from .variance_components import estimate_noise as estimate_noise

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize
 
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION
@@ -57,6 +57,7 @@ class Walk(NamedTuple):
         by_field: change of the predictions by the coefficients of a robot error field.
         field_stds: their prior standard deviations for an arm of median accuracy.
         drifts: whether the tracker drifts in this model.
+        told: basis of the steps of the unknowns that change anything.
     """
 
     pairs: LinearPairs
@@ -66,6 +67,7 @@ class Walk(NamedTuple):
     by_field: Float[np.ndarray, "views 6 coefficients"]
     field_stds: Float[np.ndarray, "coefficients"]
     drifts: bool
+    told: Float[np.ndarray, "unknowns told"]
 
     @classmethod
     def of(
@@ -82,7 +84,8 @@ class Walk(NamedTuple):
         count = by_drift.shape[2]
         to_step = np.tile(np.eye(count), (len(used), 1, 1))
         to_step[:, :6, :6] = np.linalg.solve(by_twist, by_holder)
-        return cls(pairs, used, by_drift, to_step, by_field, field_stds, drifts)
+        told = _told(pairs.by_unknowns[used])
+        return cls(pairs, used, by_drift, to_step, by_field, field_stds, drifts, told)
 
     @property
     def drift_units(self) -> tuple[tuple[float, int], ...]:
@@ -118,12 +121,12 @@ class LikeliestWalk(NamedTuple):
 
     Attributes:
         logarithms: of the standard deviations, in units.
-        evidence: logarithm of the evidence by Laplace's method, but for a constant.
+        deviance: -2 log of their posterior density, but for a constant.
         fit: the best unknowns and drift.
     """
 
     logarithms: Float[np.ndarray, "kinds"]
-    evidence: float
+    deviance: float
     fit: WalkFit
 
 
@@ -143,11 +146,13 @@ def fit_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> WalkFit:
     information = np.linalg.inv(covariance)
     # The field's coefficients are in units of their standard deviations.
     field_stds = np.exp(logarithms[parts]) * walk.field_stds
-    basis = np.asarray(block_diag(_told(pairs.by_unknowns[used]), np.diag(field_stds)))
-    prior = np.diag(np.pad(np.ones(len(field_stds)), (basis.shape[1] - len(field_stds), 0)))
-    columns = np.concatenate([pairs.by_unknowns, walk.by_field], axis=2) @ basis
+    count, told = walk.told.shape
+    prior = np.diag(np.pad(np.ones(len(field_stds)), (told, 0)))
     # With the errors as the last column, all sums over the views are taken together.
-    numbers = np.concatenate([columns, pairs.errors[:, :, None]], axis=2)[used]
+    numbers = np.concatenate(
+        [pairs.by_unknowns @ walk.told, walk.by_field * field_stds, pairs.errors[:, :, None]],
+        axis=2,
+    )[used]
     weighted = information @ numbers
     normal = _sum_of_products(numbers, weighted)
     deviance = float(np.linalg.slogdet(covariance)[1].sum())
@@ -161,6 +166,8 @@ def fit_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> WalkFit:
     inverse, log_determinant = _inverse(normal[:-1, :-1] + prior)
     found = inverse @ normal[:-1, -1]
     deviance += log_determinant + float(normal[-1, -1] - normal[:-1, -1] @ found)
+    basis = np.zeros((count + len(field_stds), len(found)))
+    basis[:count, :told], basis[count:, told:] = walk.told, np.diag(field_stds)
     return WalkFit(
         deviance,
         basis @ found,
@@ -214,19 +221,14 @@ def _eliminated_drift(
 def likeliest_walk(
     walk: Walk, start: Float[np.ndarray, "kinds"], priors: LogNormalPriors
 ) -> LikeliestWalk:
-    """Return the likeliest standard deviations, with their evidence.
+    """Return the likeliest standard deviations.
 
     Args:
         walk: the model.
         start: logarithms of the standard deviations, in units, from which the search begins.
         priors: on all of them.
     """
-
-    def deviance(logarithms: np.ndarray) -> float:
-        misses = (priors.powers @ logarithms - priors.means) / priors.stds
-        prior = np.sum(misses**2) + 2.0 * np.log(priors.stds).sum()
-        return fit_walk(walk, logarithms).deviance + float(prior)
-
+    deviance = _posterior_deviance(walk, priors)
     largest = np.full(len(start), -np.log(SMALLEST_PART))
     smallest, largest[len(walk.pairs.parts)] = -largest, MAX_LOG_FIELD
     found = minimize(
@@ -236,10 +238,31 @@ def likeliest_walk(
         bounds=list(zip(smallest, largest, strict=True)),
         options={"ftol": DEVIANCE_TOLERANCE / max(abs(deviance(start)), 1.0), "eps": DIFFERENCE},
     )
+    return LikeliestWalk(found.x, float(found.fun), fit_walk(walk, found.x))
+
+
+def walk_log_evidence(walk: Walk, likeliest: LikeliestWalk, priors: LogNormalPriors) -> float:
+    """Return the logarithm of a model's evidence by Laplace's method, but for a constant.
+
+    Args:
+        walk, priors: as in `likeliest_walk`.
+        likeliest: its result.
+    """
     # log Z = -D / 2 - log det(D'' / 4 pi) / 2, in which the 2 pi of as many priors cancel.
-    curvature = 0.5 * _second_differences(deviance, found.x)
-    evidence = -0.5 * (float(found.fun) + float(np.linalg.slogdet(curvature)[1]))
-    return LikeliestWalk(found.x, evidence, fit_walk(walk, found.x))
+    deviance = _posterior_deviance(walk, priors)
+    curvature = 0.5 * _second_differences(deviance, likeliest.logarithms)
+    return -0.5 * (likeliest.deviance + float(np.linalg.slogdet(curvature)[1]))
+
+
+def _posterior_deviance(walk: Walk, priors: LogNormalPriors) -> Callable[[np.ndarray], float]:
+    """Return -2 log of the posterior density as a function of the logarithms."""
+
+    def deviance(logarithms: np.ndarray) -> float:
+        misses = (priors.powers @ logarithms - priors.means) / priors.stds
+        prior = np.sum(misses**2) + 2.0 * np.log(priors.stds).sum()
+        return fit_walk(walk, logarithms).deviance + float(prior)
+
+    return deviance
 
 
 def _sum_of_products(

@@ -73,7 +73,7 @@ def test_a_symmetric_board_is_refused(folder):
     edit(folder / "dataset.yaml", "detections: {rows:", "pictures: {pattern: '{view}.png'}\nx: {r:")
     text = (folder / "dataset.yaml").read_text()
     lines = [line for line in text.splitlines() if not line.startswith("x:")]
-    (folder / "dataset.yaml").write_text("\n".join(lines).replace("rows: 5", "rows: 6") + "\n")
+    (folder / "dataset.yaml").write_text("\n".join(lines).replace("rows: 4", "rows: 5") + "\n")
     with pytest.raises(ValueError, match="must not look the same when turned, as this Chessboard"):
         load_dataset(folder)
 

@@ -18,7 +18,7 @@ from smartview_jax.modeling.view_poses import SeenViews
 DRAWS = 24
 
 
-def known_camera_fit(seed, views=10):
+def known_camera_fit(seed, views=8):
     scene = two_hands(seed, views)
     options = {"noise": NOISE, "field": None, "fixed": ("camera",)}
     return scene, sv.fit_joint(scene.data, scene.calibration, **options)

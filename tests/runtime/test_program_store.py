@@ -10,6 +10,7 @@ import zlib
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from main_job import user_environment
@@ -253,6 +254,26 @@ def test_arguments_that_are_equal_but_not_the_same_have_programs_of_their_own(st
         result, same = program(arrays)
         np.testing.assert_array_equal(result, [factor, factor])
         assert same is flag
+
+
+def test_a_python_number_and_an_array_share_a_program(store):
+    """JAX's arrays of Python's numbers have weak types, which do not change double precision."""
+
+    def halved(x):
+        return 0.5 * x
+
+    programs = store(halved)
+    numbers = [jnp.asarray(3.0), jnp.asarray(np.float64(5.0)), np.float64(7.0)]
+    assert [getattr(number, "weak_type", False) for number in numbers] == [True, False, False]
+    found = [programs.find(*jax.tree.flatten(((number,), {}))) for number in numbers]
+    assert len({id(program) for program, _ in found}) == 1
+    assert [float(program(arrays)) for program, arrays in found] == [1.5, 2.5, 3.5]
+    # Whole numbers keep theirs: a weak one may be added to a number of double precision.
+    (weak, _), (strong, _) = (
+        programs.find(*jax.tree.flatten(((number,), {})))
+        for number in (jnp.asarray(3), jnp.asarray(np.int64(3)))
+    )
+    assert weak is not strong
 
 
 def test_arguments_without_effect_decide_too(store):

@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -211,10 +209,10 @@ def lens_misfit(
         data: points and pixels.
         used: which of the visible points to use; rejected points are excluded.
     """
-    data = eqx.tree_at(lambda d: d.visible, data, data.visible & jnp.asarray(used))
+    data = data.with_visible(np.asarray(data.visible) & used)
     predicted, valid, _ = free_pose_predictions(calibration, data)
-    used = np.asarray(data.visible & valid)
-    residual = np.asarray(data.pixels - predicted)[used]
+    used = np.asarray(data.visible) & np.asarray(valid)
+    residual = np.asarray(data.pixels)[used] - np.asarray(predicted)[used]
     design = _legendre_basis(np.asarray(predicted)[used], calibration.camera.image_size)
     count, term_count = design.shape
     # Degrees of freedom: two per point, less two per polynomial and six per view's pose.

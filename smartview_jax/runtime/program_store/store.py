@@ -47,7 +47,8 @@ class ArrayKind(NamedTuple):
     Attributes:
         shape: the shape.
         dtype: the name of the type.
-        weak: whether the type gives way to others, as a Python number's does.
+        weak: whether the type gives way to others, as a Python number's does. Double precision
+            gives way to nothing that is computed with here, and never counts as weak.
         sharding: the devices that hold it; None for the first one, and for an array of NumPy.
     """
 
@@ -179,11 +180,9 @@ def _kind_of(leaf: Any) -> Any:
         return _kind_on_host(leaf.shape, leaf.dtype)
     if isinstance(leaf, jax.Array):
         kind = _kind_on_host(leaf.shape, leaf.dtype)
-        sharding = leaf.sharding
-        if leaf.weak_type or sharding != _first_device():
-            sharding = None if sharding == _first_device() else sharding
-            return kind._replace(weak=leaf.weak_type, sharding=sharding)
-        return kind
+        weak = leaf.weak_type and leaf.dtype != np.float64
+        sharding = None if leaf.sharding == _first_device() else leaf.sharding
+        return kind._replace(weak=weak, sharding=sharding) if weak or sharding else kind
     return leaf
 
 
@@ -242,8 +241,16 @@ def _lowered(
 
     # JAX uses the function's name for the program in profiles and in its cache.
     on_arrays.__name__ = f"{function.__name__}_kept"
-    lowered = jax.jit(on_arrays).lower(*arrays)
+    kinds = [leaf for leaf in leaves if _is_kind(leaf)]
+    lowered = jax.jit(on_arrays).lower(*map(_without_weakness, arrays, kinds))
     return lowered, (result[0], result[1])
+
+
+def _without_weakness(array: Any, kind: ArrayKind) -> Any:
+    """Return an array, or its shape and type where its type is weak but does not count as weak."""
+    if kind.weak or not getattr(array, "weak_type", False):
+        return array
+    return jax.ShapeDtypeStruct(array.shape, array.dtype)
 
 
 def _kind_of_result(leaf: Any) -> Any:

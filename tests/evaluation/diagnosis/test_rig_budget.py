@@ -8,6 +8,7 @@ from jax.flatten_util import ravel_pytree
 from standard_scene import POINTS
 
 from smartview_jax import Rig, error_budget
+from smartview_jax.engine import build_rig
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.evaluation.diagnosis import rig_budget
 from smartview_jax.evaluation.diagnosis.causes import (
@@ -23,7 +24,7 @@ from smartview_jax.evaluation.diagnosis.rig_budget import (
     covariance_by_cause,
 )
 from smartview_jax.fit_result import Rejection
-from smartview_jax.robot_errors import GenericSixAxisArm, RobotError
+from smartview_jax.robot_errors import GenericSixAxisArm, LinearInPose, RobotError
 from smartview_jax.simulation import simulate
 from smartview_jax.variance import RigNoiseEstimate
 from smartview_jax.variance.kenward_roger import SmallSampleCorrection
@@ -168,10 +169,30 @@ def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain(erring, monkey
         name: dataclasses.replace(calibration, robot_error=RobotError.zero(field))
         for name, calibration in fit.calibrations.items()
     }
-    monkeypatch.setattr(rig_budget, "fit_rig", lambda rig, starts, field, fixed: fit)
+    # The camera of the left one was held, as the names of what was estimated tell.
+    kept = [k for k, n in enumerate(fit.parameter_names) if not n.startswith("left.camera.")]
+    held = dataclasses.replace(
+        fit,
+        parameter_names=tuple(fit.parameter_names[k] for k in kept),
+        covariance=np.asarray(fit.covariance)[np.ix_(kept, kept)],
+    )
+
+    def linear_fit(used, starts, field, fixed):
+        """The fit that is asked for could be made: its problem is built."""
+        assert used.view_ids == rig.view_ids
+        assert isinstance(field, LinearInPose)
+        assert all(start.robot_error is None for start in starts.values())
+        assert fixed == ["left.camera"]
+        known = dataclasses.replace(fit.noise, field=(1e-3,) * len(field.groups))
+        built = build_rig(used, starts, noise=known, field=field, fixed=fixed)
+        assert not any(name.startswith("left.camera.") for name in built.shared_names)
+        return fit
+
+    monkeypatch.setattr(rig_budget, "fit_rig", linear_fit)
     causes = {PIXEL_NOISE: 0.1, ROBOT_NOISE: 0.2}
     monkeypatch.setattr(rig_budget, "rms_of_causes", lambda *_: causes)
-    found = error_budget(rig, dataclasses.replace(fit, calibrations=arms))
+    monkeypatch.setattr(rig_budget, "pose_uncertainties", lambda _: ())
+    found = error_budget(rig, dataclasses.replace(held, calibrations=arms))
     for budget in found.cameras.values():
         assert not budget.uses_fitted_chain
         assert "with a field linear in the pose" in budget.summary
