@@ -33,6 +33,9 @@ from .transform_fit import (
     motions_of_views,
 )
 
+MAX_ZOOM = 5.0
+"""Largest ratio of two focal lengths that is taken for a zoom, either way."""
+
 
 @dataclasses.dataclass(frozen=True)
 class ChangeOptions:
@@ -229,6 +232,9 @@ class _Search(NamedTuple):
             translation, rotation = misfits(change)[0].tolist()
             yield self._change(kind, place, (translation, rotation), 1.0, corrected)
         before_factor, after_factor = self._depth_factors(after)
+        # No lens zooms so far between two pictures of one target; poses that fit nothing seem to.
+        if not (before_factor > 0.0 and 1.0 / MAX_ZOOM < after_factor / before_factor < MAX_ZOOM):
+            return
         camera = self.camera.copy()
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
         corrected = fit_transforms(self.robot, camera, np.ones(len(after), dtype=bool)).closure

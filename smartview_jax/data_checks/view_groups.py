@@ -9,18 +9,18 @@ are gathered. Three views that agree by chance would have to do so in six number
 """
 
 import dataclasses
-import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from ..geometry import host_rotation_vectors, mean_matrix
 from .change_texts import moved_text
 from .closure import MAX_CLOSURE_SCORE, Poses
 from .convention_hypotheses import listed_views
+from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
 from .misfit_evidence import closure_variances, evidence
 from .transform_fit import (
     Matrix,
@@ -43,21 +43,17 @@ class GroupOptions:
 
     Attributes:
         min_views: fewest views: three of two groups agree with anything.
-        min_group: fewest views of a group.
         min_share: smallest share of the views that the groups must contain.
         tolerance: largest disagreement of views of one group, rotation (rad) plus translation over
-            the distance to the target; the default is half of what a robot is allowed.
+            the distance to the target.
         min_odds: smallest odds of the groups; 150 are "very strong evidence" in the words of Kass
             and Raftery, Bayes factors, 1995.
-        max_tried: largest number of triples of views that are tried.
     """
 
     min_views: int = 7
-    min_group: int = 3
     min_share: float = 0.85
-    tolerance: float = 0.5 * MAX_CLOSURE_SCORE
+    tolerance: float = MAX_DISAGREEMENT
     min_odds: float = 150.0
-    max_tried: int = 300
 
 
 class ViewGroup(NamedTuple):
@@ -160,8 +156,8 @@ def find_groups(
     given = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool)).closure
     if mean_misfit(given, distance)[1] < MAX_CLOSURE_SCORE:
         return None
-    largest = _largest_group(robot, camera, distance, options)
-    if largest.sum() <= options.min_group:
+    largest = largest_group(robot, camera, distance, options.tolerance)
+    if largest.sum() <= MIN_GROUP:
         return None
     fit = fit_transforms(robot, camera, largest)
     on_holder = np.linalg.inv(robot) @ fit.closure @ robot
@@ -180,11 +176,11 @@ def find_groups(
     for group in others:
         change = mean_matrix(closure[group], np.ones(len(group)))
         corrected[group] = np.linalg.inv(change) @ closure[group]
-        moved = misfits(change)[0]
+        translation, rotation = misfits(change)[0].tolist()
         turns = 0
         if kind == "camera":
             turns = _quarter_turns(fit.camera_from_mount, change, distance)
-        groups.append(ViewGroup(tuple(views[group].tolist()), *moved.tolist(), turns))
+        groups.append(ViewGroup(tuple(views[group].tolist()), translation, rotation, turns))
     # Each view may be of any group.
     odds = evidence(closure_variances(given[members]), corrected[members], 6 * len(others))
     odds -= 2.0 * len(members) * np.log(1 + len(others))
@@ -193,41 +189,6 @@ def find_groups(
     misfit, score = mean_misfit(corrected[members], distance)
     given_misfit, _ = mean_misfit(given[members], distance)
     return ViewGroups(kind, tuple(groups), misfit, given_misfit, score)
-
-
-def _scores(closure: Poses, distance: float) -> Float[np.ndarray, "views"]:
-    """Return the disagreement of each view: rotation plus translation over the distance."""
-    translation, rotation = misfits(closure).T
-    return rotation + translation / distance
-
-
-def _largest_group(
-    robot: Poses, camera: Poses, distance: float, options: GroupOptions
-) -> Bool[np.ndarray, "views"]:
-    """Return the mask of the most views that agree with transforms fitted to three of them."""
-    count = len(robot)
-    best = np.zeros(count, dtype=bool)
-    for triple in _triples(count, options.max_tried):
-        agreeing = np.zeros(count, dtype=bool)
-        agreeing[triple] = True
-        # Fitted again to all that agree: three views alone leave the transforms uncertain.
-        for _ in range(3):
-            before = agreeing
-            closure = fit_transforms(robot, camera, agreeing).closure
-            agreeing = _scores(closure, distance) < options.tolerance
-            if agreeing.sum() < options.min_group or np.array_equal(agreeing, before):
-                break
-        if agreeing.sum() > best.sum():
-            best = agreeing
-    return best
-
-
-def _triples(count: int, largest_number: int) -> Int[np.ndarray, "triples 3"]:
-    """Return all triples of views; of many, as many at random."""
-    if count * (count - 1) * (count - 2) // 6 <= largest_number:
-        return np.array(list(itertools.combinations(range(count), 3)))
-    rng = np.random.default_rng(0)
-    return np.argsort(rng.random((largest_number, count)), axis=1)[:, :3]
 
 
 def _gathered(
@@ -242,16 +203,16 @@ def _gathered(
         options: tolerance and smallest size of a group.
     """
     groups, left_over = [], np.flatnonzero(rest)
-    while len(left_over) >= options.min_group:
+    while len(left_over) >= MIN_GROUP:
         near = np.array(
             [
-                _scores(np.linalg.inv(closure[view]) @ closure[left_over], distance)
+                disagreements(np.linalg.inv(closure[view]) @ closure[left_over], distance)
                 < 2.0 * options.tolerance
                 for view in left_over
             ]
         )
         middle = int(np.argmax(near.sum(axis=1)))
-        if near[middle].sum() < options.min_group:
+        if near[middle].sum() < MIN_GROUP:
             break
         groups.append(left_over[near[middle]])
         left_over = left_over[~near[middle]]
