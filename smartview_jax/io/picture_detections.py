@@ -171,18 +171,8 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
     raise FileNotFoundError(
         f"{first}: no such picture, nor any other of {len(paths)}; {first.parent} has "
         f"{f'{len(others)} others, ' if others else ''}{content}: does the pattern have the right "
-        f"folder and suffix{_lost_zeros(first, others)}?"
+        "folder and suffix?"
     )
-
-
-def _lost_zeros(missing: Path, others: Sequence[Path]) -> str:
-    """Return a clause if a picture's number is in the folder, with leading zeros; else nothing."""
-    numbers = [file.stem for file in others if file.stem.isdecimal()]
-    if not missing.stem.isdecimal() or missing.stem.lstrip("0") not in (
-        number.lstrip("0") for number in numbers
-    ):
-        return ""
-    return f", or did a spreadsheet remove leading zeros from the names, such as {numbers[0]}"
 
 
 def _checked_size(

@@ -95,7 +95,7 @@ def test_a_wrong_description_is_known_at_the_first_picture(folder, bad_views, ol
 def test_zeros_that_a_spreadsheet_removed_from_pictures_names_are_named(folder):
     for picture in (folder / "images").iterdir():
         picture.rename(picture.with_name(f"0{picture.name}"))
-    with pytest.raises(FileNotFoundError, match=r"remove leading zeros from the names, such as 00"):
+    with pytest.raises(ValueError, match=r"remove leading zeros from the names, such as 00"):
         load_dataset(folder)
 
 
