@@ -19,8 +19,8 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..calibration import mount_frames
 from ..geometry import mean_matrix
+from .change_texts import moved_text
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .misfit_evidence import closure_variances, evidence
 from .transform_fit import (
@@ -32,6 +32,9 @@ from .transform_fit import (
     misfits,
     motions_of_views,
 )
+
+MAX_ZOOM = 5.0
+"""Largest ratio of two focal lengths that is taken for a zoom, either way."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,15 +133,7 @@ def _causes(change: Change, mount: str) -> str:
     """Return what may have been changed, and by how much, as a clause."""
     if change.kind == "zoom":
         return f"the lens had zoomed by {100.0 * (change.zoom - 1.0):+.1f} %"
-    in_hand = mount_frames(mount)[0] == "tool"
-    size = misfit_text((change.translation, change.rotation))
-    if change.kind == "target":
-        held = "the target had been moved" + ("" if in_hand else " in the hand")
-        frame = "base" if in_hand else "tool"
-    else:
-        held = "the camera had been moved" + (" on the tool" if in_hand else "")
-        frame = "tool" if in_hand else "base"
-    return f"{held} (or the controller's {frame} frame changed) by {size}"
+    return moved_text(change.kind, mount, (change.translation, change.rotation))
 
 
 def find_change(
@@ -237,6 +232,9 @@ class _Search(NamedTuple):
             translation, rotation = misfits(change)[0].tolist()
             yield self._change(kind, place, (translation, rotation), 1.0, corrected)
         before_factor, after_factor = self._depth_factors(after)
+        # No lens zooms so far between two pictures of one target; poses that fit nothing seem to.
+        if not (before_factor > 0.0 and 1.0 / MAX_ZOOM < after_factor / before_factor < MAX_ZOOM):
+            return
         camera = self.camera.copy()
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
         corrected = fit_transforms(self.robot, camera, np.ones(len(after), dtype=bool)).closure

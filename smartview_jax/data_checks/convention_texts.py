@@ -23,6 +23,17 @@ rotation between two views, and its largest value, rad.
 Pictures that are paired with wrong poses leave about as much as the views are turned.
 """
 
+MAX_POSITION_ERROR, MAX_ARM_LENGTH = 0.1, 10.0
+"""Closure error of the positions, over the distance to the target, that is looked at, and its ratio
+to that of the rotations, m, which no arm exceeds: joints that move a tool by an angle's error move
+it by this angle times their distance from it. So a robot whose rotations fit has no such error."""
+
+_POSITIONS_TEXT = (
+    "they turn alike, but the positions do not fit, and no mistake that is known explains it. Are "
+    "some rows in another unit, sign or base frame? Did a linear axis, a cart or a person move "
+    "robot or target, which the poses do not tell?"
+)
+
 
 def convention_problems(
     given_error: ClosureError,
@@ -36,12 +47,10 @@ def convention_problems(
     if not is_explained(given_error, hypotheses):
         weak_robot_angle = min(WEAK_ROBOT_ANGLE_RATIO * min(rotation_angles), MAX_WEAK_ROBOT_ANGLE)
         limit = max(ANGLE_TOLERANCE, weak_robot_angle)
-        implausible = max(mismatch, given_error.rotation) > limit
-        return (
-            (f"{as_given}: {_unexplained_text(best, given_error, mismatch, rotation_angles)}",)
-            if implausible
-            else ()
-        )
+        if max(mismatch, given_error.rotation) > limit:
+            text = _unexplained_text(best, given_error, mismatch, rotation_angles)
+            return (f"{as_given}: {text}",)
+        return (f"{as_given}: {_POSITIONS_TEXT}",) if _only_positions_differ(given_error) else ()
     # Mistakes with nearly the same closure error cannot be distinguished: report all of them.
     first_named = {hypothesis.name: hypothesis for hypothesis in hypotheses[::-1]}
     rivals = [
@@ -71,6 +80,12 @@ def convention_problems(
         f"{explained}; the next best explanation, that {runner_up.description}, leaves "
         f"{runner_up_text}",
     )
+
+
+def _only_positions_differ(error: ClosureError) -> bool:
+    """Return whether positions disagree by more than any arm's that turns as it says."""
+    relative = error.score - error.rotation
+    return relative > MAX_POSITION_ERROR and error.translation > MAX_ARM_LENGTH * error.rotation
 
 
 def _unexplained_text(

@@ -1,4 +1,4 @@
-"""Find the one fault that makes many views wrong together: a change, a drift or a lag.
+"""Find the one fault that makes many views wrong together: a change, a drift, a lag, or groups.
 
 No single view looks wrong with any of them. Where several explain the views, the best explanation
 is named.
@@ -15,6 +15,7 @@ from ..calibration import host_mount_from_holder
 from .changes import find_change
 from .pose_lag import PoseLag, find_lag
 from .set_up_drift import find_drift
+from .view_groups import find_groups
 
 MIN_RATIO_DIFFERENCE = 0.01
 """Smallest difference of the motions' lengths that may hide a fault, or come from one."""
@@ -95,7 +96,15 @@ def find_shared_fault(
         for ratio in ratios
         for fault in _faults(poses._replace(length_ratio=ratio), used, agreeing)
     ]
-    return min(faults, key=lambda entry: entry[0])[1] if faults else None
+    best = min(faults, key=lambda entry: entry[0])[1] if faults else None
+    # A tracker loses its target and finds it elsewhere, which the fit of its poses treats itself.
+    if poses.tracked or (best is not None and best.explains_most):
+        return best
+    robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
+    groups = find_groups(robot, poses.camera_from_world, used)
+    if groups is None:
+        return best
+    return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
 
 
 def _faults(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
 from ..dataset import (
@@ -28,8 +28,9 @@ from ..geometry import (
     host_rotation_angles,
     host_transforms,
 )
-from .closure import Poses
-from .transform_fit import fit_transforms, misfit_text, misfits
+from .closure import MAX_CLOSURE_SCORE, Poses
+from .largest_group import largest_group
+from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text, misfits
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.
@@ -111,6 +112,24 @@ def find_consistent_views(
             misfit_scale,
         )
 
+    def leave_out(views: Sequence[int], fit: _TransformFit) -> None:
+        """Sort views that a fit without them contradicts into wrong ones and uncertain ones."""
+        errors = None
+        if reprojection_error is not None:
+            errors = reprojection_error(fit.camera_from_mount, fit.holder_from_world)
+        for view in views:
+            # Its points are where the others predict them: its pose is uncertain, not wrong.
+            if errors is not None and errors[view] <= MAX_REPROJECTION_ERROR_RATIO * np.median(
+                errors[consistent]
+            ):
+                uncertain.append(view)
+            else:
+                rejected.append(view)
+
+    hidden = _hidden_views(robot, camera, weighted)
+    consistent[hidden] = False
+    if len(hidden):
+        leave_out(hidden.tolist(), fit_transforms_to(consistent))
     # One view per round, judged by transforms computed without it: a wrong view biases the
     # transforms, and then good views may look worse than it does.
     while (
@@ -125,16 +144,7 @@ def find_consistent_views(
         if not fit.misfit_ratio[worst] > MAX_MISFIT_RATIO:
             break
         consistent = remaining
-        errors = None
-        if reprojection_error is not None:
-            errors = reprojection_error(fit.camera_from_mount, fit.holder_from_world)
-        # Its points are where the others predict them: its pose is uncertain, not wrong.
-        if errors is not None and errors[worst] <= MAX_REPROJECTION_ERROR_RATIO * np.median(
-            errors[remaining]
-        ):
-            uncertain.append(worst)
-        else:
-            rejected.append(worst)
+        leave_out([worst], fit)
     # The sentences use transforms without any rejected view: of two exchanged pictures, the
     # second still biased the transforms when the first was rejected.
     fit = fit_transforms_to(consistent)
@@ -225,6 +235,27 @@ class _TransformFit(NamedTuple):
     misfit: Float[np.ndarray, "views 2"]
     misfit_ratio: Float[np.ndarray, "views"]
     misfit_scale: Float[np.ndarray, "views 2"]
+
+
+def _hidden_views(
+    robot: Poses, camera: Poses, used: Bool[np.ndarray, "views"]
+) -> Int[np.ndarray, "hidden"]:
+    """Return the views that a few far worse than all others hide behind each other, by index.
+
+    A fit to all views bends to them, and without the worst of them still to the rest: then none
+    stands out. So they are those outside the largest group of views that agree, if nearly all do.
+    """
+    views, none = np.flatnonzero(used), np.zeros(0, dtype=int)
+    if len(views) < MINIMUM_RELIABLE_VIEWS or not np.isfinite([robot[used], camera[used]]).all():
+        return none
+    distance = median_distance(camera[views])
+    closure = fit_transforms(robot, camera, used).closure[views]
+    if mean_misfit(closure, distance)[1] < MAX_CLOSURE_SCORE:
+        return none
+    agreeing = largest_group(robot[views], camera[views], distance)
+    if agreeing.sum() < (1.0 - MAX_REJECTED_FRACTION) * len(views):
+        return none
+    return views[~agreeing]
 
 
 def _fits_turned(

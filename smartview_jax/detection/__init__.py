@@ -21,3 +21,4 @@ from .plausibility import PointTest as PointTest
 from .plausibility import check_points as check_points
 from .plausibility import checked_pixels as checked_pixels
 from .plausibility import left_out_note as left_out_note
+from .shown_instead import shown_instead as shown_instead

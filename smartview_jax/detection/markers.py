@@ -63,10 +63,8 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
     corners, ids, _, marker_ids = detector.detectBoard(image)
     if ids is None or len(ids) == 0:
         marker_count = 0 if marker_ids is None else len(marker_ids)
-        hint = ": try the legacy pattern" if marker_count and not target.legacy else ""
         return empty_detection(
-            count,
-            f"no ChArUco corner found ({marker_count} markers of {target.dictionary} seen){hint}",
+            count, f"no ChArUco corner found ({marker_count} markers of {target.dictionary} seen)"
         )
     return partial_detection(count, ids.ravel(), corners)
 
@@ -82,7 +80,7 @@ def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
         target: the grid.
     """
     count = 4 * len(target.ids)
-    tags = _find_tags(image, target, target.border_bits)
+    tags = find_tags(image, target, target.border_bits)
     if len(tags) < 0.5 * len(target.ids) and (other := _other_border(image, target, len(tags))):
         return empty_detection(
             count,
@@ -111,14 +109,14 @@ def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:
     return Detection(pixels, np.asarray(np.isfinite(pixels).all(axis=1)), None)
 
 
-def _find_tags(
+def find_tags(
     image: np.ndarray, target: TagGrid | AprilGrid, border_bits: int
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
     """Return the corners of the target's tags by number, not refined, px.
 
     A number that is found more than once is left out, because one of its tags is not the target's.
     """
-    detector = _tag_detector(target, border_bits)
+    detector = marker_detector(dictionary_by_name(target.dictionary), border_bits)
     pictures = [(image, 0)]
     if isinstance(target, AprilGrid):
         # The squares at the corners of a tag connect it to its neighbours. Dilating the light areas
@@ -147,9 +145,7 @@ def _grown(corners: Float[np.ndarray, "4 2"], shift: int) -> Float[np.ndarray, "
 def _other_border(image: np.ndarray, target: TagGrid | AprilGrid, count: int) -> int | None:
     """Return the width of a border with which more tags are found than `count`, or None."""
     counts = {
-        bits: len(_find_tags(image, target, bits))
-        for bits in _BORDERS
-        if bits != target.border_bits
+        bits: len(find_tags(image, target, bits)) for bits in _BORDERS if bits != target.border_bits
     }
     best = max(counts, key=lambda bits: counts[bits])
     return best if counts[best] > count else None
@@ -158,16 +154,18 @@ def _other_border(image: np.ndarray, target: TagGrid | AprilGrid, count: int) ->
 def _reason_for_no_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> str:
     """Return the error text that no tag of the target was found, with the other tags found."""
     reason = f"no tag {target.ids[0]} to {target.ids[-1]} of {target.dictionary} found"
-    _, ids, _ = _tag_detector(target, target.border_bits).detectMarkers(image)
+    _, ids, _ = marker_detector(
+        dictionary_by_name(target.dictionary), target.border_bits
+    ).detectMarkers(image)
     others = [] if ids is None else sorted(int(k) for k in ids.ravel())
     return f"{reason}, but tags {others}" if others else reason
 
 
-def _tag_detector(target: TagGrid | AprilGrid, border_bits: int) -> cv2.aruco.ArucoDetector:
-    """Return OpenCV's detector for tags with the given border."""
+def marker_detector(dictionary: cv2.aruco.Dictionary, border_bits: int) -> cv2.aruco.ArucoDetector:
+    """Return OpenCV's detector for the markers of a dictionary with the given border."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = border_bits
-    return cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary), parameters)
+    return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
 def _cells_in_words(border_bits: int) -> str:

@@ -1,6 +1,7 @@
 """Make a data set from picture files and robot poses, for all importers of pictures."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,14 @@ from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
 from ..dataset import Dataset
-from ..detection import consistent_ordering, left_out_note
+from ..detection import consistent_ordering, left_out_note, read_picture, shown_instead
 from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, CircleGrid, StackedTarget
 from .folder_pictures import LoadOptions
 from .picture_detections import ShownTarget, detect_views
+
+MAX_ASKED_PICTURES = 3
+"""Largest number of pictures in which other boards are looked for if none shows the target."""
 
 
 def dataset_from_pictures(
@@ -50,9 +54,11 @@ def dataset_from_pictures(
         if not detection.visible.any()
     }
     if len(undetected) == len(views):
+        reason, instead = next(iter(undetected.values())), _shown_instead(pictures, target)
         raise ValueError(
             f"{next(iter(pictures.values()))[0].parent}: the target was found in none of "
-            f"{len(views)} views ({next(iter(undetected.values()))}): is it really a {target!r}?"
+            f"{len(views)} views"
+            + (f": {instead} ({reason})" if instead else f" ({reason}): is it really a {target!r}?")
         )
     pixels = np.stack([detections[view].pixels for view in views])
     _refuse_undetected_rows(pixels, target, next(iter(pictures.values()))[0].parent)
@@ -75,6 +81,18 @@ def dataset_from_pictures(
         target=target,
         notes=notes,
     )
+
+
+def _shown_instead(pictures: Mapping[str, Sequence[Path]], target: AbstractTarget) -> str:
+    """Return what some pictures show instead of the target, as a clause; empty if nothing known."""
+    paths = [path for view_paths in pictures.values() for path in view_paths]
+    asked = np.unique(np.linspace(0, len(paths) - 1, MAX_ASKED_PICTURES).round().astype(int))
+    shown = []
+    for path in (paths[k] for k in asked):
+        # A picture that cannot be read tells nothing; the reason of its view says so.
+        with suppress(FileNotFoundError, ValueError):
+            shown.append(read_picture(path))
+    return shown_instead(shown, target.board if isinstance(target, StackedTarget) else target)
 
 
 def _shown_picture(paths: Sequence[Path], visible: Bool[np.ndarray, " points"]) -> Path:

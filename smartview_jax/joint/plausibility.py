@@ -12,6 +12,7 @@ import numpy as np
 
 from ..calibration import BOW, PRINT, Calibration
 from ..cameras import Camera, lens_name
+from ..data_checks import OTHER_ARM_RATIO, OTHER_ARM_TEXT
 from ..dataset import (
     MINIMUM_RELIABLE_VIEWS,
     PoseObservations,
@@ -23,6 +24,7 @@ from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
 from ..staged import mistaken_unit
 from ..variance import MIN_SHAPE_SIGMAS, TargetScaleEvidence
+from .camera_like_errors import camera_like_errors
 from .joint_fit import JointFit, half_width
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
@@ -263,21 +265,27 @@ def _scale_warnings(fit: JointFit) -> list[str]:
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
         return []
     size = f"of its stated size (probability {scale.probability:.2f})"
+    by_joints = fit.problem.observations.joints is not None
     if scale.probability > MAX_SCALE_PROBABILITY:
         # The parameter is the logarithm: its standard deviation is relative.
         value = float(fit.calibration.target_scale)
         std = value * fit.std[TARGET_SCALE]
-        advice = _size_advice(value, std)
+        advice = _size_advice(value, std, by_joints)
         return [f"the target is {value:.4f} +- {std:.4f} {size}; this size is used: {advice}"]
-    advice = _size_advice(scale.scale, scale.std)
+    advice = _size_advice(scale.scale, scale.std, by_joints)
     text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: {advice}"
     return [text + _mount_by_size(fit, scale)]
 
 
-def _size_advice(scale: float, std: float) -> str:
-    """Return what to do about a target of another size than stated: a unit may be mistaken."""
+def _size_advice(scale: float, std: float, by_joints: bool) -> str:
+    """Return what to do about a target of another size than stated: a unit may be mistaken.
+
+    Where joints gave the poses, the arm's description may be of another one.
+    """
     # The camera's motion is measured in the target's size.
     unit = mistaken_unit(1.0 / scale, MAX_PRIOR_SIGMAS * std / scale)
+    if by_joints and not 1.0 / OTHER_ARM_RATIO < scale < OTHER_ARM_RATIO:
+        return f"measure it{f'; {unit}?' if unit else ''}; {OTHER_ARM_TEXT}"
     return f"measure it; {unit}?" if unit else "measure it"
 
 
@@ -312,11 +320,16 @@ def _robot_warnings(fit: JointFit) -> list[str]:
     medians, log_stds = prior.medians(field), prior.log_stds(field)
     # Log-normal prior: implausible is log(sigma / median) > MAX_PRIOR_SIGMAS log_std.
     implausible = np.log(sigmas / medians) > MAX_PRIOR_SIGMAS * log_stds
+    factors, units = [1e3, float(np.rad2deg(1.0))], [" mm", " degrees"]
+    factors += [1.0] * len(sigmas[2:])
+    units += [""] * len(sigmas[2:])
     warnings = [
-        f"implausibly large error of the robot: {names[k]} {sigmas[k]:.2g}, usually "
-        f"{medians[k]:.1g}"
+        f"implausibly large error of the robot: {names[k]} {factors[k] * sigmas[k]:.2g}{units[k]}, "
+        f"usually {factors[k] * medians[k]:.1g}{units[k]}"
         for k in np.flatnonzero(implausible)
     ]
+    if warnings:
+        warnings = camera_like_errors(fit) + warnings
     if fit.calibration.robot_error is not None:
         twists = np.asarray(fit.field_corrections)
         # The mean correction is removed, because it cannot be separated from the mount.

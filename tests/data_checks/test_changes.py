@@ -64,6 +64,15 @@ def test_a_zoom_is_named_with_its_size(noise):
     )
 
 
+def test_depths_that_fit_nothing_are_no_zoom():
+    """Half of the depths are negative: no lens does that."""
+    robot, camera = motions()
+    seen = host_matrices(camera).copy()
+    seen[FIRST_CHANGED:, 2, 3] *= -1.0
+    report = find_change(robot, as_se3(seen), EVERY_VIEW)
+    assert report is None or all(change.kind != "zoom" for change in report.changes)
+
+
 def test_a_camera_pushed_along_its_axis_is_no_zoom():
     push = transform([0, 0, 0], 0.02 * CAMERA_FROM_MOUNT[2, :3])
     report = find_change(*motions(camera_knock=push), EVERY_VIEW)

@@ -327,6 +327,20 @@ def test_a_robot_whose_frame_is_left_handed_is_named(poses):
     assert "or the robot's frame is left-handed" in problem.split("next best")[0]
 
 
+def test_positions_alone_that_do_not_fit_are_named(poses):
+    """Every second row lies on the other side of the base: every rotation is right."""
+    robot, seen = poses
+    changed = matrices(robot)
+    changed[::2, :3, 3] += [0.0, 0.0, -0.8] * np.sign(changed[::2, 2:3, 3])
+    (problem,) = check_conventions(host_transforms(changed), seen, "eye_in_hand").problems
+    assert "they turn alike, but the positions do not fit" in problem
+    # A weak robot that moves its tool as far turns it as well.
+    rng = np.random.default_rng(0)
+    errors = np.concatenate([rng.normal(0, 0.02, (VIEWS, 3)), rng.normal(0, 0.03, (VIEWS, 3))], 1)
+    weak = host_transforms(matrices(robot) @ host_exponentials(errors))
+    assert check_conventions(weak, seen, "eye_in_hand").problems == ()
+
+
 def test_a_mistake_that_corrects_little_is_not_suggested(poses):
     """Every third row repeats the row before; millimetres leave the rotations as wrong as given."""
     robot, seen = poses

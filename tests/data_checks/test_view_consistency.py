@@ -44,6 +44,15 @@ def test_views_off_by_rotation_and_by_translation_are_left_out(poses):
     assert "it fits the pose of no other view either: moved, or a wrong pose?" in words[3]
 
 
+def test_views_that_hide_each_other_are_left_out(poses):
+    """Three rows are in another unit of length: they bend any fit to all views to themselves."""
+    robot, seen = poses
+    wrong = host_matrices(robot.inverse()).copy()
+    wrong[[2, 5, 6], :3, 3] *= 0.1
+    kept, words, _ = find_consistent_views(as_se3(wrong).inverse(), seen, jnp.ones(VIEWS))
+    assert set(np.flatnonzero(~kept)) == set(words) == {2, 5, 6}
+
+
 def test_two_views_that_were_exchanged_are_named_with_each_other(poses):
     robot, seen = poses
     order = np.arange(VIEWS)

@@ -107,3 +107,21 @@ def test_an_unknown_arm_is_named(folder):
     (folder / "dataset.yaml").write_text(kept + entry + "end: smartview_dataset\n")
     with pytest.raises(ValueError, match=r"joints\.arm: arm is one of kuka_lwr4, .*'robby'"):
         load_dataset(folder)
+
+
+def test_counts_of_an_encoder_are_no_radians(folder):
+    header, *rows = (folder / "joints.csv").read_text().splitlines()
+    counts = [",".join((row.split(",")[0], *["-941"] * 7)) for row in rows]
+    (folder / "joints.csv").write_text("\n".join([header, *counts]) + "\n")
+    with pytest.raises(ValueError, match=r"q1 is -941 .*more than 100: degrees .* or counts"):
+        load_dataset(folder)
+
+
+def test_a_joint_that_the_arm_does_not_have_is_named(folder):
+    """The table of a seven-axis arm with a six-axis arm's parameters would be read by halves."""
+    lines = (folder / "joints.csv").read_text().splitlines()
+    (folder / "joints.csv").write_text(
+        "\n".join([f"{lines[0]},q8", *(f"{line},0.5" for line in lines[1:])]) + "\n"
+    )
+    (note,) = load_dataset(folder).notes
+    assert note.startswith("joints.csv has q8 too, which the stated arm of 7 joints has not")

@@ -1,0 +1,74 @@
+"""Find the most views that agree with each other, however wrong the others are.
+
+A fit to all views bends to those that are far off, so that good views look wrong and wrong ones
+hide behind each other. Transforms fitted to three good views fit all other good views as well;
+views that agree with these by chance would have to do so in six numbers each.
+"""
+
+import itertools
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from .closure import MAX_CLOSURE_SCORE, Poses
+from .transform_fit import fit_transforms, misfits
+
+MAX_DISAGREEMENT = 0.5 * MAX_CLOSURE_SCORE
+"""Largest disagreement of a view of a group, rotation (rad) plus translation over the distance to
+the target: half of what is accepted between two views of all."""
+
+MIN_GROUP = 3
+"""Fewest views of a group: as many as determine the transforms."""
+
+MAX_TRIPLES = 300
+"""Largest number of triples of views that are tried. Where half of the views are good, an eighth of
+all triples are."""
+
+_REFITS = 3
+"""Number of fits to the views that agree: three views alone leave the transforms uncertain."""
+
+
+def disagreements(closure: Poses, distance: float) -> Float[np.ndarray, "views"]:
+    """Return the disagreement of each view: rotation plus translation over the distance.
+
+    Args:
+        closure: closure error of each view.
+        distance: median distance of the target from the camera, m.
+    """
+    translation, rotation = misfits(closure).T
+    return rotation + translation / distance
+
+
+def largest_group(
+    robot: Poses, camera: Poses, distance: float, tolerance: float = MAX_DISAGREEMENT
+) -> Bool[np.ndarray, "views"]:
+    """Return the mask of the most views that agree with transforms fitted to them.
+
+    Args:
+        robot: `mount_from_holder`, finite.
+        camera: `camera_from_world`, finite.
+        distance: median distance of the target from the camera, m.
+        tolerance: largest disagreement of a view of the group.
+    """
+    count = len(robot)
+    best = np.zeros(count, dtype=bool)
+    for triple in _triples(count):
+        agreeing = np.zeros(count, dtype=bool)
+        agreeing[triple] = True
+        for _ in range(_REFITS):
+            before = agreeing
+            closure = fit_transforms(robot, camera, agreeing).closure
+            agreeing = disagreements(closure, distance) < tolerance
+            if agreeing.sum() < MIN_GROUP or np.array_equal(agreeing, before):
+                break
+        if agreeing.sum() > best.sum():
+            best = agreeing
+    return best
+
+
+def _triples(count: int) -> Int[np.ndarray, "triples 3"]:
+    """Return all triples of views; of many, some at random."""
+    if count * (count - 1) * (count - 2) // 6 <= MAX_TRIPLES:
+        return np.array(list(itertools.combinations(range(count), 3)))
+    rng = np.random.default_rng(0)
+    return np.argsort(rng.random((MAX_TRIPLES, count)), axis=1)[:, :3]

@@ -1,0 +1,240 @@
+"""Find views that agree in groups: pictures of two cameras, poses of several tools or base frames.
+
+Where views of two cameras are mixed in one folder, or the controller's tool frame was another one
+in every second view, no view is wrong by itself, no view parts good ones from bad ones, and no
+median over pairs of views is small. But some views agree with each other, and the others disagree
+with these by one transform, or by a few. So the transforms are fitted to three views at a time; the
+three with which the most views agree give the largest group, and the disagreements of the others
+are gathered. Three views that agree by chance would have to do so in six numbers each.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Int
+
+from ..geometry import host_rotation_vectors, mean_matrix
+from .change_texts import moved_text
+from .closure import MAX_CLOSURE_SCORE, Poses
+from .convention_hypotheses import listed_views
+from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
+from .misfit_evidence import closure_variances, evidence
+from .transform_fit import (
+    Matrix,
+    fit_transforms,
+    mean_misfit,
+    median_distance,
+    misfit_text,
+    misfits,
+    motions_of_views,
+)
+
+MAX_TURN_ERROR, MAX_TURN_SHIFT = float(np.deg2rad(2.0)), 0.05
+"""Differences (rotation, rad, and translation over the distance to the target) of a change from a
+turn about the optical axis, up to which it is one: the lens is not in the picture's very middle."""
+
+
+@dataclasses.dataclass(frozen=True)
+class GroupOptions:
+    """Say which groups of views are named.
+
+    Attributes:
+        min_views: fewest views: three of two groups agree with anything.
+        min_share: smallest share of the views that the groups must contain.
+        tolerance: largest disagreement of views of one group, rotation (rad) plus translation over
+            the distance to the target.
+        min_odds: smallest odds of the groups; 150 are "very strong evidence" in the words of Kass
+            and Raftery, Bayes factors, 1995.
+    """
+
+    min_views: int = 7
+    min_share: float = 0.85
+    tolerance: float = MAX_DISAGREEMENT
+    min_odds: float = 150.0
+
+
+class ViewGroup(NamedTuple):
+    """Views that agree with each other, and how they differ from the largest group.
+
+    Attributes:
+        views: indices of the views.
+        translation, rotation: size of the change from the largest group's frame, m and rad.
+        quarter_turns: 1, 2 or 3 where their pictures seem to be turned by so many right angles
+            against the largest group's, else 0.
+    """
+
+    views: tuple[int, ...]
+    translation: float = 0.0
+    rotation: float = 0.0
+    quarter_turns: int = 0
+
+
+class ViewGroups(NamedTuple):
+    """Groups of views that agree in themselves but not with each other.
+
+    Attributes:
+        kind: `"camera"` where the camera is another one on its mount, `"target"` where the target
+            is elsewhere on its holder.
+        groups: the largest one first.
+        misfit, given_misfit: mean misfit over their views with the changes and without, m and rad.
+        score: rotation plus translation over the distance to the target, with the changes.
+    """
+
+    kind: str
+    groups: tuple[ViewGroup, ...]
+    misfit: tuple[float, float]
+    given_misfit: tuple[float, float]
+    score: float
+
+    def sentence(self, mount: str, view_ids: Sequence[str]) -> str:
+        """Return in words which views agree, how the groups differ, and what may be the cause.
+
+        Args:
+            mount: where the camera is stated to be.
+            view_ids: names of the views.
+        """
+
+        def named(group: ViewGroup) -> str:
+            return listed_views([view_ids[view] for view in group.views])
+
+        largest, *others = self.groups
+        differences = [
+            f"{named(group)}, as if "
+            + (
+                f"the pictures had been turned by {90 * group.quarter_turns} degrees"
+                if group.quarter_turns
+                else moved_text(self.kind, mount, (group.translation, group.rotation))
+            )
+            for group in others
+        ]
+        if all(group.quarter_turns for group in others):
+            question = "Did a program turn some pictures? Turn them back"
+        elif self.kind == "camera":
+            question = (
+                "Are pictures of several cameras mixed, or poses of several tools? Calibrate each "
+                "group by itself"
+            )
+        else:
+            question = (
+                "Are poses in several base frames mixed, or did a linear axis or a person move "
+                "robot or target, which the poses do not tell? Calibrate each group by itself"
+            )
+        return (
+            f"the views agree in {len(self.groups)} groups, which contradict each other: "
+            f"{named(largest)}; and {'; and '.join(differences)}. With that, robot and camera "
+            f"agree to {misfit_text(self.misfit)} instead of {misfit_text(self.given_misfit)} "
+            f"(means over the views). {question}"
+        )
+
+
+def find_groups(
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    used: Bool[np.ndarray, "views"],
+    options: GroupOptions | None = None,
+) -> ViewGroups | None:
+    """Return the groups in which the views agree; None where all agree, or too few do.
+
+    Args:
+        mount_from_holder: the robot's part of the chain, `(views)`.
+        camera_from_world: from the pictures alone, `(views)`.
+        used: mask of the views to use.
+        options: which groups are named; by default `GroupOptions()`.
+    """
+    options = options or GroupOptions()
+    views = np.flatnonzero(used)
+    if len(views) < options.min_views:
+        return None
+    motions = motions_of_views(mount_from_holder, camera_from_world, views, 1.0)
+    if motions is None:
+        return None
+    robot, camera = motions
+    distance = median_distance(camera)
+    given = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool)).closure
+    if mean_misfit(given, distance)[1] < MAX_CLOSURE_SCORE:
+        return None
+    largest = largest_group(robot, camera, distance, options.tolerance)
+    if largest.sum() <= MIN_GROUP:
+        return None
+    fit = fit_transforms(robot, camera, largest)
+    on_holder = np.linalg.inv(robot) @ fit.closure @ robot
+    kinds = {
+        kind: (closure, _gathered(closure, ~largest, distance, options))
+        for kind, closure in (("camera", fit.closure), ("target", on_holder))
+    }
+    # The kind that leaves the fewest views alone, with the fewest groups.
+    kind = max(kinds, key=lambda kind: (sum(map(len, kinds[kind][1])), -len(kinds[kind][1])))
+    closure, others = kinds[kind]
+    members = np.concatenate([np.flatnonzero(largest), *others])
+    if not others or len(members) < options.min_share * len(views):
+        return None
+    corrected = closure.copy()
+    groups = [ViewGroup(tuple(views[largest].tolist()))]
+    for group in others:
+        change = mean_matrix(closure[group], np.ones(len(group)))
+        corrected[group] = np.linalg.inv(change) @ closure[group]
+        translation, rotation = misfits(change)[0].tolist()
+        turns = 0
+        if kind == "camera":
+            turns = _quarter_turns(fit.camera_from_mount, change, distance)
+        groups.append(ViewGroup(tuple(views[group].tolist()), translation, rotation, turns))
+    # Each view may be of any group.
+    odds = evidence(closure_variances(given[members]), corrected[members], 6 * len(others))
+    odds -= 2.0 * len(members) * np.log(1 + len(others))
+    if odds < 2.0 * np.log(options.min_odds):
+        return None
+    misfit, score = mean_misfit(corrected[members], distance)
+    given_misfit, _ = mean_misfit(given[members], distance)
+    return ViewGroups(kind, tuple(groups), misfit, given_misfit, score)
+
+
+def _gathered(
+    closure: Poses, rest: Bool[np.ndarray, "views"], distance: float, options: GroupOptions
+) -> list[Int[np.ndarray, "members"]]:
+    """Return groups of views with one disagreement each, the largest first.
+
+    Args:
+        closure: disagreement of each view with the largest group.
+        rest: the views that are not of it.
+        distance: median distance of the target, m.
+        options: tolerance and smallest size of a group.
+    """
+    groups, left_over = [], np.flatnonzero(rest)
+    while len(left_over) >= MIN_GROUP:
+        near = np.array(
+            [
+                disagreements(np.linalg.inv(closure[view]) @ closure[left_over], distance)
+                < 2.0 * options.tolerance
+                for view in left_over
+            ]
+        )
+        middle = int(np.argmax(near.sum(axis=1)))
+        if near[middle].sum() < MIN_GROUP:
+            break
+        groups.append(left_over[near[middle]])
+        left_over = left_over[~near[middle]]
+    return groups
+
+
+def _quarter_turns(camera_from_mount: Matrix, change: Matrix, distance: float) -> int:
+    """Return by how many right angles a change turns the camera about its axis; 0 if it does not.
+
+    Args:
+        camera_from_mount: the hand-eye transform.
+        change: of the mount's frame.
+        distance: median distance of the target, m.
+    """
+    of_camera = camera_from_mount @ change @ np.linalg.inv(camera_from_mount)
+    for turns in (1, 2, 3):
+        back = np.eye(4)
+        cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns]
+        back[:2, :2] = [[cosine, sine], [-sine, cosine]]
+        remaining = back @ of_camera
+        angle = float(np.linalg.norm(host_rotation_vectors(remaining)))
+        shift = float(np.linalg.norm(remaining[:3, 3]))
+        if angle < MAX_TURN_ERROR and shift < MAX_TURN_SHIFT * distance:
+            return turns
+    return 0
