@@ -6,8 +6,7 @@ the whole model.
 """
 
 import dataclasses
-import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from .entries import (
     suggestion_entry,
     symmetry_entry,
 )
+from .kept_results import are_same_objects
 from .known_facts import FACT_KINDS
 from .model_building import face_problem, placed_grasp, problems_of
 from .session import ModelSession
@@ -36,6 +36,13 @@ Message = dict[str, Any]
 
 SLOW_COMMANDS = ("features", "propose", "symmetry", "judge")
 """Commands that do not change the document and may take seconds."""
+
+COMMANDS = (
+    *SLOW_COMMANDS,
+    *("hover", "check", "undo", "redo", "save", "distance", "accept", "reject"),
+    *("grasp_at", "turn_grasp"),
+)
+"""The methods of a conversation that a page calls by name, in addition to the changes."""
 
 
 class Conversation:
@@ -53,10 +60,10 @@ class Conversation:
         content = dict(message)
         number, name = content.pop("message", None), content.get("do")
         try:
-            command = _COMMANDS.get(str(name))
-            if command is not None:
+            if name == "hello" or name in COMMANDS:
                 content.pop("do")
-                reply = command(self, **content)
+                command = self.greeting if name == "hello" else getattr(self, name)
+                reply = command(**content)
             else:
                 reply = self._changed(content)
         # Messages are not validated, and the disk may be full, so any exception is answered. The
@@ -127,7 +134,9 @@ class Conversation:
         parts: dict[str, dict[int, Any]] = {}
         for kind, source in sources.items():
             shown = self._shown[kind]
-            new = [k for k, made_from in source.items() if not _same(shown.get(k), made_from)]
+            new = [
+                k for k, parts_of in source.items() if not are_same_objects(shown.get(k), parts_of)
+            ]
             # None tells the page that a part was deleted.
             deleted = [k for k in shown if k not in source]
             parts[kind] = {**self._entries(kind, new, estimates), **dict.fromkeys(deleted)}
@@ -302,31 +311,6 @@ class Conversation:
         made = placed_grasp(session.model(), self._face_index(placed.face), turned)
         entry = grasp_entry(made, placed.face, session)
         return {"type": "preview", "grasp": grasp, "entry": entry}
-
-
-def _same(first: tuple | None, second: tuple) -> bool:
-    """Return whether two tuples have identical objects, not only equal ones."""
-    return first is not None and len(first) == len(second) and all(map(operator.is_, first, second))
-
-
-_COMMANDS: dict[str, Callable[..., Message]] = {
-    "hello": Conversation.greeting,
-    "hover": Conversation.hover,
-    "features": Conversation.features,
-    "check": Conversation.check,
-    "judge": Conversation.judge,
-    "undo": Conversation.undo,
-    "redo": Conversation.redo,
-    "save": Conversation.save,
-    "distance": Conversation.distance,
-    "symmetry": Conversation.symmetry,
-    "propose": Conversation.propose,
-    "accept": Conversation.accept,
-    "reject": Conversation.reject,
-    "grasp_at": Conversation.grasp_at,
-    "turn_grasp": Conversation.turn_grasp,
-}
-"""The commands of a page by name, in addition to the changes of a document."""
 
 
 def drawn_plane(session: ModelSession, face: int) -> FacePlane:

@@ -8,10 +8,9 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
-from ..modeling import ConstraintVerdict
+from ..modeling import ConstraintVerdict, pair_lengths
 from .document import Document, DrawnConstraint
-from .fact_values import fact_value
-from .known_facts import constraint_of
+from .known_facts import constraint_of, fact_value
 from .view_geometry import PointEstimate, ViewGeometry
 
 FALSE_ALARM_PROBABILITY = 0.01
@@ -108,16 +107,9 @@ class Findings(NamedTuple):
         """Return the distances of pairs of points by their clicks alone, and their covariance."""
         points = sorted({point for pair in pairs for point in pair})
         positions, covariance = self._alone(points)
-        a, b = np.array([[points.index(point) for point in pair] for pair in pairs]).T
-        differences = positions[b] - positions[a]
-        lengths = np.linalg.norm(differences, axis=1)
-        # d|b - a| = n . (db - da)
-        n = differences / np.maximum(lengths, 1e-30)[:, None]
-        rows = np.arange(len(pairs))
-        gradient = np.zeros((len(pairs), len(points), 3))
-        gradient[rows, a], gradient[rows, b] = -n, n
-        flat = gradient.reshape(len(pairs), -1)
-        return lengths, flat @ covariance @ flat.T
+        indices = [[points.index(point) for point in pair] for pair in pairs]
+        lengths, gradient = pair_lengths(positions, indices)
+        return lengths, gradient @ covariance @ gradient.T
 
     def _alone(
         self, points: Sequence[int]

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import require_distinct, require_readable
+from ..argument_checks import errors_at, require_distinct, require_readable
 from ..cameras import Camera
 from ..detection import read_picture
 from ..evaluation import CalibrationEstimate
@@ -39,16 +39,14 @@ from ..modeling import (
     propose_model,
 )
 from ..robots import CommandLike
-from .click_checks import PictureSizes, check_view
 from .disagreements import Disagreement, Findings, disagreements_of
 from .document import KINDS, Document
 from .document_estimates import DocumentEstimates
-from .drawing import AbstractDrawing
+from .drawing import AbstractDrawing, PictureSizes, check_view
 from .edit_history import EditHistory
+from .kept_results import PictureFeatures, StatedSymmetry
 from .model_building import build_model, placed_points, problems_of
-from .picture_features import PictureFeatures
 from .proposals import Proposals
-from .stated_symmetry import StatedSymmetry
 from .suggestions import Suggestion, suggestions_of
 from .view_geometry import PointEstimate, ViewGeometry
 
@@ -129,7 +127,6 @@ class ModelSession(AbstractDrawing):
         self.geometry: ViewGeometry = ViewGeometry(
             calibration, command, self.names, covariance, click_sigma
         )
-        # These keep their results.
         self._estimates = DocumentEstimates(self.geometry)
         self._symmetry = StatedSymmetry()
         self._features = PictureFeatures(self.cameras, self.pictures)
@@ -392,7 +389,7 @@ def checked_picture(
     picture: np.ndarray | str | os.PathLike[str], name: str, size: tuple[int, int]
 ) -> np.ndarray:
     """Return a grey picture of the camera's size, or raise an error that names the view."""
-    try:
+    with errors_at(f"view {name}"):
         if not isinstance(picture, np.ndarray):
             return read_picture(Path(picture), size)
         grey = picture.mean(axis=2).astype(np.uint8) if picture.ndim == 3 else picture
@@ -404,5 +401,3 @@ def checked_picture(
                 f"the picture has {width} x {height} px, the camera {size[0]} x {size[1]} px"
             )
         return grey
-    except ValueError as error:
-        raise ValueError(f"view {name}: {error}") from None

@@ -26,7 +26,7 @@ from scipy.special import chdtrc, expit, logit
 
 from .document import Document, DrawnConstraint
 from .document_estimates import DocumentEstimates
-from .fact_values import FactValue, fact_value
+from .known_facts import FactValue, fact_value
 
 MIN_ODDS = 20.0
 """Smallest odds of a suggestion: "strong evidence" in the words of Kass and Raftery, 1995."""

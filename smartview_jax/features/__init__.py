@@ -2,7 +2,6 @@
 
 from .appearance import Appearance as Appearance
 from .appearance import describe as describe
-from .appearance import similarities as similarities
 from .edge_points import EdgePoints as EdgePoints
 from .edge_points import edge_map as edge_map
 from .ellipses import EllipseOptions as EllipseOptions

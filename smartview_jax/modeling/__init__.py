@@ -58,6 +58,7 @@ from .shapes import find_symmetry as find_symmetry
 from .shapes import grasp_on_face as grasp_on_face
 from .shapes import open_edges as open_edges
 from .shapes import oriented_outward as oriented_outward
+from .shapes import pair_lengths as pair_lengths
 from .shapes import points_in_loops as points_in_loops
 from .shapes import rim_vertices as rim_vertices
 from .shapes import signed_volume as signed_volume

@@ -101,7 +101,7 @@ def triangulate_lines(
     # The four numbers refer to the middle of the visible part, where they are least correlated.
     known = CalibrationUncertainty.of(views, calibration, **uncertainty)
     local = line_jacobians(views, lines, measured, covariances, visible)
-    weighted = local.by_line / np.where(local.sigmas > 0.0, local.sigmas, 1.0)[..., None] ** 2
+    weighted = local.by_line * local.weights[..., None] ** 2
     normal = np.einsum("vlei,vlej->lij", weighted, local.by_line)
     normal[~ok] = np.eye(4)
     sensitivity = -np.einsum("vlei,vlej->vlij", weighted, local.by_view)
@@ -239,8 +239,7 @@ def _refine(
     gradient, trial = np.zeros((len(enough), 4)), lines
     for _ in range(MAX_STEPS):
         at = line_jacobians(views, trial, segments, covariances, seen)
-        inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
-        r, J = at.distances * inverse, at.by_line * inverse[..., None]
+        r, J = at.distances * at.weights, at.by_line * at.weights[..., None]
         new_cost = np.sum(r**2, axis=(0, 2))
         better = (new_cost <= cost) & np.isfinite(J).all(axis=(0, 2, 3))
         cost = np.where(better, new_cost, cost)

@@ -7,6 +7,7 @@ from smartview_jax.editor import ModelSession
 from smartview_jax.editor.document import Document, apply_change
 from smartview_jax.editor.entries import point_entry
 from smartview_jax.io import load_object_model
+from smartview_jax.modeling import open_edges
 
 
 def test_a_whole_model_is_made_by_clicks(session, scene, tmp_path):
@@ -24,7 +25,7 @@ def test_a_whole_model_is_made_by_clicks(session, scene, tmp_path):
         "vi,vij,vj->v", difference, np.linalg.inv(model.vertex_covariances), difference
     )
     assert squared.max() < 25.0
-    assert model.is_closed
+    assert not open_edges(model.faces)
     assert len(model.edges) == len(scene.truth.edges) == 15
     assert model.faces[2].name == "floor"
     for k, face in enumerate(model.faces):

@@ -71,11 +71,6 @@ class ModelProposal(NamedTuple):
         """The number of views in which each point was found."""
         return (self.corners >= 0).sum(axis=0)
 
-    @property
-    def edge_view_counts(self) -> Int[np.ndarray, "edges"]:
-        """The number of views in which a segment joins the two points of each edge."""
-        return (self.edge_segments >= 0).sum(axis=0)
-
 
 def propose_model(
     calibration: AnyCalibration,
@@ -186,11 +181,9 @@ def _corner_views(
     corner_views = []
     for k, (picture, features) in enumerate(zip(pictures, found, strict=True)):
         plane = IdealPlane(views.cameras[k])
-        try:
-            look = describe(picture, views.cameras[k], features, rotations[k] @ reference)
         # If the features were given, the picture has not been checked yet.
-        except ValueError as error:
-            raise ValueError(f"view {k}: {error}") from error
+        with errors_at(f"view {k}"):
+            look = describe(picture, views.cameras[k], features, rotations[k] @ reference)
         rays = plane.rays(plane.from_pixels(features.corners)) @ rotations[k]
         corner_views.append(
             CornerView(

@@ -3,6 +3,7 @@
 from .dimensions import Dimension as Dimension
 from .dimensions import angle as angle
 from .dimensions import dimension as dimension
+from .dimensions import pair_lengths as pair_lengths
 from .faces import PLANAR_TOLERANCE as PLANAR_TOLERANCE
 from .faces import SHARP_ANGLE as SHARP_ANGLE
 from .faces import Face as Face

@@ -67,7 +67,7 @@ def test_edges_of_the_object_are_covered_by_edges(proposal):
     # Of the eighteen, four are below or behind, and some have the same brightness on either side.
     assert (np.array(covered) > 0.8).sum() >= 7
     assert max(covered) < 1.1
-    assert (proposal.edge_view_counts >= 2).all()
+    assert ((proposal.edge_segments >= 0).sum(axis=0) >= 2).all()
 
 
 def test_evidence_belongs_to_the_points(proposal, views):
