@@ -218,7 +218,7 @@ class SeenViews(NamedTuple):
     def checked_points(
         self, pixels: np.ndarray | Array, visible: np.ndarray | Array | None
     ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
-        """Return pixels of points and where they are visible, checked by `checked_visibility`."""
+        """Return pixels of points and where they are visible, checked against the pictures."""
         measured = np.asarray(pixels, dtype=float)
         if measured.ndim != 3 or measured.shape[2] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {measured.shape}")

@@ -15,7 +15,7 @@ from ..geometry import host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene
 from ..joint import JointFit, RigEstimate, RigFit, SavedEstimate
 from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
-from ..modeling import ObjectModel
+from ..modeling import ObjectModel, command_at
 from ..robots import BOX_CORNERS, Command, SerialArm
 from ..runtime.array_namespace import to_device
 from ..simulation import Cell, CellError
@@ -306,6 +306,4 @@ def _command(cell: Cell, scene: GraspScene, view: SE3) -> Command:
     problem = commands.checks.reasons(("reach", "tool_distance"))[0]
     if problem:
         raise CellError(problem)
-    pose = commands.base_from_tool
-    joints = None if commands.joints is None else commands.joints[0]
-    return Command(type(pose)(pose.wxyz_xyz[0]), joints)
+    return command_at(commands.command, 0)

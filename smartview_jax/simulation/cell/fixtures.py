@@ -39,10 +39,11 @@ class FixedBox(NamedTuple):
         pose[:3, 3] = self.centre
         return pose
 
-    def surface(self, texture: Texture | None = None) -> Surface:
-        """Return the visible surface of the box."""
+    @property
+    def surface(self) -> Surface:
+        """The visible surface of the box."""
         vertices = self.centre + BOX_CORNERS * self.size
-        return Surface(vertices, BOX_TRIANGLES, texture or speckled(0.3, 0.03, 0.004, seed=8))
+        return Surface(vertices, BOX_TRIANGLES, speckled(0.3, 0.03, 0.004, seed=8))
 
 
 class Bin(NamedTuple):

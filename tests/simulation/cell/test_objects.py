@@ -2,9 +2,15 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from smartview_jax.simulation import box, prism, random_polyhedron, roofed_block, stepped_block
-from smartview_jax.simulation.cell import CellObject, convex_parts
-from smartview_jax.simulation.cell.objects import as_box
+from smartview_jax.simulation import (
+    CellObject,
+    box,
+    prism,
+    random_polyhedron,
+    roofed_block,
+    stepped_block,
+)
+from smartview_jax.simulation.cell.objects import as_box, convex_parts
 
 L_PROFILE = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]) * 0.01
 
