@@ -191,8 +191,10 @@ def _minimum(
     function: Callable[[float], float], bounds: tuple[float, float], tolerance: float
 ) -> float:
     """Return where a function of one number is least within bounds."""
-    found = minimize_scalar(function, bounds=bounds, method="bounded", options={"xatol": tolerance})
-    return float(found.x)  # pyright: ignore[reportAttributeAccessIssue]
+    solution = minimize_scalar(
+        function, bounds=bounds, method="bounded", options={"xatol": tolerance}
+    )
+    return float(solution.x)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _camera_motion(

@@ -126,8 +126,8 @@ def _fit_along(
         variances = likeliest.variances
         covariance = np.einsum("k,kvij->vij", variances, linear.parts)
         step, std = _solution(linear.of(used), variances, bounds[1] - bounds[0])
-        left = linear.errors - linear.by_unknowns @ step
-        distances = np.einsum("vi,vij,vj->v", left, np.linalg.inv(covariance), left)
+        residuals = linear.errors - linear.by_unknowns @ step
+        distances = np.einsum("vi,vij,vj->v", residuals, np.linalg.inv(covariance), residuals)
         agree = data.seen & (distances < limit)
         chain = _moved(chain, step, bounds)
         is_same, used = np.array_equal(agree, used), agree

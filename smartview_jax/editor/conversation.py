@@ -237,8 +237,8 @@ class Conversation:
         session = self._session
         return {
             "type": "judgement",
-            "disagreements": [disagreement_entry(one) for one in session.disagreements()],
-            "suggestions": [suggestion_entry(one) for one in session.suggestions()],
+            "disagreements": [disagreement_entry(entry) for entry in session.disagreements()],
+            "suggestions": [suggestion_entry(entry) for entry in session.suggestions()],
         }
 
     def undo(self) -> Message:

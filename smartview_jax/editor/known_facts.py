@@ -152,8 +152,8 @@ def fact_value(
     constraint = constraint_of(fact, {point: k for k, point in enumerate(involved)})
     nothing = np.zeros((0, 3))
     shape = Shape(positions[rows], Lines(nothing, nothing), nothing, np.zeros(0), nothing)
-    found = constraint.evaluate(shape, -1)
-    J = np.concatenate([found.jacobians["point", k] for k in range(len(involved))], axis=1)
+    evaluation = constraint.evaluate(shape, -1)
+    J = np.concatenate([evaluation.jacobians["point", k] for k in range(len(involved))], axis=1)
     columns = np.concatenate([3 * row + np.arange(3) for row in rows])
     joint = covariance[np.ix_(columns, columns)]
-    return FactValue(found.values, J @ joint @ J.T, J * np.diag(joint) @ J.T)
+    return FactValue(evaluation.values, J @ joint @ J.T, J * np.diag(joint) @ J.T)

@@ -15,7 +15,7 @@ from ..modeling import (
     grasp_on_face,
     oriented_outward,
 )
-from .document import Document, PlacedGrasp, part_id
+from .document import Document, PlacedGrasp
 from .view_geometry import PointEstimate, ViewGeometry
 
 Estimates = Mapping[int, PointEstimate]
@@ -175,9 +175,7 @@ def checked_loop(
         ValueError: a point does not exist or has no position, or the face is not planar or
             intersects itself.
     """
-    points = tuple(part_id(point) for point in loop)
-    for point in points:
-        document.existing("points", point)
+    points = document.existing_points(loop)
     if len(points) < 3:
         raise ValueError(f"a face needs 3 or more points, found {list(points)}")
     # Checked before anything is journalled.

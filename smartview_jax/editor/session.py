@@ -146,10 +146,10 @@ class ModelSession(AbstractDrawing):
         """Describe the session in a few lines: the parts, and what disagrees."""
         document = self.document
         counts = ", ".join(f"{len(getattr(document, kind))} {kind}" for kind in KINDS)
-        found = self.disagreements()
+        disagreements = self.disagreements()
         lines = [f"{document.name or 'object'}: {counts}; clicked in {', '.join(self.names)}"]
         lines += [f"{kind[:-1]} {number}: {why}" for (kind, number), why in self.problems().items()]
-        return "\n".join([*lines, *map(str, found)])
+        return "\n".join([*lines, *map(str, disagreements)])
 
     @property
     def picture_sizes(self) -> PictureSizes:

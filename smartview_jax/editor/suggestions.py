@@ -163,17 +163,17 @@ def suggestions_of(document: Document, estimates: DocumentEstimates) -> list[Sug
         ]
         for (kind, densities), near in zip(chance.items(), measured.near(chance), strict=True)
     }
-    found = {kind: _likely(kind, pairs) for kind, pairs in compared.items()}
-    equal = _independent(found["equal_length"], compared["equal_length"])
-    parallel = _independent(found["parallel"], compared["parallel"])
+    likely = {kind: _likely(kind, pairs) for kind, pairs in compared.items()}
+    equal = _independent(likely["equal_length"], compared["equal_length"])
+    parallel = _independent(likely["parallel"], compared["parallel"])
     directions = _Classes()
-    for one in found["parallel"]:
-        directions.join(*one.items)
+    for fact in likely["parallel"]:
+        directions.join(*fact.items)
     for pair in compared["parallel"]:
         if pair.evidence == np.inf:
             directions.join(*pair.items)
-    perpendicular = _between_classes(found["right_angle"], compared["right_angle"], directions)
-    return sorted([*equal, *parallel, *perpendicular], key=lambda one: -one.odds)
+    perpendicular = _between_classes(likely["right_angle"], compared["right_angle"], directions)
+    return sorted([*equal, *parallel, *perpendicular], key=lambda fact: -fact.odds)
 
 
 _CHANCE: Mapping[str, Mapping[int, float]] = {
@@ -232,7 +232,7 @@ def _likely(kind: str, pairs: Sequence[_Pair]) -> list[Suggestion]:
     share = 0.5
     for _ in range(SHARE_STEPS):
         share = (1.0 + expit(evidence + logit(share)).sum()) / (2.0 + len(pairs))
-    found = []
+    facts = []
     for pair in pairs:
         odds = float(np.exp(min(pair.evidence + logit(share), 700.0)))
         # What is implied or refuted is no suggestion.
@@ -243,8 +243,8 @@ def _likely(kind: str, pairs: Sequence[_Pair]) -> list[Suggestion]:
             # Of several components, along the deviation.
             along = pair.value.values / max(deviation, 1e-30)
             sigma = float(np.sqrt(max(along @ pair.value.covariance @ along, 0.0)))
-            found.append(Suggestion(kind, pair.items, deviation, sigma, odds))
-    return sorted(found, key=lambda one: -one.odds)
+            facts.append(Suggestion(kind, pair.items, deviation, sigma, odds))
+    return sorted(facts, key=lambda fact: -fact.odds)
 
 
 class _Classes:
@@ -272,7 +272,7 @@ def _independent(likely: Sequence[Suggestion], pairs: Sequence[_Pair]) -> list[S
     for pair in pairs:
         if pair.evidence == np.inf:
             classes.join(*pair.items)
-    return [one for one in likely if classes.join(*one.items)]
+    return [fact for fact in likely if classes.join(*fact.items)]
 
 
 def _between_classes(
@@ -281,9 +281,9 @@ def _between_classes(
     """Return the likeliest right angle between each two directions, unless one is stated."""
     seen = {frozenset(map(directions.of, pair.items)) for pair in pairs if pair.evidence == np.inf}
     kept = []
-    for one in likely:
-        between = frozenset(map(directions.of, one.items))
+    for fact in likely:
+        between = frozenset(map(directions.of, fact.items))
         if between not in seen:
-            kept.append(one)
+            kept.append(fact)
             seen.add(between)
     return kept

@@ -164,8 +164,8 @@ class ViewGeometry:
     def _computed(self, points: Sequence[Clicks]) -> list[PointEstimate]:
         """Return the estimates of points, all in one program."""
         pixels = self._clicked_pixels(points)
-        found = triangulate_points(self._calibration, self.command, pixels, **self._errors)
-        return self._estimates_from(found, points, self._wrong_clicks(pixels))
+        triangulated = triangulate_points(self._calibration, self.command, pixels, **self._errors)
+        return self._estimates_from(triangulated, points, self._wrong_clicks(pixels))
 
     def _wrong_clicks(
         self, pixels: Float[np.ndarray, "views points 2"]
@@ -200,7 +200,7 @@ class ViewGeometry:
         Returns:
             The index of the point and the name of the view of each.
         """
-        found = suspect_clicks(
+        clicks = suspect_clicks(
             self._calibration,
             self.command,
             self._clicked_pixels(points),
@@ -208,7 +208,7 @@ class ViewGeometry:
             constraints,
             **self._errors,
         )
-        return [(click.point, self.names[click.view]) for click in found]
+        return [(click.point, self.names[click.view]) for click in clicks]
 
     def refined(
         self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
@@ -224,9 +224,9 @@ class ViewGeometry:
             self._clicked_pixels(points),
             pixel_sigma=self.click_sigma,
         )
-        found = refine(None, observations, constraints, covariance=self._errors["covariance"])
+        features = refine(None, observations, constraints, covariance=self._errors["covariance"])
         wrong_clicks = [estimate.wrong_clicks for estimate in self.estimates(points)]
-        return self._estimates_from(found, points, wrong_clicks), found
+        return self._estimates_from(features, points, wrong_clicks), features
 
     def _clicked_pixels(self, points: Sequence[Clicks]) -> Float[np.ndarray, "views points 2"]:
         """Return the clicks of points as an array, NaN where a point was not clicked."""

@@ -275,10 +275,10 @@ def _seen(cell: Cell, command: Command, camera: Camera) -> _View:
     return _View(picture, picture_evidence(picture, camera), command)
 
 
-def _undecided(found: Localizations, unverified: bool) -> Sequence[Localization]:
+def _undecided(results: Localizations, unverified: bool) -> Sequence[Localization]:
     """Return the objects that need a further view; none if everything is decided."""
     # One view verifies an accepted object; an open one may need several.
-    return found.accepted[:1] if found.accepted and unverified else found.open
+    return results.accepted[:1] if results.accepted and unverified else results.open
 
 
 def _start_joints(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:

@@ -172,14 +172,14 @@ def _found(pictures: Sequence[np.ndarray], views: SeenViews) -> list[Features]:
 
 
 def _corner_views(
-    views: SeenViews, pictures: Sequence[np.ndarray], found: tuple[Features, ...]
+    views: SeenViews, pictures: Sequence[np.ndarray], view_features: tuple[Features, ...]
 ) -> list[CornerView]:
     """Return the corners of all views with their rays and their appearance."""
     rotations = views.camera_from_world[:, :3, :3]
     # The mean of the cameras' x axes is perpendicular to the line of sight in all of them.
     reference = rotations[:, 0].mean(axis=0)
     corner_views = []
-    for k, (picture, features) in enumerate(zip(pictures, found, strict=True)):
+    for k, (picture, features) in enumerate(zip(pictures, view_features, strict=True)):
         plane = IdealPlane(views.cameras[k])
         # If the features were given, the picture has not been checked yet.
         with errors_at(f"view {k}"):
@@ -203,34 +203,34 @@ def _proposal(
     calibration: AnyCalibration,
     poses: CommandLike | None,
     seen: SeenViews,
-    found: tuple[Features, ...],
+    view_features: tuple[Features, ...],
     tracks: Tracks,
     needed: int,
     covariance: CalibrationEstimate | None,
 ) -> ModelProposal:
     """Return the triangulated tracks that agree with their pictures, and the edges between them."""
     corners = tracks.corners
-    corners, kept = without_misfits(calibration, poses, found, corners, needed)
+    corners, kept = without_misfits(calibration, poses, view_features, corners, needed)
     similarity = tracks.similarity[kept]
-    points = triangulated_tracks(calibration, poses, found, corners, covariance)
+    points = triangulated_tracks(calibration, poses, view_features, corners, covariance)
     rms = track_rms(points)
     # Points that fit badly or look different are not worth a person's time.
     good = points.ok & (rms < MAX_RMS) & (similarity > MIN_SIMILARITY)
     order = np.flatnonzero(good)
     order = order[_distinct(project_points(seen, points.points[order]))]
     # Edges run between junctions: dots and grain on an edge would divide it into pieces.
-    ends = np.flatnonzero(junction_counts(found, corners[:, order]) >= 2)
-    edges, edge_segments = joined_edges(seen, found, points.points[order[ends]])
+    ends = np.flatnonzero(junction_counts(view_features, corners[:, order]) >= 2)
+    edges, edge_segments = joined_edges(seen, view_features, points.points[order[ends]])
     return ModelProposal(
         points.points[order],
         points.covariance()[order],
         corners[:, order],
-        corner_pixels(found, corners[:, order]),
+        corner_pixels(view_features, corners[:, order]),
         rms[order],
         similarity[order],
         ends[edges],
         edge_segments,
-        found,
+        view_features,
     )
 
 
