@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
-from .calibration import mount_from_holder_matrices
-from .dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
-from .robots import Trajectory
-from .runtime.blas_threads import on_one_blas_thread
-from .variance import (
+from ..calibration import mount_from_holder_matrices
+from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
+from ..robots import Trajectory
+from ..runtime.blas_threads import on_one_blas_thread
+from ..variance import (
     DEPTH_AXES,
     DepthAxis,
     LikeliestVariances,

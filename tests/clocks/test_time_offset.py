@@ -8,12 +8,12 @@ from jaxlie import SE3
 from moving_camera import circling_commands
 
 import smartview_jax as sv
+from smartview_jax.clocks.time_offset import at_time_offset, standard_deviation
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.robots import Trajectory
 from smartview_jax.simulation import paper_calibration, simulate
-from smartview_jax.time_offset import at_time_offset, standard_deviation
 
 OFFSET = 0.035
 LOG_TIMES = 1000.0 + np.arange(0.0, 20.0, 0.02)
