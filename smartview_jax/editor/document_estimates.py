@@ -23,10 +23,7 @@ With 200 a file has 360,000 numbers; above this a file has the covariance of eac
 class _Refinement(NamedTuple):
     """The points of a document with constraints, refined together.
 
-    Attributes:
-        estimates: estimates of the points by id.
-        verdicts: verdicts on the constraints by id.
-        features: the refined points in the document's order.
+    Estimates and verdicts are by id, features in the document's order.
     """
 
     estimates: dict[int, PointEstimate]

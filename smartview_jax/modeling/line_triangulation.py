@@ -166,16 +166,9 @@ def world_rays(
 
 
 class _Start(NamedTuple):
-    """The lines nearest to all planes of their segments.
-
-    Attributes:
-        lines: the lines.
-        enough: whether each has enough views.
-        in_one_plane: whether all planes of each are the same.
-    """
+    """The lines nearest to all planes of their segments, and whether these are all one plane."""
 
     lines: Lines
-    enough: Bool[np.ndarray, "lines"]
     in_one_plane: Bool[np.ndarray, "lines"]
 
 
@@ -205,17 +198,11 @@ def _plane_intersections(
     lines = Lines(points, directions)
     points = _seen_part(views, rays, seen, lines).mean(axis=1)
     in_one_plane = ~(values[:, 1] > MIN_PLANE_SPREAD * values[:, 2])
-    return _Start(Lines(points, directions), seen.sum(axis=0) >= 2, in_one_plane)
+    return _Start(Lines(points, directions), in_one_plane)
 
 
 class _Estimate(NamedTuple):
-    """The lines of least squares.
-
-    Attributes:
-        lines: the lines.
-        information: normal matrix of each.
-        failed: whether the steps of each did not converge.
-    """
+    """The lines of least squares, their normal matrices, and whether the steps did not converge."""
 
     lines: Lines
     information: Float[np.ndarray, "lines 4 4"]
@@ -232,7 +219,7 @@ def _refine(
     """Minimise the whitened distances."""
     # All lines step together, each with its own damping; for so few of them a loop within a
     # compiled program does not pay.
-    lines, enough = start.lines, start.enough
+    lines, enough = start.lines, seen.sum(axis=0) >= 2
     damping = np.full(len(enough), 1e-6)
     cost, decrement = np.full(len(enough), np.inf), np.full(len(enough), np.inf)
     normal = np.tile(np.eye(4), (len(enough), 1, 1))
@@ -275,7 +262,7 @@ def _status(
     estimate: _Estimate,
 ) -> Int[np.ndarray, "lines"]:
     """Return a `PointStatus` for every line."""
-    enough, information = start.enough, estimate.information
+    enough, information = seen.sum(axis=0) >= 2, estimate.information
     # The line's own distance from a camera, and the signed depth of the points that are seen.
     parameters, depths = _nearest_on_lines(views, rays, estimate.lines)
     visible_depths = np.where(seen[..., None], depths, np.nan)

@@ -11,7 +11,14 @@ from jaxtyping import Bool, Float, UInt8
 
 from ..cameras import Camera, Pinhole
 from ..files import write_atomically
-from ..geometry import host_matrices, host_transformed, host_transforms, look_at, viewing_direction
+from ..geometry import (
+    host_matrices,
+    host_poses,
+    host_transformed,
+    host_transforms,
+    look_at,
+    viewing_direction,
+)
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
 from ..modeling import Face, ObjectModel, command_at, face_plane
@@ -165,10 +172,8 @@ def modelled(
     Returns:
         The model, the pictures, and the reported poses of the robot.
     """
-    world_from_object = np.eye(4)
     # At the place of the board, where the calibration is best.
-    world_from_object[:3, 3] = cell.centre
-    cell.place([block], [world_from_object])
+    cell.place([block], [host_poses(np.eye(3), cell.centre)])
     calibration = calibrated.fit.calibration
     solid = block.solid.moved(cell.judge().world_from_object[block.name])
     aim = solid.vertices.mean(axis=0)

@@ -213,13 +213,7 @@ def look_for(
 
 
 class _View(NamedTuple):
-    """A view that was taken.
-
-    Attributes:
-        picture: grey levels.
-        evidence: the features of the picture.
-        command: the reported pose of the robot.
-    """
+    """A picture that was taken, its features, and the reported pose of the robot."""
 
     picture: UInt8[np.ndarray, "rows columns"]
     evidence: PictureEvidence

@@ -111,7 +111,10 @@ def propose_model(
     needed = _checked(pictures, features, depths, min_views, sizes)
     region = region or Region()
     region.check([str(k) for k in range(count)], sizes)
-    picture_features = tuple(features or _found(pictures, camera_views))
+    picture_features = tuple(features or ())
+    for k, picture in enumerate(() if features else pictures):
+        with errors_at(f"view {k}"):
+            picture_features += (find(picture, camera_views.cameras[k]),)
     views = _corner_views(camera_views, pictures, picture_features)
     # Every two views, since a point may be hidden or missed in any of them.
     all_pairs = [
@@ -160,15 +163,6 @@ def _checked(
     if not 2 <= needed <= count:
         raise ValueError(f"min_views: expected 2 to {count}, found {needed}")
     return needed
-
-
-def _found(pictures: Sequence[np.ndarray], views: SeenViews) -> list[Features]:
-    """Return the features of every picture; an error names the view."""
-    features = []
-    for k, picture in enumerate(pictures):
-        with errors_at(f"view {k}"):
-            features.append(find(picture, views.cameras[k]))
-    return features
 
 
 def _corner_views(

@@ -238,10 +238,8 @@ def _summarise(
     at = linearise(problem, state, problem.free)
     posterior = at.system.factorised()
     blocks = posterior.feature_blocks()
-    weak = problem.weak
-    first = posterior.features.size + posterior.border_size - 3 * len(weak)
-    for k, point in enumerate(weak):
-        blocks.points[point] = posterior.covariance(first + 3 * k + np.arange(3))
+    for point in problem.weak:
+        blocks.points[point] = posterior.covariance(at.point_rows[point])
     # The prior of unmeasured points is no measurement.
     status = np.full(len(state.shape.points), int(PointStatus.OK))
     open_points = np.trace(blocks.points, axis1=1, axis2=2) > (MAX_RELATIVE_STD * distance) ** 2
@@ -285,7 +283,7 @@ def _summarise(
         constraints_p_value=p_value,
         result=result,
         posterior=posterior,
-        weak=weak,
+        point_rows=at.point_rows,
     )
 
 
@@ -319,14 +317,11 @@ def _calibration_part(
     reduced = np.zeros((len(posterior.reduced), len(names)))
     numbers = free_roots.shape[1]
     reduced[:numbers] = free_roots.T @ everything.numbers[:, fixed]
-    first = posterior.border_size - 3 * len(problem.weak)
-    for k, point in enumerate(problem.weak):
+    for point in problem.weak:
         rows = slice(3 * point, 3 * point + 3)
-        reduced[first + 3 * k : first + 3 * k + 3] = mixed[rows]
+        reduced[at.point_rows[point] - posterior.features.size] = mixed[rows]
         mixed[rows] = 0.0
     # At the optimum the gradient is zero; a change of the fixed numbers changes it by these
     # columns, and the solution by minus the inverse times them.
-    features, rest = posterior.solve(-mixed, -reduced)
-    jacobian = features[: 3 * count].reshape(count, 3, -1).copy()
-    jacobian[problem.weak] = rest[first : posterior.border_size].reshape(-1, 3, len(names))
-    return names, covariance, jacobian
+    by_numbers = np.concatenate(posterior.solve(-mixed, -reduced))
+    return names, covariance, by_numbers[at.point_rows]

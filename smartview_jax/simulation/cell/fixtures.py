@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ...geometry import host_poses
 from ...robots import BOX_CORNERS, BOX_TRIANGLES
 from ...targets import AbstractTarget, StackedTarget
 from ..patterns import printed_pattern
@@ -35,9 +36,7 @@ class FixedBox(NamedTuple):
     @property
     def world_from_box(self) -> Float[np.ndarray, "4 4"]:
         """The pose of the box's own frame, whose origin is its middle."""
-        pose = np.eye(4)
-        pose[:3, 3] = self.centre
-        return pose
+        return host_poses(np.eye(3), self.centre)
 
     @property
     def surface(self) -> Surface:
