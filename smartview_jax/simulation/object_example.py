@@ -7,6 +7,7 @@ The object has texture and stands among printed and solid clutter; there are sha
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -96,10 +97,7 @@ def object_example(seed: int = 0, pattern: str = "cross") -> ObjectExample:
 
 def example_solid() -> Polyhedron:
     """Return the object of the example at its pose: on the board's plane, at its centre."""
-    world_from_object = SE3.from_rotation_and_translation(
-        SO3.from_z_radians(0.5), jnp.asarray([*BOARD_CENTRE[:2], 0.0])
-    )
-    return stepped_block(0.026).moved(host_matrices(world_from_object))
+    return stepped_block(0.026).moved(_placed(0.5, [*BOARD_CENTRE[:2], 0.0]))
 
 
 def _tilted_viewpoints(aim: np.ndarray, pattern: str) -> SE3:
@@ -115,13 +113,12 @@ def _tilted_viewpoints(aim: np.ndarray, pattern: str) -> SE3:
 
 def _example_scene(solid: Polyhedron) -> SolidScene:
     """Return the object on a printed table among two boxes."""
-    centre, shift = BOARD_CENTRE, np.eye(4)
-    shift[:3, 3] = centre
+    centre = BOARD_CENTRE
     # Textures are functions of their own frame; centre them at the object.
     printed = labelled(speckled(0.5, 0.1, 0.0025, seed=3), 40, 0.014, 0.06, seed=4)
     # Low boxes at the border of the pictures: clutter with its own edges and shadows.
     boxes = [
-        box(*size).moved(shift @ _turned(angle, x, y))
+        box(*size).moved(_placed(angle, np.add(centre, [x, y, 0.0])))
         for size, angle, x, y in (
             ((0.012, 0.008, 0.006), 0.9, -0.026, 0.014),
             ((0.009, 0.014, 0.005), 0.2, 0.03, 0.006),
@@ -140,10 +137,10 @@ def _example_scene(solid: Polyhedron) -> SolidScene:
     )
 
 
-def _turned(angle: float, x: float, y: float) -> np.ndarray:
-    """Return the pose of an object turned about z and moved on the table."""
-    pose = SE3.from_rotation_and_translation(SO3.from_z_radians(angle), jnp.asarray([x, y, 0.0]))
-    return host_matrices(pose)
+def _placed(angle: float, position: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the pose of an object that is turned about z and then moved, m."""
+    turn = SO3.from_z_radians(angle)
+    return host_matrices(SE3.from_rotation_and_translation(turn, jnp.asarray(position)))
 
 
 class BoardPoses(NamedTuple):

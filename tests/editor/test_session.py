@@ -1,6 +1,7 @@
 import cv2
 import numpy as np
 import pytest
+from polylines import nearest_on
 from sessions import click_all
 
 from smartview_jax.editor import ModelSession
@@ -71,7 +72,7 @@ def test_a_curve_passes_the_feature_at_its_depth(session, scene):
     assert set(curves) == {"v2", "v3", "v4", "v5"}
     depth = np.linalg.norm(scene.truth.vertices[3] - session.geometry.centres[0])
     for k, name in enumerate(session.names[1:], start=1):
-        distance, found = curves[name].nearest(scene.pixels[k, 3])
+        distance, found = nearest_on(curves[name], scene.pixels[k, 3])
         assert distance < 0.05
         assert found == pytest.approx(depth, rel=1e-3)
 

@@ -48,46 +48,6 @@ class EpipolarCurve(NamedTuple):
     origin: Float[np.ndarray, "3"]
     direction: Float[np.ndarray, "3"]
 
-    @property
-    def pieces(self) -> list[Float[np.ndarray, "_ 2"]]:
-        """The connected pieces of the polyline, px."""
-        return [self.pixels[self.piece == k] for k in np.unique(self.piece)]
-
-    def points(self, depths: Float[np.ndarray, "*depths"]) -> Float[np.ndarray, "*depths 3"]:
-        """Return the points in the world at given depths along the ray, m."""
-        return self.origin + np.asarray(depths)[..., None] * self.direction
-
-    def nearest(
-        self, pixels: Float[np.ndarray, "*pixels 2"]
-    ) -> tuple[Float[np.ndarray, "*pixels"], Float[np.ndarray, "*pixels"]]:
-        """Return the distance of pixels from the curve, px, and the depth of the nearest point, m.
-
-        The distance is infinite and the depth NaN where the curve is empty.
-        """
-        pixels = np.asarray(pixels, dtype=float)
-        starts, ends, inverse_start, inverse_end = self._segments()
-        if not len(starts):
-            return np.full(pixels.shape[:-1], np.inf), np.full(pixels.shape[:-1], np.nan)
-        # The foot on each segment: t = (p - a).(b - a) / |b - a|^2, clipped to the segment.
-        along = ends - starts
-        offset = pixels[..., None, :] - starts
-        length = np.maximum(np.sum(along**2, axis=-1), 1e-30)
-        t = np.clip(np.sum(offset * along, axis=-1) / length, 0.0, 1.0)
-        distance = np.linalg.norm(offset - t[..., None] * along, axis=-1)
-        best = np.argmin(distance, axis=-1)[..., None]
-        t_best = np.take_along_axis(t, best, axis=-1)[..., 0]
-        inverse = inverse_start[best[..., 0]] * (1.0 - t_best) + inverse_end[best[..., 0]] * t_best
-        with np.errstate(divide="ignore"):
-            depth = np.asarray(1.0 / inverse)
-        return np.take_along_axis(distance, best, axis=-1)[..., 0], depth
-
-    def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return start and end of every segment, px, and the inverse depths there."""
-        joined = np.flatnonzero(self.piece[1:] == self.piece[:-1])
-        with np.errstate(divide="ignore"):
-            inverse = 1.0 / self.depths
-        return self.pixels[joined], self.pixels[joined + 1], inverse[joined], inverse[joined + 1]
-
 
 def epipolar_curves(
     calibration: AnyCalibration,

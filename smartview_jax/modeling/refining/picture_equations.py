@@ -103,7 +103,6 @@ class PictureEquations(NamedTuple):
         number_gradient: gradient by the numbers.
         coupling: mixed second derivatives of features and numbers.
         residuals: measured minus predicted pixels of points; zero where not visible.
-        distances: distances of segments' ends from their lines, px; zero where not visible.
     """
 
     cost: float
@@ -113,7 +112,6 @@ class PictureEquations(NamedTuple):
     number_gradient: Float[np.ndarray, "numbers"]
     coupling: Float[np.ndarray, "rows numbers"]
     residuals: Float[np.ndarray, "views points 2"]
-    distances: Float[np.ndarray, "views lines 2"]
 
 
 def picture_equations(
@@ -177,7 +175,6 @@ def picture_equations(
             ]
         ),
         residuals,
-        at.distances,
     )
 
 

@@ -116,9 +116,7 @@ class RefinedFeatures(EstimatedPoints):
     Attributes:
         lines: refined lines; NaN where `line_status` is not OK.
         line_status: a `PointStatus` for each line.
-        line_residuals: distances of segments' ends from their lines, px; NaN where not visible.
         line_covariance: covariance of each line's four numbers, as `picture_covariance`.
-        number_offsets: estimated offsets of the numbers that were free, by name.
         verdicts: one for each constraint, in order.
         constraints_p_value: probability of the cost of all constraints together if they are true.
         result: whether it converged.
@@ -128,9 +126,7 @@ class RefinedFeatures(EstimatedPoints):
 
     lines: Lines
     line_status: np.ndarray
-    line_residuals: Float[np.ndarray, "views lines 2"]
     line_covariance: Float[np.ndarray, "lines 4 4"]
-    number_offsets: dict[str, float]
     verdicts: tuple[ConstraintVerdict, ...]
     constraints_p_value: float
     result: FitResult

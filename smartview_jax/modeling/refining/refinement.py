@@ -253,9 +253,7 @@ def _summarise(
     ok, lines_ok = status == PointStatus.OK, line_status == PointStatus.OK
     fixed = ~problem.free
     names, covariance, jacobian = _calibration_part(problem, state, at, posterior, fixed)
-    offsets = problem.roots[:, problem.free] @ state.combinations[problem.free]
     verdicts, p_value = constraint_verdicts(problem, state, false_alarm)
-    free_names = set(problem.uncertainty.names) - set(names)
     return RefinedFeatures(
         points=np.where(ok[:, None], state.shape.points, np.nan),
         lines=Lines(*(np.where(lines_ok[:, None], a, np.nan) for a in state.shape.lines)),
@@ -264,21 +262,11 @@ def _summarise(
         residuals=np.where(
             (problem.observed.visible & ok)[..., None], at.pictures.residuals, np.nan
         ),
-        line_residuals=np.where(
-            (problem.observed.segments_visible & lines_ok)[..., None],
-            at.pictures.distances,
-            np.nan,
-        ),
         picture_covariance=np.where(ok[:, None, None], blocks.points, np.nan),
         line_covariance=np.where(lines_ok[:, None, None], blocks.lines, np.nan),
         calibration_jacobian=np.where(ok[:, None, None], jacobian, np.nan),
         calibration_covariance=covariance,
         calibration_names=names,
-        number_offsets={
-            name: float(value)
-            for name, value in zip(problem.uncertainty.names, offsets, strict=True)
-            if name in free_names
-        },
         verdicts=verdicts,
         constraints_p_value=p_value,
         result=result,
