@@ -53,7 +53,6 @@ from .shapes.faces import points_in_loops as points_in_loops
 from .shapes.faces import signed_volume as signed_volume
 from .shapes.grasp_frames import Grasp as Grasp
 from .shapes.grasp_frames import grasp_on_face as grasp_on_face
-from .shapes.grasp_frames import turned as turned
 from .shapes.grasp_frames import width_between_fingers as width_between_fingers
 from .shapes.grasp_frames import widths_between_fingers as widths_between_fingers
 from .shapes.object_model import ObjectModel as ObjectModel

@@ -66,11 +66,6 @@ class ModelProposal(NamedTuple):
     edge_segments: Int[np.ndarray, "views edges"]
     features: tuple[Features, ...]
 
-    @property
-    def view_counts(self) -> Int[np.ndarray, "points"]:
-        """The number of views in which each point was found."""
-        return (self.corners >= 0).sum(axis=0)
-
 
 def propose_model(
     calibration: AnyCalibration,
