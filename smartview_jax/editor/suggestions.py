@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.special import chdtrc, expit, logit
 
 from .document import Document, DrawnConstraint
@@ -166,12 +167,13 @@ def suggestions_of(document: Document, estimates: DocumentEstimates) -> list[Sug
     likely = {kind: _likely(kind, pairs) for kind, pairs in compared.items()}
     equal = _independent(likely["equal_length"], compared["equal_length"])
     parallel = _independent(likely["parallel"], compared["parallel"])
-    directions = _Classes()
+    # The classes of edges that are parallel, directly or through others.
+    directions = DisjointSet(edges)
     for fact in likely["parallel"]:
-        directions.join(*fact.items)
+        directions.merge(*fact.items)
     for pair in compared["parallel"]:
         if pair.evidence == np.inf:
-            directions.join(*pair.items)
+            directions.merge(*pair.items)
     perpendicular = _between_classes(likely["right_angle"], compared["right_angle"], directions)
     return sorted([*equal, *parallel, *perpendicular], key=lambda fact: -fact.odds)
 
@@ -247,42 +249,27 @@ def _likely(kind: str, pairs: Sequence[_Pair]) -> list[Suggestion]:
     return sorted(facts, key=lambda fact: -fact.odds)
 
 
-class _Classes:
-    """Edges that are known to be related, directly or through others."""
-
-    def __init__(self):
-        self._parent: dict[Ends, Ends] = {}
-
-    def of(self, edge: Ends) -> Ends:
-        """Return the representative of an edge's class."""
-        while (parent := self._parent.get(edge, edge)) != edge:
-            edge = parent
-        return edge
-
-    def join(self, first: Ends, second: Ends) -> bool:
-        """Join the classes of two edges; return whether they were different."""
-        a, b = self.of(first), self.of(second)
-        self._parent[a] = b
-        return a != b
-
-
 def _independent(likely: Sequence[Suggestion], pairs: Sequence[_Pair]) -> list[Suggestion]:
     """Return the likeliest facts, without any that follows from likelier or stated ones."""
-    classes = _Classes()
+    classes = DisjointSet(itertools.chain.from_iterable(pair.items for pair in pairs))
     for pair in pairs:
         if pair.evidence == np.inf:
-            classes.join(*pair.items)
-    return [fact for fact in likely if classes.join(*fact.items)]
+            classes.merge(*pair.items)
+    return [fact for fact in likely if classes.merge(*fact.items)]
 
 
 def _between_classes(
-    likely: Sequence[Suggestion], pairs: Sequence[_Pair], directions: _Classes
+    likely: Sequence[Suggestion], pairs: Sequence[_Pair], directions: DisjointSet
 ) -> list[Suggestion]:
     """Return the likeliest right angle between each two directions, unless one is stated."""
-    seen = {frozenset(map(directions.of, pair.items)) for pair in pairs if pair.evidence == np.inf}
+
+    def classes_of(items: tuple[Ends, Ends]) -> frozenset[Ends]:
+        return frozenset(directions[edge] for edge in items)
+
+    seen = {classes_of(pair.items) for pair in pairs if pair.evidence == np.inf}
     kept = []
     for fact in likely:
-        between = frozenset(map(directions.of, fact.items))
+        between = classes_of(fact.items)
         if between not in seen:
             kept.append(fact)
             seen.add(between)
