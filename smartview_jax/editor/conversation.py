@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..modeling import Face, FacePlane, face_plane, points_in_loops
+from ..modeling import FacePlane, points_in_loops
 from .document import CHANGES, KINDS, PlacedGrasp
 from .entries import (
     curve_entry,
@@ -27,7 +27,7 @@ from .entries import (
 )
 from .kept_results import are_same_objects
 from .known_facts import FACT_KINDS
-from .model_building import face_problem, placed_grasp, problems_of
+from .model_building import face_problem, loop_plane, placed_grasp, problems_of
 from .session import ModelSession
 
 Message = dict[str, Any]
@@ -152,12 +152,7 @@ class Conversation:
             edges = {k: document.edges[k] for k in numbers}
             return edge_entries(edges, estimates, session)
         if kind == "faces":
-            return {
-                k: face_entry(
-                    document.faces[k], face_problem(document.faces[k].loop, estimates), estimates
-                )
-                for k in numbers
-            }
+            return {k: face_entry(document.faces[k], estimates) for k in numbers}
         if kind == "constraints":
             return {k: self._constraint_entry(k) for k in numbers}
         return {k: self._grasp_entry(k, document.grasps[k]) for k in numbers}
@@ -315,9 +310,7 @@ class Conversation:
 
 def drawn_plane(session: ModelSession, face: int) -> FacePlane:
     """Return the plane of a face given by its id."""
-    loop, estimates = session.document.existing("faces", face).loop, session.estimates()
-    vertices = np.array([estimates[p].position for p in loop])
-    return face_plane(vertices, Face(tuple(range(len(loop)))))
+    return loop_plane(session.document.existing("faces", face).loop, session.estimates())
 
 
 def face_under(session: ModelSession, view: str, pixel: Any) -> tuple[int, Float[np.ndarray, "3"]]:

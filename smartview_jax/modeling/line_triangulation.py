@@ -247,11 +247,19 @@ def _solve(
     damping: Float[np.ndarray, "lines"],
 ) -> Float[np.ndarray, "lines 4"]:
     """Solve the damped normal equations of all lines; singular ones by pseudo-inverse."""
-    scale = np.sqrt(np.einsum("lii->li", normal))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = normal / (scale[:, :, None] * scale[:, None]) + damping[:, None, None] * np.eye(4)
+    scaled, scale = _with_unit_diagonal(normal)
+    scaled = scaled + damping[:, None, None] * np.eye(4)
     inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)
     return np.einsum("lij,lj->li", inverse, right / scale) / scale
+
+
+def _with_unit_diagonal(
+    normal: Float[np.ndarray, "lines 4 4"],
+) -> tuple[Float[np.ndarray, "lines 4 4"], Float[np.ndarray, "lines 4"]]:
+    """Return normal matrices in units that make their diagonals one, and these units."""
+    scale = np.sqrt(np.einsum("lii->li", normal))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return normal / (scale[:, :, None] * scale[:, None]), scale
 
 
 def _status(
@@ -277,9 +285,7 @@ def _status(
     shift = np.concatenate(
         [np.tile(np.eye(2), (len(middle), 1, 1)), middle[:, None, None] * np.eye(2)], axis=2
     )
-    scale = np.sqrt(np.einsum("lii->li", information))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    correlation = information / (scale[:, :, None] * scale[:, None])
+    correlation, scale = _with_unit_diagonal(information)
     values, vectors = np.linalg.eigh(correlation)
     # An eigenvalue at rounding error means that nothing determines its direction.
     roots = vectors / np.sqrt(np.maximum(values, 1e-14))[:, None] / scale[:, :, None]
