@@ -40,8 +40,16 @@ from smartview_jax.modeling import (
 from smartview_jax.picking import Region, execute, pick
 from smartview_jax.picking.calibrating import stacked_commands
 from smartview_jax.robots import Command
-from smartview_jax.simulation import box, look_at_from_above, prism, roofed_block, stepped_block
-from smartview_jax.simulation.cell import CellError, CellObject, SimulatedCell
+from smartview_jax.simulation import (
+    CellError,
+    CellObject,
+    SimulatedCell,
+    box,
+    look_at_from_above,
+    prism,
+    roofed_block,
+    stepped_block,
+)
 
 BOARD_VIEWS, PIXEL_NOISE = 20, 0.05
 """Views of the board, and noise of its points, px."""

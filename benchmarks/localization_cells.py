@@ -15,14 +15,16 @@ from smartview_jax.geometry import host_matrices, host_transforms, look_at
 from smartview_jax.modeling import ObjectModel
 from smartview_jax.robots import Command
 from smartview_jax.simulation import (
+    CellError,
+    CellObject,
     Polyhedron,
+    SimulatedCell,
     SolidScene,
     Surface,
     box,
     render_solids,
     speckled,
 )
-from smartview_jax.simulation.cell import CellError, CellObject, SimulatedCell
 
 from .localization_scenes import (
     clutter,
@@ -111,7 +113,7 @@ def cell_scene(cell: SimulatedCell, kind: str, seed: int) -> CellScene:
         fallen = [CellObject(f"{k}", solids()[one.name]) for k, one in enumerate(objects)]
         _drop(cell, fallen, seed)
         truth = [cell.judge().world_from_object[one.name] for one in fallen]
-        walls = [one.surface() for one in cell.fixtures]
+        walls = [one.surface for one in cell.fixtures]
     else:
         cell.show_board()
         truth = [shift @ resting(solids()[one.name], rng) for one in objects]

@@ -34,6 +34,7 @@ from .arm_identification import fit_kinematics as fit_kinematics
 from .calibration import Calibration as Calibration
 from .calibration_pipeline import calibrate as calibrate
 from .cameras import Camera as Camera
+from .clocks import estimate_time_offset as estimate_time_offset
 from .dataset import Dataset as Dataset
 from .dataset import Rig as Rig
 from .detection import correct_circle_centres as correct_circle_centres
@@ -88,7 +89,6 @@ from .runtime import compilation as compilation
 from .runtime import compilation_cache as compilation_cache
 from .staged import StagedFit as StagedFit
 from .staged import fit_staged as fit_staged
-from .time_offset import estimate_time_offset as estimate_time_offset
 from .version import __version__ as __version__
 from .viewpoints import choose_views as choose_views
 from .viewpoints import viewpoint_commands as viewpoint_commands

@@ -15,7 +15,7 @@ from .cameras import AbstractLens, Camera
 from .dataset import Dataset, PoseDataset, Rig, chain_residuals, given_places, repetition_warnings
 from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
 from .fit_result import Rejection
-from .geometry import PoseLike
+from .geometry import PoseLike, host_poses
 from .joint import (
     JointFit,
     JointOptions,
@@ -279,9 +279,8 @@ def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, Pose
         paths = [f"{name}.translation.{axis}" for axis in "xyz"]
         means = [priors[path].mean for path in paths if path in priors]
         if len(means) == len(paths):
-            pose = np.eye(4)
-            pose[:3, 3] = [0.0 if mean is None else mean for mean in means]
-            poses[name] = pose
+            place = np.array([0.0 if mean is None else mean for mean in means])
+            poses[name] = host_poses(np.eye(3), place)
     return poses
 
 

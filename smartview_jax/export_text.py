@@ -60,9 +60,9 @@ def opencv_distortion(lens: Mapping[str, Any]) -> OpenCVDistortion | None:
     if lens["model"] not in _COEFFICIENTS:
         return None
     model, names = _COEFFICIENTS[lens["model"]]
-    found = sorted(set(lens) - {"model"})
-    if found != sorted(names):
-        raise ValueError(f"camera.lens: expected the numbers {sorted(names)}, found {found}")
+    given = sorted(set(lens) - {"model"})
+    if given != sorted(names):
+        raise ValueError(f"camera.lens: expected the numbers {sorted(names)}, found {given}")
     coefficients = tuple(float(lens[name]) for name in names)
     if model == "plumb_bob":
         coefficients += (0.0,) * (_PLUMB_BOB_COUNT - len(coefficients))
@@ -299,10 +299,10 @@ def kalibr_camchain_text(cameras: Mapping[str, RigCamera]) -> str:
     for number, (name, entry) in enumerate(cameras.items()):
         model, coefficients = _kalibr_distortion(name, entry.lens)
         K = _camera_matrix(entry.camera)
-        own = pose_matrix(entry.mount_from_camera)
+        mount_from_camera = pose_matrix(entry.mount_from_camera)
         chained = {}
         if before is not None:
-            chained = {"T_cn_cnm1": (np.linalg.inv(own) @ before).tolist()}
+            chained = {"T_cn_cnm1": (np.linalg.inv(mount_from_camera) @ before).tolist()}
         content[f"cam{number}"] = {
             **chained,
             "camera_model": "pinhole",
@@ -312,7 +312,7 @@ def kalibr_camchain_text(cameras: Mapping[str, RigCamera]) -> str:
             "resolution": [int(size) for size in entry.camera["image_size"]],
             "rostopic": f"/{checked_frame_name(name)}/image_raw",
         }
-        before = own
+        before = mount_from_camera
     return dump_yaml(content)
 
 

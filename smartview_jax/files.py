@@ -95,13 +95,17 @@ def file_transaction(
             removed, and all files are moved in the order in which they were written.
     """
     folder = Path(folder)
-    # The temporary folder is on the same file system as the final one, so that moving is a rename.
     existing_parent = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
-    temporary_folder = Path(tempfile.mkdtemp(dir=existing_parent, prefix=f".{folder.name}."))
-    _temporary_folders.add(temporary_folder)
-    try:
-        yield temporary_folder
-        # Reached only if the run did not raise.
+    with _temporary_folder(existing_parent, folder.name) as temporary_folder:
+        try:
+            yield temporary_folder
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(temporary_folder), str(folder))) from error
+        except OSError as error:
+            if not str(error.filename or "").startswith(str(temporary_folder)):
+                raise
+            name = str(error.filename).replace(str(temporary_folder), str(folder))
+            raise OSError(error.errno, error.strerror, name) from error
         with _deferred_interrupt():
             folder.mkdir(parents=True, exist_ok=True)
             for name in _written_files(temporary_folder) if names is None else names:
@@ -110,16 +114,6 @@ def file_transaction(
                     os.replace(temporary_folder / name, folder / name)
                 else:
                     (folder / name).unlink(missing_ok=True)
-    except ValueError as error:
-        raise ValueError(str(error).replace(str(temporary_folder), str(folder))) from error
-    except OSError as error:
-        if not str(error.filename or "").startswith(str(temporary_folder)):
-            raise
-        name = str(error.filename).replace(str(temporary_folder), str(folder))
-        raise OSError(error.errno, error.strerror, name) from error
-    finally:
-        shutil.rmtree(temporary_folder, ignore_errors=True)
-        _temporary_folders.discard(temporary_folder)
 
 
 def _written_files(folder: Path) -> list[str]:
@@ -145,19 +139,28 @@ def folder_transaction(folder: str | os.PathLike[str]) -> Iterator[Path]:
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise FileExistsError(f"{folder}: exists already; nothing is overwritten")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    # In the same parent, because a rename is atomic only within one file system.
-    temporary_folder = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    _temporary_folders.add(temporary_folder)
-    try:
+    with _temporary_folder(folder.parent, folder.name) as temporary_folder:
         yield temporary_folder
         # `mkdtemp` makes a folder that only its owner can open.
         os.chmod(temporary_folder, 0o755)
         with _write_lock:
             # An empty folder is replaced by this; one that was filled meanwhile is not.
             os.replace(temporary_folder, folder)
+
+
+@contextmanager
+def _temporary_folder(parent: Path, name: str) -> Iterator[Path]:
+    """Provide a folder for unfinished results in the parent of the final ones.
+
+    It is there because a rename is atomic only within one file system.
+    """
+    folder = Path(tempfile.mkdtemp(dir=parent, prefix=f".{name}."))
+    _temporary_folders.add(folder)
+    try:
+        yield folder
     finally:
-        shutil.rmtree(temporary_folder, ignore_errors=True)
-        _temporary_folders.discard(temporary_folder)
+        shutil.rmtree(folder, ignore_errors=True)
+        _temporary_folders.discard(folder)
 
 
 @contextmanager

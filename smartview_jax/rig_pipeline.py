@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -43,18 +43,6 @@ SAME_PLACE = 1e-6
 
 RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior")
 """The options of `fit_joint` that `fit_rig` has too."""
-
-
-class StagedKnowledge(NamedTuple):
-    """The knowledge of a rig's cameras before they are calibrated.
-
-    Attributes:
-        cameras: known cameras by name.
-        starts: start of each camera, None without one.
-    """
-
-    cameras: Mapping[str, Camera]
-    starts: Mapping[str, AnyStart]
 
 
 def calibrate_rig(
@@ -112,13 +100,13 @@ def calibrate_rig(
         few = {name: count for name, count in counts.items() if count < 3}
         _require_known(few, known)
         many = [name for name in part.cameras if name not in few]
-        of_arm = _staged_fits(part, many, lens, StagedKnowledge(known, given), report)
+        of_arm = _staged_fits(part, many, lens, known, given, report)
         for name in of_arm:
             of_arm[name], given[name] = with_start_doubts(
                 of_arm[name], given[name], part.cameras[name], _own_paths(rig, name, paths)
             )
         _refuse_unused_places(part, few, start or {})
-        own_starts = _consistent_starts(part, of_arm, StagedKnowledge(known, given))
+        own_starts = _consistent_starts(part, of_arm, known, given)
         of_few = {
             name: _placed_by_target(part, name, known[name], of_arm, own_starts, report)
             for name in few
@@ -126,8 +114,8 @@ def calibrate_rig(
         staged |= {**of_arm, **of_few}
         starts |= own_starts
         starts |= {
-            name: _with_given_mount(found.calibration, given[name])
-            for name, found in of_few.items()
+            name: _with_given_mount(placed.calibration, given[name])
+            for name, placed in of_few.items()
         }
     findings = shared_target_findings(rig, staged)
     if findings.problems:
@@ -149,7 +137,11 @@ def calibrate_rig(
         **{**joint_options, "fixed": fixed},
     )
     # A wrong camera makes the places of a target differ as well, so it is named before them.
-    of_cameras = [f"{name}: {text}" for name, one in staged.items() for text in one.warnings]
+    of_cameras = [
+        f"{name}: {text}"
+        for name, fit_of_camera in staged.items()
+        for text in fit_of_camera.warnings
+    ]
     return dataclasses.replace(
         fit,
         warnings=(*of_cameras, *findings.doubts, *fit.warnings),
@@ -181,12 +173,7 @@ def usable_view_counts(rig: Rig, known: Mapping[str, Camera]) -> dict[str, int]:
 
 
 def _require_known(few: Mapping[str, int], known: Mapping[str, Camera]) -> None:
-    """Raise a ValueError that names a camera with few views whose lens is not known.
-
-    Args:
-        few: number of usable views of the cameras that have fewer than three.
-        known: known cameras by name.
-    """
+    """Raise a ValueError that names a camera with few usable views whose lens is not known."""
     for name, count in few.items():
         if name not in known:
             raise ValueError(
@@ -248,17 +235,11 @@ def _staged_fits(
     rig: Rig,
     cameras: Sequence[str],
     lens: str | AbstractLens,
-    knowledge: StagedKnowledge,
+    known: Mapping[str, Camera],
+    starts: Mapping[str, AnyStart],
     report: Callable[[str], None],
 ) -> dict[str, StagedFit]:
     """Return the staged fit of each camera alone, or from the target's place that others tell.
-
-    Args:
-        rig: data sets of one arm's cameras.
-        cameras: names of the cameras to fit.
-        lens: lens model of all cameras.
-        knowledge: what is known of the cameras.
-        report: called with a line of text.
 
     Raises:
         ValueError: a camera that cannot be calibrated; the message names it.
@@ -272,7 +253,7 @@ def _staged_fits(
             staged[name] = fit_staged(
                 rig.cameras[name],
                 lens,
-                camera=knowledge.cameras.get(name),
+                camera=known.get(name),
                 start=start,
                 progress=lambda text: report(f"{name}: {text}"),
             )
@@ -281,7 +262,7 @@ def _staged_fits(
             errors.setdefault(name, error)
 
     for name in cameras:
-        fit(name, knowledge.starts[name])
+        fit(name, starts[name])
     for name in list(errors):
         most = _reference(rig, name, staged)
         if most is not None:
@@ -294,30 +275,29 @@ def _staged_fits(
 
 
 def _consistent_starts(
-    rig: Rig, staged: Mapping[str, StagedFit], knowledge: StagedKnowledge
+    rig: Rig,
+    staged: Mapping[str, StagedFit],
+    known: Mapping[str, Camera],
+    given: Mapping[str, AnyStart],
 ) -> dict[str, Calibration]:
     """Return the calibrations of the staged fits, or what is given, with one pose for each target.
 
     Args:
         rig: data sets of one arm's cameras.
         staged: the cameras' staged fits.
-        knowledge: what is known of the cameras.
+        known: known cameras by name.
+        given: start of each camera, None without one.
     """
     starts = {
-        name: merged_start(
-            fit.calibration,
-            knowledge.starts[name],
-            rig.cameras[name],
-            knowledge.cameras.get(name),
-        )
+        name: merged_start(fit.calibration, given[name], rig.cameras[name], known.get(name))
         for name, fit in staged.items()
     }
     for name in staged:
-        first = _placing_camera(rig, name, staged, knowledge.starts)
+        first = _placing_camera(rig, name, staged, given)
         if first is not None and name != first:
             placed = _with_target_at(starts[first], rig.cameras[name], staged[name])
             starts[name] = _with_given_mount(
-                dataclasses.replace(placed, camera=starts[name].camera), knowledge.starts[name]
+                dataclasses.replace(placed, camera=starts[name].camera), given[name]
             )
     return starts
 
@@ -351,16 +331,10 @@ def _placing_camera(
 
 
 def _refuse_unused_places(rig: Rig, few: Mapping[str, int], start: RigStart) -> None:
-    """Raise a ValueError for a target's pose that is given for a camera with few views.
-
-    Args:
-        rig: data sets of one arm's cameras.
-        few: number of usable views of the cameras that have fewer than three.
-        start: the starts as they were given.
-    """
+    """Raise a ValueError for a target's pose that is given for a camera with few usable views."""
     for name in few:
-        own, place = start.get(name), transform_names(rig.cameras[name].mount)[1]
-        if isinstance(own, Mapping) and place in own:
+        given, place = start.get(name), transform_names(rig.cameras[name].mount)[1]
+        if isinstance(given, Mapping) and place in given:
             raise ValueError(
                 f"camera {name!r}: start: {place}: its few views start from the target that "
                 "another camera tells: give it for that camera"
@@ -388,11 +362,16 @@ def _checked_starts(
         raise ValueError(
             f"start: expected cameras of {', '.join(rig.cameras)}, found {', '.join(strangers)}"
         )
-    for name, own in given.items():
+    for name, camera_start in given.items():
         with errors_at(f"camera {name!r}"):
-            check_start(own, rig.cameras[name])
-        if isinstance(own, Calibration):
-            bare = Calibration(own.camera, own.camera_from_mount, own.holder_from_world, own.mount)
+            check_start(camera_start, rig.cameras[name])
+        if isinstance(camera_start, Calibration):
+            bare = Calibration(
+                camera_start.camera,
+                camera_start.camera_from_mount,
+                camera_start.holder_from_world,
+                camera_start.mount,
+            )
             given[name] = with_lens(bare, lens)
     return {name: given.get(name) for name in rig.cameras}
 

@@ -1,9 +1,11 @@
 """Solids that several tests model, made by trimesh or written out by hand."""
 
+import dataclasses
 import itertools
 
 import numpy as np
 
+from smartview_jax.geometry import host_transformed
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 
 
@@ -20,6 +22,12 @@ def box(x=0.06, y=0.04, z=0.03, **given):
     }
     faces = tuple(Face(loop, name=name) for name, loop in loops.items())
     return ObjectModel(corners * [x, y, z], edges_of_faces(faces), faces, **given)
+
+
+def moved(model, target_from_object):
+    """A model's vertices in another frame."""
+    vertices = host_transformed(target_from_object, model.vertices)
+    return dataclasses.replace(model, vertices=vertices)
 
 
 def prism(sides, radius=0.03, height=0.05):

@@ -82,8 +82,8 @@ def with_estimated_clock(
     """
     import dataclasses
 
+    from ..clocks import estimate_time_offset
     from ..io import load_pose_log
-    from ..time_offset import estimate_time_offset
 
     log = None if dataset is None else load_pose_log(dataset)
     if log is None:

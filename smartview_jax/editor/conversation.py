@@ -6,14 +6,13 @@ the whole model.
 """
 
 import dataclasses
-import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ..modeling import Face, FacePlane, face_plane, points_in_loops
+from ..modeling import FacePlane, points_in_loops
 from .document import CHANGES, KINDS, PlacedGrasp
 from .entries import (
     curve_entry,
@@ -26,8 +25,9 @@ from .entries import (
     suggestion_entry,
     symmetry_entry,
 )
+from .kept_results import are_same_objects
 from .known_facts import FACT_KINDS
-from .model_building import face_problem, placed_grasp, problems_of
+from .model_building import face_problem, loop_plane, placed_grasp, problems_of
 from .session import ModelSession
 
 Message = dict[str, Any]
@@ -36,6 +36,13 @@ Message = dict[str, Any]
 
 SLOW_COMMANDS = ("features", "propose", "symmetry", "judge")
 """Commands that do not change the document and may take seconds."""
+
+COMMANDS = (
+    *SLOW_COMMANDS,
+    *("hover", "check", "undo", "redo", "save", "distance", "accept", "reject"),
+    *("grasp_at", "turn_grasp"),
+)
+"""The methods of a conversation that a page calls by name, in addition to the changes."""
 
 
 class Conversation:
@@ -53,10 +60,10 @@ class Conversation:
         content = dict(message)
         number, name = content.pop("message", None), content.get("do")
         try:
-            command = _COMMANDS.get(str(name))
-            if command is not None:
+            if name == "hello" or name in COMMANDS:
                 content.pop("do")
-                reply = command(self, **content)
+                command = self.greeting if name == "hello" else getattr(self, name)
+                reply = command(**content)
             else:
                 reply = self._changed(content)
         # Messages are not validated, and the disk may be full, so any exception is answered. The
@@ -127,7 +134,9 @@ class Conversation:
         parts: dict[str, dict[int, Any]] = {}
         for kind, source in sources.items():
             shown = self._shown[kind]
-            new = [k for k, made_from in source.items() if not _same(shown.get(k), made_from)]
+            new = [
+                k for k, parts_of in source.items() if not are_same_objects(shown.get(k), parts_of)
+            ]
             # None tells the page that a part was deleted.
             deleted = [k for k in shown if k not in source]
             parts[kind] = {**self._entries(kind, new, estimates), **dict.fromkeys(deleted)}
@@ -143,12 +152,7 @@ class Conversation:
             edges = {k: document.edges[k] for k in numbers}
             return edge_entries(edges, estimates, session)
         if kind == "faces":
-            return {
-                k: face_entry(
-                    document.faces[k], face_problem(document.faces[k].loop, estimates), estimates
-                )
-                for k in numbers
-            }
+            return {k: face_entry(document.faces[k], estimates) for k in numbers}
         if kind == "constraints":
             return {k: self._constraint_entry(k) for k in numbers}
         return {k: self._grasp_entry(k, document.grasps[k]) for k in numbers}
@@ -228,8 +232,8 @@ class Conversation:
         session = self._session
         return {
             "type": "judgement",
-            "disagreements": [disagreement_entry(one) for one in session.disagreements()],
-            "suggestions": [suggestion_entry(one) for one in session.suggestions()],
+            "disagreements": [disagreement_entry(entry) for entry in session.disagreements()],
+            "suggestions": [suggestion_entry(entry) for entry in session.suggestions()],
         }
 
     def undo(self) -> Message:
@@ -304,36 +308,9 @@ class Conversation:
         return {"type": "preview", "grasp": grasp, "entry": entry}
 
 
-def _same(first: tuple | None, second: tuple) -> bool:
-    """Return whether two tuples have identical objects, not only equal ones."""
-    return first is not None and len(first) == len(second) and all(map(operator.is_, first, second))
-
-
-_COMMANDS: dict[str, Callable[..., Message]] = {
-    "hello": Conversation.greeting,
-    "hover": Conversation.hover,
-    "features": Conversation.features,
-    "check": Conversation.check,
-    "judge": Conversation.judge,
-    "undo": Conversation.undo,
-    "redo": Conversation.redo,
-    "save": Conversation.save,
-    "distance": Conversation.distance,
-    "symmetry": Conversation.symmetry,
-    "propose": Conversation.propose,
-    "accept": Conversation.accept,
-    "reject": Conversation.reject,
-    "grasp_at": Conversation.grasp_at,
-    "turn_grasp": Conversation.turn_grasp,
-}
-"""The commands of a page by name, in addition to the changes of a document."""
-
-
 def drawn_plane(session: ModelSession, face: int) -> FacePlane:
     """Return the plane of a face given by its id."""
-    loop, estimates = session.document.existing("faces", face).loop, session.estimates()
-    vertices = np.array([estimates[p].position for p in loop])
-    return face_plane(vertices, Face(tuple(range(len(loop)))))
+    return loop_plane(session.document.existing("faces", face).loop, session.estimates())
 
 
 def face_under(session: ModelSession, view: str, pixel: Any) -> tuple[int, Float[np.ndarray, "3"]]:

@@ -8,10 +8,9 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
-from ..modeling import ConstraintVerdict
+from ..modeling import ConstraintVerdict, pair_lengths
 from .document import Document, DrawnConstraint
-from .fact_values import fact_value
-from .known_facts import constraint_of
+from .known_facts import constraint_of, fact_value
 from .view_geometry import PointEstimate, ViewGeometry
 
 FALSE_ALARM_PROBABILITY = 0.01
@@ -90,16 +89,16 @@ class Findings(NamedTuple):
             )
         if fact.kind not in ("equal_length", "right_angle", "parallel"):
             return ""
-        found = fact_value(fact, points, *self._alone(points))
+        value = fact_value(fact, points, *self._alone(points))
         if fact.kind == "equal_length":
             first, second = 1e3 * self.lengths(fact.items)[0]
-            difference = _in_mm(float(abs(found.values[0])), float(found.covariance[0, 0]))
+            difference = _in_mm(float(abs(value.values[0])), float(value.covariance[0, 0]))
             return f"{first:.2f} and {second:.2f} mm by the clicks alone, {difference} apart"
         # The cosine of the angle, or the two components of its sine.
-        size = float(np.linalg.norm(found.values))
-        along = found.values / max(size, 1e-30)
-        sigma = np.sqrt(along @ found.covariance @ along) / np.sqrt(max(1.0 - size**2, 1e-30))
-        angle = np.arccos(found.values[0]) if fact.kind == "right_angle" else np.arcsin(size)
+        size = float(np.linalg.norm(value.values))
+        along = value.values / max(size, 1e-30)
+        sigma = np.sqrt(along @ value.covariance @ along) / np.sqrt(max(1.0 - size**2, 1e-30))
+        angle = np.arccos(value.values[0]) if fact.kind == "right_angle" else np.arcsin(size)
         return f"{np.rad2deg(angle):.2f} ± {np.rad2deg(sigma):.2f} degrees by the clicks alone"
 
     def lengths(
@@ -108,16 +107,9 @@ class Findings(NamedTuple):
         """Return the distances of pairs of points by their clicks alone, and their covariance."""
         points = sorted({point for pair in pairs for point in pair})
         positions, covariance = self._alone(points)
-        a, b = np.array([[points.index(point) for point in pair] for pair in pairs]).T
-        differences = positions[b] - positions[a]
-        lengths = np.linalg.norm(differences, axis=1)
-        # d|b - a| = n . (db - da)
-        n = differences / np.maximum(lengths, 1e-30)[:, None]
-        rows = np.arange(len(pairs))
-        gradient = np.zeros((len(pairs), len(points), 3))
-        gradient[rows, a], gradient[rows, b] = -n, n
-        flat = gradient.reshape(len(pairs), -1)
-        return lengths, flat @ covariance @ flat.T
+        indices = [[points.index(point) for point in pair] for pair in pairs]
+        lengths, gradient = pair_lengths(positions, indices)
+        return lengths, gradient @ covariance @ gradient.T
 
     def _alone(
         self, points: Sequence[int]
@@ -126,10 +118,10 @@ class Findings(NamedTuple):
 
         The errors of the calibration are common to all of them.
         """
-        found = [self.alone[point] for point in points]
-        factor = np.concatenate([point.calibration_factor for point in found])
-        pictures = np.asarray(block_diag(*(point.picture_covariance for point in found)))
-        return np.array([point.position for point in found]), pictures + factor @ factor.T
+        estimates = [self.alone[point] for point in points]
+        factor = np.concatenate([point.calibration_factor for point in estimates])
+        pictures = np.asarray(block_diag(*(point.picture_covariance for point in estimates)))
+        return np.array([point.position for point in estimates]), pictures + factor @ factor.T
 
     def residuals(self, points: Sequence[int]) -> dict[Click, float]:
         """Return the residuals of all clicks of some points, px."""
@@ -160,17 +152,17 @@ class Findings(NamedTuple):
         if any(self.verdicts[k].violated for k in chosen) or any(e.failure for e in estimates):
             return ()
         number = {point: k for k, point in enumerate(points)}
-        found = geometry.suspects(
+        clicks = geometry.suspects(
             [self.document.points[point] for point in points],
             np.array([estimate.position for estimate in estimates]),
             [constraint_of(fact, number) for fact in constraints],
         )
-        return tuple((points[k], view) for k, view in found)
+        return tuple((points[k], view) for k, view in clicks)
 
 
 def disagreements_of(findings: Findings, geometry: ViewGeometry) -> list[Disagreement]:
     """Return the points, then the edges, then the facts of a document that disagree."""
-    found = [
+    wrong_points = [
         _wrong_point(point, estimate, findings)
         for point, estimate in findings.alone.items()
         if estimate.wrong_clicks
@@ -197,7 +189,7 @@ def disagreements_of(findings: Findings, geometry: ViewGeometry) -> list[Disagre
                 wrong_edges.setdefault(
                     edge, Disagreement("edges", edge, f"{words}; {blame}", suspects, shown)
                 )
-    return [*found, *wrong_edges.values(), *facts]
+    return [*wrong_points, *wrong_edges.values(), *facts]
 
 
 def _wrong_point(point: int, estimate: PointEstimate, findings: Findings) -> Disagreement:
@@ -282,10 +274,10 @@ def _wrong_lengths(fact: DrawnConstraint, findings: Findings) -> dict[tuple[int,
         square = (lengths[k] - mean) ** 2 / (combination @ joint @ combination)
         if chdtrc(1, square) >= FALSE_ALARM_PROBABILITY / len(pairs):
             continue
-        own = _in_mm(float(lengths[k]), float(joint[k, k]))
-        words = f"{own} by its own clicks, where the others say {_in_mm(mean, variance)}"
+        measured_words = _in_mm(float(lengths[k]), float(joint[k, k]))
+        words = f"{measured_words} by its own clicks, where the others say {_in_mm(mean, variance)}"
         if len(pairs) == 1:
-            words = f"{own} by its own clicks, where {1e3 * mean:.2f} mm is stated"
+            words = f"{measured_words} by its own clicks, where {1e3 * mean:.2f} mm is stated"
         wrong[pair] = words
         rest, freedom = lengths[others] - mean, len(others) - 1
         if not freedom or chdtrc(freedom, rest @ inverse @ rest) >= FALSE_ALARM_PROBABILITY:
@@ -298,14 +290,17 @@ def _equal_edges(
     fact: DrawnConstraint, facts: Collection[DrawnConstraint]
 ) -> tuple[list[tuple[int, ...]], list[tuple[float, float]]]:
     """Return the edges that facts make as long as one fact's edges, and the stated lengths."""
-    equal = [{frozenset(pair) for pair in one.items} for one in facts if one.kind == "equal_length"]
+    equal = [
+        {frozenset(pair) for pair in other.items} for other in facts if other.kind == "equal_length"
+    ]
     group = {frozenset(pair) for pair in fact.items}
     while more := [pairs for pairs in equal if pairs & group and not pairs <= group]:
         group = group.union(*more)
     stated = [
-        (one.value, one.sigma or EXACT_LENGTH_SIGMA)
-        for one in facts
-        if one.kind == "known_length" and one.value is not None and frozenset(one.items[0]) in group
+        (other.value, other.sigma or EXACT_LENGTH_SIGMA)
+        for other in facts
+        if other.kind == "known_length" and other.value is not None
+        if frozenset(other.items[0]) in group
     ]
     return sorted(tuple(sorted(pair)) for pair in group), stated
 

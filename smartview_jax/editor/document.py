@@ -108,6 +108,13 @@ class Document:
             raise ValueError(f"no {kind.removesuffix('s')} {number}")
         return parts[number]
 
+    def existing_points(self, given: Any) -> tuple[int, ...]:
+        """Return the ids of points, or raise a ValueError that names one that does not exist."""
+        points = tuple(part_id(point) for point in given)
+        for point in points:
+            self.existing("points", point)
+        return points
+
     def _added(self, kind: str, part: Any) -> "Document":
         # Copied, never changed in place, because undo returns to earlier documents.
         parts = {**getattr(self, kind), self.next_id: part}
@@ -221,9 +228,7 @@ def _delete(document: Document, kind: str, id: int) -> Document:
 
 def _add_edge(document: Document, ends: Any) -> Document:
     """Add an edge between two points."""
-    a, b = (part_id(end) for end in ends)
-    for point in (a, b):
-        document.existing("points", point)
+    a, b = document.existing_points(ends)
     if a == b:
         raise ValueError(f"an edge joins two different points, found point {a} twice")
     # In either direction.
@@ -304,16 +309,11 @@ def _add_constraint(
 ) -> Document:
     """Add a fact that binds groups of points."""
     # Several groups for edges, one for points; what fits is checked where it is used.
-    groups = tuple(tuple(part_id(point) for point in group) for group in items)
-    for group in groups:
-        for point in group:
-            document.existing("points", point)
-    _check_quantities("a known length", value)
-    if value is not None and not value > 0.0:
-        raise ValueError(f"a known length is positive, found {value}")
-    _check_quantities("the standard deviation of a fact", sigma)
-    if sigma is not None and not sigma > 0.0:
-        raise ValueError(f"the standard deviation of a fact is above 0; found {sigma}")
+    groups = tuple(document.existing_points(group) for group in items)
+    for name, given in (("a known length", value), ("the standard deviation of a fact", sigma)):
+        _check_quantities(name, given)
+        if given is not None and not given > 0.0:
+            raise ValueError(f"{name} is above 0; found {given}")
     if not isinstance(kind, str):
         raise ValueError(f"the kind of a constraint is a name, found {kind!r}")
     return document._added("constraints", DrawnConstraint(kind, groups, value, sigma))

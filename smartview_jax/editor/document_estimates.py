@@ -1,6 +1,5 @@
 """Estimate the points of a document, with or without constraints."""
 
-import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from ..modeling import ConstraintVerdict, RefinedFeatures
+from ..modeling import ConstraintVerdict, RefinedFeatures, pair_lengths
 from .document import Document
+from .kept_results import LastResult
 from .known_facts import constraint_of
 from .view_geometry import PointEstimate, ViewGeometry
 
@@ -23,14 +23,9 @@ With 200 a file has 360,000 numbers; above this a file has the covariance of eac
 class _Refinement(NamedTuple):
     """The points of a document with constraints, refined together.
 
-    Attributes:
-        made_from: the parts of the document on which it depends.
-        estimates: estimates of the points by id.
-        verdicts: verdicts on the constraints by id.
-        features: the refined points in the document's order.
+    Estimates and verdicts are by id, features in the document's order.
     """
 
-    made_from: tuple
     estimates: dict[int, PointEstimate]
     verdicts: dict[int, ConstraintVerdict]
     features: RefinedFeatures
@@ -42,7 +37,7 @@ class DocumentEstimates:
     def __init__(self, geometry: ViewGeometry):
         """Take the views."""
         self._geometry = geometry
-        self._last: _Refinement | None = None
+        self._last = LastResult[_Refinement]()
 
     def points(self, document: Document) -> dict[int, PointEstimate]:
         """Return the estimates of all points, by id."""
@@ -94,20 +89,19 @@ class DocumentEstimates:
         """
         estimates, results = self.points(document), []
         for a, b in pairs:
-            first, second = estimates[a], estimates[b]
-            difference = second.position - first.position
-            length = float(np.linalg.norm(difference))
-            # d|b - a| = n . (db - da); coincident points have no direction, and sigma 0.
-            n = difference / max(length, 1e-30)
-            gradient = np.concatenate([-n, n])
-            # Without constraints the two are independent, and no joint covariance is needed.
-            if document.constraints:
-                variance = gradient @ self.picture_covariance(document, (a, b)) @ gradient
-            else:
-                variance = n @ (first.picture_covariance + second.picture_covariance) @ n
-            common = n @ (second.calibration_factor - first.calibration_factor)
+            ends = [estimates[a], estimates[b]]
+            positions = np.array([end.position for end in ends])
+            (length,), (gradient,) = pair_lengths(positions, [(0, 1)])
+            # Without constraints the two are independent.
+            from_pictures = (
+                self.picture_covariance(document, (a, b))
+                if document.constraints
+                else np.asarray(block_diag(*(end.picture_covariance for end in ends)))
+            )
+            common = gradient @ np.concatenate([end.calibration_factor for end in ends])
+            variance = gradient @ from_pictures @ gradient + common @ common
             # An exact constraint leaves rounding error, of either sign.
-            results.append((length, float(np.sqrt(max(variance + common @ common, 0.0)))))
+            results.append((float(length), float(np.sqrt(max(variance, 0.0)))))
         return results
 
     def joint_covariance(
@@ -120,16 +114,14 @@ class DocumentEstimates:
 
     def _refined(self, document: Document) -> _Refinement:
         """Return the joint refinement of a document with constraints."""
-        made_from = (document.points, document.constraints)
-        # Documents share the parts that a change left alone, so identical parts mean the same
-        # result.
-        last = self._last
-        if last is None or not all(map(operator.is_, last.made_from, made_from)):
+
+        def refine() -> _Refinement:
             number = {point: k for k, point in enumerate(document.points)}
             constraints = [constraint_of(fact, number) for fact in document.constraints.values()]
             points = list(document.points.values())
             estimates, features = self._geometry.refined(points, constraints)
             named = dict(zip(document.points, estimates, strict=True))
             judged = dict(zip(document.constraints, features.verdicts, strict=True))
-            self._last = last = _Refinement(made_from, named, judged, features)
-        return last
+            return _Refinement(named, judged, features)
+
+        return self._last.of((document.points, document.constraints), refine)

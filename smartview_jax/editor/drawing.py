@@ -3,12 +3,11 @@
 import abc
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from .click_checks import PictureSizes, check_clicks, checked_pixel
 from .document import Document, apply_change
 from .edit_history import EditHistory
 from .model_building import checked_loop, problems_of
@@ -16,6 +15,9 @@ from .view_geometry import PointEstimate, ViewGeometry
 
 NAMED_KINDS = ("faces", "grasps")
 """The parts that have names of their own; points and edges have numbers."""
+
+PictureSizes: TypeAlias = Mapping[str, tuple[int, int]]
+"""The width and height of each view's picture, px, by the view's name."""
 
 
 class AbstractDrawing(abc.ABC):
@@ -87,17 +89,13 @@ class AbstractDrawing(abc.ABC):
         """
         u, v = self.checked_pixel(view, pixel)
         if point is None:
-            number = self.document.next_id
-            self.change({"do": "add_point", "clicks": {view: [u, v]}})
-            return number
+            return self._add({"do": "add_point", "clicks": {view: [u, v]}})
         self.change({"do": "click", "point": point, "view": view, "pixel": [u, v]})
         return point
 
     def add_edge(self, a: int, b: int) -> int:
         """Add an edge between two points, and return its id."""
-        number = self.document.next_id
-        self.change({"do": "add_edge", "ends": [a, b]})
-        return number
+        return self._add({"do": "add_edge", "ends": [a, b]})
 
     def add_face(self, loop: Sequence[int], name: str = "", graspable: bool | None = None) -> int:
         """Add a face around points, and return its id; its normal points to the cameras.
@@ -107,27 +105,25 @@ class AbstractDrawing(abc.ABC):
         """
         # The oriented loop is journalled, so that replaying needs no geometry.
         outward = checked_loop(loop, self.document, self.estimates(), self.geometry)
-        number = self.document.next_id
-        self.change({"do": "add_face", "loop": list(outward), "name": name, "graspable": graspable})
-        return number
+        return self._add(
+            {"do": "add_face", "loop": list(outward), "name": name, "graspable": graspable}
+        )
 
     def add_grasp(self, face: int, **values: Any) -> int:
         """Place a grasp on a face, and return its id; `PlacedGrasp` lists the values."""
-        # Checked on a copy, so that an impossible grasp is not journalled.
-        number = self.document.next_id
         change = {"do": "add_grasp", "face": face, **values}
-        self._check_grasps(apply_change(self.document, change), number)
-        self.change(change)
-        return number
+        self._check_grasp(change, self.document.next_id)
+        return self._add(change)
 
     def change_grasp(self, grasp: int, **values: Any) -> None:
         """Move, turn, open or rename a grasp."""
         change = {"do": "change_grasp", "id": grasp, **values}
-        self._check_grasps(apply_change(self.document, change), grasp)
+        self._check_grasp(change, grasp)
         self.change(change)
 
-    def _check_grasps(self, document: Document, grasp: int) -> None:
-        """Raise an error if a grasp is not possible on its face."""
+    def _check_grasp(self, change: Mapping[str, Any], grasp: int) -> None:
+        """Raise an error if a grasp is not possible on its face after a change."""
+        document = apply_change(self.document, change)
         # Problems of other grasps are no reason to refuse this one.
         only = dataclasses.replace(document, grasps={grasp: document.existing("grasps", grasp)})
         reason = problems_of(only, self.estimates(only)).get(("grasps", grasp))
@@ -153,11 +149,15 @@ class AbstractDrawing(abc.ABC):
         Raises:
             ValueError: an unknown kind, a wrong number of points or edges, or a missing length.
         """
-        number = self.document.next_id
         groups = [list(group) for group in items]
-        self.change(
+        return self._add(
             {"do": "add_constraint", "kind": kind, "items": groups, "value": value, "sigma": sigma}
         )
+
+    def _add(self, change: Mapping[str, Any]) -> int:
+        """Make a change that adds a part, and return its id."""
+        number = self.document.next_id
+        self.change(change)
         return number
 
     def delete(self, kind: str, number: int) -> None:
@@ -205,3 +205,47 @@ def _check_names(before: Document, after: Document) -> None:
                 raise ValueError(
                     f"{word}: the name {name!r} belongs to {kind} {', '.join(holders)}"
                 )
+
+
+def check_clicks(change: Mapping[str, Any], sizes: PictureSizes) -> None:
+    """Raise an error for a change with a click in an unknown view or outside its picture.
+
+    Args:
+        change: as `document.apply_change` describes it.
+        sizes: width and height of each view's picture, px, by the view's name.
+    """
+    # All parts of a change are checked before any of them is made.
+    clicks = dict(change.get("clicks") or {})
+    if change.get("do") == "click":
+        clicks[change.get("view")] = change.get("pixel")
+    for view, pixel in clicks.items():
+        checked_pixel(view, pixel, sizes)
+    for part in change.get("changes") or ():
+        check_clicks(part, sizes)
+
+
+def check_view(view: Any, names: Iterable[str]) -> None:
+    """Raise an error for a view that does not exist."""
+    # A page's message may hold anything, also what no mapping can look up.
+    if view not in list(names):
+        raise ValueError(f"no view {view!r}; the views are {', '.join(names)}")
+
+
+def checked_pixel(view: Any, pixel: Any, sizes: PictureSizes) -> tuple[float, float]:
+    """Return a pixel of a view, or raise an error that names both."""
+    check_view(view, sizes)
+    # The page's messages are not validated: text, null and three numbers are possible.
+    try:
+        # Texts of digits and true would pass as numbers.
+        if any(isinstance(number, str | bool) for number in pixel):
+            raise TypeError
+        u, v = (float(number) for number in pixel)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"view {view}: a pixel is two numbers; found {pixel!r}") from None
+    width, height = sizes[view]
+    # NaN fails this comparison too.
+    if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+        raise ValueError(
+            f"view {view}: the click ({u:g}, {v:g}) is outside the picture of {width} x {height} px"
+        )
+    return u, v

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..argument_checks import nearest_name
+from ..argument_checks import errors_at, nearest_name
 from .document import Document, apply_change
 from .journal import Journal
 from .owner_lock import OwnerLock
@@ -70,10 +70,8 @@ class EditHistory:
             self._journal = Journal(self.path, header)
             for number, entry in enumerate(self._journal.entries, start=2):
                 # A journalled change can fail only if someone edited the file.
-                try:
+                with errors_at(f"{self.path}: line {number}"):
                     self._apply(_with_names(entry))
-                except ValueError as error:
-                    raise ValueError(f"{self.path}: line {number}: {error}") from None
         # A session that failed to open must not keep others from opening the file.
         except BaseException:
             self.close()

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..modeling import EpipolarCurve, Face, Grasp, Symmetry, face_plane, width_between_fingers
+from ..modeling import EpipolarCurve, Grasp, Symmetry, width_between_fingers
 from .disagreements import Disagreement
 from .document import Clicks, DrawnFace
 from .known_facts import FACT_KINDS
+from .model_building import face_problem, loop_plane, point_problem
 from .session import ModelSession
 from .suggestions import Suggestion
 from .view_geometry import PointEstimate, ViewGeometry
@@ -31,8 +32,7 @@ def point_entry(clicks: Clicks, estimate: PointEstimate) -> dict[str, Any]:
     entry: dict[str, Any] = {"clicks": {view: list(pixel) for view, pixel in clicks.items()}}
     if estimate.wrong_clicks:
         entry["wrong"] = {view: str(click) for view, click in estimate.wrong_clicks.items()}
-    if estimate.failure:
-        problem = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else estimate.failure
+    if problem := point_problem(clicks, estimate):
         return {**entry, "problem": problem}
     # The half axes of the error ellipsoid are the eigenvectors times the roots of the eigenvalues.
     values, vectors = np.linalg.eigh(estimate.covariance)
@@ -122,19 +122,16 @@ def _polylines(geometry: ViewGeometry, samples: Float[np.ndarray, "lines n 3"]) 
     ]
 
 
-def face_entry(
-    face: DrawnFace, problem: str, estimates: Mapping[int, PointEstimate]
-) -> dict[str, Any]:
+def face_entry(face: DrawnFace, estimates: Mapping[int, PointEstimate]) -> dict[str, Any]:
     """Return a face with its normal, or with its problem."""
     entry: dict[str, Any] = {
         "loop": list(face.loop),
         "name": face.name,
         "graspable": face.graspable,
     }
-    if problem:
+    if problem := face_problem(face.loop, estimates):
         return {**entry, "problem": problem}
-    vertices = np.array([estimates[p].position for p in face.loop])
-    plane = face_plane(vertices, Face(tuple(range(len(face.loop)))))
+    plane = loop_plane(face.loop, estimates)
     return {
         **entry,
         "centre": plane.origin.round(_METRE_DIGITS).tolist(),

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ..modeling import (
     Face,
+    FacePlane,
     Grasp,
     ObjectModel,
     check_face,
@@ -15,7 +16,7 @@ from ..modeling import (
     grasp_on_face,
     oriented_outward,
 )
-from .document import Document, PlacedGrasp, part_id
+from .document import Clicks, Document, PlacedGrasp
 from .view_geometry import PointEstimate, ViewGeometry
 
 Estimates = Mapping[int, PointEstimate]
@@ -110,10 +111,8 @@ def problems_of(document: Document, estimates: Estimates) -> dict[tuple[str, int
     """Return the parts that cannot be in a model, with the reasons, by kind and id."""
     problems: dict[tuple[str, int], str] = {}
     for point, clicks in document.points.items():
-        if estimates[point].failure:
-            # Most points without a position lack only a second click.
-            reason = f"clicked in {', '.join(clicks)} only" if len(clicks) < 2 else ""
-            problems["points", point] = reason or estimates[point].failure
+        if reason := point_problem(clicks, estimates[point]):
+            problems["points", point] = reason
     for edge, ends in document.edges.items():
         missing = [p for p in ends if ("points", p) in problems]
         if missing:
@@ -127,6 +126,18 @@ def problems_of(document: Document, estimates: Estimates) -> dict[tuple[str, int
         if reason:
             problems["grasps", grasp] = reason
     return problems
+
+
+def loop_plane(loop: Sequence[int], estimates: Estimates) -> FacePlane:
+    """Return the plane of a face around points that have positions."""
+    return face_plane(_positions(loop, estimates), Face(tuple(range(len(loop)))))
+
+
+def point_problem(clicks: Clicks, estimate: PointEstimate) -> str:
+    """Return why a point has no position; empty if it has one."""
+    # Most points without a position lack only a second click.
+    is_single = bool(estimate.failure) and len(clicks) < 2
+    return f"clicked in {', '.join(clicks)} only" if is_single else estimate.failure
 
 
 def face_problem(loop: Sequence[int], estimates: Estimates) -> str:
@@ -175,16 +186,14 @@ def checked_loop(
         ValueError: a point does not exist or has no position, or the face is not planar or
             intersects itself.
     """
-    points = tuple(part_id(point) for point in loop)
-    for point in points:
-        document.existing("points", point)
+    points = document.existing_points(loop)
     if len(points) < 3:
         raise ValueError(f"a face needs 3 or more points, found {list(points)}")
     # Checked before anything is journalled.
     reason = face_problem(points, estimates)
     if reason:
         raise ValueError(f"face {list(points)}: {reason}")
-    plane = face_plane(_positions(points, estimates), Face(tuple(range(len(points)))))
+    plane = loop_plane(points, estimates)
     centres = geometry.centres
     # Only cameras that saw the face are known to be on its outside.
     clicked = {view for point in points for view in document.points[point]}

@@ -18,12 +18,10 @@ class ProposedPoint(NamedTuple):
     Attributes:
         clicks: the matched corners by view.
         rms: reprojection error, px.
-        similarity: mean correlation of its surroundings in the views.
     """
 
     clicks: dict[str, tuple[float, float]]
     rms: float
-    similarity: float
 
 
 class Proposals:
@@ -52,9 +50,7 @@ class Proposals:
             # A point clicked by hand needs no decision, but edges may end there.
             known = _known_point(clicks, document)
             if known is None:
-                self.points[k] = ProposedPoint(
-                    clicks, float(proposal.rms[k]), float(proposal.similarity[k])
-                )
+                self.points[k] = ProposedPoint(clicks, float(proposal.rms[k]))
             else:
                 self._made[k] = known
 

@@ -12,13 +12,12 @@ import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import require_distinct, require_readable
+from ..argument_checks import errors_at, require_distinct, require_readable
 from ..cameras import Camera
 from ..detection import read_picture
 from ..evaluation import CalibrationEstimate
@@ -39,16 +38,14 @@ from ..modeling import (
     propose_model,
 )
 from ..robots import CommandLike
-from .click_checks import PictureSizes, check_view
 from .disagreements import Disagreement, Findings, disagreements_of
 from .document import KINDS, Document
 from .document_estimates import DocumentEstimates
-from .drawing import AbstractDrawing
+from .drawing import AbstractDrawing, PictureSizes, check_view
 from .edit_history import EditHistory
+from .kept_results import PictureFeatures, StatedSymmetry
 from .model_building import build_model, placed_points, problems_of
-from .picture_features import PictureFeatures
 from .proposals import Proposals
-from .stated_symmetry import StatedSymmetry
 from .suggestions import Suggestion, suggestions_of
 from .view_geometry import PointEstimate, ViewGeometry
 
@@ -129,7 +126,6 @@ class ModelSession(AbstractDrawing):
         self.geometry: ViewGeometry = ViewGeometry(
             calibration, command, self.names, covariance, click_sigma
         )
-        # These keep their results.
         self._estimates = DocumentEstimates(self.geometry)
         self._symmetry = StatedSymmetry()
         self._features = PictureFeatures(self.cameras, self.pictures)
@@ -149,10 +145,10 @@ class ModelSession(AbstractDrawing):
         """Describe the session in a few lines: the parts, and what disagrees."""
         document = self.document
         counts = ", ".join(f"{len(getattr(document, kind))} {kind}" for kind in KINDS)
-        found = self.disagreements()
+        disagreements = self.disagreements()
         lines = [f"{document.name or 'object'}: {counts}; clicked in {', '.join(self.names)}"]
         lines += [f"{kind[:-1]} {number}: {why}" for (kind, number), why in self.problems().items()]
-        return "\n".join([*lines, *map(str, found)])
+        return "\n".join([*lines, *map(str, disagreements)])
 
     @property
     def picture_sizes(self) -> PictureSizes:
@@ -348,12 +344,7 @@ class ModelSession(AbstractDrawing):
     def __enter__(self) -> "ModelSession":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def prepare(self, stop: threading.Event | None = None) -> None:
@@ -392,7 +383,7 @@ def checked_picture(
     picture: np.ndarray | str | os.PathLike[str], name: str, size: tuple[int, int]
 ) -> np.ndarray:
     """Return a grey picture of the camera's size, or raise an error that names the view."""
-    try:
+    with errors_at(f"view {name}"):
         if not isinstance(picture, np.ndarray):
             return read_picture(Path(picture), size)
         grey = picture.mean(axis=2).astype(np.uint8) if picture.ndim == 3 else picture
@@ -404,5 +395,3 @@ def checked_picture(
                 f"the picture has {width} x {height} px, the camera {size[0]} x {size[1]} px"
             )
         return grey
-    except ValueError as error:
-        raise ValueError(f"view {name}: {error}") from None

@@ -22,11 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.special import chdtrc, expit, logit
 
 from .document import Document, DrawnConstraint
 from .document_estimates import DocumentEstimates
-from .fact_values import FactValue, fact_value
+from .known_facts import FactValue, fact_value
 
 MIN_ODDS = 20.0
 """Smallest odds of a suggestion: "strong evidence" in the words of Kass and Raftery, 1995."""
@@ -163,17 +164,18 @@ def suggestions_of(document: Document, estimates: DocumentEstimates) -> list[Sug
         ]
         for (kind, densities), near in zip(chance.items(), measured.near(chance), strict=True)
     }
-    found = {kind: _likely(kind, pairs) for kind, pairs in compared.items()}
-    equal = _independent(found["equal_length"], compared["equal_length"])
-    parallel = _independent(found["parallel"], compared["parallel"])
-    directions = _Classes()
-    for one in found["parallel"]:
-        directions.join(*one.items)
+    likely = {kind: _likely(kind, pairs) for kind, pairs in compared.items()}
+    equal = _independent(likely["equal_length"], compared["equal_length"])
+    parallel = _independent(likely["parallel"], compared["parallel"])
+    # The classes of edges that are parallel, directly or through others.
+    directions = DisjointSet(edges)
+    for fact in likely["parallel"]:
+        directions.merge(*fact.items)
     for pair in compared["parallel"]:
         if pair.evidence == np.inf:
-            directions.join(*pair.items)
-    perpendicular = _between_classes(found["right_angle"], compared["right_angle"], directions)
-    return sorted([*equal, *parallel, *perpendicular], key=lambda one: -one.odds)
+            directions.merge(*pair.items)
+    perpendicular = _between_classes(likely["right_angle"], compared["right_angle"], directions)
+    return sorted([*equal, *parallel, *perpendicular], key=lambda fact: -fact.odds)
 
 
 _CHANCE: Mapping[str, Mapping[int, float]] = {
@@ -232,7 +234,7 @@ def _likely(kind: str, pairs: Sequence[_Pair]) -> list[Suggestion]:
     share = 0.5
     for _ in range(SHARE_STEPS):
         share = (1.0 + expit(evidence + logit(share)).sum()) / (2.0 + len(pairs))
-    found = []
+    facts = []
     for pair in pairs:
         odds = float(np.exp(min(pair.evidence + logit(share), 700.0)))
         # What is implied or refuted is no suggestion.
@@ -243,47 +245,32 @@ def _likely(kind: str, pairs: Sequence[_Pair]) -> list[Suggestion]:
             # Of several components, along the deviation.
             along = pair.value.values / max(deviation, 1e-30)
             sigma = float(np.sqrt(max(along @ pair.value.covariance @ along, 0.0)))
-            found.append(Suggestion(kind, pair.items, deviation, sigma, odds))
-    return sorted(found, key=lambda one: -one.odds)
-
-
-class _Classes:
-    """Edges that are known to be related, directly or through others."""
-
-    def __init__(self):
-        self._parent: dict[Ends, Ends] = {}
-
-    def of(self, edge: Ends) -> Ends:
-        """Return the representative of an edge's class."""
-        while (parent := self._parent.get(edge, edge)) != edge:
-            edge = parent
-        return edge
-
-    def join(self, first: Ends, second: Ends) -> bool:
-        """Join the classes of two edges; return whether they were different."""
-        a, b = self.of(first), self.of(second)
-        self._parent[a] = b
-        return a != b
+            facts.append(Suggestion(kind, pair.items, deviation, sigma, odds))
+    return sorted(facts, key=lambda fact: -fact.odds)
 
 
 def _independent(likely: Sequence[Suggestion], pairs: Sequence[_Pair]) -> list[Suggestion]:
     """Return the likeliest facts, without any that follows from likelier or stated ones."""
-    classes = _Classes()
+    classes = DisjointSet(itertools.chain.from_iterable(pair.items for pair in pairs))
     for pair in pairs:
         if pair.evidence == np.inf:
-            classes.join(*pair.items)
-    return [one for one in likely if classes.join(*one.items)]
+            classes.merge(*pair.items)
+    return [fact for fact in likely if classes.merge(*fact.items)]
 
 
 def _between_classes(
-    likely: Sequence[Suggestion], pairs: Sequence[_Pair], directions: _Classes
+    likely: Sequence[Suggestion], pairs: Sequence[_Pair], directions: DisjointSet
 ) -> list[Suggestion]:
     """Return the likeliest right angle between each two directions, unless one is stated."""
-    seen = {frozenset(map(directions.of, pair.items)) for pair in pairs if pair.evidence == np.inf}
+
+    def classes_of(items: tuple[Ends, Ends]) -> frozenset[Ends]:
+        return frozenset(directions[edge] for edge in items)
+
+    seen = {classes_of(pair.items) for pair in pairs if pair.evidence == np.inf}
     kept = []
-    for one in likely:
-        between = frozenset(map(directions.of, one.items))
+    for fact in likely:
+        between = classes_of(fact.items)
         if between not in seen:
-            kept.append(one)
+            kept.append(fact)
             seen.add(between)
     return kept

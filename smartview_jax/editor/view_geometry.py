@@ -5,7 +5,7 @@ drawn as epipolar curves in the other views. Results are kept.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -46,6 +46,13 @@ CLICK_FALSE_ALARM = 1e-3
 
 For each click by itself, so that the same clicks are judged alike whenever they are computed.
 """
+
+
+class _Errors(TypedDict):
+    """The uncertainties of the calibration and of clicks, as keyword arguments."""
+
+    covariance: CalibrationEstimate | None
+    pixel_sigma: float
 
 
 class DoubtedClick(NamedTuple):
@@ -126,8 +133,8 @@ class ViewGeometry:
         self._calibration = calibration
         self.command: Command = command
         self.names: list[str] = list(names)
-        self._covariance = covariance
         self.click_sigma: float = click_sigma
+        self._errors: _Errors = {"covariance": covariance, "pixel_sigma": click_sigma}
         self._seen = SeenViews.of(calibration, self.command)
         self._estimates: dict[tuple, PointEstimate] = {}
         # The clicks are kept with their estimate, so that their `id` is not reused.
@@ -157,14 +164,8 @@ class ViewGeometry:
     def _computed(self, points: Sequence[Clicks]) -> list[PointEstimate]:
         """Return the estimates of points, all in one program."""
         pixels = self._clicked_pixels(points)
-        found = triangulate_points(
-            self._calibration,
-            self.command,
-            pixels,
-            covariance=self._covariance,
-            pixel_sigma=self.click_sigma,
-        )
-        return self._estimates_from(found, points, self._wrong_clicks(pixels))
+        triangulated = triangulate_points(self._calibration, self.command, pixels, **self._errors)
+        return self._estimates_from(triangulated, points, self._wrong_clicks(pixels))
 
     def _wrong_clicks(
         self, pixels: Float[np.ndarray, "views points 2"]
@@ -176,9 +177,8 @@ class ViewGeometry:
             self._calibration,
             self.command,
             pixels,
-            covariance=self._covariance,
-            pixel_sigma=self.click_sigma,
             false_alarm=CLICK_FALSE_ALARM * clicks,
+            **self._errors,
         ):
             others = tuple(self.names[view] for view in click.instead)
             wrong[click.feature][self.names[click.view]] = DoubtedClick(click.distance, others)
@@ -200,16 +200,15 @@ class ViewGeometry:
         Returns:
             The index of the point and the name of the view of each.
         """
-        found = suspect_clicks(
+        clicks = suspect_clicks(
             self._calibration,
             self.command,
             self._clicked_pixels(points),
             positions,
             constraints,
-            covariance=self._covariance,
-            pixel_sigma=self.click_sigma,
+            **self._errors,
         )
-        return [(click.point, self.names[click.view]) for click in found]
+        return [(click.point, self.names[click.view]) for click in clicks]
 
     def refined(
         self, points: Sequence[Clicks], constraints: Sequence[AbstractConstraint]
@@ -225,9 +224,9 @@ class ViewGeometry:
             self._clicked_pixels(points),
             pixel_sigma=self.click_sigma,
         )
-        found = refine(None, observations, constraints, covariance=self._covariance)
+        features = refine(None, observations, constraints, covariance=self._errors["covariance"])
         wrong_clicks = [estimate.wrong_clicks for estimate in self.estimates(points)]
-        return self._estimates_from(found, points, wrong_clicks), found
+        return self._estimates_from(features, points, wrong_clicks), features
 
     def _clicked_pixels(self, points: Sequence[Clicks]) -> Float[np.ndarray, "views points 2"]:
         """Return the clicks of points as an array, NaN where a point was not clicked."""

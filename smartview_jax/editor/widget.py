@@ -31,38 +31,6 @@ MODULES = (
 )
 """The page's modules in order of import."""
 
-_RENDER = """
-export default {
-  async render({ model, el }) {
-    const root = document.createElement("div");
-    root.style.height = "720px";
-    el.append(root);
-    const editor = await import(addresses["editor.js"]);
-    const { Asker } = await import(addresses["connection.js"]);
-    const asker = new Asker((message) => model.send(message));
-    const pictures = new Map();
-    const connection = {
-      onUpdate: () => {}, onState: () => {},
-      ask: (message) => asker.ask(message),
-      picture: (view) => new Promise((resolve, reject) => {
-        pictures.set(view, resolve);
-        asker.ask({ do: "picture", view }).catch(reject);
-      }),
-      open: () => connection.onState("open"),
-    };
-    const receive = (answer, buffers) => {
-      if (answer.type === "picture") {
-        pictures.get(answer.view)?.(new Blob([buffers[0]], { type: "image/jpeg" }));
-      }
-      if (!asker.take(answer) && answer.type !== "picture") connection.onUpdate(answer);
-    };
-    model.on("msg:custom", receive);
-    editor.start(root, connection);
-    return () => model.off("msg:custom", receive);
-  },
-};
-"""
-
 
 @cache
 def widget_script() -> str:
@@ -85,7 +53,7 @@ def widget_script() -> str:
             f"addresses[{json.dumps(name)}] = URL.createObjectURL("
             f'new Blob([{", ".join(parts)}], {{ type: "text/javascript" }}));'
         )
-    return "\n".join(lines) + _RENDER
+    return "\n".join([*lines, (PAGE / "widget.js").read_text(encoding="utf-8")])
 
 
 def _module_named(specifier: str, importer: str) -> str:

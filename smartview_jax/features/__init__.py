@@ -2,7 +2,6 @@
 
 from .appearance import Appearance as Appearance
 from .appearance import describe as describe
-from .appearance import similarities as similarities
 from .edge_points import EdgePoints as EdgePoints
 from .edge_points import edge_map as edge_map
 from .ellipses import EllipseOptions as EllipseOptions
@@ -11,7 +10,6 @@ from .features import Features as Features
 from .features import find as find
 from .gradient import SMOOTHING as SMOOTHING
 from .ideal_plane import IdealPlane as IdealPlane
-from .ideal_plane import resampled as resampled
 from .lone_edges import CLEARANCE as CLEARANCE
 from .lone_edges import lone_points as lone_points
 from .picture_evidence import DISTANCE_STEP as DISTANCE_STEP

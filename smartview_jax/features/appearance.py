@@ -69,13 +69,6 @@ def describe(
     return Appearance(patches, _joined_directions(features, axes))
 
 
-def similarities(
-    first: Float[np.ndarray, "corners samples"], second: Float[np.ndarray, "others samples"]
-) -> Float[np.ndarray, "corners others"]:
-    """Return the normalised correlations of patches of two views, -1 to 1."""
-    return first @ second.T
-
-
 def _patch_axes(
     plane: IdealPlane, corners: Float[np.ndarray, "corners 2"], reference: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "corners 2 2"]:

@@ -67,23 +67,23 @@ def find_ellipses(
     points, normals = points[usable], normals[usable]
     if len(points) < options.min_points:
         return np.zeros((0, 3, 3))
-    found, rng = [], np.random.default_rng(0)
+    ellipses, rng = [], np.random.default_rng(0)
     for chain in _chains(points, normals, options):
-        left = chain
+        remaining = chain
         for _ in range(options.per_chain):
-            if len(left) < options.min_points:
+            if len(remaining) < options.min_points:
                 break
-            conic = _best_of_trials(points[left], normals[left], options, rng)
+            conic = _best_of_trials(points[remaining], normals[remaining], options, rng)
             if conic is None:
                 break
             conic, on = _refined(conic, points, normals, options)
             if conic is None:
                 break
             if _seen_share(conic, points[on]) >= options.min_seen:
-                found.append((int(on.sum()), conic))
-            left = left[~on[left]]
-    found.sort(key=lambda entry: -entry[0])
-    return np.array([conic for _, conic in found]).reshape(-1, 3, 3)
+                ellipses.append((int(on.sum()), conic))
+            remaining = remaining[~on[remaining]]
+    ellipses.sort(key=lambda entry: -entry[0])
+    return np.array([conic for _, conic in ellipses]).reshape(-1, 3, 3)
 
 
 def _chains(

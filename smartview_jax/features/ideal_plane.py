@@ -8,16 +8,14 @@ almost the same size as in the real picture.
 import dataclasses
 from collections.abc import Callable
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt8
+from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
 from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import in_batches
-from .picture_checks import require_size
 
 POINTS_PER_BATCH = 4_096
 """Number of points that are mapped at once: one compiled program serves any number of points."""
@@ -103,32 +101,3 @@ def _with_derivatives(
         return jax.jvp(function, (points,), (direction,))
 
     return jax.vmap(along, out_axes=(None, -1))(directions)
-
-
-def resampled(
-    picture: UInt8[np.ndarray, "rows columns *channels"], camera: Camera, target: Camera
-) -> UInt8[np.ndarray, "height width *channels"]:
-    """Return the picture that another camera in the same place would have taken.
-
-    Args:
-        picture: uint8, grey or BGR.
-        camera: the camera that took it.
-        target: intrinsics, lens and picture size of the other camera.
-
-    Raises:
-        ValueError: the picture is not of the camera's size.
-    """
-    require_size(picture, camera)
-    columns, height = target.image_size
-    pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(height)), axis=-1).astype(float)
-    # Both ideal planes have the same rays, each at its own focal length.
-    source_plane, target_plane = IdealPlane(camera), IdealPlane(target)
-    ideal = target_plane.from_pixels(pixels.reshape(-1, 2)) * (
-        source_plane.focal_length / target_plane.focal_length
-    )
-    places = np.nan_to_num(source_plane.to_pixels(np.nan_to_num(ideal))[0], nan=-1e4)
-    u, v = np.moveaxis(places.reshape(height, columns, 2).astype(np.float32), -1, 0)
-    # The border is replicated: a constant there would look like an edge.
-    return cv2.remap(picture, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).astype(
-        np.uint8
-    )

@@ -34,7 +34,12 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
         raise ValueError(
             f"picture: expected uint8 (h, w) or (h, w, 3), found {picture.dtype} {picture.shape}"
         )
-    require_size(picture, camera)
+    width, rows = camera.image_size
+    if picture.shape[:2] != (rows, width):
+        raise ValueError(
+            f"picture: expected {width} x {rows} px, the camera's size, found "
+            f"{picture.shape[1]} x {picture.shape[0]} px"
+        )
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     white, black = float((grey == 255).mean()), float((grey == 0).mean())
     darkest, brightest = np.percentile(grey, [1.0, 99.0])
@@ -48,13 +53,3 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
             f"picture: blank, its grey levels are between {darkest:.0f} and {brightest:.0f}"
         )
     return grey.astype(float)
-
-
-def require_size(picture: np.ndarray, camera: Camera) -> None:
-    """Raise a ValueError if a picture is not of its camera's size."""
-    width, rows = camera.image_size
-    if picture.shape[:2] != (rows, width):
-        raise ValueError(
-            f"picture: expected {width} x {rows} px, the camera's size, found "
-            f"{picture.shape[1]} x {picture.shape[0]} px"
-        )

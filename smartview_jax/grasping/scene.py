@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
-from ..geometry import host_transformed
+from ..geometry import host_poses, host_transformed
 from ..io import to_trimesh
 from ..joint import RigEstimate, RigFit
 from ..robots import BOX_CORNERS, BOX_TRIANGLES, JointsLike, SerialArm
@@ -44,8 +44,7 @@ class Obstacle(NamedTuple):
     @classmethod
     def table(cls, half_width: float = 0.5, z: float = 0.0, thickness: float = 0.05) -> "Obstacle":
         """Return a square table about the world's z axis, with its top at height z, m."""
-        pose = np.eye(4)
-        pose[2, 3] = z - 0.5 * thickness
+        pose = host_poses(np.eye(3), np.array([0.0, 0.0, z - 0.5 * thickness]))
         return cls.box("table", (2.0 * half_width, 2.0 * half_width, thickness), pose)
 
     @classmethod

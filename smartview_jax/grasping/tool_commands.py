@@ -137,12 +137,8 @@ def gripper_commands(
 ) -> ViewpointCommands:
     """Return the commands that bring the gripper to poses, padded to `PADDED_POSES`.
 
-    The pose of the tool follows the paper's
-
-        base_from_tool = base_from_world @ world_from_object @ object_from_tool        (Eq. 20)
-
-    with world_from_object @ object_from_tool = world_from_gripper @ gripper_from_tool; see
-    `tool_commands`.
+    In the paper's Eq. 20, world_from_object @ object_from_tool is here
+    world_from_gripper @ gripper_from_tool; see `tool_commands`.
 
     Args:
         scene: with the calibration, and the arm if it is known.

@@ -17,12 +17,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
-from ..engine import ROBOT_ERROR, Noise, covariance_factor, parameter_names
+from ..engine import ROBOT_ERROR, covariance_factor, parameter_names
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_adjoints, host_matrices
 from ..joint import RigEstimate, RigFit
 from ..modeling import CalibrationUncertainty, RigViews, SeenViews
-from ..robot_errors import AbstractField
 from ..robots import Command, Gripper
 from .localized import LocalizedObject, checked_object
 from .scene import GraspScene
@@ -68,16 +67,12 @@ def gripper_errors(
     )
     # exp(twist) camera_from_world, with the twist moved to the gripper's side of the transform.
     to_gripper = host_adjoints(np.linalg.inv(camera_from_gripper))
-    directions, others = errors.root.shape[1], errors.unknown.shape[2]
     # Extrapolation errors of the robot's error are no numbers of the calibration.
-    root = np.concatenate([errors.root, np.zeros((len(errors.root), others))], axis=1)
-    results = []
-    for k in range(count):
-        shared = np.zeros((6, directions + others))
-        shared[:, :directions] = to_gripper @ (errors.shared[k] * errors.moves_tool) @ errors.root
-        shared[:, directions:] = to_gripper @ errors.unknown[k]
-        results.append(GripperErrors(shared, to_gripper @ errors.own[k], root, errors.names))
-    return tuple(results)
+    root = np.pad(errors.root, ((0, 0), (0, errors.unknown.shape[2])))
+    by_numbers = (errors.shared * errors.moves_tool) @ errors.root
+    shared = to_gripper @ np.concatenate([by_numbers, errors.unknown], axis=2)
+    own = to_gripper @ errors.own
+    return tuple(GripperErrors(shared[k], own[k], root, errors.names) for k in range(count))
 
 
 def camera_covariance(
@@ -146,7 +141,9 @@ def _camera_errors(
         # the prior standard deviation s, the coefficients are r c + sqrt(1 - r^2) s e, with e a
         # standard normal number. Commands near each other have the same e.
         relevance = np.asarray(error.relevance(command))[:, None, None]
-        prior = dict(zip(error.field.names, _prior_std(error.field, noise), strict=True))
+        sizes = [size for _, size in error.field.groups]
+        by_coefficient = np.repeat(np.asarray(noise.field, dtype=float), sizes)
+        prior = dict(zip(error.field.names, by_coefficient, strict=True))
         prefix = f"{ROBOT_ERROR}."
         local = [local_names[name] for name in names]
         columns = np.flatnonzero([name.startswith(prefix) for name in local])
@@ -185,11 +182,6 @@ def _camera_of_rig(calibration: Calibration, estimate: RigFit | RigEstimate) -> 
         "estimate: the calibration is of none of the rig's cameras, "
         f"{', '.join(estimate.calibrations)}; give one of the fit's own calibrations"
     )
-
-
-def _prior_std(field: AbstractField, noise: Noise) -> Float[np.ndarray, "coefficients"]:
-    """Return the prior standard deviation of each coefficient of a field, in its order."""
-    return np.repeat(np.asarray(noise.field, dtype=float), [size for _, size in field.groups])
 
 
 def error_covariance(

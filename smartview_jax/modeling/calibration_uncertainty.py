@@ -6,12 +6,13 @@ in each view, six numbers at the tool. An estimated feature has a Jacobian by th
 a separate covariance, so that common errors cancel in distances.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple, TypedDict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.linalg import block_diag
 
 from ..calibration import Calibration
@@ -125,22 +126,17 @@ class CalibrationUncertainty(NamedTuple):
         used = np.flatnonzero(np.any(roots != 0.0, axis=0))
         shared, per_view = map(np.asarray, _view_jacobians(calibration, views.command))
         count = len(views.camera_from_world)
-        sigmas = np.zeros(0) if noise is None else _noise_sigmas(noise)
-        # Six numbers for each view, independent of all others.
-        size = len(sigmas) * count
-        jacobian = np.zeros((count, shared.shape[1], len(used) + size))
-        jacobian[:, :, : len(used)] = shared[:count, :, used]
-        of_numbers = np.zeros((jacobian.shape[2],) * 2)
-        of_numbers[: len(used), : len(used)] = roots[:, used].T @ roots[:, used]
-        if size:
-            for k in range(count):
-                place = slice(len(used) + 6 * k, len(used) + 6 * k + 6)
-                jacobian[k, -6:, place] = per_view[k]
-                of_numbers[place, place] = np.diag(sigmas**2)
-        # Named as the corrections of a fit's own views, here for these views.
-        noise_names = parameter_names(calibration, [str(k) for k in range(count if size else 0)])
-        own_names = noise_names[len(names) :]
-        return cls((*(names[k] for k in used), *own_names), of_numbers, jacobian, len(used))
+        known = cls(
+            tuple(names[k] for k in used),
+            roots[:, used].T @ roots[:, used],
+            shared[:count, :, used],
+            len(used),
+        )
+        if noise is None:
+            return known
+        # Six numbers for each view, named as the corrections of a fit's own views.
+        views_named = [str(k) for k in range(count)]
+        return known._with_twists(_noise_sigmas(noise), views_named, np.arange(count), per_view)
 
     @classmethod
     def _of_rig(
@@ -159,16 +155,13 @@ class CalibrationUncertainty(NamedTuple):
         needed = {name for chain in chains for name in chain.numbers}
         used = [k for k, name in enumerate(names) if name in needed and known[k, k] > 0.0]
         column = {names[k]: n for n, k in enumerate(used)}
-        # Pictures of several cameras in one state share the robot's noise.
         count = len(views.camera_from_world)
-        poses = host_matrices(views.command.base_from_tool)[:count]
-        states = rig_views.state_indices(poses)
-        size = 6 * (int(states.max()) + 1)
-        jacobian = np.zeros((count, camera_parameter_count(views) + 6, len(used) + size))
-        first = 0
+        jacobian = np.zeros((count, camera_parameter_count(views) + 6, len(used)))
+        # A fixed camera does not feel the robot's noise.
+        per_view, first = np.zeros((count, 6, 6)), 0
         for chain in chains:
             command = chain_command(chain, views.command)
-            shared, per_view = map(np.asarray, _view_jacobians(chain.calibration, command))
+            shared, by_noise = map(np.asarray, _view_jacobians(chain.calibration, command))
             cameras = shared.shape[1] - 6
             for k, name in enumerate(chain.numbers):
                 # Every view lists the parameters of all cameras, whichever took it.
@@ -176,14 +169,16 @@ class CalibrationUncertainty(NamedTuple):
                     jacobian[:, first + k, column[name]] = 1.0
                 elif name in column:
                     jacobian[chain.views, -6:, column[name]] = shared[: len(chain.views), -6:, k]
-            for k, view in enumerate(chain.views if not chain.is_fixed else ()):
-                place = len(used) + 6 * states[view]
-                jacobian[view, -6:, place : place + 6] = per_view[k]
+            if not chain.is_fixed:
+                per_view[chain.views] = by_noise[: len(chain.views)]
             first += cameras
-        variances = np.tile(_noise_sigmas(noise) ** 2, size // 6)
-        covariance = np.asarray(block_diag(known[np.ix_(used, used)], np.diag(variances)))
-        own_names = correction_names([str(k) for k in range(size // 6)])
-        return cls((*(names[k] for k in used), *own_names), covariance, jacobian, len(used))
+        # Pictures of several cameras in one state share the robot's noise.
+        states = rig_views.state_indices(host_matrices(views.command.base_from_tool)[:count])
+        state_names = [str(k) for k in range(int(states.max()) + 1)]
+        shared_part = cls(
+            tuple(names[k] for k in used), known[np.ix_(used, used)], jacobian, len(used)
+        )
+        return shared_part._with_twists(_noise_sigmas(noise), state_names, states, per_view)
 
     def resized(self, views: SeenViews, target: SeenViews) -> "CalibrationUncertainty":
         """Return the uncertainty of the cameras of the same pictures brought to another size.
@@ -209,16 +204,38 @@ class CalibrationUncertainty(NamedTuple):
             translation: standard deviation of the twist of `camera_from_world`, per axis, m.
             rotation: the same of its rotation, rad.
         """
-        count, local, known = self.view_jacobian.shape
-        jacobian = np.zeros((count, local, known + 6 * count))
-        jacobian[:, :, :known] = self.view_jacobian
-        for k in range(count):
-            jacobian[k, -6:, known + 6 * k : known + 6 * k + 6] = np.eye(6)
-        variances = np.tile(np.repeat([translation**2, rotation**2], 3), count)
-        covariance = np.asarray(block_diag(self.covariance, np.diag(variances)))
-        names = correction_names([f"camera of view {k}" for k in range(count)])
+        count = len(self.view_jacobian)
+        return self._with_twists(
+            np.repeat([translation, rotation], 3),
+            [f"camera of view {k}" for k in range(count)],
+            np.arange(count),
+            np.tile(np.eye(6), (count, 1, 1)),
+        )
+
+    def _with_twists(
+        self,
+        sigmas: Float[np.ndarray, "6"],
+        names: Sequence[str],
+        twist_of_view: Int[np.ndarray, "views"],
+        by_twist: Float[np.ndarray, "views 6 6"],
+    ) -> "CalibrationUncertainty":
+        """Return the uncertainty with further independent twists, each of one or more views.
+
+        Args:
+            sigmas: standard deviations of each twist, m and rad.
+            names: of the twists.
+            twist_of_view: index of the twist that moves each view.
+            by_twist: derivatives of each view's twist by it.
+        """
+        columns = np.zeros((*self.view_jacobian.shape[:2], 6 * len(names)))
+        for view, (twist, derivatives) in enumerate(zip(twist_of_view, by_twist, strict=False)):
+            columns[view, -6:, 6 * twist : 6 * twist + 6] = derivatives
+        variances = np.diag(np.tile(sigmas**2, len(names)))
         return CalibrationUncertainty(
-            (*self.names, *names), covariance, jacobian, self.shared_count
+            (*self.names, *correction_names(names)),
+            np.asarray(block_diag(self.covariance, variances)),
+            np.concatenate([self.view_jacobian, columns], axis=2),
+            self.shared_count,
         )
 
     def propagate(

@@ -89,43 +89,20 @@ def wrong_correspondences(
     whitening = np.broadcast_to(whitening_of(pixel_sigma, visible.shape), (*visible.shape, 2, 2))
     check = _Check(views, known, np.where(visible[..., None], measured, 0.0), whitening)
     per_test = false_alarm / max(int(visible.sum()), 1)
+
     remaining, wrong = visible.copy(), []
     # One at a time: a gross error inflates the statistics of its feature's other views.
-    candidates = np.flatnonzero(remaining.sum(axis=0) >= 2)
-    while len(candidates):
-        tests = [
-            _worst(deletions, int(k), per_test)
-            for k, deletions in check.deletions(remaining, candidates)
-        ]
+    candidates = np.flatnonzero(remaining.sum(axis=0) >= 2).tolist()
+    while candidates:
+        deletions = _deletions(check, remaining, candidates)
+        tests = [_worst(deletions[k], k, per_test) for k in candidates]
         worst = [test for test in tests if test is not None]
         wrong += worst
         for test in worst:
             remaining[test.view, test.feature] = False
         # When two views contradict each other nothing is left to compare with.
-        candidates = np.array(
-            [k.feature for k in worst if remaining[:, k.feature].sum() >= 2], dtype=int
-        )
+        candidates = [k.feature for k in worst if remaining[:, k.feature].sum() >= 2]
     return sorted(wrong, key=lambda w: w.p_value)
-
-
-class _Deletions(NamedTuple):
-    """The statistics for leaving out each view of one feature.
-
-    Attributes:
-        views: the views that see it.
-        chi_square: reduction of the feature's chi-square without each view.
-        degrees_of_freedom: degrees of freedom of each reduction.
-        rest: remaining chi-square without each view.
-        rest_degrees_of_freedom: its degrees of freedom.
-        distance: distance of each observation from the feature as seen by the other views, px.
-    """
-
-    views: np.ndarray
-    chi_square: Float[np.ndarray, "views"]
-    degrees_of_freedom: np.ndarray
-    rest: Float[np.ndarray, "views"]
-    rest_degrees_of_freedom: np.ndarray
-    distance: Float[np.ndarray, "views"]
 
 
 class _Check(NamedTuple):
@@ -136,99 +113,94 @@ class _Check(NamedTuple):
     pixels: Float[np.ndarray, "views points 2"]
     whitening: Float[np.ndarray, "views points 2 2"]
 
-    def deletions(
-        self, visible: Bool[np.ndarray, "views points"], points: np.ndarray
-    ) -> list[tuple[int, _Deletions]]:
-        """Return the statistics of points, each view's at the point that the other views give.
 
-        Exact to first order about the point without the view, and so for gross errors too.
-        """
-        # One row for every observation to leave out; with only two views, none is left out.
-        cases = [(k, v) for k in points for v in np.flatnonzero(visible[:, k])]
-        index = np.array([k for k, _ in cases])
-        mask = visible[:, index].copy()
-        for column, (k, v) in enumerate(cases):
-            mask[v, column] = visible[:, k].sum() <= 2
-        estimated, _, _, status = solve_points(
-            self.views, self.pixels[:, index], self.whitening[:, index], mask
-        )
-        ok = status == PointStatus.OK
-        # Where the other views do not determine the point there is nothing to compare with.
-        middle = np.zeros(3) if not ok.any() else estimated[ok].mean(axis=0)
-        jacobians = pixel_jacobians(self.views, np.where(ok[:, None], estimated, middle))
-        sensitivity = np.einsum("vpul,vln->vpun", jacobians.by_view, self.uncertainty.view_jacobian)
-        results: dict[int, list] = {int(k): [] for k in points}
-        for column, (k, v) in enumerate(cases):
-            views = np.flatnonzero(visible[:, k])
-            residual = (self.pixels[:, k] - jacobians.pixels[:, column])[views]
-            usable = ok[column] and bool(jacobians.valid[views, column].all())
-            entry = (v, np.nan, 0, np.nan, 0, np.nan)
-            if usable:
-                entry = (v, *self._deletion(
-                    views, int(np.flatnonzero(views == v)[0]), residual,
-                    jacobians.by_point[views, column], sensitivity[views, column],
-                    self.whitening[views, k],
-                ))  # fmt: skip
-            results[int(k)].append(entry)
-        return [
-            (k, _Deletions(*map(np.array, zip(*entries, strict=True))))
-            for k, entries in results.items()
-        ]
+class _Deletion(NamedTuple):
+    """The statistics for leaving out one view of a feature; NaN where nothing is compared.
 
-    def _deletion(
-        self,
-        views: np.ndarray,
-        place: int,
-        residual: Float[np.ndarray, "visible 2"],
-        by_point: Float[np.ndarray, "visible 2 3"],
-        by_number: Float[np.ndarray, "visible 2 numbers"],
-        whitening: Float[np.ndarray, "visible 2 2"],
-    ) -> tuple[float, int, float, int, float]:
-        """Return the statistics of leaving out one view of a feature."""
+    Attributes:
+        view: index of the view.
+        chi_square: reduction of the feature's chi-square without the view.
+        degrees_of_freedom: degrees of freedom of the reduction.
+        rest: remaining chi-square without the view.
+        rest_degrees_of_freedom: its degrees of freedom.
+        distance: distance of the observation from the feature as seen by the other views, px.
+    """
+
+    view: int
+    chi_square: float = np.nan
+    degrees_of_freedom: int = 0
+    rest: float = np.nan
+    rest_degrees_of_freedom: int = 0
+    distance: float = np.nan
+
+
+def _deletions(
+    check: _Check, visible: Bool[np.ndarray, "views points"], points: list[int]
+) -> dict[int, list[_Deletion]]:
+    """Return the statistics of points, each view's at the point that the other views give.
+
+    Exact to first order about the point without the view, and so for gross errors too.
+    """
+    # One row for every observation to leave out; with only two views, none is left out.
+    cases = [(k, v) for k in points for v in np.flatnonzero(visible[:, k]).tolist()]
+    index = np.array([k for k, _ in cases])
+    mask = visible[:, index].copy()
+    for column, (k, v) in enumerate(cases):
+        mask[v, column] = visible[:, k].sum() <= 2
+    estimated, _, _, status = solve_points(
+        check.views, check.pixels[:, index], check.whitening[:, index], mask
+    )
+    ok = status == PointStatus.OK
+    # Where the other views do not determine the point there is nothing to compare with.
+    middle = np.zeros(3) if not ok.any() else estimated[ok].mean(axis=0)
+    jacobians = pixel_jacobians(check.views, np.where(ok[:, None], estimated, middle))
+    sensitivity = np.einsum("vpul,vln->vpun", jacobians.by_view, check.uncertainty.view_jacobian)
+    results: dict[int, list[_Deletion]] = {k: [] for k in points}
+    for column, (k, v) in enumerate(cases):
+        views = np.flatnonzero(visible[:, k])
+        if not (ok[column] and jacobians.valid[views, column].all()):
+            results[k].append(_Deletion(v))
+            continue
         # r = J dx + A t + e with covariance R = C + A S A^T. With
         #     Q = R^-1 - R^-1 J (J^T R^-1 J)^-1 J^T R^-1
-        # the chi-square is r^T Q r; without the rows i it falls by (Q r)_i^T Q_ii^-1 (Q r)_i.
-        count = 2 * len(views)
-        L = np.zeros((count, count))
-        for k in range(len(views)):
-            L[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = whitening[k]
-        r = L @ residual.ravel()
-        J = L @ by_point.reshape(count, 3)
-        # Whitened, so that C is the identity.
-        A = L @ by_number.reshape(count, by_number.shape[2])
-        inverse = np.linalg.inv(np.eye(count) + A @ self.uncertainty.covariance @ A.T)
+        # the chi-square is r^T Q r; all are whitened, so that C is the identity.
+        count, whitening = 2 * len(views), check.whitening[views, k]
+        residual = check.pixels[views, k] - jacobians.pixels[views, column]
+        r = np.einsum("vij,vj->vi", whitening, residual).ravel()
+        J = (whitening @ jacobians.by_point[views, column]).reshape(count, 3)
+        A = (whitening @ sensitivity[views, column]).reshape(count, sensitivity.shape[3])
+        inverse = np.linalg.inv(np.eye(count) + A @ check.uncertainty.covariance @ A.T)
         RJ = inverse @ J
         Q = inverse - RJ @ np.linalg.pinv(J.T @ RJ, hermitian=True) @ RJ.T
-        chi_square, degrees_of_freedom, rest = deletion_of(Q, r, place)
+        place = int(np.flatnonzero(views == v)[0])
+        without = deletion_of(Q, r, place)
         distance = float(np.linalg.norm(residual[place])) if len(views) > 2 else np.nan
-        return chi_square, degrees_of_freedom, rest, count - 3 - degrees_of_freedom, distance
+        freedom = count - 3 - without.degrees_of_freedom
+        results[k].append(_Deletion(v, *without, freedom, distance))
+    return results
 
 
-def _worst(deletions: _Deletions, feature: int, per_test: float) -> WrongCorrespondence | None:
+def _worst(deletions: list[_Deletion], feature: int, per_test: float) -> WrongCorrespondence | None:
     """Return the worst observation of a feature, if chance does not explain it."""
-    p_values = np.ones(len(deletions.views))
-    known = np.isfinite(deletions.chi_square) & (deletions.degrees_of_freedom > 0)
-    p_values[known] = chdtrc(deletions.degrees_of_freedom[known], deletions.chi_square[known])
+    views, chi_square, freedom, rest, rest_freedom, _ = map(np.array, zip(*deletions, strict=True))
+    known = np.isfinite(chi_square) & (freedom > 0)
+    p_values = np.where(known, chdtrc(np.maximum(freedom, 1), chi_square), 1.0)
     if not p_values.min() < per_test:
         return None
     # The observation whose removal leaves the smallest chi-square; ties of two views go to the
     # first. Without it the others must agree; if the removal of another one does as well, both are
     # suspects.
-    rest_p = np.ones(len(deletions.views))
-    redundant = known & (deletions.rest_degrees_of_freedom > 0)
-    rest_p[redundant] = chdtrc(
-        deletions.rest_degrees_of_freedom[redundant], deletions.rest[redundant]
-    )
-    order = np.where(known & (p_values < per_test), deletions.rest, np.inf)
-    best = int(np.argmin(order))
-    agrees = known & (rest_p >= per_test) & (np.arange(len(deletions.views)) != best)
+    redundant = known & (rest_freedom > 0)
+    rest_p = np.where(redundant, chdtrc(np.maximum(rest_freedom, 1), rest), 1.0)
+    best = int(np.argmin(np.where(known & (p_values < per_test), rest, np.inf)))
+    agrees = known & (rest_p >= per_test) & (np.arange(len(deletions)) != best)
     return WrongCorrespondence(
-        int(deletions.views[best]),
+        deletions[best].view,
         feature,
-        float(deletions.distance[best]),
-        float(deletions.chi_square[best]),
+        deletions[best].distance,
+        deletions[best].chi_square,
         float(p_values[best]),
-        tuple(int(v) for v in deletions.views[agrees]),
+        tuple(views[agrees].tolist()),
     )
 
 

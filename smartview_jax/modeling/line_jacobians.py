@@ -79,6 +79,11 @@ class LineJacobians(NamedTuple):
     by_line: Float[np.ndarray, "views lines 2 4"]
     by_view: Float[np.ndarray, "views lines 2 local"]
 
+    @property
+    def weights(self) -> Float[np.ndarray, "views lines 2"]:
+        """The inverse standard deviations; 1 where a segment is not visible."""
+        return 1.0 / np.where(self.sigmas > 0.0, self.sigmas, 1.0)
+
 
 def line_jacobians(
     views: SeenViews,
@@ -99,6 +104,10 @@ def line_jacobians(
         camera_from_world: poses to use in place of the ones of `views`, such as corrected ones.
     """
     view_count, count = visible.shape
+    if not count:
+        local = ravelled_cameras(views.camera)[0].size + 6
+        ends = np.zeros((view_count, 0, 2))
+        return LineJacobians(ends, ends, np.zeros((*ends.shape, 4)), np.zeros((*ends.shape, local)))
     poses = views.padded
     if camera_from_world is not None:
         poses = repeat_last(camera_from_world, len(poses))

@@ -101,7 +101,7 @@ def triangulate_lines(
     # The four numbers refer to the middle of the visible part, where they are least correlated.
     known = CalibrationUncertainty.of(views, calibration, **uncertainty)
     local = line_jacobians(views, lines, measured, covariances, visible)
-    weighted = local.by_line / np.where(local.sigmas > 0.0, local.sigmas, 1.0)[..., None] ** 2
+    weighted = local.by_line * local.weights[..., None] ** 2
     normal = np.einsum("vlei,vlej->lij", weighted, local.by_line)
     normal[~ok] = np.eye(4)
     sensitivity = -np.einsum("vlei,vlej->vlij", weighted, local.by_view)
@@ -166,16 +166,9 @@ def world_rays(
 
 
 class _Start(NamedTuple):
-    """The lines nearest to all planes of their segments.
-
-    Attributes:
-        lines: the lines.
-        enough: whether each has enough views.
-        in_one_plane: whether all planes of each are the same.
-    """
+    """The lines nearest to all planes of their segments, and whether these are all one plane."""
 
     lines: Lines
-    enough: Bool[np.ndarray, "lines"]
     in_one_plane: Bool[np.ndarray, "lines"]
 
 
@@ -205,17 +198,11 @@ def _plane_intersections(
     lines = Lines(points, directions)
     points = _seen_part(views, rays, seen, lines).mean(axis=1)
     in_one_plane = ~(values[:, 1] > MIN_PLANE_SPREAD * values[:, 2])
-    return _Start(Lines(points, directions), seen.sum(axis=0) >= 2, in_one_plane)
+    return _Start(Lines(points, directions), in_one_plane)
 
 
 class _Estimate(NamedTuple):
-    """The lines of least squares.
-
-    Attributes:
-        lines: the lines.
-        information: normal matrix of each.
-        failed: whether the steps of each did not converge.
-    """
+    """The lines of least squares, their normal matrices, and whether the steps did not converge."""
 
     lines: Lines
     information: Float[np.ndarray, "lines 4 4"]
@@ -232,15 +219,14 @@ def _refine(
     """Minimise the whitened distances."""
     # All lines step together, each with its own damping; for so few of them a loop within a
     # compiled program does not pay.
-    lines, enough = start.lines, start.enough
+    lines, enough = start.lines, seen.sum(axis=0) >= 2
     damping = np.full(len(enough), 1e-6)
     cost, decrement = np.full(len(enough), np.inf), np.full(len(enough), np.inf)
     normal = np.tile(np.eye(4), (len(enough), 1, 1))
     gradient, trial = np.zeros((len(enough), 4)), lines
     for _ in range(MAX_STEPS):
         at = line_jacobians(views, trial, segments, covariances, seen)
-        inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
-        r, J = at.distances * inverse, at.by_line * inverse[..., None]
+        r, J = at.distances * at.weights, at.by_line * at.weights[..., None]
         new_cost = np.sum(r**2, axis=(0, 2))
         better = (new_cost <= cost) & np.isfinite(J).all(axis=(0, 2, 3))
         cost = np.where(better, new_cost, cost)
@@ -261,11 +247,19 @@ def _solve(
     damping: Float[np.ndarray, "lines"],
 ) -> Float[np.ndarray, "lines 4"]:
     """Solve the damped normal equations of all lines; singular ones by pseudo-inverse."""
-    scale = np.sqrt(np.einsum("lii->li", normal))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = normal / (scale[:, :, None] * scale[:, None]) + damping[:, None, None] * np.eye(4)
+    scaled, scale = _with_unit_diagonal(normal)
+    scaled = scaled + damping[:, None, None] * np.eye(4)
     inverse = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)
     return np.einsum("lij,lj->li", inverse, right / scale) / scale
+
+
+def _with_unit_diagonal(
+    normal: Float[np.ndarray, "lines 4 4"],
+) -> tuple[Float[np.ndarray, "lines 4 4"], Float[np.ndarray, "lines 4"]]:
+    """Return normal matrices in units that make their diagonals one, and these units."""
+    scale = np.sqrt(np.einsum("lii->li", normal))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return normal / (scale[:, :, None] * scale[:, None]), scale
 
 
 def _status(
@@ -276,7 +270,7 @@ def _status(
     estimate: _Estimate,
 ) -> Int[np.ndarray, "lines"]:
     """Return a `PointStatus` for every line."""
-    enough, information = start.enough, estimate.information
+    enough, information = seen.sum(axis=0) >= 2, estimate.information
     # The line's own distance from a camera, and the signed depth of the points that are seen.
     parameters, depths = _nearest_on_lines(views, rays, estimate.lines)
     visible_depths = np.where(seen[..., None], depths, np.nan)
@@ -291,9 +285,7 @@ def _status(
     shift = np.concatenate(
         [np.tile(np.eye(2), (len(middle), 1, 1)), middle[:, None, None] * np.eye(2)], axis=2
     )
-    scale = np.sqrt(np.einsum("lii->li", information))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    correlation = information / (scale[:, :, None] * scale[:, None])
+    correlation, scale = _with_unit_diagonal(information)
     values, vectors = np.linalg.eigh(correlation)
     # An eigenvalue at rounding error means that nothing determines its direction.
     roots = vectors / np.sqrt(np.maximum(values, 1e-14))[:, None] / scale[:, :, None]

@@ -218,7 +218,7 @@ class SeenViews(NamedTuple):
     def checked_points(
         self, pixels: np.ndarray | Array, visible: np.ndarray | Array | None
     ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
-        """Return pixels of points and where they are visible, checked by `checked_visibility`."""
+        """Return pixels of points and where they are visible, checked against the pictures."""
         measured = np.asarray(pixels, dtype=float)
         if measured.ndim != 3 or measured.shape[2] != 2:
             raise ValueError(f"pixels: expected shape (views, points, 2), found {measured.shape}")
@@ -238,49 +238,42 @@ class SeenViews(NamedTuple):
     def _checked_visibility(
         self, pixels: Float[np.ndarray, "views *features 2"], visible: np.ndarray | Array | None
     ) -> Bool[np.ndarray, "views features"]:
-        """Return where features of these views are visible."""
-        return checked_visibility(pixels, visible, self.image_sizes)
+        """Return where features are visible, after checking that these are within the picture.
 
+        Args:
+            pixels: `(views, points, 2)`, or `(views, segments, 2, 2)` for the ends of segments.
+            visible: where they are visible; by default wherever the pixels are finite.
 
-def checked_visibility(
-    pixels: Float[np.ndarray, "views *features 2"],
-    visible: np.ndarray | Array | None,
-    image_sizes: Int[np.ndarray, "views 2"],
-) -> Bool[np.ndarray, "views features"]:
-    """Return where features are visible, after checking that these are within the picture.
-
-    Args:
-        pixels: `(views, points, 2)`, or `(views, segments, 2, 2)` for the ends of segments.
-        visible: where they are visible; by default wherever the pixels are finite.
-        image_sizes: width and height of the picture of each pose, px.
-
-    Raises:
-        ValueError: wrong numbers of views or features, or a visible pixel that is not finite or is
-            outside the picture, with the view and the feature.
-    """
-    if len(pixels) != len(image_sizes):
-        raise ValueError(
-            f"pixels: expected {len(image_sizes)} views as there are poses, found {len(pixels)}"
-        )
-    last = tuple(range(2, pixels.ndim))
-    # Shapes first, so that a wrong shape is not reported as a pixel outside the picture.
-    finite = np.isfinite(pixels).all(axis=last)
-    is_visible = finite if visible is None else np.asarray(visible, dtype=bool)
-    if is_visible.shape != pixels.shape[:2]:
-        raise ValueError(f"visible: expected shape {pixels.shape[:2]}, found {is_visible.shape}")
-    # NaN and infinity count as outside, too; the message shows which.
-    sizes = image_sizes.reshape(len(pixels), *(1 for _ in last), 2)
-    inside = in_picture(pixels, sizes).all(axis=last[:-1])
-    wrong = np.argwhere(is_visible & ~inside)
-    if len(wrong):
-        view, feature = wrong[0]
-        width, height = image_sizes[view]
-        raise ValueError(
-            f"pixels: view {view}, feature {feature}: {pixels[view, feature].tolist()} px is not "
-            f"in the picture of {width} x {height} px ({len(wrong)} such)"
-        )
-    # A copy, so that the caller's mask never changes.
-    return np.array(is_visible)
+        Raises:
+            ValueError: wrong numbers of views or features, or a visible pixel that is not finite or
+                is outside the picture, with the view and the feature.
+        """
+        image_sizes = self.image_sizes
+        if len(pixels) != len(image_sizes):
+            raise ValueError(
+                f"pixels: expected {len(image_sizes)} views as there are poses, found {len(pixels)}"
+            )
+        last = tuple(range(2, pixels.ndim))
+        # Shapes first, so that a wrong shape is not reported as a pixel outside the picture.
+        finite = np.isfinite(pixels).all(axis=last)
+        is_visible = finite if visible is None else np.asarray(visible, dtype=bool)
+        if is_visible.shape != pixels.shape[:2]:
+            raise ValueError(
+                f"visible: expected shape {pixels.shape[:2]}, found {is_visible.shape}"
+            )
+        # NaN and infinity count as outside, too; the message shows which.
+        sizes = image_sizes.reshape(len(pixels), *(1 for _ in last), 2)
+        inside = in_picture(pixels, sizes).all(axis=last[:-1])
+        wrong = np.argwhere(is_visible & ~inside)
+        if len(wrong):
+            view, feature = wrong[0]
+            width, height = image_sizes[view]
+            raise ValueError(
+                f"pixels: view {view}, feature {feature}: {pixels[view, feature].tolist()} px is "
+                f"not in the picture of {width} x {height} px ({len(wrong)} such)"
+            )
+        # A copy, so that the caller's mask never changes.
+        return np.array(is_visible)
 
 
 def checked_sigma(

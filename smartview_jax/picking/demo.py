@@ -11,10 +11,17 @@ from jaxtyping import Bool, Float, UInt8
 
 from ..cameras import Camera, Pinhole
 from ..files import write_atomically
-from ..geometry import host_matrices, host_transformed, host_transforms, look_at, viewing_direction
+from ..geometry import (
+    host_matrices,
+    host_poses,
+    host_transformed,
+    host_transforms,
+    look_at,
+    viewing_direction,
+)
 from ..grasping import GraspScene, Obstacle
 from ..localization import Localization
-from ..modeling import Face, ObjectModel, face_plane
+from ..modeling import Face, ObjectModel, command_at, face_plane
 from ..report import write_story
 from ..robots import Command
 from ..simulation import (
@@ -165,10 +172,8 @@ def modelled(
     Returns:
         The model, the pictures, and the reported poses of the robot.
     """
-    world_from_object = np.eye(4)
     # At the place of the board, where the calibration is best.
-    world_from_object[:3, 3] = cell.centre
-    cell.place([block], [world_from_object])
+    cell.place([block], [host_poses(np.eye(3), cell.centre)])
     calibration = calibrated.fit.calibration
     solid = block.solid.moved(cell.judge().world_from_object[block.name])
     aim = solid.vertices.mean(axis=0)
@@ -184,9 +189,7 @@ def modelled(
     pictures, commands, seen_pixels, visible = [], [], [], []
     truth = cell.truth.calibration.uncorrected
     for k in reached.tolist():
-        joints = None if planned.joints is None else planned.joints[k]
-        pose = type(planned.base_from_tool)(planned.base_from_tool.wxyz_xyz[k])
-        commands.append(cell.move(Command(pose, joints)))
+        commands.append(cell.move(command_at(planned.command, k)))
         pictures.append(cell.picture())
         # The script clicks where a person would: at the corners' true pixels.
         actual = host_transforms(cell.judge_tool())
@@ -230,7 +233,7 @@ def watched(cell: SimulatedCell) -> UInt8[np.ndarray, "rows columns"]:
 
 
 def position_error(
-    target: Localization | None, truth: Float[np.ndarray, "4 4"], origin: np.ndarray
+    target: Localization, truth: Float[np.ndarray, "4 4"], origin: np.ndarray
 ) -> float:
     """Return the distance of the localised object's middle from the true one, m.
 
@@ -238,12 +241,10 @@ def position_error(
     at a known place.
 
     Args:
-        target: the localised object; without one the distance is NaN.
+        target: the localised object.
         truth: the object's true pose.
         origin: where it stood while it was modelled, m.
     """
-    if target is None:
-        return float("nan")
     middle = target.model.vertices.mean(axis=0)
     estimated = host_transformed(target.world_from_object, middle)
     return float(np.linalg.norm(estimated - host_transformed(truth, middle - origin)))

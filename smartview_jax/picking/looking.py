@@ -15,7 +15,7 @@ from ..geometry import host_transforms, look_at, viewing_direction
 from ..grasping import GraspScene
 from ..joint import JointFit, RigEstimate, RigFit, SavedEstimate
 from ..localization import Localization, Localizations, NextView, Reachable, localize, next_view
-from ..modeling import ObjectModel
+from ..modeling import ObjectModel, command_at
 from ..robots import BOX_CORNERS, Command, SerialArm
 from ..runtime.array_namespace import to_device
 from ..simulation import Cell, CellError
@@ -213,13 +213,7 @@ def look_for(
 
 
 class _View(NamedTuple):
-    """A view that was taken.
-
-    Attributes:
-        picture: grey levels.
-        evidence: the features of the picture.
-        command: the reported pose of the robot.
-    """
+    """A picture that was taken, its features, and the reported pose of the robot."""
 
     picture: UInt8[np.ndarray, "rows columns"]
     evidence: PictureEvidence
@@ -275,10 +269,10 @@ def _seen(cell: Cell, command: Command, camera: Camera) -> _View:
     return _View(picture, picture_evidence(picture, camera), command)
 
 
-def _undecided(found: Localizations, unverified: bool) -> Sequence[Localization]:
+def _undecided(results: Localizations, unverified: bool) -> Sequence[Localization]:
     """Return the objects that need a further view; none if everything is decided."""
     # One view verifies an accepted object; an open one may need several.
-    return found.accepted[:1] if found.accepted and unverified else found.open
+    return results.accepted[:1] if results.accepted and unverified else results.open
 
 
 def _start_joints(cell: Cell, arm: SerialArm | None) -> np.ndarray | None:
@@ -306,6 +300,4 @@ def _command(cell: Cell, scene: GraspScene, view: SE3) -> Command:
     problem = commands.checks.reasons(("reach", "tool_distance"))[0]
     if problem:
         raise CellError(problem)
-    pose = commands.base_from_tool
-    joints = None if commands.joints is None else commands.joints[0]
-    return Command(type(pose)(pose.wxyz_xyz[0]), joints)
+    return command_at(commands.command, 0)

@@ -106,7 +106,7 @@ def pick(
 
 def _planned(
     obj: Localization,
-    found: Localizations,
+    results: Localizations,
     gripper: Gripper,
     scene: GraspScene,
     motion: Motion | None,
@@ -116,14 +116,14 @@ def _planned(
     if not obj.model.faces:
         return obj, None, f"no safe grasp of {obj.name}: its model has no faces"
     # Compared by identity, since two objects may be of one model.
-    others = [other for other in _obstacles(found) if other is not obj and other.model.faces]
+    others = [other for other in _obstacles(results) if other is not obj and other.model.faces]
     plan = grasps_for(obj, gripper, scene.with_objects(others), motion)
     return obj, plan, plan.summary
 
 
-def _obstacles(found: Localizations) -> tuple[Localization, ...]:
+def _obstacles(results: Localizations) -> tuple[Localization, ...]:
     """Return the objects that may be at their poses: accepted and open ones."""
-    return (*found.accepted, *found.open)
+    return (*results.accepted, *results.open)
 
 
 def execute(

@@ -7,6 +7,7 @@ The object has texture and stands among printed and solid clutter; there are sha
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +29,9 @@ from .textures import labelled, speckled
 
 BOARD = StackedTarget(CircleGrid(7, 9, 0.0045, origin_mark=True), (0.0,))
 """The board of the example; a marked corner makes its orientation unique."""
+
+BOARD_CENTRE = BOARD.points.mean(axis=0)
+"""The middle of the board's points, m."""
 
 BOARD_VIEWS = 12
 """Number of pictures of the board."""
@@ -93,15 +97,7 @@ def object_example(seed: int = 0, pattern: str = "cross") -> ObjectExample:
 
 def example_solid() -> Polyhedron:
     """Return the object of the example at its pose: on the board's plane, at its centre."""
-    world_from_object = SE3.from_rotation_and_translation(
-        SO3.from_z_radians(0.5), jnp.asarray([*_board_centre()[:2], 0.0])
-    )
-    return stepped_block(0.026).moved(host_matrices(world_from_object))
-
-
-def _board_centre() -> np.ndarray:
-    """Return the middle of the board's points, m."""
-    return BOARD.points.mean(axis=0)
+    return stepped_block(0.026).moved(_placed(0.5, [*BOARD_CENTRE[:2], 0.0]))
 
 
 def _tilted_viewpoints(aim: np.ndarray, pattern: str) -> SE3:
@@ -117,14 +113,12 @@ def _tilted_viewpoints(aim: np.ndarray, pattern: str) -> SE3:
 
 def _example_scene(solid: Polyhedron) -> SolidScene:
     """Return the object on a printed table among two boxes."""
-    centre = _board_centre()
-    shift = np.eye(4)
-    shift[:3, 3] = centre
+    centre = BOARD_CENTRE
     # Textures are functions of their own frame; centre them at the object.
     printed = labelled(speckled(0.5, 0.1, 0.0025, seed=3), 40, 0.014, 0.06, seed=4)
     # Low boxes at the border of the pictures: clutter with its own edges and shadows.
     boxes = [
-        box(*size).moved(shift @ _turned(angle, x, y))
+        box(*size).moved(_placed(angle, np.add(centre, [x, y, 0.0])))
         for size, angle, x, y in (
             ((0.012, 0.008, 0.006), 0.9, -0.026, 0.014),
             ((0.009, 0.014, 0.005), 0.2, 0.03, 0.006),
@@ -143,10 +137,10 @@ def _example_scene(solid: Polyhedron) -> SolidScene:
     )
 
 
-def _turned(angle: float, x: float, y: float) -> np.ndarray:
-    """Return the pose of an object turned about z and moved on the table."""
-    pose = SE3.from_rotation_and_translation(SO3.from_z_radians(angle), jnp.asarray([x, y, 0.0]))
-    return host_matrices(pose)
+def _placed(angle: float, position: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the pose of an object that is turned about z and then moved, m."""
+    turn = SO3.from_z_radians(angle)
+    return host_matrices(SE3.from_rotation_and_translation(turn, jnp.asarray(position)))
 
 
 class BoardPoses(NamedTuple):
@@ -167,7 +161,7 @@ def object_example_boards(seed: int = 0) -> BoardPoses:
     """Return the poses of the example's pictures of its board, tilted and rolled at random."""
     truth, rng = paper_calibration(), np.random.default_rng((seed, 2))
     tilt = float(np.deg2rad(35.0))
-    views = random_viewpoints(rng, BOARD_VIEWS, _board_centre(), (0.19, 0.23), tilt)
+    views = random_viewpoints(rng, BOARD_VIEWS, BOARD_CENTRE, (0.19, 0.23), tilt)
     poses = truth.command_for(views)
     reported = reported_poses(poses, rng, TRANSLATION_NOISE, ROTATION_NOISE)
     return BoardPoses(reported, poses, truth)

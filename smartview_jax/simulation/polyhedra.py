@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from ..geometry import host_transformed, spiral_directions
+from ..io import face_triangles
 from ..modeling import (
     Face,
     ObjectModel,
@@ -50,13 +51,13 @@ class Polyhedron(NamedTuple):
 
     @property
     def triangles(self) -> Int[np.ndarray, "triangles 3"]:
-        """The faces cut into triangles, for ray casting and mesh files."""
-        return np.concatenate([_triangulated(self.vertices, face) for face in self.faces])
+        """The faces cut into triangles, for ray casting and mesh files; by mapbox-earcut."""
+        faces = face_array(self.faces)
+        return np.concatenate([face_triangles(self.vertices, face) for face in faces])
 
     def exact_model(self, name: str = "") -> ObjectModel:
         """Return the model of this solid as from its drawing, with its symmetry."""
-        faces = tuple(Face(tuple(loop)) for loop in self.faces)
-        model = ObjectModel(self.vertices, self.edges, faces, name=name)
+        model = ObjectModel(self.vertices, self.edges, face_array(self.faces), name=name)
         return dataclasses.replace(model, symmetry=find_symmetry(model))
 
     def moved(self, matrix: Float[np.ndarray, "4 4"]) -> "Polyhedron":
@@ -74,35 +75,6 @@ def face_normal(
 ) -> Float[np.ndarray, "3"]:
     """Return the outward unit normal of a flat loop, convex or not."""
     return face_plane(vertices, Face(tuple(face))).normal
-
-
-def _triangulated(
-    vertices: Float[np.ndarray, "vertices 3"], face: Sequence[int]
-) -> Int[np.ndarray, "triangles 3"]:
-    """Return a face as triangles, by cutting off ears (their triangle contains no other corner)."""
-    normal, remaining, triangles = face_normal(vertices, face), list(face), []
-    while len(remaining) > 3:
-        ear = next(k for k in range(len(remaining)) if _is_ear(vertices, remaining, k, normal))
-        triangles.append(
-            [remaining[ear - 1], remaining[ear], remaining[(ear + 1) % len(remaining)]]
-        )
-        del remaining[ear]
-    return np.array([*triangles, remaining])
-
-
-def _is_ear(
-    vertices: Float[np.ndarray, "vertices 3"], loop: list[int], k: int, normal: np.ndarray
-) -> bool:
-    """Return whether vertex k of a loop can be cut off: convex, and no other vertex inside."""
-    a, b, c = loop[k - 1], loop[k], loop[(k + 1) % len(loop)]
-    corners = vertices[[a, b, c]]
-    # The sign of (q - p) x (x - p) . n tells on which side of the edge p -> q a point lies.
-    sides = np.roll(corners, -1, axis=0) - corners
-    if np.cross(sides[0], sides[1]) @ normal <= 0.0:
-        return False
-    others = vertices[[vertex for vertex in loop if vertex not in (a, b, c)]]
-    inside = np.cross(sides, others[:, None] - corners) @ normal > 0.0
-    return not inside.all(axis=1).any()
 
 
 def prism(base: Float[np.ndarray, "corners 2"], height: float) -> Polyhedron:

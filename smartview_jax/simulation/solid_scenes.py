@@ -51,10 +51,10 @@ class Surface(NamedTuple):
         return cls(solid.vertices, solid.triangles, texture)
 
     @classmethod
-    def of_plane(cls, half_width: float, texture: Texture, z: float = 0.0) -> "Surface":
-        """Return a square of a horizontal plane about the z axis, such as a table, m."""
+    def of_plane(cls, half_width: float, texture: Texture) -> "Surface":
+        """Return a square of the plane z = 0 about the z axis, such as a table, m."""
         x, y = half_width * np.array([[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0]])
-        vertices = np.column_stack([x, y, np.full(4, z)])
+        vertices = np.column_stack([x, y, np.zeros(4)])
         return cls(vertices, np.array([[0, 1, 2], [0, 2, 3]]), texture)
 
 

@@ -61,12 +61,12 @@ def random_two_hand_scene(
     relative = alone.command_for(seen)
     other = host_exponentials(np.pad(TURN * rng.standard_normal((views, 3)), ((0, 0), (3, 0))))
     other[:, :3, 3] = OTHER_HAND + REACH * rng.standard_normal((views, 3))
-    own = host_matrices(truth.base_from_other_base) @ other @ host_matrices(relative)
+    camera_hands = host_matrices(truth.base_from_other_base) @ other @ host_matrices(relative)
     scene = simulate(alone, relative, target.points, seed, pixel_noise)
     noise = np.random.default_rng((seed, 2))
     reports = [
         reported_poses(host_transforms(poses), noise, translation_noise, rotation_noise)
-        for poses in (own, other)
+        for poses in (camera_hands, other)
     ]
     data = dataclasses.replace(scene.data, base_from_tool=reports[0], target=target)
     return Scene(data.between_hands(reports[1]), truth, as_se3(relative), scene.outliers)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from .marker_dictionaries import require_markers
+from ..argument_checks import require_one_of
 from .target import (
     AbstractTarget,
     grid_points,
@@ -15,6 +15,24 @@ from .target import (
     require_flag,
     require_positive,
 )
+
+MARKER_COUNTS: dict[str, int] = {
+    **{
+        f"DICT_{bits}X{bits}_{count}": count
+        for bits in (4, 5, 6, 7)
+        for count in (50, 100, 250, 1000)
+    },
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_ARUCO_MIP_36h12": 250,
+    "DICT_APRILTAG_16h5": 30,
+    "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320,
+    "DICT_APRILTAG_36h11": 587,
+}
+"""Number of markers in each dictionary, by OpenCV's name for the dictionary.
+
+OpenCV also has the pictures of the markers.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +108,7 @@ class Charuco(AbstractTarget):
             )
         require_flag(legacy=self.legacy)
         # Every second square (the white ones) has a marker; the numbers begin at zero.
-        require_markers(self.dictionary, self.squares_x * self.squares_y // 2 - 1)
+        _require_markers(self.dictionary, self.squares_x * self.squares_y // 2 - 1)
 
     @property
     def points(self) -> Float[np.ndarray, "points 3"]:
@@ -232,7 +250,7 @@ class TagGrid(AbstractTarget):
             require_positive(gap=self.gap)
         if self.rows_from not in ("top", "bottom"):
             raise ValueError(f"rows_from: expected top or bottom, found {self.rows_from!r}")
-        require_markers(self.dictionary, self.ids[-1])
+        _require_markers(self.dictionary, self.ids[-1])
 
     @property
     def ids(self) -> range:
@@ -304,7 +322,7 @@ class AprilGrid(AbstractTarget):
                 "spacing: expected the gap between tags as a fraction of their side, between 0 and "
                 f"1; found {self.spacing!r}"
             )
-        require_markers(self.dictionary, self.ids[-1])
+        _require_markers(self.dictionary, self.ids[-1])
 
     @property
     def ids(self) -> range:
@@ -319,3 +337,14 @@ class AprilGrid(AbstractTarget):
         corners = origins + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
         flat = self.size * corners.reshape(-1, 2)
         return np.column_stack([flat, np.zeros(len(flat))])
+
+
+def _require_markers(dictionary: str, last_id: int) -> None:
+    """Raise a ValueError unless the dictionary exists and contains the marker with this number."""
+    require_one_of("dictionary", dictionary, MARKER_COUNTS)
+    count = MARKER_COUNTS[dictionary]
+    if last_id >= count:
+        raise ValueError(
+            f"dictionary: {dictionary} has {count} markers, 0 to {count - 1}; "
+            f"the target needs marker {last_id}"
+        )

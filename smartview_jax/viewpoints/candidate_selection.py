@@ -56,6 +56,15 @@ def best_candidates(
     return exchange_selection(information, prior_information, criterion, index, allowed)
 
 
+def require_enough(count: int, allowed: Bool[AnyArray, "candidates"], kind: str) -> None:
+    """Raise a ValueError unless `count` candidates, called by their kind, may be taken."""
+    most = int(np.sum(allowed))
+    if not 1 <= count <= most:
+        raise ValueError(
+            f"{count} {kind} requested, but only {most} of {len(allowed)} candidates may be taken"
+        )
+
+
 def order_by_gain(
     information: Float[Array, "views free free"],
     prior_information: Float[Array, "free free"],

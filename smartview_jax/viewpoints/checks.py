@@ -336,6 +336,5 @@ def _camera_in_base(calibration: Calibration, base_from_tool: SE3) -> Float[Arra
     # The inverse of camera_from_mount has the camera's centre in the mount as its translation. The
     # mount is the base for eye-to-hand, and the tool, which the command displaces, otherwise.
     centre = calibration.camera_from_mount.inverse().translation()
-    if calibration.mount == "eye_to_hand":
-        return jnp.broadcast_to(centre, base_from_tool.translation().shape)
-    return base_from_tool.apply(jnp.broadcast_to(centre, base_from_tool.translation().shape))
+    centres = jnp.broadcast_to(centre, base_from_tool.translation().shape)
+    return centres if calibration.mount == "eye_to_hand" else base_from_tool.apply(centres)

@@ -1,5 +1,8 @@
 """Compute robot commands for wanted camera poses (Eq. 19), and predict the view that results."""
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -83,6 +86,24 @@ class ViewpointCommands(eqx.Module):
         """The commands, in the form that `Calibration` takes."""
         return Command(self.base_from_tool, self.joints)
 
+    def with_arrays(
+        self, function: Callable[..., Any], *others: "ViewpointCommands"
+    ) -> "ViewpointCommands":
+        """Return commands whose arrays by view are a function of these, or of several commands'.
+
+        Args:
+            function: is given the arrays of each commands as one tree, and returns such a tree. The
+                numbers of the camera are not by view, and stay.
+            others: the further commands.
+        """
+        trees = [
+            (c.base_from_tool, c.xyzoat, c.joints, c.predicted_views.camera_from_world, c.checks)
+            for c in (self, *others)
+        ]
+        pose, numbers, joints, poses, checks = function(*trees)
+        views = ViewCalibration(self.predicted_views.camera, poses)
+        return ViewpointCommands(pose, numbers, joints, views, checks)
+
 
 def viewpoint_commands(
     calibration: Calibration,
@@ -144,11 +165,7 @@ def viewpoint_commands(
     commands = _commands_with_checks(calibration, command, points, solution, limits)
     if not is_padded:
         return commands
-    # The camera's numbers are not by view.
-    camera, poses = calibration.camera, commands.predicted_views.camera_from_world
-    by_view = commands.base_from_tool, commands.xyzoat, commands.joints, poses, commands.checks
-    pose, numbers, joints, poses, checks = without_padding(by_view, views[0])
-    return ViewpointCommands(pose, numbers, joints, ViewCalibration(camera, poses), checks)
+    return commands.with_arrays(lambda by_view: without_padding(by_view, views[0]))
 
 
 @compiled

@@ -4,19 +4,20 @@ Each candidate is a view of one of the cameras, near its calibrated views, in wh
 the whole target; the others see what they see from there.
 """
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float
 
 from ..argument_checks import errors_at
 from ..geometry import host_matrices
 from ..robots import JointsLike, SerialArm
 from ..runtime.array_namespace import to_device
 from .candidate_selection import StopRule, worth_of_views
-from .commands import ViewCalibration, ViewpointCommands, viewpoint_commands
+from .commands import ViewpointCommands, viewpoint_commands
 from .next_views import ViewPlan
 from .optimality_criteria import a_optimal
 from .rig_information import RigInformationModel
@@ -84,7 +85,7 @@ def plan_states(
     )
     worth = worth_of_views(criterion, model.prior_information, chosen.cumulative_criterion, stop)
     rows = np.asarray(chosen.states)[: worth.needed]
-    taken = _rows(commands, rows)
+    taken = _combined(lambda array: array[rows], commands)
     poses = host_matrices(taken.predicted_views.camera_from_world)
     plan = ViewPlan(poses, worth.before, worth.values, criterion.unit, distance, tuple(ranges))
     return StatePlan(
@@ -115,41 +116,22 @@ def _candidates(
 ) -> tuple[ViewpointCommands, list[str]]:
     """Return random candidates, as many for each camera, and the camera of each."""
     rng, each = np.random.default_rng(seed), DEFAULT_CANDIDATE_COUNT // len(ranges)
-    found, cameras = [], []
+    parts, cameras = [], []
     for name, views in ranges.items():
         poses = views.poses(views.sample(rng, each))
         points = np.asarray(model.rig.cameras[name].points[0])
-        found.append(viewpoint_commands(model.calibrations[name], poses, points, arm, near))
+        parts.append(viewpoint_commands(model.calibrations[name], poses, points, arm, near))
         cameras += [name] * each
-    return _joined(found), cameras
+    return _combined(lambda *arrays: np.concatenate(arrays), *parts), cameras
 
 
-def _joined(parts: list[ViewpointCommands]) -> ViewpointCommands:
-    """Return the commands of several cameras, one after the other.
+def _combined(combine: Callable[..., np.ndarray], *parts: ViewpointCommands) -> ViewpointCommands:
+    """Return commands whose arrays by view are combined from the arrays of several commands.
 
     The camera of the predicted views is the first one; only their poses are of every camera.
     """
-    return _with_arrays(parts[0], lambda *arrays: np.concatenate(arrays), parts)
 
+    def on_host(*arrays: Array) -> Array:
+        return to_device(combine(*map(np.asarray, arrays)))
 
-def _rows(commands: ViewpointCommands, rows: Int[np.ndarray, "some"]) -> ViewpointCommands:
-    """Return some of the commands."""
-    return _with_arrays(commands, lambda array: array[rows], [commands])
-
-
-def _with_arrays(
-    like: ViewpointCommands,
-    combine: Callable[..., np.ndarray],
-    parts: list[ViewpointCommands],
-) -> ViewpointCommands:
-    """Return commands whose arrays by view are combined from the parts'."""
-    # The camera's numbers are not by view.
-    pose, numbers, joints, poses, checks = jax.tree.map(
-        lambda *arrays: to_device(combine(*map(np.asarray, arrays))),
-        *(
-            (c.base_from_tool, c.xyzoat, c.joints, c.predicted_views.camera_from_world, c.checks)
-            for c in parts
-        ),
-    )
-    views = ViewCalibration(like.predicted_views.camera, poses)
-    return ViewpointCommands(pose, numbers, joints, views, checks)
+    return parts[0].with_arrays(functools.partial(jax.tree.map, on_host), *parts[1:])

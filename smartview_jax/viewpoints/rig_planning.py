@@ -16,6 +16,7 @@ from .candidate_selection import (
     best_candidates,
     cumulative_criterion,
     order_by_gain,
+    require_enough,
 )
 from .optimality_criteria import OptimalityCriterion
 from .rig_information import RigInformationModel
@@ -72,11 +73,7 @@ def choose_states(
         admissible &= _largest_visible_fraction(rig) >= needs.min_visible_fraction - 1e-9
     if needs.allowed is not None:
         admissible &= np.asarray(needs.allowed(rig.base_from_tool))
-    if admissible.sum() < count or count < 1:
-        raise ValueError(
-            f"{count} states requested, but only {admissible.sum()} of {len(admissible)} "
-            "candidates may be taken"
-        )
+    require_enough(count, admissible, "states")
     say("computing what each state would tell")
     information, prior = model.information(rig), model.prior_information
     index = best_candidates(information, prior, criterion, count, to_device(admissible), say)

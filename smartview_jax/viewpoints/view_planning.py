@@ -22,6 +22,7 @@ from .candidate_selection import (
     best_candidates,
     cumulative_criterion,
     order_by_gain,
+    require_enough,
 )
 from .information_model import InformationModel
 from .optimality_criteria import OptimalityCriterion
@@ -163,17 +164,10 @@ def choose_views(
     number = candidates.wxyz_xyz.shape[0]
     say(f"checking {number} candidate views")
     admissible = is_admissible(candidates)
-    admissible_count = int(np.sum(admissible))
-    if admissible_count < count or count < 1:
-        raise ValueError(
-            f"{count} views requested, but only {admissible_count} of {len(admissible)} candidates "
-            "may be taken"
-        )
+    require_enough(count, admissible, "views")
     say("computing what each candidate would tell")
-    information, prior = (
-        information_model.information(candidates),
-        information_model.prior_information,
-    )
+    information = information_model.information(candidates)
+    prior = information_model.prior_information
     index = best_candidates(information, prior, criterion, count, admissible, say)
     # Then the gradient moves the views away from their candidates.
     poses, selected_information = _rows((candidates, information), index)
@@ -257,12 +251,7 @@ def _poses_between(
     fraction: Float[AnyArray, "count"],
 ) -> SE3:
     """Return the poses at fractions of the way between unbounded coordinates."""
-    return _poses_at(views, initial + jnp.asarray(fraction)[:, None] * (minimiser - initial))
-
-
-@compiled_optimised
-def _poses_at(views: ViewRange, unbounded: Float[Array, "count 6"]) -> SE3:
-    """Return the poses at unbounded coordinates."""
+    unbounded = initial + jnp.asarray(fraction)[:, None] * (minimiser - initial)
     return views.poses(views.from_unbounded(unbounded))
 
 
@@ -279,7 +268,7 @@ def _minimise_bfgs(
     required_points = int(np.ceil(min_visible_fraction * len(information_model.points) - 1e-9))
 
     def cost(unbounded: Float[Array, "count 6"], _: Any) -> Float[Array, ""]:
-        poses = _poses_at(views, unbounded)
+        poses = views.poses(views.from_unbounded(unbounded))
         inner_distance = information_model.border_distance(poses) - border_margin
         # Only the required number of points counts, the ones farthest inside: the others may leave
         # the picture. A point that cannot be projected is at minus infinity, which has no finite

@@ -11,11 +11,11 @@ from jaxlie import SE3
 from moving_camera import circling_commands
 
 import smartview_jax as sv
+from smartview_jax.clocks import TimeOffset, at_time_offset
 from smartview_jax.engine import Noise
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io.csv_tables import read_table, write_table
 from smartview_jax.simulation import paper_calibration, simulate
-from smartview_jax.time_offset import TimeOffset, at_time_offset
 
 OFFSET = 0.06
 TIMES = np.sort(np.random.default_rng(1).uniform(1.0, 14.0, VIEWS))
@@ -56,7 +56,7 @@ def test_the_offset_is_estimated_and_said(folder, tmp_path, monkeypatch):
         corrected = at_time_offset(data, trajectory, picture_times, OFFSET)
         return TimeOffset(OFFSET, 1e-3, corrected, Noise(0.15, 1e-4, 1e-4))
 
-    monkeypatch.setattr("smartview_jax.time_offset.estimate_time_offset", known)
+    monkeypatch.setattr("smartview_jax.clocks.estimate_time_offset", known)
     ended = run("calibrate", folder, *LENS, "--time-offset", "--no-held-out", "--out", tmp_path)
     assert ended.exit_code == 0, ended.output
     ((log_times, picture_times, lens),) = asked

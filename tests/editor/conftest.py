@@ -5,7 +5,7 @@ from chromium import Chromium, browser_or_skip
 from editor_scene import drawn_scene
 from sessions import open_session
 
-from smartview_jax.editor import picture_features
+from smartview_jax.editor import kept_results
 
 
 @pytest.fixture(scope="session")
@@ -30,7 +30,7 @@ def chromium():
     playwright.stop()
 
 
-_find, _found = picture_features.find_features, {}
+_find, _found = kept_results.find_features, {}
 
 
 @functools.wraps(_find)
@@ -45,5 +45,5 @@ def _find_once(picture, camera):
 def _features_are_found_once():
     """Many sessions show the same pictures, whose features are not what these tests are about."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(picture_features, "find_features", _find_once)
+        patch.setattr(kept_results, "find_features", _find_once)
         yield

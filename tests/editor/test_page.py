@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from sessions import open_session
 
 from smartview_jax.io import load_object_model
+from smartview_jax.modeling import open_edges
 
 VIEWS = (0, 1, 2, 3, 4)
 
@@ -81,7 +82,7 @@ def test_a_model_is_finished_by_clicks_and_a_killed_browser_loses_nothing(
 
     model = load_object_model(tmp_path / "house.json")
     assert model.name == "house"
-    assert model.is_closed
+    assert not open_edges(model.faces)
     assert len(model.edges) == len(scene.truth.edges)
     order = [
         int(np.argmin(np.linalg.norm(model.vertices - vertex, axis=1)))

@@ -46,7 +46,7 @@ def test_what_a_person_knows_moves_the_points(session, scene):
         ({"kind": "same_plane", "items": [[0, 1, 2]]}, "expected 4 or more points"),
         ({"kind": "parallel", "items": [[0, 1]]}, "expected 2 or more edges"),
         ({"kind": "known_length", "items": [[0, 1]]}, "the length is missing"),
-        ({"kind": "known_length", "items": [[0, 1]], "value": -1.0}, "a known length is positive"),
+        ({"kind": "known_length", "items": [[0, 1]], "value": -1.0}, "a known length is above 0"),
         ({"kind": "known_length", "items": [[0, 77]], "value": 1.0}, "no point 77"),
     ],
 )

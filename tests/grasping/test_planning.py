@@ -29,8 +29,8 @@ from smartview_jax.io import read_viewpoints
 from smartview_jax.modeling import find_symmetry, grasp_on_face
 from smartview_jax.robot_errors import DHErrors, RobotError
 from smartview_jax.robots import Gripper, six_axes
+from smartview_jax.simulation import random_truth
 from smartview_jax.simulation.arm_scenes import HOME_JOINTS
-from smartview_jax.simulation.cell import random_truth
 
 for needed in ("fcl", "mapbox_earcut", "trimesh"):
     pytest.importorskip(needed)

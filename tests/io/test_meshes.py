@@ -6,11 +6,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from shared_data import shared_data
-from solids import box, prism
+from solids import box, moved, prism
 
 from smartview_jax.io import model_from_triangles, read_mesh, to_trimesh, write_mesh
 from smartview_jax.io.meshes import MESH_FORMATS
-from smartview_jax.modeling import Face, ObjectModel, edges_of_faces, signed_volume
+from smartview_jax.modeling import Face, ObjectModel, edges_of_faces, open_edges, signed_volume
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("mapbox_earcut")
@@ -44,7 +44,7 @@ def test_flat_faces_and_edges_come_back_from_triangles(tmp_path, kind, model):
     )
     assert len(found.edges) == len(model.edges)
     assert sorted(len(f.loops) for f in found.faces) == sorted(len(f.loops) for f in model.faces)
-    assert found.is_closed
+    assert not open_edges(found.faces)
     assert signed_volume(found.vertices, found.faces) == pytest.approx(
         signed_volume(model.vertices, model.faces), rel=1e-5
     )
@@ -58,7 +58,7 @@ def test_any_prism_in_any_pose_comes_back(tmp_path, sides, height, seed):
     pose = np.eye(4)
     pose[:3, :3] = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     pose[:3, 3] = [0.3, -0.2, 0.5]
-    model = prism(sides, height=height).transformed(pose)
+    model = moved(prism(sides, height=height), pose)
     found = read_mesh(write_mesh(model, tmp_path / "prism.ply"))
     assert (len(found.vertices), len(found.faces)) == (2 * sides, sides + 2)
     assert len(found.edges) == 3 * sides
@@ -73,7 +73,7 @@ def test_what_other_programs_cut_finely_is_joined():
     model = model_from_triangles(np.array(mesh.vertices), np.array(mesh.faces))
     assert (len(model.vertices), len(model.edges), len(model.faces)) == (8, 12, 6)
     assert model.symmetry.order == len(Rotation.create_group("D2"))
-    assert model.is_closed
+    assert not open_edges(model.faces)
 
 
 def test_the_round_part_of_a_cylinder_is_no_edge():

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from seen_scene import CALIBRATION, CAMERA, errors, seen_scene
+from solids import moved
 
 from smartview_jax.features import IdealPlane, picture_evidence
 from smartview_jax.localization import Wireframe, distinct_poses, find_hypotheses, pose_distances
@@ -130,7 +131,7 @@ def test_edges_in_two_pictures_propose_the_true_pose(scene):
         scene.views.camera_from_world,
     )
     # Some of the edges in space are the object's.
-    true = model.transformed(truth)
+    true = moved(model, truth)
     starts, ends = true.vertices[true.edges].transpose(1, 0, 2)
     along = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
     offset = edges.points[:, None] - starts
@@ -143,7 +144,7 @@ def test_edges_in_two_pictures_propose_the_true_pose(scene):
 
 def test_exact_edges_give_exact_poses(scene):
     model, truth = scene.models[0], scene.world_from_object[0]
-    edges = model_edges(model.transformed(truth))
+    edges = model_edges(moved(model, truth))
     poses = poses_from_edges(edges, model)
     angles, shifts = errors(model, poses, truth)
     assert ((angles < 1e-5) & (shifts < 1e-6)).sum() > 20

@@ -10,8 +10,8 @@ from smartview_jax.geometry import host_matrices
 from smartview_jax.picking import BoardViews, calibrate_cell
 from smartview_jax.picking.calibrating import _planned_views, stacked_commands
 from smartview_jax.robots import Command, six_axes
+from smartview_jax.simulation import BOARD, drawn_calibration
 from smartview_jax.simulation.arm_scenes import HOME_JOINTS
-from smartview_jax.simulation.cell import BOARD, drawn_calibration
 from smartview_jax.simulation.cell.truth import FOCAL_LENGTH, IMAGE_SIZE
 
 

@@ -16,7 +16,7 @@ from smartview_jax.grasping import PHASES, GraspPlan, GraspScene, Obstacle, Plan
 from smartview_jax.modeling import ObjectModel, grasp_on_face
 from smartview_jax.picking import Look, execute, pick
 from smartview_jax.robots import Command, Gripper, puma_560
-from smartview_jax.simulation.cell import Cell
+from smartview_jax.simulation import Cell
 
 BOX = box(name="box")
 WIRE = ObjectModel(BOX.vertices, BOX.edges, name="wire")

@@ -4,7 +4,7 @@ from solids import box
 from smartview_jax.features import picture_evidence
 from smartview_jax.plots import cropped, edge_map, with_wireframes
 from smartview_jax.plots.object_pictures import CORNER_COLOUR
-from smartview_jax.simulation.cell import drawn_calibration
+from smartview_jax.simulation import drawn_calibration
 
 CAMERA = drawn_calibration().camera
 

@@ -12,13 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...calibration import Calibration
 from ...cameras import AnyCamera, unit_rays
 from ...robots import CommandLike
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import compiled
 from ...runtime.padding import repeat_last
-from ..rig_views import AnyCalibration, calibration_of_views
+from ..rig_views import AnyCalibration, RigViews, calibration_of_views
 from ..view_poses import SeenViews, single_pose
 
 SAMPLES = 128
@@ -49,101 +48,43 @@ class EpipolarCurve(NamedTuple):
     origin: Float[np.ndarray, "3"]
     direction: Float[np.ndarray, "3"]
 
-    @property
-    def pieces(self) -> list[Float[np.ndarray, "_ 2"]]:
-        """The connected pieces of the polyline, px."""
-        return [self.pixels[self.piece == k] for k in np.unique(self.piece)]
-
-    def points(self, depths: Float[np.ndarray, "*depths"]) -> Float[np.ndarray, "*depths 3"]:
-        """Return the points in the world at given depths along the ray, m."""
-        return self.origin + np.asarray(depths)[..., None] * self.direction
-
-    def nearest(
-        self, pixels: Float[np.ndarray, "*pixels 2"]
-    ) -> tuple[Float[np.ndarray, "*pixels"], Float[np.ndarray, "*pixels"]]:
-        """Return the distance of pixels from the curve, px, and the depth of the nearest point, m.
-
-        The distance is infinite and the depth NaN where the curve is empty.
-        """
-        pixels = np.asarray(pixels, dtype=float)
-        starts, ends, inverse_start, inverse_end = self._segments()
-        if not len(starts):
-            return np.full(pixels.shape[:-1], np.inf), np.full(pixels.shape[:-1], np.nan)
-        # The foot on each segment: t = (p - a).(b - a) / |b - a|^2, clipped to the segment.
-        along = ends - starts
-        offset = pixels[..., None, :] - starts
-        length = np.maximum(np.sum(along**2, axis=-1), 1e-30)
-        t = np.clip(np.sum(offset * along, axis=-1) / length, 0.0, 1.0)
-        distance = np.linalg.norm(offset - t[..., None] * along, axis=-1)
-        best = np.argmin(distance, axis=-1)[..., None]
-        t_best = np.take_along_axis(t, best, axis=-1)[..., 0]
-        inverse = inverse_start[best[..., 0]] * (1.0 - t_best) + inverse_end[best[..., 0]] * t_best
-        with np.errstate(divide="ignore"):
-            depth = np.asarray(1.0 / inverse)
-        return np.take_along_axis(distance, best, axis=-1)[..., 0], depth
-
-    def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return start and end of every segment, px, and the inverse depths there."""
-        joined = np.flatnonzero(self.piece[1:] == self.piece[:-1])
-        with np.errstate(divide="ignore"):
-            inverse = 1.0 / self.depths
-        return self.pixels[joined], self.pixels[joined + 1], inverse[joined], inverse[joined + 1]
-
-
-def epipolar_curve(
-    calibration: AnyCalibration,
-    pose_a: CommandLike,
-    pixel: Float[np.ndarray, "2"] | Sequence[float],
-    pose_b: CommandLike,
-    depths: tuple[float, float] | None = None,
-    *,
-    box: Float[np.ndarray, "2 3"] | None = None,
-) -> EpipolarCurve:
-    """Return the curve in view b of a pixel of view a.
-
-    Args:
-        calibration: the calibrated camera; or `RigViews` that name the cameras of a, then of b.
-        pose_a, pose_b: poses that the robot reported, one `base_from_tool` or `Command` each.
-        pixel: in view a, px.
-        depths: smallest and largest distance from the camera along the ray, m; the largest may be
-            infinite.
-        box: instead of `depths`, two opposite corners of the workspace in the world, m. A ray that
-            misses it has an empty curve.
-
-    Raises:
-        ValueError: a pixel outside the picture or the lens, wrong depths, or not exactly one of
-            `depths` and `box`.
-    """
-    return epipolar_curves(calibration, pose_a, pixel, single_pose(pose_b), depths, box=box)[0]
-
 
 def epipolar_curves(
     calibration: AnyCalibration,
     pose_a: CommandLike,
     pixel: Float[np.ndarray, "2"] | Sequence[float],
     poses_b: CommandLike,
-    depths: tuple[float, float] | None = None,
-    *,
-    box: Float[np.ndarray, "2 3"] | None = None,
+    depths: tuple[float, float],
 ) -> list[EpipolarCurve]:
-    """Return the curves of a pixel of view a in several views `poses_b`, as `epipolar_curve`.
+    """Return the curves of a pixel of view a in several views b.
 
-    `RigViews` name the camera of view a first, then of each other view.
+    Args:
+        calibration: the calibrated camera; or `RigViews` that name the camera of view a first, then
+            of each other view.
+        pose_a: pose that the robot reported in view a, one `base_from_tool` or `Command`.
+        pixel: in view a, px.
+        poses_b: reported poses of the views b.
+        depths: smallest and largest distance from the camera along the ray, m; the largest may be
+            infinite.
+
+    Raises:
+        ValueError: a pixel outside the picture or the lens, or wrong depths.
     """
+    near, far = map(float, depths)
+    if not 0.0 < near < far:
+        raise ValueError(f"depths: expected 0 < nearest < farthest, found {near:g} and {far:g}")
     first = SeenViews.of(calibration_of_views(calibration, [0]), single_pose(pose_a))
-    others = SeenViews.of(_of_later_views(calibration), poses_b)
+    later = calibration
+    if isinstance(calibration, RigViews):
+        later = calibration.of_views(range(1, len(calibration)))
+    others = SeenViews.of(later, poses_b)
     given = np.asarray(pixel, dtype=float)
     first.checked_points(given[None, None], None)
     origin, direction = _ray(first, given)
-    limits = _inverse_depths(origin, direction, depths, box)
     views = len(others.camera_from_world)
-    if limits is None:
-        # A ray that misses the workspace is no error: its curve is empty.
-        empty = np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int)
-        return [EpipolarCurve(*empty, origin, direction)] * views
     sizes = [camera.image_size for camera in others.cameras]
     # Pictures change about evenly with inverse depth, and infinity is zero.
-    inverse = np.tile(np.linspace(*limits, SAMPLES), (views, 1))
+    inverse = np.tile(np.linspace(1.0 / near, 1.0 / far, SAMPLES), (views, 1))
     for _ in range(REFINEMENTS):
         pixels, valid = _project(others, origin, direction, inverse)
         inverse = np.stack(
@@ -156,13 +97,6 @@ def epipolar_curves(
     ]
 
 
-def _of_later_views(calibration: AnyCalibration) -> AnyCalibration:
-    """Return the calibration of all views but the first."""
-    if isinstance(calibration, Calibration):
-        return calibration
-    return calibration.of_views(range(1, len(calibration)))
-
-
 def _ray(
     view: SeenViews, pixel: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -172,36 +106,6 @@ def _ray(
     if not valid:
         raise ValueError(f"pixel: {pixel.tolist()} px is outside the range of the lens model")
     return view.centres[0], view.camera_from_world[0, :3, :3].T @ ray
-
-
-def _inverse_depths(
-    origin: Float[np.ndarray, "3"],
-    direction: Float[np.ndarray, "3"],
-    depths: tuple[float, float] | None,
-    box: Float[np.ndarray, "2 3"] | None,
-) -> tuple[float, float] | None:
-    """Return the range of inverse depths, near first; None where the ray misses the box."""
-    if (depths is None) == (box is None):
-        raise ValueError("a curve needs either depths=(nearest, farthest) or box=(corner, corner)")
-    if depths is not None:
-        near, far = map(float, depths)
-        if not 0.0 < near < far:
-            raise ValueError(f"depths: expected 0 < nearest < farthest, found {near:g} and {far:g}")
-        return 1.0 / near, 1.0 / far
-    corners = np.asarray(box, dtype=float)
-    if corners.shape != (2, 3) or not np.isfinite(corners).all():
-        raise ValueError(f"box: expected two corners (2, 3), finite, m; found {corners.tolist()}")
-    # For each pair of faces, the ray is between them at depths between the two values of (corner -
-    # origin) / direction; it is in the box where it is between all three pairs.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crossings = np.sort((corners - origin) / direction, axis=0)
-    # 0 / 0 is a ray within a face's plane, which sets no limit.
-    near = float(np.max(np.nan_to_num(crossings[0], nan=-np.inf)))
-    far = float(np.min(np.nan_to_num(crossings[1], nan=np.inf)))
-    if far <= max(near, 0.0):
-        return None
-    # A ray that starts within the box begins at a thousandth of its end.
-    return 1.0 / max(near, 1e-3 * far), 1.0 / far
 
 
 def _project(

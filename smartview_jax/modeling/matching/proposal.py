@@ -66,16 +66,6 @@ class ModelProposal(NamedTuple):
     edge_segments: Int[np.ndarray, "views edges"]
     features: tuple[Features, ...]
 
-    @property
-    def view_counts(self) -> Int[np.ndarray, "points"]:
-        """The number of views in which each point was found."""
-        return (self.corners >= 0).sum(axis=0)
-
-    @property
-    def edge_view_counts(self) -> Int[np.ndarray, "edges"]:
-        """The number of views in which a segment joins the two points of each edge."""
-        return (self.edge_segments >= 0).sum(axis=0)
-
 
 def propose_model(
     calibration: AnyCalibration,
@@ -116,7 +106,10 @@ def propose_model(
     needed = _checked(pictures, features, depths, min_views, sizes)
     region = region or Region()
     region.check([str(k) for k in range(count)], sizes)
-    picture_features = tuple(features or _found(pictures, camera_views))
+    picture_features = tuple(features or ())
+    for k, picture in enumerate(() if features else pictures):
+        with errors_at(f"view {k}"):
+            picture_features += (find(picture, camera_views.cameras[k]),)
     views = _corner_views(camera_views, pictures, picture_features)
     # Every two views, since a point may be hidden or missed in any of them.
     all_pairs = [
@@ -167,30 +160,19 @@ def _checked(
     return needed
 
 
-def _found(pictures: Sequence[np.ndarray], views: SeenViews) -> list[Features]:
-    """Return the features of every picture; an error names the view."""
-    features = []
-    for k, picture in enumerate(pictures):
-        with errors_at(f"view {k}"):
-            features.append(find(picture, views.cameras[k]))
-    return features
-
-
 def _corner_views(
-    views: SeenViews, pictures: Sequence[np.ndarray], found: tuple[Features, ...]
+    views: SeenViews, pictures: Sequence[np.ndarray], view_features: tuple[Features, ...]
 ) -> list[CornerView]:
     """Return the corners of all views with their rays and their appearance."""
     rotations = views.camera_from_world[:, :3, :3]
     # The mean of the cameras' x axes is perpendicular to the line of sight in all of them.
     reference = rotations[:, 0].mean(axis=0)
     corner_views = []
-    for k, (picture, features) in enumerate(zip(pictures, found, strict=True)):
+    for k, (picture, features) in enumerate(zip(pictures, view_features, strict=True)):
         plane = IdealPlane(views.cameras[k])
-        try:
-            look = describe(picture, views.cameras[k], features, rotations[k] @ reference)
         # If the features were given, the picture has not been checked yet.
-        except ValueError as error:
-            raise ValueError(f"view {k}: {error}") from error
+        with errors_at(f"view {k}"):
+            look = describe(picture, views.cameras[k], features, rotations[k] @ reference)
         rays = plane.rays(plane.from_pixels(features.corners)) @ rotations[k]
         corner_views.append(
             CornerView(
@@ -210,34 +192,34 @@ def _proposal(
     calibration: AnyCalibration,
     poses: CommandLike | None,
     seen: SeenViews,
-    found: tuple[Features, ...],
+    view_features: tuple[Features, ...],
     tracks: Tracks,
     needed: int,
     covariance: CalibrationEstimate | None,
 ) -> ModelProposal:
     """Return the triangulated tracks that agree with their pictures, and the edges between them."""
     corners = tracks.corners
-    corners, kept = without_misfits(calibration, poses, found, corners, needed)
+    corners, kept = without_misfits(calibration, poses, view_features, corners, needed)
     similarity = tracks.similarity[kept]
-    points = triangulated_tracks(calibration, poses, found, corners, covariance)
+    points = triangulated_tracks(calibration, poses, view_features, corners, covariance)
     rms = track_rms(points)
     # Points that fit badly or look different are not worth a person's time.
     good = points.ok & (rms < MAX_RMS) & (similarity > MIN_SIMILARITY)
     order = np.flatnonzero(good)
     order = order[_distinct(project_points(seen, points.points[order]))]
     # Edges run between junctions: dots and grain on an edge would divide it into pieces.
-    ends = np.flatnonzero(junction_counts(found, corners[:, order]) >= 2)
-    edges, edge_segments = joined_edges(seen, found, points.points[order[ends]])
+    ends = np.flatnonzero(junction_counts(view_features, corners[:, order]) >= 2)
+    edges, edge_segments = joined_edges(seen, view_features, points.points[order[ends]])
     return ModelProposal(
         points.points[order],
         points.covariance()[order],
         corners[:, order],
-        corner_pixels(found, corners[:, order]),
+        corner_pixels(view_features, corners[:, order]),
         rms[order],
         similarity[order],
         ends[edges],
         edge_segments,
-        found,
+        view_features,
     )
 
 

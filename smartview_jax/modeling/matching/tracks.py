@@ -11,8 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from .candidates import direction_turn, turn_cost
-
 EPIPOLAR_GATE = 2.0
 """Largest distance of a corner from the epipolar line of another, px."""
 
@@ -27,6 +25,12 @@ CANDIDATES_PER_CORNER = 4
 
 MIN_PARALLAX = float(np.deg2rad(1.0))
 """Smallest angle between the rays of a pair, rad; below it the depth is not known."""
+
+DIRECTION_SIGMA = float(np.deg2rad(20.0))
+"""Standard deviation of the angle between segments of the same corner in two views, rad."""
+
+MAX_DIRECTION_COST = 6.0
+"""Largest cost of differing directions: some segments are found in only one of two views."""
 
 
 class CornerView(NamedTuple):
@@ -94,7 +98,6 @@ def epipolar_pairs(
     points, in_range = _intersections(a, b, i, j, depths)
     i, j, similarity, points = (x[in_range] for x in (i, j, similarity, points))
     turn = direction_turn(a.directions[i], b.directions[j])
-    # The same relative weights as in `rank_candidates`, in units of correlation.
     rank = similarity - 0.05 * turn_cost(turn)
     keep = _among_best(i, rank) & _among_best(j, rank)
     pair_views = np.tile([first, second], (int(keep.sum()), 1))
@@ -247,3 +250,38 @@ def _one_to_one(
             for view, corner in members:
                 used[view][corner] = True
     return np.array(chosen, dtype=int)
+
+
+def turn_cost(turn: Float[np.ndarray, "*corners"]) -> Float[np.ndarray, "*corners"]:
+    """Return the cost of an angle between segments; an unknown angle costs as much as one sigma."""
+    cost = np.minimum((turn / DIRECTION_SIGMA) ** 2, MAX_DIRECTION_COST)
+    return np.where(np.isfinite(turn), cost, 1.0)
+
+
+def direction_turn(
+    first: Float[np.ndarray, "*corners joined"], second: Float[np.ndarray, "*corners joined"]
+) -> Float[np.ndarray, "*corners"]:
+    """Return the mean angle between the segments of corners and the nearest ones of others, rad.
+
+    Args:
+        first, second: angles of the segments at each corner, rad, in the same frame, padded with
+            NaN. Their shapes broadcast.
+
+    Returns:
+        The mean over the corner with fewer segments; NaN where either has none.
+    """
+    gap = first[..., :, None] - second[..., None, :]
+    # Angles differ by at most pi; a missing one is infinitely far from all others.
+    gap = np.abs((gap + np.pi) % (2.0 * np.pi) - np.pi)
+    gap = np.where(np.isfinite(gap), gap, np.inf)
+    means = [_finite_mean(gap.min(axis=axis)) for axis in (-1, -2)]
+    # Each segment of the corner with fewer segments should be found at the other corner.
+    fewer = np.isfinite(first).sum(axis=-1) <= np.isfinite(second).sum(axis=-1)
+    return np.where(fewer, means[0], means[1])
+
+
+def _finite_mean(values: np.ndarray) -> np.ndarray:
+    """Return the mean of the finite values along the last axis; NaN where there is none."""
+    finite = np.isfinite(values)
+    total, count = np.where(finite, values, 0.0).sum(axis=-1), finite.sum(axis=-1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -103,7 +103,6 @@ class PictureEquations(NamedTuple):
         number_gradient: gradient by the numbers.
         coupling: mixed second derivatives of features and numbers.
         residuals: measured minus predicted pixels of points; zero where not visible.
-        distances: distances of segments' ends from their lines, px; zero where not visible.
     """
 
     cost: float
@@ -113,7 +112,6 @@ class PictureEquations(NamedTuple):
     number_gradient: Float[np.ndarray, "numbers"]
     coupling: Float[np.ndarray, "rows numbers"]
     residuals: Float[np.ndarray, "views points 2"]
-    distances: Float[np.ndarray, "views lines 2"]
 
 
 def picture_equations(
@@ -151,10 +149,17 @@ def picture_equations(
     N = (whitening @ projected.by_view) * root[..., None]
     points = _accumulate(e * root, J, N, local)
 
-    e, J, N = _line_terms(observed, views, shape, poses, projected.by_view.shape[3])
-    distances = e.distances
-    lines = _accumulate(e.whitened, J, N, local)
-    cost += float(np.sum(e.whitened**2))
+    at = line_jacobians(
+        views,
+        shape.lines,
+        observed.segments,
+        observed.covariances,
+        observed.segments_visible,
+        poses,
+    )
+    e, weights = at.distances * at.weights, at.weights[..., None]
+    lines = _accumulate(e, at.by_line * weights, at.by_view * weights, local)
+    cost += float(np.sum(e**2))
     # Points first, then lines, as everywhere.
     rows = 3 * len(points.blocks), 4 * len(lines.blocks)
     return PictureEquations(
@@ -170,43 +175,7 @@ def picture_equations(
             ]
         ),
         residuals,
-        distances,
     )
-
-
-class _LineTerms(NamedTuple):
-    """The distances of segments' ends from their lines, whitened and in px."""
-
-    whitened: Float[np.ndarray, "views lines 2"]
-    distances: Float[np.ndarray, "views lines 2"]
-
-
-def _line_terms(
-    observed: CheckedObservations,
-    views: SeenViews,
-    shape: Shape,
-    poses: Float[np.ndarray, "views 4 4"],
-    local: int,
-) -> tuple[
-    _LineTerms, Float[np.ndarray, "views lines 2 4"], Float[np.ndarray, "views lines 2 local"]
-]:
-    """Return the distances of all segments and their whitened derivatives by lines and views."""
-    sizes = observed.segments_visible.shape
-    if not sizes[1]:
-        empty = np.zeros((*sizes, 2))
-        return _LineTerms(empty, empty), np.zeros((*sizes, 2, 4)), np.zeros((*sizes, 2, local))
-    at = line_jacobians(
-        views,
-        shape.lines,
-        observed.segments,
-        observed.covariances,
-        observed.segments_visible,
-        poses,
-    )
-    # Invisible segments have zero sigma and zero distance.
-    inverse = 1.0 / np.where(at.sigmas > 0.0, at.sigmas, 1.0)
-    terms = _LineTerms(at.distances * inverse, at.distances)
-    return terms, at.by_line * inverse[..., None], at.by_view * inverse[..., None]
 
 
 class _Accumulated(NamedTuple):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import chdtrc
 
 from ...evaluation import root_mean_square
@@ -116,26 +116,22 @@ class RefinedFeatures(EstimatedPoints):
     Attributes:
         lines: refined lines; NaN where `line_status` is not OK.
         line_status: a `PointStatus` for each line.
-        line_residuals: distances of segments' ends from their lines, px; NaN where not visible.
         line_covariance: covariance of each line's four numbers, as `picture_covariance`.
-        number_offsets: estimated offsets of the numbers that were free, by name.
         verdicts: one for each constraint, in order.
         constraints_p_value: probability of the cost of all constraints together if they are true.
         result: whether it converged.
         posterior: the factorised equations, for covariances between features.
-        weak: indices of points that are determined by constraints or not at all.
+        point_rows: numbers of each point's coordinates among the unknowns of `posterior`.
     """
 
     lines: Lines
     line_status: np.ndarray
-    line_residuals: Float[np.ndarray, "views lines 2"]
     line_covariance: Float[np.ndarray, "lines 4 4"]
-    number_offsets: dict[str, float]
     verdicts: tuple[ConstraintVerdict, ...]
     constraints_p_value: float
     result: FitResult
     posterior: Factorisation
-    weak: np.ndarray
+    point_rows: Int[np.ndarray, "points 3"]
 
     @property
     def vertices(self) -> Float[np.ndarray, "points 3"]:
@@ -162,14 +158,4 @@ class RefinedFeatures(EstimatedPoints):
 
         Unlike triangulated points, points that share a constraint have correlated errors here.
         """
-        rows = [self._rows(int(k)) for k in points]
-        return self.posterior.covariance(np.concatenate(rows) if rows else np.zeros(0, int))
-
-    def _rows(self, point: int) -> np.ndarray:
-        """Return the rows of a point's coordinates among the unknowns of the posterior."""
-        # Points in the border come after the eliminated ones, at the end.
-        if point in self.weak:
-            place = int(np.flatnonzero(self.weak == point)[0])
-            first = self.posterior.features.size + self.posterior.border_size
-            return first - 3 * (len(self.weak) - place) + np.arange(3)
-        return 3 * point + np.arange(3)
+        return self.posterior.covariance(self.point_rows[np.asarray(points, dtype=int)].ravel())

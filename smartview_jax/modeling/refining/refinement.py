@@ -238,10 +238,8 @@ def _summarise(
     at = linearise(problem, state, problem.free)
     posterior = at.system.factorised()
     blocks = posterior.feature_blocks()
-    weak = problem.weak
-    first = posterior.features.size + posterior.border_size - 3 * len(weak)
-    for k, point in enumerate(weak):
-        blocks.points[point] = posterior.covariance(first + 3 * k + np.arange(3))
+    for point in problem.weak:
+        blocks.points[point] = posterior.covariance(at.point_rows[point])
     # The prior of unmeasured points is no measurement.
     status = np.full(len(state.shape.points), int(PointStatus.OK))
     open_points = np.trace(blocks.points, axis1=1, axis2=2) > (MAX_RELATIVE_STD * distance) ** 2
@@ -255,9 +253,7 @@ def _summarise(
     ok, lines_ok = status == PointStatus.OK, line_status == PointStatus.OK
     fixed = ~problem.free
     names, covariance, jacobian = _calibration_part(problem, state, at, posterior, fixed)
-    offsets = problem.roots[:, problem.free] @ state.combinations[problem.free]
     verdicts, p_value = constraint_verdicts(problem, state, false_alarm)
-    free_names = set(problem.uncertainty.names) - set(names)
     return RefinedFeatures(
         points=np.where(ok[:, None], state.shape.points, np.nan),
         lines=Lines(*(np.where(lines_ok[:, None], a, np.nan) for a in state.shape.lines)),
@@ -266,26 +262,16 @@ def _summarise(
         residuals=np.where(
             (problem.observed.visible & ok)[..., None], at.pictures.residuals, np.nan
         ),
-        line_residuals=np.where(
-            (problem.observed.segments_visible & lines_ok)[..., None],
-            at.pictures.distances,
-            np.nan,
-        ),
         picture_covariance=np.where(ok[:, None, None], blocks.points, np.nan),
         line_covariance=np.where(lines_ok[:, None, None], blocks.lines, np.nan),
         calibration_jacobian=np.where(ok[:, None, None], jacobian, np.nan),
         calibration_covariance=covariance,
         calibration_names=names,
-        number_offsets={
-            name: float(value)
-            for name, value in zip(problem.uncertainty.names, offsets, strict=True)
-            if name in free_names
-        },
         verdicts=verdicts,
         constraints_p_value=p_value,
         result=result,
         posterior=posterior,
-        weak=weak,
+        point_rows=at.point_rows,
     )
 
 
@@ -319,14 +305,11 @@ def _calibration_part(
     reduced = np.zeros((len(posterior.reduced), len(names)))
     numbers = free_roots.shape[1]
     reduced[:numbers] = free_roots.T @ everything.numbers[:, fixed]
-    first = posterior.border_size - 3 * len(problem.weak)
-    for k, point in enumerate(problem.weak):
+    for point in problem.weak:
         rows = slice(3 * point, 3 * point + 3)
-        reduced[first + 3 * k : first + 3 * k + 3] = mixed[rows]
+        reduced[at.point_rows[point] - posterior.features.size] = mixed[rows]
         mixed[rows] = 0.0
     # At the optimum the gradient is zero; a change of the fixed numbers changes it by these
     # columns, and the solution by minus the inverse times them.
-    features, rest = posterior.solve(-mixed, -reduced)
-    jacobian = features[: 3 * count].reshape(count, 3, -1).copy()
-    jacobian[problem.weak] = rest[first : posterior.border_size].reshape(-1, 3, len(names))
-    return names, covariance, jacobian
+    by_numbers = np.concatenate(posterior.solve(-mixed, -reduced))
+    return names, covariance, by_numbers[at.point_rows]

@@ -4,7 +4,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ...engine import AbstractLoss
 from ...fit_result import FitCode, FitResult
@@ -70,6 +70,7 @@ class RefinementEquations(NamedTuple):
         reduced_right: right-hand side of border and constraints.
         values: the constraints' numbers.
         rows: the rows of each constraint.
+        point_rows: numbers of each point's coordinates among the unknowns: features, then border.
         cost: half the squares of pictures and priors.
     """
 
@@ -79,6 +80,7 @@ class RefinementEquations(NamedTuple):
     reduced_right: np.ndarray
     values: np.ndarray
     rows: tuple[slice, ...]
+    point_rows: Int[np.ndarray, "points 3"]
     cost: float
 
 
@@ -95,10 +97,13 @@ def linearise(
         problem.roots[:, free],
         problem.loss,
     )
-    numbers, planes = int(free.sum()), len(shape.normals)
-    border_size = numbers + 3 * planes + 3 * len(weak)
-    first_weak = numbers + 3 * planes
-    rows = pictures.features.size
+    # The border holds the free numbers, the planes and the weak points, in this order.
+    numbers, rows = int(free.sum()), pictures.features.size
+    first_weak = numbers + 3 * len(shape.normals)
+    border_size = first_weak + 3 * len(weak)
+    point_rows = np.arange(3 * len(shape.points)).reshape(-1, 3)
+    weak_rows, weak_places = point_rows[weak].ravel(), np.arange(first_weak, border_size)
+    point_rows[weak] = rows + weak_places.reshape(-1, 3)
     border = np.zeros((border_size, border_size))
     # Combinations have unit variance, so that the precision of their prior is the identity.
     border[:numbers, :numbers] = pictures.numbers + np.eye(numbers)
@@ -113,22 +118,14 @@ def linearise(
     prior = 1.0 / problem.weak_sigma**2
     # A point that its pictures do not determine has a singular block, which cannot be eliminated
     # first. In the border, its constraints and a very weak prior make the system regular.
-    for k, point in enumerate(weak):
-        place, rows_of_point = (
-            slice(first_weak + 3 * k, first_weak + 3 * k + 3),
-            slice(3 * point, 3 * point + 3),
-        )
-        border[place, place] = blocks.points[point] + prior * np.eye(3)
-        border[place, :numbers] = coupling[rows_of_point, :numbers]
-        border[:numbers, place] = coupling[rows_of_point, :numbers].T
-        gradient[place] = feature_gradient[rows_of_point] + prior * (
-            shape.points[point] - problem.start[point]
-        )
-        blocks.points[point], coupling[rows_of_point], feature_gradient[rows_of_point] = (
-            np.eye(3),
-            0.0,
-            0.0,
-        )
+    for point, place in zip(weak, weak_places.reshape(-1, 3), strict=True):
+        border[np.ix_(place, place)] = blocks.points[point] + prior * np.eye(3)
+    border[weak_places, :numbers] = coupling[weak_rows, :numbers]
+    border[:numbers, weak_places] = coupling[weak_rows, :numbers].T
+    weak_offset = shape.points[weak] - problem.start[weak]
+    gradient[weak_places] = feature_gradient[weak_rows] + prior * weak_offset.ravel()
+    blocks.points[weak] = np.eye(3)
+    coupling[weak_rows], feature_gradient[weak_rows] = 0.0, 0.0
 
     evaluations = [
         constraint.evaluate(shape, plane)
@@ -136,25 +133,20 @@ def linearise(
     ]
     sizes = [len(evaluation.values) for evaluation in evaluations]
     ends = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    A, C = np.zeros((ends[-1], rows)), np.zeros((ends[-1], border_size))
+    by_unknowns = np.zeros((ends[-1], rows + border_size))
     variance, values = np.zeros(ends[-1]), np.zeros(ends[-1])
-    weak_place = {int(point): first_weak + 3 * k for k, point in enumerate(weak)}
-    first_line = 3 * len(shape.points)
     slices = tuple(slice(*pair) for pair in itertools.pairwise(ends))
-    # Derivatives go to the columns of eliminated features, or of the border.
+    first_line, first_plane = 3 * len(shape.points), rows + numbers
     for where, constraint, evaluation in zip(slices, problem.constraints, evaluations, strict=True):
         values[where] = evaluation.values
         variance[where] = 0.0 if constraint.sigma is None else constraint.sigma**2
         for (kind, k), jacobian in evaluation.jacobians.items():
-            width = jacobian.shape[1]
-            if kind == "plane":
-                C[where, numbers + 3 * k : numbers + 3 * k + width] += jacobian
-            elif kind == "point" and k in weak_place:
-                C[where, weak_place[k] : weak_place[k] + width] += jacobian
+            if kind == "point":
+                first = point_rows[k, 0]
             else:
-                first = 3 * k if kind == "point" else first_line + 4 * k
-                A[where, first : first + width] += jacobian
-    weak_offset = shape.points[weak] - problem.start[weak]
+                first = first_line + 4 * k if kind == "line" else first_plane + 3 * k
+            by_unknowns[where, first : first + jacobian.shape[1]] += jacobian
+    A, C = by_unknowns[:, :rows], by_unknowns[:, rows:]
     cost = (
         pictures.cost
         + 0.5 * float(np.sum(state.combinations**2))
@@ -167,6 +159,7 @@ def linearise(
         -np.concatenate([gradient, values]),
         values,
         slices,
+        point_rows,
         cost,
     )
 
@@ -183,7 +176,7 @@ def minimise(
     for _ in range(MAX_STEPS):
         factors = at.system.factorised(damping)
         step, rest = factors.solve(at.feature_right, at.reduced_right)
-        trial = _moved(problem, state, step, rest[: factors.border_size])
+        trial = _moved(problem, state, at, np.concatenate([step, rest[: factors.border_size]]))
         new = linearise(problem, trial, problem.free)
         # The last step is taken whatever the cost: it differs only by rounding.
         small = _largest_step(at.system, step, rest) < CONVERGED_STEP
@@ -212,19 +205,19 @@ def _merit(at: RefinementEquations) -> float:
 
 
 def _moved(
-    problem: RefinementProblem, state: RefinementState, step: np.ndarray, border: np.ndarray
+    problem: RefinementProblem,
+    state: RefinementState,
+    at: RefinementEquations,
+    step: Float[np.ndarray, "unknowns"],
 ) -> RefinementState:
-    """Return the state after a step of the features and of the border."""
-    count, planes = len(state.shape.points), len(state.shape.normals)
-    numbers = int(problem.free.sum())
-    points = step[: 3 * count].reshape(count, 3).copy()
-    # The rows of border points are inactive among the features.
-    points[problem.weak] = border[numbers + 3 * planes :].reshape(-1, 3)
+    """Return the state after a step of all unknowns: the features and the border."""
+    features, border = np.split(step, [at.system.features.size])
+    numbers, planes = int(problem.free.sum()), len(state.shape.normals)
     combinations = state.combinations.copy()
     combinations[problem.free] += border[:numbers]
     shape = state.shape.moved(
-        points,
-        step[3 * count :].reshape(-1, 4),
+        step[at.point_rows],
+        features[3 * len(state.shape.points) :].reshape(-1, 4),
         border[numbers : numbers + 3 * planes].reshape(planes, 3),
     )
     return RefinementState(shape, combinations)

@@ -98,13 +98,13 @@ def suspect_clicks(
     inverse = np.linalg.inv(R)
     Q = inverse - inverse @ J @ np.linalg.pinv(J.T @ inverse @ J, hermitian=True) @ J.T @ inverse
     freedom = len(r) - int(np.linalg.matrix_rank(J))
-    found = []
+    suspects = []
     for row, (view, point) in enumerate(clicks):
         _, deleted, rest = deletion_of(Q, r, row)
-        left = freedom - deleted
-        if deleted and (left <= 0 or chdtrc(left, rest) >= agreement):
-            found.append(SuspectClick(int(view), int(point), rest, left))
-    return sorted(found, key=lambda click: click.chi_square)
+        remaining = freedom - deleted
+        if deleted and (remaining <= 0 or chdtrc(remaining, rest) >= agreement):
+            suspects.append(SuspectClick(int(view), int(point), rest, remaining))
+    return sorted(suspects, key=lambda click: click.chi_square)
 
 
 class _Facts(NamedTuple):
@@ -133,9 +133,9 @@ def _linearised(
         centre, normal = (np.zeros(3), np.array([0.0, 0.0, 1.0])) if plane is None else plane
         lines = Lines(np.zeros((0, 3)), np.zeros((0, 3)))
         shape = Shape(points, lines, normal[None], np.zeros(1), centre[None])
-        found = constraint.evaluate(shape, -1 if plane is None else 0)
-        rows = np.zeros((len(found.values), steps))
-        for (kind, k), part in found.jacobians.items():
+        fact = constraint.evaluate(shape, -1 if plane is None else 0)
+        rows = np.zeros((len(fact.values), steps))
+        for (kind, k), part in fact.jacobians.items():
             start = first if kind == "plane" else 3 * k
             rows[:, start : start + VARIABLE_SIZES[kind]] = part
         first += 0 if plane is None else 3
@@ -143,5 +143,5 @@ def _linearised(
             exact.append(rows)
         else:
             soft.append(rows / constraint.sigma)
-            soft_values.append(found.values / constraint.sigma)
+            soft_values.append(fact.values / constraint.sigma)
     return _Facts(null_space(np.concatenate(exact)), *map(np.concatenate, (soft, soft_values)))

@@ -41,13 +41,28 @@ def dimension(features: MeasuredPoints, first: int, second: int) -> Dimension:
     Raises:
         ValueError: a vertex that was not determined, equal vertices, or equal places.
     """
-    a, b = _determined(features, (first, second))
-    length = float(np.linalg.norm(b - a))
+    (length,), gradient = pair_lengths(_determined(features, (first, second)), [[0, 1]])
     if not length > 0.0:
         raise ValueError(f"vertices {first} and {second} are in the same place: no direction")
-    # d|b - a| = u . (db - da), with the unit vector u from a to b
-    u = (b - a) / length
-    return Dimension(length, _std(features, (first, second), np.concatenate([-u, u])))
+    return Dimension(float(length), _std(features, (first, second), gradient[0]))
+
+
+def pair_lengths(
+    points: Float[np.ndarray, "points 3"], pairs: Sequence[Sequence[int]] | np.ndarray
+) -> tuple[Float[np.ndarray, "pairs"], Float[np.ndarray, "pairs coordinates"]]:
+    """Return the distances of pairs of points, and their derivatives by all coordinates.
+
+    Points in one place have no direction, and derivatives of zero.
+    """
+    # d|b - a| = n . (db - da), with the unit vector n from a to b
+    a, b = np.array(pairs).T
+    differences = points[b] - points[a]
+    lengths = np.linalg.norm(differences, axis=1)
+    n = differences / np.maximum(lengths, 1e-30)[:, None]
+    rows = np.arange(len(a))
+    gradient = np.zeros((len(a), len(points), 3))
+    gradient[rows, a], gradient[rows, b] = -n, n
+    return lengths, gradient.reshape(len(a), -1)
 
 
 def angle(features: MeasuredPoints, first: int, corner: int, second: int) -> Dimension:

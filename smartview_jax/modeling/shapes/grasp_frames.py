@@ -131,15 +131,6 @@ def _tool_axes(
     return np.column_stack([x / length, np.cross(-normal, x / length), -normal])
 
 
-def turned(grasp: Grasp, angle: float) -> Grasp:
-    """Return a grasp turned about its approach by an angle, rad."""
-    # About the tool's own z axis, so the turn is applied on the right.
-    sine, cosine = np.sin(angle), np.cos(angle)
-    turn = np.eye(4)
-    turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    return dataclasses.replace(grasp, object_from_tool=grasp.object_from_tool @ turn)
-
-
 def width_between_fingers(
     model: "ObjectModel", object_from_tool: Float[np.ndarray, "4 4"]
 ) -> float | None:

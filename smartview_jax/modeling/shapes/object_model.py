@@ -10,15 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...argument_checks import require_readable_or_empty
-from ...geometry import host_poses, host_transformed
+from ...argument_checks import errors_at, require_readable_or_empty
+from .dimensions import pair_lengths
 from .faces import (
     PLANAR_TOLERANCE,
     Face,
     FacePlane,
     check_face,
     face_plane,
-    open_edges,
     with_oriented_holes,
 )
 from .grasp_frames import Grasp
@@ -101,11 +100,8 @@ class ObjectModel:
         self._check_covariances()
         faces = []
         for k, face in enumerate(self.faces):
-            try:
+            with errors_at(f"face {k} ({face.name})" if face.name else f"face {k}"):
                 check_face(self.vertices, face, self.vertex_sigma, self.planar_tolerance)
-            except ValueError as error:
-                label = f"{k} ({face.name})" if face.name else str(k)
-                raise ValueError(f"face {label}: {error}") from None
             faces.append(with_oriented_holes(self.vertices, face))
         # The class is frozen, but the orientation of holes is corrected before anyone uses the
         # model.
@@ -213,87 +209,22 @@ class ObjectModel:
 
         Errors of the calibration that move both vertices alike cancel.
         """
-        # d = |p_b - p_a|,  n = (p_b - p_a) / d,  var d = n^T cov(p_b - p_a) n
-        difference = self.vertices[b] - self.vertices[a]
-        length = float(np.linalg.norm(difference))
+        (length,), (gradient,) = pair_lengths(self.vertices, [(a, b)])
         if length == 0.0:
             raise ValueError(f"vertices {a} and {b} are in one place")
-        # dd/dp_b = n and dd/dp_a = -n; all other derivatives are zero.
-        gradient = np.zeros((len(self.vertices), 3))
-        gradient[b], gradient[a] = difference / length, -difference / length
         variance = 0.0
         if self.covariance is not None and self.covariance.ndim == 2:
-            variance += float(gradient.ravel() @ self.covariance @ gradient.ravel())
+            variance += gradient @ self.covariance @ gradient
         elif self.covariance is not None:
-            variance += float(np.einsum("vi,vij,vj->", gradient, self.covariance, gradient))
+            by_vertex = gradient.reshape(-1, 3)
+            variance += np.einsum("vi,vij,vj->", by_vertex, self.covariance, by_vertex)
         if self.calibration_factor is not None:
-            variance += float(np.sum((gradient.ravel() @ self.calibration_factor) ** 2))
-        return length, float(np.sqrt(max(variance, 0.0)))
+            variance += np.sum((gradient @ self.calibration_factor) ** 2)
+        return float(length), float(np.sqrt(max(variance, 0.0)))
 
     def plane(self, face: int) -> FacePlane:
         """Return the plane of a face, with its outward normal."""
         return face_plane(self.vertices, self.faces[face])
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether the faces enclose a volume: every edge of a face has a face on its other side."""
-        return len(self.faces) > 0 and not open_edges(self.faces)
-
-    def require_closed(self) -> "ObjectModel":
-        """Return the model, or raise an error that names the edges where its surface is open.
-
-        Raises:
-            ValueError: the surface is not closed, or there are no faces.
-        """
-        if not self.faces:
-            raise ValueError(f"model {self.name!r} has no faces, so it is not closed")
-        missing = open_edges(self.faces)
-        if missing:
-            shown = ", ".join(str(edge) for edge in missing[:5])
-            raise ValueError(
-                f"model {self.name!r} is not closed: {len(missing)} edges have no face on one side "
-                f"or more than one: {shown}{', ...' if len(missing) > 5 else ''}"
-            )
-        return self
-
-    def transformed(self, target_from_object: Float[np.ndarray, "4 4"]) -> "ObjectModel":
-        """Return the model in another frame, with covariances, grasps and symmetry."""
-        R = target_from_object[:3, :3]
-        count, covariance, factor = len(self.vertices), self.covariance, self.calibration_factor
-        if covariance is not None and covariance.ndim == 3:
-            covariance = R @ covariance @ R.T
-        elif covariance is not None:
-            # The same rotation for every vertex.
-            turns = np.kron(np.eye(count), R)
-            covariance = turns @ covariance @ turns.T
-        if factor is not None:
-            factor = (R @ factor.reshape(count, 3, -1)).reshape(3 * count, -1)
-        grasps = tuple(
-            dataclasses.replace(grasp, object_from_tool=target_from_object @ grasp.object_from_tool)
-            for grasp in self.grasps
-        )
-        symmetry = self.symmetry
-        if symmetry is not None:
-            symmetry = dataclasses.replace(
-                symmetry,
-                rotations=R @ symmetry.rotations @ R.T,
-                centre=host_transformed(target_from_object, symmetry.centre),
-                axis=None if symmetry.axis is None else R @ symmetry.axis,
-            )
-        return dataclasses.replace(
-            self,
-            vertices=host_transformed(target_from_object, self.vertices),
-            covariance=covariance,
-            calibration_factor=factor,
-            grasps=grasps,
-            symmetry=symmetry,
-        )
-
-    def face_from_object(self, face: int) -> Float[np.ndarray, "4 4"]:
-        """Return the transform to the frame on a face, z along its outward normal."""
-        plane = self.plane(face)
-        # x_face = axes (x - origin): the rows of the rotation are the axes of the face.
-        return host_poses(plane.axes, -plane.axes @ plane.origin)
 
 
 def edges_of_faces(faces: Sequence[Face]) -> Int[np.ndarray, "E 2"]:

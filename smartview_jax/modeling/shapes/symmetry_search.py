@@ -67,10 +67,10 @@ def find_symmetry(model: ObjectModel, tolerance: float | None = None) -> Symmetr
         fitted = outline.symmetry_near(rotation, tolerance)
         if fitted is not None:
             accepted.append(fitted)
-    found = Symmetry(np.stack(accepted), outline.centre)
-    axes = found.axes
+    symmetry = Symmetry(np.stack(accepted), outline.centre)
+    axes = symmetry.axes
     is_round = bool(axes) and axes[0].fold >= AXIS_ORDER
-    return dataclasses.replace(found, axis=axes[0].direction) if is_round else found
+    return dataclasses.replace(symmetry, axis=axes[0].direction) if is_round else symmetry
 
 
 class _Rims(NamedTuple):
@@ -151,8 +151,8 @@ class _Outline(NamedTuple):
         faces = tuple(
             _FlatFace.of(model, face, centre, is_corner, number) for face in _sharp_faces(model)
         )
-        found = _Rims(round_points - centre, neighbours - centre, sagitta)
-        return cls(centre, corners - centre, corners_span, found, edges, faces)
+        rim_points = _Rims(round_points - centre, neighbours - centre, sagitta)
+        return cls(centre, corners - centre, corners_span, rim_points, edges, faces)
 
     def symmetry_near(
         self, rotation: Float[np.ndarray, "3 3"], tolerance: float
@@ -197,13 +197,13 @@ class _Outline(NamedTuple):
             by_corners.setdefault(face.corners, []).append(face)
         for face in self.faces:
             corners = frozenset(targets[list(face.corners)].tolist())
-            there = by_corners.get(corners, [])
-            if len(corners) > 2 and len(there) == 1:
+            candidates = by_corners.get(corners, [])
+            if len(corners) > 2 and len(candidates) == 1:
                 # Its corners say where it is, but not which side is outside.
-                is_met = bool(rotation @ face.normal @ there[0].normal > 0.0)
+                is_met = bool(rotation @ face.normal @ candidates[0].normal > 0.0)
             else:
                 moved = face.moved(rotation, targets)
-                is_met = any(moved.equals(other, slack) for other in there)
+                is_met = any(moved.equals(other, slack) for other in candidates)
             if not is_met:
                 return False
         return True

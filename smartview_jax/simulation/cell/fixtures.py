@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ...geometry import host_poses
 from ...robots import BOX_CORNERS, BOX_TRIANGLES
 from ...targets import AbstractTarget, StackedTarget
 from ..patterns import printed_pattern
@@ -35,14 +36,13 @@ class FixedBox(NamedTuple):
     @property
     def world_from_box(self) -> Float[np.ndarray, "4 4"]:
         """The pose of the box's own frame, whose origin is its middle."""
-        pose = np.eye(4)
-        pose[:3, 3] = self.centre
-        return pose
+        return host_poses(np.eye(3), self.centre)
 
-    def surface(self, texture: Texture | None = None) -> Surface:
-        """Return the visible surface of the box."""
+    @property
+    def surface(self) -> Surface:
+        """The visible surface of the box."""
         vertices = self.centre + BOX_CORNERS * self.size
-        return Surface(vertices, BOX_TRIANGLES, texture or speckled(0.3, 0.03, 0.004, seed=8))
+        return Surface(vertices, BOX_TRIANGLES, speckled(0.3, 0.03, 0.004, seed=8))
 
 
 class Bin(NamedTuple):

@@ -74,12 +74,12 @@ class Physics:
 
     def world_from_object(self, number: int) -> Float[np.ndarray, "4 4"]:
         """Return the pose of an object, m."""
-        return _matrix(self._free_joint(f"o{number}").qpos)
+        return _matrix(self._data.joint(f"o{number}").qpos)
 
     @property
     def world_from_gripper(self) -> Float[np.ndarray, "4 4"]:
         """The pose of the gripper's frame, m."""
-        return _matrix(self._free_joint("gripper").qpos)
+        return _matrix(self._data.joint("gripper").qpos)
 
     @property
     def opening(self) -> float:
@@ -97,15 +97,11 @@ class Physics:
         """The simulated time, s."""
         return float(self._data.time)
 
-    def _free_joint(self, name: str) -> Any:
-        """Return MuJoCo's view of a body's free joint."""
-        return self._data.joint(name)
-
     # Motions.
 
     def place(self, number: int, world_from_object: Float[np.ndarray, "4 4"]) -> None:
         """Put an object at a pose, without motion."""
-        joint = self._free_joint(f"o{number}")
+        joint = self._data.joint(f"o{number}")
         # MuJoCo's arrays are views: they are written in place.
         joint.qpos[:], joint.qvel[:] = _numbers(world_from_object), 0.0
         self._mujoco.mj_forward(self._model, self._data)
@@ -113,7 +109,7 @@ class Physics:
     def place_gripper(self, world_from_gripper: Float[np.ndarray, "4 4"]) -> None:
         """Put the gripper at a pose, without motion and without touching anything on the way."""
         numbers = _numbers(world_from_gripper)
-        joint = self._free_joint("gripper")
+        joint = self._data.joint("gripper")
         joint.qpos[:], joint.qvel[:] = numbers, 0.0
         self._data.mocap_pos[0], self._data.mocap_quat[0] = numbers[:3], numbers[3:]
         self._mujoco.mj_forward(self._model, self._data)
@@ -153,7 +149,7 @@ class Physics:
 
         def at_rest() -> bool:
             nonlocal slow_since
-            speeds = [np.abs(self._free_joint(f"o{k}").qvel).max() for k in range(self.count)]
+            speeds = [np.abs(self._data.joint(f"o{k}").qvel).max() for k in range(self.count)]
             if max(speeds, default=0.0) > REST_SPEED:
                 slow_since = self.time
             return self.time - slow_since > REST_TIME
@@ -162,7 +158,7 @@ class Physics:
         if not at_rest():
             raise CellError(f"objects are still moving {self.time - start:.1f} s after they fell")
         for k in range(self.count):
-            self._free_joint(f"o{k}").qvel[:] = 0.0
+            self._data.joint(f"o{k}").qvel[:] = 0.0
 
     @property
     def count(self) -> int:

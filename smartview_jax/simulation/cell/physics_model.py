@@ -1,6 +1,7 @@
 """Write the MuJoCo model of a cell: table, bin, objects, and a gripper led along a path."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,52 +34,8 @@ GUIDE_THICKNESS = 0.05
 PALM_MASS, FINGER_MASS = 0.6, 0.1
 """Masses of the gripper's parts, kg; its weight is carried by the arm."""
 
-_TEMPLATE = """
-<mujoco>
-  <option timestep="{step}" cone="elliptic" impratio="10" integrator="implicitfast">
-    <flag multiccd="enable" energy="enable"/>
-  </option>
-  <size memory="64M"/>
-  <default>
-    <geom solref="{contact} 1" solimp="0.99 0.999 0.0005 0.5 2" condim="4" priority="0"/>
-    <equality solref="{contact} 1" solimp="0.995 0.9999 0.0005 0.5 2"/>
-  </default>
-  <asset>
-{meshes}
-  </asset>
-  <worldbody>
-    <geom name="table" type="plane" size="2 2 0.1" contype="1" conaffinity="3"/>
-{fixtures}
-{guides}
-    <body name="target" mocap="true"/>
-    <body name="gripper" gravcomp="1">
-      <freejoint name="gripper"/>
-      {palm}
-      <body name="left" gravcomp="1">
-        <joint name="left" type="slide" axis="-1 0 0" range="0 {reach}" limited="true"
-               damping="20"/>
-        {left}
-      </body>
-      <body name="right" gravcomp="1">
-        <joint name="right" type="slide" axis="1 0 0" range="0 {reach}" limited="true"
-               damping="20"/>
-        {right}
-      </body>
-    </body>
-{objects}
-  </worldbody>
-  <equality>
-    <weld body1="target" body2="gripper" relpose="0 0 0 1 0 0 0"/>
-    <joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/>
-  </equality>
-  <actuator>
-    <position name="left" joint="left" kp="{gain}" ctrlrange="0 {reach}"
-              forcerange="-{force} {force}"/>
-    <position name="right" joint="right" kp="{gain}" ctrlrange="0 {reach}"
-              forcerange="-{force} {force}"/>
-  </actuator>
-</mujoco>
-"""
+TEMPLATE = Path(__file__).with_name("model.xml")
+"""The model with names in braces for the parts that depend on a cell."""
 
 
 def physics_xml(
@@ -132,7 +89,7 @@ def physics_xml(
         'friction="1 0.005 0.0001"/>'
         for name, box in boxes.items()
     }
-    return _TEMPLATE.format(
+    return TEMPLATE.read_text().format(
         step=TIME_STEP,
         contact=CONTACT_TIME,
         meshes="\n".join(meshes),

@@ -361,7 +361,7 @@ class SimulatedCell:
         """Return all visible surfaces: table, bin and objects."""
         table = self._table_with_board if self.board_shown else self._table
         surfaces = [Surface.of_plane(TABLE_HALF_WIDTH, table)]
-        surfaces += [box.surface() for box in self.fixtures]
+        surfaces += [box.surface for box in self.fixtures]
         for k, obj in enumerate(self._objects):
             pose = self._physics.world_from_object(k)
             surfaces.append(

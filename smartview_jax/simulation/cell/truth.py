@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ...calibration import Calibration
 from ...cameras import Camera, OpenCV5, Pinhole
-from ...geometry import host_exponentials, host_matrices, host_transforms
+from ...geometry import host_exponentials, host_matrices, host_poses, host_transforms
 from ...robots import SerialArm, six_axes
 from ...targets import AbstractTarget, CircleGrid, StackedTarget
 from ..arm_scenes import random_kinematic_errors
@@ -96,9 +96,6 @@ def drawn_calibration() -> Calibration:
     camera = Camera(
         FOCAL_LENGTH, FOCAL_LENGTH, 0.5 * width, 0.5 * height, Pinhole(), image_size=IMAGE_SIZE
     )
-    camera_from_tool, base_from_world = np.eye(4), np.eye(4)
-    camera_from_tool[:3, 3] = [0.0, -0.09, -0.02]
-    base_from_world[:3, 3] = [0.8, 0.06, 0.02]
-    return Calibration.eye_in_hand(
-        camera, host_transforms(camera_from_tool), host_transforms(base_from_world)
-    )
+    places = np.array([[0.0, -0.09, -0.02], [0.8, 0.06, 0.02]])
+    camera_from_tool, base_from_world = map(host_transforms, host_poses(np.eye(3), places))
+    return Calibration.eye_in_hand(camera, camera_from_tool, base_from_world)

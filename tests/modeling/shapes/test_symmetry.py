@@ -24,8 +24,7 @@ def distances_between(one, other):
 )
 def test_groups_are_those_of_the_books(model, group):
     """Their orders and turning angles, as SciPy lists them."""
-    turned = model.transformed(np.eye(4))
-    found = find_symmetry(turned)
+    found = find_symmetry(model)
     assert found.order == len(group)
     assert not found.confirmed
     np.testing.assert_allclose(found.rotations[0], np.eye(3))

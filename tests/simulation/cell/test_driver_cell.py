@@ -4,8 +4,8 @@ import pytest
 
 from smartview_jax.geometry import host_exponentials, host_matrices, se3_from_xyzoat
 from smartview_jax.robots import Command, arm_by_name
+from smartview_jax.simulation import Cell, CellError, DriverCell
 from smartview_jax.simulation.arm_scenes import HOME_JOINTS
-from smartview_jax.simulation.cell import Cell, CellError, DriverCell
 
 
 class Controller:

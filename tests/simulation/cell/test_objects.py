@@ -2,11 +2,19 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from smartview_jax.simulation import box, prism, random_polyhedron, roofed_block, stepped_block
-from smartview_jax.simulation.cell import CellObject, convex_parts
-from smartview_jax.simulation.cell.objects import as_box
+from smartview_jax.simulation import (
+    CellObject,
+    box,
+    prism,
+    random_polyhedron,
+    roofed_block,
+    stepped_block,
+)
+from smartview_jax.simulation.cell.objects import as_box, convex_parts
 
 L_PROFILE = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]) * 0.01
+# Vertices of a T lie on lines between others, where no triangle without area may be cut off.
+T_PROFILE = np.array([[0, 0], [3, 0], [3, 1], [2, 1], [2, 2], [1, 2], [1, 1], [0, 1]]) * 0.01
 
 
 def volume(solid):
@@ -20,6 +28,7 @@ def volume(solid):
         (box(0.06, 0.04, 0.03), 1),
         (stepped_block(0.05), 2),
         (prism(L_PROFILE, 0.02), 2),
+        (prism(T_PROFILE, 0.02), 4),
         (roofed_block(0.05), 1),
         (random_polyhedron(np.random.default_rng(1), 12, 0.03), 1),
     ],

@@ -3,8 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from smartview_jax.robots import Gripper
-from smartview_jax.simulation import box, stepped_block
-from smartview_jax.simulation.cell import CellError, CellObject, Physics
+from smartview_jax.simulation import CellError, CellObject, Physics, box, stepped_block
 from smartview_jax.simulation.cell.physics_model import GRIP_FORCE
 
 pytest.importorskip("mujoco")

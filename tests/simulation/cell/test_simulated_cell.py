@@ -6,14 +6,16 @@ import pytest
 import smartview_jax as sv
 from smartview_jax.geometry import host_matrices
 from smartview_jax.robots import Command
-from smartview_jax.simulation import box, look_at_from_above, stepped_block
-from smartview_jax.simulation.cell import (
+from smartview_jax.simulation import (
     Bin,
     Cell,
     CellError,
     CellObject,
     SimulatedCell,
+    box,
+    look_at_from_above,
     random_truth,
+    stepped_block,
 )
 
 for needed in ("mujoco", "trimesh", "embreex"):

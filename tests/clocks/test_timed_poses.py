@@ -7,10 +7,10 @@ import pytest
 from scipy.special import chdtri
 from tracked_scene import MOUNT, WORLD, turned
 
+from smartview_jax.clocks.timed_poses import TimedChain, fit_timed_poses, long_run_variance
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.robots import Trajectory, smoothed_log
-from smartview_jax.timed_poses import TimedChain, fit_timed_poses, long_run_variance
 
 OFFSET, DRAWS, PAIRS = 0.035, 20, 60
 LOG_NOISE, TRACKER = (3e-4, 5e-4), (5e-4, 1e-3)

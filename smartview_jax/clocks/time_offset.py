@@ -18,14 +18,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import minimize_scalar
 
-from .calibration import Calibration, host_mount_from_holder
-from .cameras import AbstractLens
-from .dataset import Dataset, PoseDataset
-from .engine import Noise, squared_residuals
-from .geometry import as_se3, host_matrices
-from .joint import JointFit, fit_joint, start_from_poses
-from .robots import Trajectory, smoothed_log
-from .staged import closure_error, fit_staged, relative_motions, views_to_use
+from ..calibration import Calibration, host_mount_from_holder
+from ..cameras import AbstractLens
+from ..dataset import Dataset, PoseDataset
+from ..engine import Noise, squared_residuals
+from ..geometry import as_se3, host_matrices
+from ..joint import JointFit, fit_joint, start_from_poses
+from ..robots import Trajectory, smoothed_log
+from ..staged import closure_error, fit_staged, relative_motions, views_to_use
 from .timed_poses import TimedChain, fit_timed_poses, long_run_variance
 
 COARSE_STEPS = 80
@@ -176,13 +176,14 @@ def estimate_time_offset(
         # In units of the tracker's noise its standard deviation is one.
         noise = Noise(1.0, *fit.robot_noise)
         return TimeOffset(seconds, fit.std, data_at(seconds), noise, fit.jitter, fit.jitter_std)
-    profile = _first_profile(data_at, seconds, lens)
+    staged = fit_staged(data_at(seconds), lens)
+    profile = _Profile.of(data_at, staged.inliers, staged.calibration, seconds)
     # Twice, because standard deviations that were estimated at another offset are too large.
     for _ in range(NOISE_ROUNDS):
         seconds = _minimum(profile.cost, bounds, OFFSET_TOLERANCE)
         report(f"time offset: {1e3 * seconds:.2f} ms")
-        profile = profile.again(seconds)
-    std = standard_deviation(profile, seconds, min(seconds - low, high - seconds))
+        profile = _Profile.of(data_at, staged.inliers, profile.fit.calibration, seconds)
+    std = standard_deviation(profile.view_costs, seconds, min(seconds - low, high - seconds))
     return TimeOffset(seconds, std, data_at(seconds), profile.noise)
 
 
@@ -190,8 +191,10 @@ def _minimum(
     function: Callable[[float], float], bounds: tuple[float, float], tolerance: float
 ) -> float:
     """Return where a function of one number is least within bounds."""
-    found = minimize_scalar(function, bounds=bounds, method="bounded", options={"xatol": tolerance})
-    return float(found.x)  # pyright: ignore[reportAttributeAccessIssue]
+    solution = minimize_scalar(
+        function, bounds=bounds, method="bounded", options={"xatol": tolerance}
+    )
+    return float(solution.x)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _camera_motion(
@@ -217,85 +220,66 @@ def _disagreement(
     return closure_error(relative_motions(robot, camera_from_world)).score
 
 
-class Profile(NamedTuple):
-    """The profile likelihood of an offset for given standard deviations.
-
-    Attributes:
-        view_costs: minus the log-likelihood of an offset, maximised over all other parameters, by
-            views.
-        noise: the standard deviations of pixels and poses.
-        again: the same with the standard deviations that are estimated at another offset.
-    """
-
-    view_costs: Callable[[float], Float[np.ndarray, "views"]]
-    noise: Noise
-    again: Callable[[float], "Profile"]
-
-    def cost(self, offset: float) -> float:
-        """Return half the sum of squared residuals, in standard deviations."""
-        return float(self.view_costs(offset).sum())
-
-
-def _first_profile(
-    data_at: Callable[[float], Dataset], seconds: float, lens: str | AbstractLens
-) -> Profile:
-    """Return the profile likelihood with the standard deviations at an offset, s."""
-    data = data_at(seconds)
-    staged = fit_staged(data, lens)
-    return _profile_of_pictures(data_at, staged.inliers, staged.calibration, seconds)
-
-
-def _profile_of_pictures(
-    data_at: Callable[[float], Dataset],
-    inliers: Bool[Array, "views points"],
-    start: Calibration,
-    seconds: float,
-) -> Profile:
-    """Return the profile likelihood of pictures, with the standard deviations at an offset, s.
+class _Profile(NamedTuple):
+    """The profile likelihood of an offset for pictures, with given standard deviations.
 
     All fits use the same observations, so that their costs are comparable.
+
+    Attributes:
+        data_at: returns the data set at an offset, s.
+        inliers: the observations that are used.
+        fit: a joint fit at some offset, with the standard deviations; all others start from it.
     """
-    fit = fit_joint(data_at(seconds), start, inliers=inliers, field=None)
 
-    def again(offset: float) -> Profile:
-        return _profile_of_pictures(data_at, inliers, fit.calibration, offset)
+    data_at: Callable[[float], Dataset]
+    inliers: Bool[Array, "views points"]
+    fit: JointFit
 
-    assert fit.noise is not None
-    return _profile(data_at, inliers, fit, fit.noise, again)
+    @classmethod
+    def of(
+        cls,
+        data_at: Callable[[float], Dataset],
+        inliers: Bool[Array, "views points"],
+        start: Calibration,
+        seconds: float,
+    ) -> "_Profile":
+        """Return the profile with the standard deviations that are estimated at an offset, s."""
+        fit = fit_joint(data_at(seconds), start, inliers=inliers, field=None)
+        return cls(data_at, inliers, fit)
 
+    @property
+    def noise(self) -> Noise:
+        """The standard deviations of pixels and poses."""
+        assert self.fit.noise is not None
+        return self.fit.noise
 
-def _profile(
-    data_at: Callable[[float], Dataset],
-    inliers: Bool[Array, "views points"],
-    fit: JointFit,
-    noise: Noise,
-    again: Callable[[float], Profile],
-) -> Profile:
-    """Return the profile likelihood with given standard deviations, whose fits start at a fit."""
-    fixed = () if fit.fits_camera else ("camera",)
+    def cost(self, offset: float) -> float:
+        """Return minus the log-likelihood of an offset, maximised over all other parameters."""
+        return float(self.view_costs(offset).sum())
 
-    def view_costs(offset: float) -> Float[np.ndarray, "views"]:
+    def view_costs(self, offset: float) -> Float[np.ndarray, "views"]:
         """Return half the squared residuals of each view, in standard deviations."""
         solved = fit_joint(
-            data_at(offset),
-            fit.calibration,
-            inliers=inliers,
-            noise=noise,
+            self.data_at(offset),
+            self.fit.calibration,
+            inliers=self.inliers,
+            noise=self.noise,
             field=None,
-            fixed=fixed,
+            fixed=() if self.fit.fits_camera else ("camera",),
             gross_errors="keep",
         )
         chain = solved.solution.chain
         seen = np.asarray(solved.problem.observations.visible)
         squares = np.where(seen, squared_residuals(solved.problem, chain), 0.0).sum(axis=1)
         corrections = np.asarray(solved.pose_corrections).reshape(-1, 2, 3)
-        in_sigmas = corrections / np.array([noise.translation, noise.rotation])[:, None]
+        sizes = np.array([self.noise.translation, self.noise.rotation])
+        in_sigmas = corrections / sizes[:, None]
         return 0.5 * (squares + np.sum(in_sigmas**2, axis=(1, 2)))
 
-    return Profile(view_costs, noise, again)
 
-
-def standard_deviation(profile: Profile, seconds: float, max_width: float) -> float:
+def standard_deviation(
+    view_costs: Callable[[float], Float[np.ndarray, "views"]], seconds: float, max_width: float
+) -> float:
     """Return the standard deviation of the maximum of the likelihood.
 
     The curvature alone is right if the robot's errors are as the model says. Jitter of the time
@@ -303,11 +287,11 @@ def standard_deviation(profile: Profile, seconds: float, max_width: float) -> fl
     the views' slopes at the maximum then vary by is larger than the curvature (White, 1980; Newey
     and West, 1987), and the larger of the two counts.
     """
-    least_cost = profile.cost(seconds)
+    least_cost = view_costs(seconds).sum()
 
     def around(width: float) -> tuple[float, Float[np.ndarray, "views"]]:
         """Return the curvature of the cost, and each view's slope, over an interval."""
-        after, before = (profile.view_costs(seconds + shift) for shift in (width, -width))
+        after, before = (view_costs(seconds + shift) for shift in (width, -width))
         curvature = float(after.sum() - 2.0 * least_cost + before.sum()) / width**2
         if not curvature > 0.0:
             raise ValueError("time offset: not determined, because the robot hardly moved")

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import chdtri
 
-from .calibration import mount_from_holder_matrices
-from .dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
-from .robots import Trajectory
-from .runtime.blas_threads import on_one_blas_thread
-from .variance import (
+from ..calibration import mount_from_holder_matrices
+from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
+from ..robots import Trajectory
+from ..runtime.blas_threads import on_one_blas_thread
+from ..variance import (
     DEPTH_AXES,
     DepthAxis,
     LikeliestVariances,
@@ -126,8 +126,8 @@ def _fit_along(
         variances = likeliest.variances
         covariance = np.einsum("k,kvij->vij", variances, linear.parts)
         step, std = _solution(linear.of(used), variances, bounds[1] - bounds[0])
-        left = linear.errors - linear.by_unknowns @ step
-        distances = np.einsum("vi,vij,vj->v", left, np.linalg.inv(covariance), left)
+        residuals = linear.errors - linear.by_unknowns @ step
+        distances = np.einsum("vi,vij,vj->v", residuals, np.linalg.inv(covariance), residuals)
         agree = data.seen & (distances < limit)
         chain = _moved(chain, step, bounds)
         is_same, used = np.array_equal(agree, used), agree

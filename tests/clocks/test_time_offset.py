@@ -8,16 +8,12 @@ from jaxlie import SE3
 from moving_camera import circling_commands
 
 import smartview_jax as sv
+from smartview_jax.clocks.time_offset import at_time_offset, standard_deviation
 from smartview_jax.dataset import PoseDataset
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.robots import Trajectory
 from smartview_jax.simulation import paper_calibration, simulate
-from smartview_jax.time_offset import (
-    Profile,
-    at_time_offset,
-    standard_deviation,
-)
 
 OFFSET = 0.035
 LOG_TIMES = 1000.0 + np.arange(0.0, 20.0, 0.02)
@@ -104,11 +100,11 @@ def test_a_camera_beside_the_robot_gives_the_same_offset(tracked):
 def test_views_that_contradict_each_other_widen_the_interval(scatter):
     """Four views, each of which tells the offset to 0.2 s and says another one."""
     own = scatter * np.array([1.0, -1.0, -1.0, 1.0])
-    profile = Profile(lambda offset: 0.5 * ((offset - own) / 0.2) ** 2, None, None)
     # Newey and West's weights of the two lags are 2/3 and 1/3.
     long_run = 4.0 + 2.0 * (2.0 / 3.0 * -1.0 + 1.0 / 3.0 * -2.0)
     expected = max(0.1, scatter * np.sqrt(long_run) / 4.0)
-    assert standard_deviation(profile, 0.0, 10.0) == pytest.approx(expected)
+    found = standard_deviation(lambda offset: 0.5 * ((offset - own) / 0.2) ** 2, 0.0, 10.0)
+    assert found == pytest.approx(expected)
 
 
 def test_what_cannot_be_found_is_said(tracked):

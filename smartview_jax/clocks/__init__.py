@@ -1,0 +1,5 @@
+"""Estimate the offset between the clocks of robot and camera, or of robot and tracker."""
+
+from .time_offset import TimeOffset as TimeOffset
+from .time_offset import at_time_offset as at_time_offset
+from .time_offset import estimate_time_offset as estimate_time_offset
