@@ -23,7 +23,7 @@ from ..runtime.modules import with_fields
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
-from .parameters import DEPTH_BIAS_NAMES, Parameters, Step, host_values
+from .parameters import DEPTH_BIAS_NAMES, Parameters, Step
 from .pose_jacobians import PoseJacobians, corrections_at_tool, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
@@ -147,7 +147,7 @@ class JointProblem(AbstractProblem):
 
     def host_start_values(self) -> Float[np.ndarray, "shared"]:
         """Return `start_values`, computed with NumPy."""
-        return host_values(self.parameters.start)
+        return self.parameters.values(np)
 
     def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
         """Return the calibration and the pose corrections at a scaled step."""

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..robot_errors import RobotError
 from ..robots import Command
 from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
-from .parameters import Step, host_values
+from .parameters import Step
 from .prepared_poses import PreparedPoses, prepare_poses
 from .problem import FittedChain, JointProblem
 from .schur import BlockArrow
@@ -98,9 +98,9 @@ class RigProblem(AbstractRigProblem):
         """Return `start_values`, computed with NumPy."""
         values = np.zeros(self.parameter_count)
         for group in self.groups:
-            starts = group.problems.parameters.start
             for camera, index in enumerate(np.asarray(group.parameter_index)):
-                values[index] = host_values(jax.tree.map(lambda x, k=camera: x[k], starts))
+                parameters = jax.tree.map(lambda x, k=camera: x[k], group.problems.parameters)
+                values[index] = parameters.values(np)
         return values
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "states 6"]) -> "RigProblem":
