@@ -22,7 +22,7 @@ from ..geometry import host_matrices
 from .changes import ChangeOptions
 from .closure import MAX_CLOSURE_SCORE
 from .lag_fit import MAX_FRACTION, LagEstimate, LagFit, LaggingViews
-from .misfit_evidence import error_variances, evidence_of_errors
+from .misfit_evidence import error_variances, evidence
 from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text
 
 MIN_VIEWS = 6
@@ -149,14 +149,7 @@ def _explained(
     given: tuple[tuple[float, float], float],
     distance: float,
 ) -> PoseLag:
-    """Return a lag with what it explains.
-
-    Args:
-        data: the views.
-        estimate: the likeliest lag in the direction of `data`.
-        given: mean misfit and score without a lag.
-        distance: median distance of the target from the camera, m.
-    """
+    """Return a lag with what it explains, given the mean misfit and the score without it."""
     holder = data.mount_from_holder(estimate.fraction)
     everything = np.ones(len(holder), dtype=bool)
     closure = fit_transforms(holder, data.camera[data.views], everything).closure
@@ -168,5 +161,5 @@ def _explained(
         given[0],
         score,
         given[1],
-        evidence_of_errors(error_variances(estimate.errors_without), estimate.errors, 1),
+        evidence(error_variances(estimate.errors_without), estimate.errors, 1),
     )

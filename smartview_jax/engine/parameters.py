@@ -30,7 +30,7 @@ from ..calibration import BASES, Calibration, DepthBias
 from ..cameras import Camera
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import AnyArray, array_namespace, to_device
+from ..runtime.array_namespace import array_namespace, to_device
 
 _AXES = ("x", "y", "z")
 POSE_CORRECTIONS = "pose_corrections"
@@ -193,7 +193,7 @@ class Parameters(eqx.Module):
             camera_size, 0 if error is None else error.field.size, bias_size, bases_size
         )
 
-    def values(self, xp: ModuleType = jnp) -> Float[AnyArray, "shared"]:
+    def values(self, xp: ModuleType = jnp) -> Float[Any, "shared"]:
         """Return the values of the start; rotations, which are steps from it, are zero.
 
         The value of the target's scale is its logarithm.
