@@ -32,22 +32,25 @@ from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import array_namespace, to_device
 
-_AXES = ("x", "y", "z")
+STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
+"""Names of the parameters of a transform, after the transform's own name."""
+
 POSE_CORRECTIONS = "pose_corrections"
 """First part of the names of the views' pose corrections."""
+
 TARGET_SCALE = "target_scale"
 """The name of the target's scale, both as a parameter and as a group of unknown size."""
 
 DEPTH_BIAS_NAMES = ("depth_bias.scale", "depth_bias.offset")
 """Names of the bias of the depths that a camera measures."""
 
-BASES_NAMES = tuple(
-    f"{BASES}.{part}.{axis}" for part in ("translation", "rotation") for axis in _AXES
-)
-"""Names of the transform between the bases of two arms."""
-
 ROBOT_ERROR = "robot_error"
 """First part of the names of the robot error field's coefficients."""
+
+
+def step_names(*paths: str) -> tuple[str, ...]:
+    """Return the names of the parameters of transforms, six for each path."""
+    return tuple(f"{path}.{name}" for path in paths for name in STEP_NAMES)
 
 
 def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> tuple[str, ...]:
@@ -61,13 +64,8 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
     for path, leaf in jax.tree_util.tree_leaves_with_path(calibration.camera):
         name = f"camera{jax.tree_util.keystr(path)}"
         camera += [name] if np.ndim(leaf) == 0 else [f"{name}.{k}" for k in range(np.size(leaf))]
-    transforms = [
-        f"{name}.{part}.{axis}"
-        for name in calibration.transform_names
-        for part in ("translation", "rotation")
-        for axis in _AXES
-    ]
-    bases = [] if calibration.base_from_other_base is None else list(BASES_NAMES)
+    transforms = step_names(*calibration.transform_names)
+    bases = () if calibration.base_from_other_base is None else step_names(BASES)
     error = calibration.robot_error
     fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
     bias = [] if calibration.depth_bias is None else list(DEPTH_BIAS_NAMES)
@@ -82,12 +80,7 @@ def is_size(name: str) -> bool:
 
 def correction_names(view_ids: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the pose corrections of some views, six for each."""
-    return tuple(
-        f"{POSE_CORRECTIONS}.{view}.{part}.{axis}"
-        for view in view_ids
-        for part in ("translation", "rotation")
-        for axis in _AXES
-    )
+    return step_names(*(f"{POSE_CORRECTIONS}.{view}" for view in view_ids))
 
 
 def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
@@ -188,7 +181,7 @@ class Parameters(eqx.Module):
         camera_size = sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
         error = self.start.robot_error
         bias_size = 0 if self.start.depth_bias is None else len(DEPTH_BIAS_NAMES)
-        bases_size = 0 if self.start.base_from_other_base is None else len(BASES_NAMES)
+        bases_size = 0 if self.start.base_from_other_base is None else len(STEP_NAMES)
         return ParameterLayout.of_sizes(
             camera_size, 0 if error is None else error.field.size, bias_size, bases_size
         )

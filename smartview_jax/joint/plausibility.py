@@ -18,7 +18,7 @@ from ..dataset import (
     distinct_poses,
     repetition_warnings,
 )
-from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction
+from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction, step_names
 from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
 from ..staged import mistaken_unit
@@ -385,7 +385,7 @@ def _mount_warnings(fit: JointFit) -> list[str]:
     ]
     if fit.noise_estimate is not None and fit.noise_estimate.mount_displacement is not None:
         shift = np.array(fit.noise_estimate.mount_displacement)
-        names = [f"{mount}.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]
+        names = step_names(mount)
         # Only parameters that are free and determined have a finite std.
         determined = [k for k, name in enumerate(names) if np.isfinite(fit.std.get(name, np.inf))]
         shift_in_stds = np.array([abs(shift[k]) / fit.std[names[k]] for k in determined])

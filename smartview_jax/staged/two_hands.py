@@ -54,16 +54,8 @@ def place_bases(hands: HandPoses, camera_from_world: SE3, used: Bool[np.ndarray,
     Raises:
         ValueError: a hand that did not turn about two axes.
     """
-    return solve_bases(
-        *(
-            host_matrices(poses)[used]
-            for poses in (
-                camera_from_world,
-                hands.base_from_tool,
-                hands.other_base_from_other_tool,
-            )
-        )
-    )
+    poses = camera_from_world, hands.base_from_tool, hands.other_base_from_other_tool
+    return solve_bases(*(host_matrices(pose)[used] for pose in poses))
 
 
 def solve_bases(
