@@ -92,7 +92,7 @@ def plausibility_warnings(
     warnings += principal_point_warnings(fit.calibration.camera, fit.std, "camera")
     # Before the target: its size is found wrong if a known focal length is.
     warnings += contradicted_values
-    warnings += _target_warnings(fit)
+    warnings += _scale_warnings(fit) + _shape_warnings(fit)
     of_lens = _lens_warnings(fit)
     # Where the lens is not named as the cause, the disagreement is the only sign of one.
     warnings += of_lens or (_disagreement_warnings(fit) if has_pixels else [])
@@ -213,11 +213,6 @@ def _lens_warnings(fit: JointFit) -> list[str]:
         f"distortion of {lens.rms:.2g} px RMS is not described by the {kind} lens: {advice} "
         "the target and the detections"
     ]
-
-
-def _target_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the stated size of the target, and about its shape."""
-    return _scale_warnings(fit) + _shape_warnings(fit)
 
 
 def _shape_warnings(fit: JointFit) -> list[str]:
