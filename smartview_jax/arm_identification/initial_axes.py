@@ -18,7 +18,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..geometry import host_exponentials, host_nearest_rotation, host_poses
-from ..robots import SerialArm
+from ..robots import SerialArm, axis_frames_at_zero
 
 MAX_REST_MOTION = 2e-3
 """The largest change of a reading between two views of a joint at rest, rad or m."""
@@ -141,30 +141,12 @@ def axes_from_arm(
     camera_from_base[:3, :3], camera_from_base[:3, 3] = rotation_x, translations[3:]
     tool_from_target[:3, :3], tool_from_target[:3, 3] = inverse_rotation_y.T, translations[:3]
     base_from_tool = np.asarray(start.base_from_tool(np.zeros(start.joint_count)).as_matrix())
-    frames = SE3.from_matrix(jnp.asarray(camera_from_base @ nominal_axis_frames(start))).normalize()
+    axes, _ = axis_frames_at_zero(start)
+    frames = SE3.from_matrix(jnp.asarray(camera_from_base @ axes)).normalize()
     home = SE3.from_matrix(
         jnp.asarray(camera_from_base @ base_from_tool @ tool_from_target)
     ).normalize()
     return ProductOfExponentials(frames, jnp.ones(start.joint_count), home)
-
-
-def nominal_axis_frames(arm: SerialArm) -> Float[np.ndarray, "joints 4 4"]:
-    """Return frames whose z axes are an arm's joint axes at zero readings, in its base frame."""
-    frames, frame = [], arm.base_from_first
-    for k in range(arm.joint_count):
-        # The screws of one link: x = Tx(a) Rx(alpha), z = Rz(theta) Tz(d).
-        x = SE3.from_rotation_and_translation(
-            SO3.from_x_radians(arm.alpha[k]), jnp.array([1.0, 0.0, 0.0]) * arm.a[k]
-        )
-        z = SE3.from_rotation_and_translation(
-            SO3.from_z_radians(arm.theta[k]), jnp.array([0.0, 0.0, 1.0]) * arm.d[k]
-        )
-        # One link is Rz Tz Tx Rx (standard) or Rx Tx Rz Tz (modified): in the modified convention
-        # the joint axis comes after the link's own twist and length.
-        axis_frame = frame if arm.convention == "standard" else frame @ x
-        frames.append(np.asarray(axis_frame.as_matrix()))
-        frame = frame @ z @ x if arm.convention == "standard" else axis_frame @ z
-    return np.stack(frames)
 
 
 _AXIS_TWISTS = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])

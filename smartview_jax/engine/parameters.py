@@ -27,10 +27,10 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import BASES, Calibration, DepthBias
-from ..cameras import Camera
+from ..cameras import Camera, moved_cameras
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import array_namespace, to_device
+from ..runtime.array_namespace import array_namespace
 
 STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
 """Names of the parameters of a transform, after the transform's own name."""
@@ -275,15 +275,8 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
     It is computed with NumPy, for a few steps, because compilation would take longer.
     """
     parameters = Parameters(start)
-    # The camera's numbers are in the order of its leaves, as in `ravel_pytree`.
-    leaves, structure = jax.tree.flatten(start.camera)
-    ends = np.cumsum([np.size(leaf) for leaf in leaves])
-    steps = np.split(shared[parameters.layout.camera], ends[:-1])
-    camera = [
-        to_device(np.asarray(leaf) + step.reshape(np.shape(leaf)))
-        for leaf, step in zip(leaves, steps, strict=True)
-    ]
-    return parameters._moved(jax.tree.unflatten(structure, camera), shared, host_retract_transform)
+    camera = moved_cameras(start.camera, shared[parameters.layout.camera])
+    return parameters._moved(camera, shared, host_retract_transform)
 
 
 def host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:
