@@ -184,12 +184,7 @@ class _Shared(NamedTuple):
 
 
 def _shared_parameters(parts: Sequence["_Part"], place: Mapping[str, int]) -> _Shared:
-    """Return the shared parameters of all arms.
-
-    Args:
-        parts: the arms.
-        place: index of each parameter, by its name.
-    """
+    """Return the shared parameters of all arms, with `place` the index of each name."""
     size = len(place)
     known, free = np.zeros(size, dtype=bool), np.zeros(size, dtype=bool)
     step, mean, weight = np.zeros(size), np.full(size, np.nan), np.zeros(size)
@@ -220,15 +215,7 @@ def _with_priors_of_bases(
     first: str,
     priors: Mapping[str, Prior],
 ) -> tuple[Float[np.ndarray, "shared"], Float[np.ndarray, "shared"]]:
-    """Return the means and weights of all priors, including the given priors on bases.
-
-    Args:
-        names: names of the parameters.
-        shared: the parameters, with the arms' priors.
-        others: names of the arms but the first.
-        first: name of the first arm.
-        priors: priors by path.
-    """
+    """Return the means and weights of all priors, including the given priors on bases."""
     paths = {base_path(first, arm) for arm in others}
     given = {path: prior for path, prior in priors.items() if path.split(".")[0] in paths}
     mean, weight = prior_means_and_weights(names, len(names), given, None, None, 1.0)

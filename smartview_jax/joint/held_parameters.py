@@ -172,7 +172,6 @@ def _contradiction_text(
     """Return in words which held values the pictures contradict.
 
     Args:
-        names: names of the parameters.
         refit: the fit in which they are free.
         estimated, held: value and unit of each parameter in that fit and as held.
     """
