@@ -148,7 +148,7 @@ def _assembled(
     joined: JoinedArms | None,
     rejected: tuple[tuple[str, Rejection], ...],
 ) -> RigFit:
-    """Build the result from the fits of the arms alone and of all; the latter is None for one arm."""
+    """Build the result from the fits of the arms alone and of all, which is None for one arm."""
     first = next(iter(arms.values()))
     together = joined or first
     built, solution, equations = together.built, together.solution, together.equations
