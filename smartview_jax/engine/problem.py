@@ -431,19 +431,15 @@ class JointProblem(AbstractProblem):
         free_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
         return pose_jacobians.per_view_jacobian * free_scale[:, None, :]
 
-    def normal_equations_by_view(
-        self, z: Step
-    ) -> tuple[Float[Array, "views free"], Float[Array, "views free free"]]:
-        """Return every view's term of the shared parameters' gradient and matrix."""
+    def gradients_by_view(self, z: Step) -> Float[Array, "views free"]:
+        """Return every view's term of the shared parameters' gradient."""
         pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         shared = self._shared_jacobian(pose_jacobians)
-        gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
-        matrix = jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
-        if self.has_depths:
-            depths = self._depth_equations(pose_jacobians)
-            return gradient + depths.shared_gradients, matrix + depths.blocks.shared
-        return gradient, matrix
+        gradients = jnp.einsum("vki,vk->vi", shared, views.gradient)
+        if not self.has_depths:
+            return gradients
+        return gradients + self._depth_equations(pose_jacobians).shared_gradients
 
     def blocks_by_view(self, z: Step) -> ViewBlocks:
         """Return every view's own term of the matrix of the normal equations, without priors."""

@@ -72,19 +72,9 @@ class RigProblem(AbstractRigProblem):
         return self.start_error
 
     @property
-    def visible_count(self) -> int:
-        """The number of visible points in all pictures."""
-        return sum(group.problems.visible_count for group in self.groups)
-
-    @property
-    def number_count(self) -> int:
-        """The number of measured numbers, as in `AbstractProblem`."""
-        return sum(group.problems.number_count for group in self.groups)
-
-    @property
-    def observation_count(self) -> int:
-        """The number of points in all pictures, visible or not."""
-        return sum(group.problems.observations.visible.size for group in self.groups)
+    def parts(self) -> list[Any]:
+        """The problems of the cameras, stacked by kind."""
+        return [group.problems for group in self.groups]
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""

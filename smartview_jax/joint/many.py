@@ -160,20 +160,7 @@ def fit_many(
     )
     if all(named):
         raise next(error for error in named if error is not None)
-    calibrations, corrections, covariance, cost, steps, converged = _stacked(
-        results, starts, errors
-    )
-    return ManyFits(
-        calibrations,
-        corrections,
-        covariance,
-        cost,
-        steps,
-        converged,
-        shared_names,
-        warnings,
-        named,
-    )
+    return ManyFits(*_stacked(results, starts, errors), shared_names, warnings, named)
 
 
 _Result = tuple[Any, ...]
