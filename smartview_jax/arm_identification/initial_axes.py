@@ -17,7 +17,7 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
-from ..geometry import host_exponentials, host_nearest_rotation, host_poses
+from ..geometry import as_se3, host_exponentials, host_nearest_rotation, host_poses
 from ..robots import SerialArm, axis_frames_at_zero
 
 MAX_REST_MOTION = 2e-3
@@ -105,9 +105,8 @@ def axes_from_motions(
         motion = host_exponentials(-joints[:, k, None] * _AXIS_TWISTS[int(is_prismatic)])
         remaining = frame @ motion @ np.linalg.inv(frame) @ remaining
     # With all joints removed every view gives an estimate of `home`; one is enough to start.
-    home = SE3.from_matrix(jnp.asarray(remaining[len(remaining) // 2])).normalize()
-    frames = SE3.from_matrix(jnp.asarray(np.stack(frames_found))).normalize()
-    return ProductOfExponentials(frames, jnp.ones(len(prismatic)), home)
+    home = as_se3(remaining[len(remaining) // 2])
+    return ProductOfExponentials(as_se3(np.stack(frames_found)), jnp.ones(len(prismatic)), home)
 
 
 def axes_from_arm(
@@ -137,16 +136,12 @@ def axes_from_arm(
     A = np.concatenate([np.hstack([rotation_x @ b[:3, :3], identity]) for b in B])
     differences = P[:, :3, 3] - B[:, :3, 3] @ rotation_x.T
     translations = np.linalg.lstsq(A, differences.ravel(), rcond=None)[0]
-    camera_from_base, tool_from_target = np.eye(4), np.eye(4)
-    camera_from_base[:3, :3], camera_from_base[:3, 3] = rotation_x, translations[3:]
-    tool_from_target[:3, :3], tool_from_target[:3, 3] = inverse_rotation_y.T, translations[:3]
+    camera_from_base = host_poses(rotation_x, translations[3:])
+    tool_from_target = host_poses(inverse_rotation_y.T, translations[:3])
     base_from_tool = np.asarray(start.base_from_tool(np.zeros(start.joint_count)).as_matrix())
     axes, _ = axis_frames_at_zero(start)
-    frames = SE3.from_matrix(jnp.asarray(camera_from_base @ axes)).normalize()
-    home = SE3.from_matrix(
-        jnp.asarray(camera_from_base @ base_from_tool @ tool_from_target)
-    ).normalize()
-    return ProductOfExponentials(frames, jnp.ones(start.joint_count), home)
+    home = as_se3(camera_from_base @ base_from_tool @ tool_from_target)
+    return ProductOfExponentials(as_se3(camera_from_base @ axes), jnp.ones(start.joint_count), home)
 
 
 _AXIS_TWISTS = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from ..cameras import Camera, Radial
 from ..dataset import mean_point, scatter
-from ..geometry import host_nearest_rotation, host_transforms
+from ..geometry import host_nearest_rotation, host_poses, host_transforms
 from ..runtime.array_namespace import AnyArray
 from .planar_poses import rotation_between
 
@@ -285,7 +285,5 @@ def _null_vector(rows: list[HostArray]) -> HostArray:
 
 def _pose_parameters(rotation: HostArray, translation: HostArray, origin: HostArray) -> HostArray:
     """Return the pose `x -> R (x - origin) + t` as the seven numbers of an SE3."""
-    matrices = np.zeros((len(rotation), 4, 4))
-    matrices[:, :3, :3], matrices[:, 3, 3] = rotation, 1.0
-    matrices[:, :3, 3] = translation - (rotation @ origin[..., None])[..., 0]
-    return np.asarray(host_transforms(matrices).wxyz_xyz)
+    shift = translation - (rotation @ origin[..., None])[..., 0]
+    return np.asarray(host_transforms(host_poses(rotation, shift)).wxyz_xyz)
