@@ -276,6 +276,7 @@ def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Cal
     """
     parameters = Parameters(start)
     camera = moved_cameras(start.camera, shared[parameters.layout.camera])
+    assert isinstance(camera, Camera)
     return parameters._moved(camera, shared, host_retract_transform)
 
 

@@ -181,7 +181,9 @@ def batch_least_squares(
     )
     estimate = (start_camera, start_camera_from_world)
     fixed = ("camera",) if options.hold_camera else ()
-    for iteration in range(1, MAX_REJECTION_ITERATIONS + 1):
+    iteration = 0
+    while True:
+        iteration += 1
         inlier_data = eqx.tree_at(lambda d: d.visible, data, to_device(inliers))
         fit = fit_camera(inlier_data, *estimate, fixed=fixed)
         estimate = (fit.camera, fit.camera_from_world)
@@ -196,7 +198,7 @@ def batch_least_squares(
                 f"batch {iteration}: sigma {sigma:.3f} px, "
                 f"{np.sum(visible & ~within_gate)} points left out"
             )
-        if converged:
+        if converged or iteration == MAX_REJECTION_ITERATIONS:
             break
         inliers = within_gate
     stopped_early = FitResult(FitCode.STOPPED_EARLY, "the outliers kept changing")

@@ -160,7 +160,8 @@ def fit_many(
     )
     if all(named):
         raise next(error for error in named if error is not None)
-    return ManyFits(*_stacked(results, starts, errors), shared_names, warnings, named)
+    arrays = _stacked(results, starts, errors)
+    return ManyFits(*arrays, parameter_names=shared_names, warnings=warnings, errors=named)
 
 
 _Result = tuple[Any, ...]

@@ -205,19 +205,19 @@ def scaled_pairs(
 
 def _tracker_noise(chain: TrackedChain, axis: DepthAxis) -> TrackerNoise:
     """Return the likeliest noise of tracked poses in metres, with a depth axis."""
-    transforms, variances = chain.transforms, None
-    for _ in range(UNIT_ROUNDS):
+    transforms = chain.transforms
+    pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
+    used = pairs.of(chain.data.seen)
+    best = _likeliest(chain, used, np.ones(len(pairs.parts)))
+    for _ in range(UNIT_ROUNDS - 1):
+        transforms = moved_transforms(*transforms, used.solved(best.variances))
         pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
         used = pairs.of(chain.data.seen)
-        best = _likeliest(
-            chain, used, np.ones(len(pairs.parts)) if variances is None else variances
-        )
-        variances = best.variances
-        transforms = moved_transforms(*transforms, used.solved(variances))
+        best = _likeliest(chain, used, best.variances)
     # The last two are the robot's.
-    covariance = np.einsum("k,kvij->vij", variances[:-2], pairs.parts[:-2])
-    correlation = serial_correlation(used, variances)
-    return TrackerNoise(axis, variances, best.medians, covariance, best.evidence, correlation)
+    covariance = np.einsum("k,kvij->vij", best.variances[:-2], pairs.parts[:-2])
+    correlation = serial_correlation(used, best.variances)
+    return TrackerNoise(axis, best.variances, best.medians, covariance, best.evidence, correlation)
 
 
 class _Likeliest(NamedTuple):
