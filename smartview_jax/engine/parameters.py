@@ -30,7 +30,7 @@ from ..calibration import BASES, Calibration, DepthBias
 from ..cameras import Camera, moved_cameras
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import array_namespace
+from ..runtime.array_namespace import array_namespace, as_float_array
 
 STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
 """Names of the parameters of a transform, after the transform's own name."""
@@ -228,7 +228,7 @@ class Parameters(eqx.Module):
         error, bias, bases = start.robot_error, start.depth_bias, start.base_from_other_base
         if error is not None:
             coefficients = xp.asarray(error.coefficients) + shared[layout.field]
-            error = RobotError(error.field, coefficients)
+            error = RobotError(error.field, as_float_array(coefficients))
         if bias is not None:
             by_scale, by_offset = shared[layout.depth_bias]
             scale, offset = xp.asarray(bias.scale), xp.asarray(bias.offset)
