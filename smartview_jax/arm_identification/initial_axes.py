@@ -17,8 +17,8 @@ import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
-from ..geometry import host_exponentials, host_nearest_rotation, host_poses
-from ..robots import SerialArm
+from ..geometry import as_se3, host_exponentials, host_nearest_rotation, host_poses
+from ..robots import SerialArm, axis_frames_at_zero
 
 MAX_REST_MOTION = 2e-3
 """The largest change of a reading between two views of a joint at rest, rad or m."""
@@ -105,9 +105,8 @@ def axes_from_motions(
         motion = host_exponentials(-joints[:, k, None] * _AXIS_TWISTS[int(is_prismatic)])
         remaining = frame @ motion @ np.linalg.inv(frame) @ remaining
     # With all joints removed every view gives an estimate of `home`; one is enough to start.
-    home = SE3.from_matrix(jnp.asarray(remaining[len(remaining) // 2])).normalize()
-    frames = SE3.from_matrix(jnp.asarray(np.stack(frames_found))).normalize()
-    return ProductOfExponentials(frames, jnp.ones(len(prismatic)), home)
+    home = as_se3(remaining[len(remaining) // 2])
+    return ProductOfExponentials(as_se3(np.stack(frames_found)), jnp.ones(len(prismatic)), home)
 
 
 def axes_from_arm(
@@ -137,34 +136,12 @@ def axes_from_arm(
     A = np.concatenate([np.hstack([rotation_x @ b[:3, :3], identity]) for b in B])
     differences = P[:, :3, 3] - B[:, :3, 3] @ rotation_x.T
     translations = np.linalg.lstsq(A, differences.ravel(), rcond=None)[0]
-    camera_from_base, tool_from_target = np.eye(4), np.eye(4)
-    camera_from_base[:3, :3], camera_from_base[:3, 3] = rotation_x, translations[3:]
-    tool_from_target[:3, :3], tool_from_target[:3, 3] = inverse_rotation_y.T, translations[:3]
+    camera_from_base = host_poses(rotation_x, translations[3:])
+    tool_from_target = host_poses(inverse_rotation_y.T, translations[:3])
     base_from_tool = np.asarray(start.base_from_tool(np.zeros(start.joint_count)).as_matrix())
-    frames = SE3.from_matrix(jnp.asarray(camera_from_base @ nominal_axis_frames(start))).normalize()
-    home = SE3.from_matrix(
-        jnp.asarray(camera_from_base @ base_from_tool @ tool_from_target)
-    ).normalize()
-    return ProductOfExponentials(frames, jnp.ones(start.joint_count), home)
-
-
-def nominal_axis_frames(arm: SerialArm) -> Float[np.ndarray, "joints 4 4"]:
-    """Return frames whose z axes are an arm's joint axes at zero readings, in its base frame."""
-    frames, frame = [], arm.base_from_first
-    for k in range(arm.joint_count):
-        # The screws of one link: x = Tx(a) Rx(alpha), z = Rz(theta) Tz(d).
-        x = SE3.from_rotation_and_translation(
-            SO3.from_x_radians(arm.alpha[k]), jnp.array([1.0, 0.0, 0.0]) * arm.a[k]
-        )
-        z = SE3.from_rotation_and_translation(
-            SO3.from_z_radians(arm.theta[k]), jnp.array([0.0, 0.0, 1.0]) * arm.d[k]
-        )
-        # One link is Rz Tz Tx Rx (standard) or Rx Tx Rz Tz (modified): in the modified convention
-        # the joint axis comes after the link's own twist and length.
-        axis_frame = frame if arm.convention == "standard" else frame @ x
-        frames.append(np.asarray(axis_frame.as_matrix()))
-        frame = frame @ z @ x if arm.convention == "standard" else axis_frame @ z
-    return np.stack(frames)
+    axes, _ = axis_frames_at_zero(start)
+    home = as_se3(camera_from_base @ base_from_tool @ tool_from_target)
+    return ProductOfExponentials(as_se3(camera_from_base @ axes), jnp.ones(start.joint_count), home)
 
 
 _AXIS_TWISTS = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
-from ..geometry import region_centroid, transform_points
+from ..geometry import transform_points
 from .camera import Camera
 
 BOUNDARY_SAMPLES = 16
@@ -68,3 +68,31 @@ def circle_centre_bias(
     centre, valid = circle_image_centre(camera, camera_from_circle, radius)
     projected, _ = camera.project(camera_from_circle.translation())
     return centre - projected, valid
+
+
+def region_centroid(
+    boundary: Float[Array, "*batch samples 2"], velocity: Float[Array, "*batch samples 2"]
+) -> Float[Array, "*batch 2"]:
+    """Return the centroid of the region inside a closed smooth curve, by Green's theorem.
+
+    The integrals use the trapezoidal rule over one period, whose error falls exponentially with
+    the number of samples.
+
+    Args:
+        boundary: points of the curve at equal steps of its parameter, over one period.
+        velocity: derivative of these points with respect to the parameter.
+
+    Returns:
+        The centroid; NaN where the curve encloses no area.
+    """
+    # With p measured from the mean m of the boundary, and p x p' = x y' - y x':
+    #   area     A = 1/2 integral (p x p') dt
+    #   centroid c = m + 1/A integral 2/3 p 1/2 (p x p') dt
+    # because p dt sweeps a triangle from m, whose centroid is at 2/3 p.
+    # Without m, the digits of a small region far from the origin would cancel out.
+    mean = jnp.mean(boundary, axis=-2, keepdims=True)
+    p = boundary - mean
+    # The factors 1/2 and the step dt are in both integrals and cancel in their ratio.
+    cross_product = p[..., 0] * velocity[..., 1] - p[..., 1] * velocity[..., 0]
+    moment = 2.0 / 3.0 * jnp.sum(cross_product[..., None] * p, axis=-2)
+    return mean[..., 0, :] + moment / jnp.sum(cross_product, axis=-1)[..., None]

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from ..geometry import mean_matrix
 from .change_texts import moved_text
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
-from .misfit_evidence import closure_variances, evidence
+from .misfit_evidence import error_variances, errors_of, evidence
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -216,7 +216,8 @@ class _Search(NamedTuple):
         """Return the search in some views."""
         fit = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool))
         distance = median_distance(camera)
-        return cls(robot, camera, fit, distance, closure_variances(fit.closure), place_count)
+        variances = error_variances(errors_of(fit.closure))
+        return cls(robot, camera, fit, distance, variances, place_count)
 
     def changes(self, place: int) -> Iterator[Change]:
         """Yield the changes of each kind before the view `place`."""
@@ -269,5 +270,6 @@ class _Search(NamedTuple):
         size = moved[1] + moved[0] / self.distance
         parameters = 2 if kind == "zoom" else 6
         # A change may be at any place.
-        odds = evidence(self.variances, corrected, parameters) - 2.0 * np.log(self.place_count)
+        odds = evidence(self.variances, errors_of(corrected), parameters)
+        odds -= 2.0 * np.log(self.place_count)
         return Change(kind, place, *moved, zoom, misfit, score, size, odds)

@@ -196,11 +196,9 @@ def _translation_residual(
     right_hand_side: Float[np.ndarray, "... pairs 3"],
     used: np.ndarray,
 ) -> Float[np.ndarray, "... pairs"]:
-    """Return the residual of every pair, m, with the translation that fits the used ones best.
+    """Return the residual of `matrix t = right_hand_side`, m, with the t that fits best.
 
-    Args:
-        matrix, right_hand_side: the equations `matrix t = right_hand_side`.
-        used: 1 for a pair that counts, else 0, `(... pairs)`.
+    Pairs count with the weights `used`, `(... pairs)`.
     """
     *batch, pairs = used.shape
     # A row of zeros changes neither the solution nor the singular values.

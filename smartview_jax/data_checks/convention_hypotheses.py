@@ -112,10 +112,6 @@ def _merge_equal(
     """Return the mistakes by index and with descriptions, without those that misread angles alike.
 
     Two pairs of conventions may be the same mistake: the first names the others.
-
-    Args:
-        possible: all mistakes.
-        robots: the poses that each of them gives.
     """
     poses = robots.reshape(len(robots), -1)
     # Compared along one random direction, in which poses that differ are hardly ever equal.

@@ -146,10 +146,8 @@ def check_conventions(
         ratio, ratio_std = LengthRatio()
     is_accepted = given_error.score < MAX_CLOSURE_SCORE and 0.2 < ratio < 5.0
     if comparable and not (is_accepted and given_error.score < DOUBTED_SCORE):
-        possible, given = (
-            tuple(mistakes(in_hand, len(robot), turns, tracked)),
-            GivenPoses(robot, camera),
-        )
+        possible = tuple(mistakes(in_hand, len(robot), turns, tracked))
+        given = GivenPoses(robot, camera)
         hypotheses = ranked_hypotheses(given, used, in_hand, motions, possible)
         hypotheses = naming_views(hypotheses, given, turns, used, ids)
         # Of a hundred mistakes one may by chance close a little better than the truth.

@@ -13,7 +13,7 @@ from jaxtyping import Bool
 
 from ..calibration import host_mount_from_holder
 from .changes import find_change
-from .pose_lag import PoseLag, find_lag
+from .pose_lag import find_lag
 from .set_up_drift import find_drift
 from .view_groups import find_groups
 
@@ -113,29 +113,21 @@ def _faults(
     agreeing: Bool[np.ndarray, "views"] | None,
 ) -> Iterator[tuple[float, SharedFault]]:
     """Yield the faults that explain the views, each with the score that it leaves."""
-    robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
-    lag = _lag(poses, used)
+    camera, mount, ratio = poses.camera_from_world, poses.mount, poses.length_ratio
+    robot = host_mount_from_holder(mount, poses.base_from_tool)
+    lag = find_lag(poses.base_from_tool, camera, used, mount, ratio)
     if lag is None and agreeing is not None and (agreeing != used).any():
-        lag = _lag(poses, agreeing)
+        lag = find_lag(poses.base_from_tool, camera, agreeing, mount, ratio)
     if lag is not None:
-        sentence = lag.sentence(poses.tracked)
-        yield lag.score, SharedFault(sentence, lag.contradicts, True)
-    change = find_change(robot, poses.camera_from_world, used, poses.length_ratio)
-    if change is not None:
-        sentence = change.sentence(poses.mount, poses.view_ids)
-        best = change.changes[0]
-        contradicts, explains_most = change.contradicts, change.explains_most
-        yield best.score, SharedFault(sentence, contradicts, explains_most, best.first_view)
+        yield lag.score, SharedFault(lag.sentence(poses.tracked), lag.contradicts, True)
+    if (change := find_change(robot, camera, used, ratio)) is not None:
+        sentence, best = change.sentence(mount, poses.view_ids), change.changes[0]
+        yield (
+            best.score,
+            SharedFault(sentence, change.contradicts, change.explains_most, best.first_view),
+        )
     if poses.drifts:
         return
-    drift = find_drift(robot, poses.camera_from_world, used, poses.length_ratio)
-    if drift is not None:
-        sentence = drift.sentence(poses.mount, poses.view_ids)
+    if (drift := find_drift(robot, camera, used, ratio)) is not None:
+        sentence = drift.sentence(mount, poses.view_ids)
         yield drift.score, SharedFault(sentence, drift.contradicts, True)
-
-
-def _lag(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> PoseLag | None:
-    """Return the lag of the robot's poses that explains most of some views' misfit, if any."""
-    return find_lag(
-        poses.base_from_tool, poses.camera_from_world, used, poses.mount, poses.length_ratio
-    )

@@ -135,11 +135,7 @@ class LagFit:
 def _solved(
     model: Float[np.ndarray, "views 6 columns"],
 ) -> tuple[LagEstimate, Float[np.ndarray, "steps"]]:
-    """Return the steps that leave least over, the lag's last, with the noise that they leave.
-
-    Args:
-        model: columns of the chain's steps, of the lag's, and the closure.
-    """
+    """Return the steps that leave least over, the lag's last, with the noise that they leave."""
     estimate, steps = _solved_with_noise(model, error_variances(in_parts(model[:, :, -1])))
     for _ in range(NOISE_ROUNDS - 1):
         estimate, steps = _solved_with_noise(model, error_variances(estimate.errors))
@@ -149,12 +145,7 @@ def _solved(
 def _solved_with_noise(
     model: Float[np.ndarray, "views 6 columns"], variances: Float[np.ndarray, "2"]
 ) -> tuple[LagEstimate, Float[np.ndarray, "steps"]]:
-    """Return `_solved` with given ratios of the noises.
-
-    Args:
-        model: as there.
-        variances: of translation (m^2) and rotation (rad^2).
-    """
+    """Return `_solved` with given variances of translation (m^2) and rotation (rad^2)."""
     count, _, columns = model.shape
     lag, closure = columns - 2, columns - 1
     sigmas = np.repeat(np.sqrt(variances), 3)

@@ -20,9 +20,9 @@ MIN_VARIANCE = 1e-18
 """Smallest variance of an error, m^2 and rad^2: a nanometre, for rendered views without any."""
 
 
-def closure_variances(closure: Poses) -> Float[np.ndarray, "2"]:
-    """Return the variances of the closure errors of the views, of translation and rotation."""
-    return error_variances(in_parts(host_logarithms(closure)))
+def errors_of(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
+    """Return the closure errors of the views, of translation (m) and rotation (rad)."""
+    return in_parts(host_logarithms(closure))
 
 
 def error_variances(errors: Float[np.ndarray, "views 2 3"]) -> Float[np.ndarray, "2"]:
@@ -30,25 +30,14 @@ def error_variances(errors: Float[np.ndarray, "views 2 3"]) -> Float[np.ndarray,
     return np.maximum(np.mean(errors**2, axis=(0, 2)), MIN_VARIANCE)
 
 
-def evidence(given_variances: Float[np.ndarray, "2"], corrected: Poses, parameters: int) -> float:
-    """Return Schwarz's criterion of the poses as given minus with an explanation.
-
-    It is twice the logarithm of the odds of the explanation.
-
-    Args:
-        given_variances: variances of the closure errors as given (`closure_variances`).
-        corrected: closure error of each view with the explanation.
-        parameters: how many numbers the explanation has.
-    """
-    return evidence_of_errors(given_variances, in_parts(host_logarithms(corrected)), parameters)
-
-
-def evidence_of_errors(
+def evidence(
     given_variances: Float[np.ndarray, "2"],
     errors: Float[np.ndarray, "views 2 3"],
     parameters: int,
 ) -> float:
-    """Return `evidence` for errors that are computed already.
+    """Return Schwarz's criterion of the poses as given minus with an explanation.
+
+    It is twice the logarithm of the odds of the explanation.
 
     Args:
         given_variances: variances of the errors as given (`error_variances`).

@@ -21,8 +21,8 @@ from ..calibration import ONE_ARM_MOUNTS
 from ..geometry import host_matrices
 from .changes import ChangeOptions
 from .closure import MAX_CLOSURE_SCORE
-from .lag_fit import MAX_FRACTION, LagEstimate, LagFit, LaggingViews
-from .misfit_evidence import error_variances, evidence_of_errors
+from .lag_fit import MAX_FRACTION, LagFit, LaggingViews
+from .misfit_evidence import error_variances, evidence
 from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text
 
 MIN_VIEWS = 6
@@ -127,46 +127,22 @@ def find_lag(
         views[end] = False
         data = LaggingViews(robot, camera, views, mount, direction)
         fit = LagFit(data)
-        given = mean_misfit(fit.closure, distance)
-        if given[1] < options.min_score:
+        given_misfit, given_score = mean_misfit(fit.closure, distance)
+        if given_score < options.min_score:
             continue
         first = fit.step()
         if not first.fraction > MIN_STEP * first.std:
             continue
-        lag = _explained(data, fit.likeliest(first), given, distance)
+        fraction, std, errors, errors_without = fit.likeliest(first)
+        holder = data.mount_from_holder(fraction)
+        closure = fit_transforms(holder, fit.camera, np.ones(len(holder), dtype=bool)).closure
+        misfit, score = mean_misfit(closure, distance)
+        odds = evidence(error_variances(errors_without), errors, 1)
         if (
-            lag.evidence > 2.0 * np.log(options.min_odds)
-            and lag.score < MAX_CORRECTED_RATIO * lag.given_score
-            and abs(lag.fraction) < MAX_FRACTION
+            odds > 2.0 * np.log(options.min_odds)
+            and score < MAX_CORRECTED_RATIO * given_score
+            and abs(fraction) < MAX_FRACTION
         ):
-            lags.append(lag)
+            scores = misfit, given_misfit, score, given_score, odds
+            lags.append(PoseLag(direction * fraction, std, *scores))
     return min(lags, key=lambda lag: lag.score, default=None)
-
-
-def _explained(
-    data: LaggingViews,
-    estimate: LagEstimate,
-    given: tuple[tuple[float, float], float],
-    distance: float,
-) -> PoseLag:
-    """Return a lag with what it explains.
-
-    Args:
-        data: the views.
-        estimate: the likeliest lag in the direction of `data`.
-        given: mean misfit and score without a lag.
-        distance: median distance of the target from the camera, m.
-    """
-    holder = data.mount_from_holder(estimate.fraction)
-    everything = np.ones(len(holder), dtype=bool)
-    closure = fit_transforms(holder, data.camera[data.views], everything).closure
-    misfit, score = mean_misfit(closure, distance)
-    return PoseLag(
-        data.direction * estimate.fraction,
-        estimate.std,
-        misfit,
-        given[0],
-        score,
-        given[1],
-        evidence_of_errors(error_variances(estimate.errors_without), estimate.errors, 1),
-    )

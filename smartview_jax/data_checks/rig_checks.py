@@ -6,7 +6,7 @@ of one camera lies elsewhere than the other's. So a displaced target is seen as 
 tell, however weak the robot is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import combinations
 from typing import NamedTuple
 
@@ -104,44 +104,26 @@ def _copies(rig: Rig) -> list[str]:
     """Return a doubt for each pair of cameras whose pixels are equal in all common states."""
     doubts = []
     for first, second in combinations(rig.cameras, 2):
-        names = first, second
-        views = _common_views([rig.state_index[name] for name in names])
-        visible, pixels = (
-            [np.asarray(of_camera)[own] for of_camera, own in zip(values, views, strict=True)]
-            for values in (
-                [rig.cameras[name].visible for name in names],
-                [rig.cameras[name].pixels for name in names],
-            )
-        )
-        mask = visible[0]
-        if (
-            mask.any()
-            and np.array_equal(mask, visible[1])
-            and np.array_equal(pixels[0][mask], pixels[1][mask])
-        ):
+        ours, theirs = rig.state_index[first], rig.state_index[second]
+        _, *common = np.intersect1d(ours, theirs, return_indices=True)
+        seen = [
+            np.where(np.asarray(data.visible)[..., None], data.pixels, np.nan)[views]
+            for data, views in zip((rig.cameras[first], rig.cameras[second]), common, strict=True)
+        ]
+        if np.isfinite(seen[0]).any() and np.array_equal(*seen, equal_nan=True):
             doubts.append(
-                f"cameras {first!r} and {second!r} have the same pixels in all {len(mask)} states "
-                "that both saw: is one a copy of the other?"
+                f"cameras {first!r} and {second!r} have the same pixels in all {len(seen[0])} "
+                "states that both saw: is one a copy of the other?"
             )
     return doubts
-
-
-def _common_views(states: Sequence[Int[np.ndarray, "views"]]) -> list[Int[np.ndarray, "common"]]:
-    """Return the views of two cameras in the states that both saw.
-
-    Args:
-        states: the state of each of their views.
-    """
-    first, second = states
-    return list(np.intersect1d(first, second, return_indices=True)[1:])
 
 
 def _in_common(
     rig: Rig, first: str, second: str, seen: Mapping[str, SeenTarget]
 ) -> tuple[Poses, Poses]:
     """Return the target's poses in both cameras in the states that both saw."""
-    states = [rig.state_index[name][seen[name].views] for name in (first, second)]
-    ours, theirs = _common_views(states)
+    ours, theirs = (rig.state_index[name][seen[name].views] for name in (first, second))
+    _, ours, theirs = np.intersect1d(ours, theirs, return_indices=True)
     return seen[first].camera_from_world[ours], seen[second].camera_from_world[theirs]
 
 
@@ -165,10 +147,7 @@ def _moved_by(displacement: Matrix, points: Float[np.ndarray, "points 3"]) -> fl
 def _numbering(rig: Rig, first: str, second: str, displacement: Matrix) -> str | None:
     """Return the problem of points that two cameras number from different corners, or None.
 
-    Args:
-        rig: data sets of the cameras.
-        first, second: names of the cameras.
-        displacement: where the second camera's target lies in the first's.
+    `displacement` is where the second camera's target lies in the first's.
     """
     data = rig.cameras[second]
     turns = target_turns(np.asarray(data.points), np.asarray(data.visible))

@@ -20,10 +20,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import mount_frames
-from ..geometry import (
-    host_adjoints,
-    host_logarithms,
-)
+from ..geometry import host_adjoints, host_logarithms
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, MAX_VIEWS, Poses
 from .smooth_errors import LinearFit, ViewErrors, pose_kernels
 from .transform_fit import fit_transforms, mean_size, median_distance, misfit_text, motions_of_views

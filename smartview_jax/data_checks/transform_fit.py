@@ -10,7 +10,7 @@ from ..dataset import undetermined_twists
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
 from .closure import Poses
-from .misfit_evidence import in_parts
+from .misfit_evidence import errors_of, in_parts
 
 Matrix = Float[np.ndarray, "4 4"]
 """A homogeneous matrix, m."""
@@ -37,12 +37,7 @@ class TransformFit(NamedTuple):
 
 def misfits(closure: Poses) -> Float[np.ndarray, "views 2"]:
     """Return the length of the twist of each closure: translation (m), rotation (rad)."""
-    return _lengths(host_logarithms(closure))
-
-
-def _lengths(twists: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 2"]:
-    """Return the lengths of twists: translation (m), rotation (rad)."""
-    return np.linalg.norm(in_parts(twists), axis=2)
+    return np.linalg.norm(errors_of(closure), axis=2)
 
 
 def mean_misfit(closure: Poses, distance: float) -> tuple[tuple[float, float], float]:
@@ -62,7 +57,7 @@ def mean_size(
     twists: Float[np.ndarray, "views 6"], distance: float
 ) -> tuple[tuple[float, float], float]:
     """Return the mean lengths of twists (m and rad), and their score, as `mean_misfit`."""
-    translation, rotation = _lengths(twists).mean(axis=0).tolist()
+    translation, rotation = np.linalg.norm(in_parts(twists), axis=2).mean(axis=0).tolist()
     return (translation, rotation), rotation + translation / distance
 
 

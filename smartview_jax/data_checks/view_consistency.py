@@ -17,20 +17,18 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration
-from ..dataset import (
-    MINIMUM_RELIABLE_VIEWS,
-    Observations,
-    chain_residuals,
-    medians_by_view,
-)
-from ..geometry import (
-    host_matrices,
-    host_rotation_angles,
-    host_transforms,
-)
+from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, chain_residuals, medians_by_view
+from ..geometry import host_matrices, host_rotation_angles, host_transforms
 from .closure import MAX_CLOSURE_SCORE, Poses
 from .largest_group import largest_group
-from .transform_fit import fit_transforms, mean_misfit, median_distance, misfit_text, misfits
+from .transform_fit import (
+    TransformFit,
+    fit_transforms,
+    mean_misfit,
+    median_distance,
+    misfit_text,
+    misfits,
+)
 
 MAX_MISFIT_RATIO = 10.0
 """Limit on a view's misfit in rotation or translation, in multiples of the median view's.
@@ -98,25 +96,23 @@ def find_consistent_views(
     distance = np.linalg.norm(camera[:, :3, 3], axis=1)
     misfit_floor = MISFIT_FLOOR * np.stack([distance, np.ones(len(distance))], axis=1)
 
-    def fit_transforms_to(used: np.ndarray) -> _TransformFit:
+    def fit_transforms_to(used: np.ndarray) -> _JudgedFit:
         """Compute the transforms from some views, and the misfits of all views."""
         fit = fit_transforms(robot, camera, used)
         misfit = fit.misfit
         # Misfits are judged relative to the median view, because robots differ in accuracy.
         misfit_scale = np.maximum(np.median(misfit[used], axis=0), misfit_floor)
-        return _TransformFit(
-            host_transforms(fit.camera_from_mount),
-            host_transforms(fit.holder_from_world),
-            misfit,
-            (misfit / misfit_scale).max(axis=1),
-            misfit_scale,
-        )
+        return _JudgedFit(fit, misfit, (misfit / misfit_scale).max(axis=1), misfit_scale)
 
-    def leave_out(views: Sequence[int], fit: _TransformFit) -> None:
+    def errors_with(fit: TransformFit) -> Float[np.ndarray, "views"] | None:
+        """Return the reprojection errors of all views with some transforms, px; None if unknown."""
+        if reprojection_error is None:
+            return None
+        return reprojection_error(*map(host_transforms, fit[:2]))
+
+    def leave_out(views: Sequence[int], fit: _JudgedFit) -> None:
         """Sort views that a fit without them contradicts into wrong ones and uncertain ones."""
-        errors = None
-        if reprojection_error is not None:
-            errors = reprojection_error(fit.camera_from_mount, fit.holder_from_world)
+        errors = errors_with(fit.transforms)
         for view in views:
             # Its points are where the others predict them: its pose is uncertain, not wrong.
             if errors is not None and errors[view] <= MAX_REPROJECTION_ERROR_RATIO * np.median(
@@ -148,11 +144,7 @@ def find_consistent_views(
     # The sentences use transforms without any rejected view: of two exchanged pictures, the
     # second still biased the transforms when the first was rejected.
     fit = fit_transforms_to(consistent)
-    errors = (
-        None
-        if reprojection_error is None
-        else reprojection_error(fit.camera_from_mount, fit.holder_from_world)
-    )
+    errors = errors_with(fit.transforms)
     reasons = {}
     for view in rejected:
         text = (
@@ -168,7 +160,7 @@ def find_consistent_views(
         explanation = (
             OTHER_CORNER_TEXT
             if turns is not None and _fits_turned(view, fit, robot, camera, turns)
-            else _matching_pose_text(view, fit, mount_from_holder, camera_from_world, ids)
+            else _matching_pose_text(view, fit, robot, camera, ids)
         )
         reasons[view] = f"{text}: {explanation}"
     return ViewConsistency(consistent, reasons, tuple(uncertain))
@@ -220,18 +212,17 @@ def median_reprojection_errors(
     return np.where(used.any(axis=1), medians_by_view(errors, used), np.inf)
 
 
-class _TransformFit(NamedTuple):
+class _JudgedFit(NamedTuple):
     """The transforms computed from some of the views, and the misfit of every view.
 
     Attributes:
-        camera_from_mount, holder_from_world: the transforms.
+        transforms: the transforms.
         misfit: translation (m) and rotation (rad) of each view.
         misfit_ratio: the larger of the two in multiples of the median view's.
         misfit_scale: the median misfit, not below `MISFIT_FLOOR`.
     """
 
-    camera_from_mount: SE3
-    holder_from_world: SE3
+    transforms: TransformFit
     misfit: Float[np.ndarray, "views 2"]
     misfit_ratio: Float[np.ndarray, "views"]
     misfit_scale: Float[np.ndarray, "views 2"]
@@ -260,15 +251,13 @@ def _hidden_views(
 
 def _fits_turned(
     view: int,
-    fit: _TransformFit,
+    fit: _JudgedFit,
     robot: Poses,
     camera: Poses,
     turns: Float[np.ndarray, "turns 4 4"],
 ) -> bool:
     """Return whether a view fits if its points are numbered from another corner of the target."""
-    camera_from_mount, holder_from_world = (
-        host_matrices(p) for p in (fit.camera_from_mount, fit.holder_from_world)
-    )
+    camera_from_mount, holder_from_world, _ = fit.transforms
     expected = robot[view] @ holder_from_world
     turned = camera[view] @ turns[1:]
     closure = np.linalg.inv(camera_from_mount) @ turned @ np.linalg.inv(expected)
@@ -277,16 +266,13 @@ def _fits_turned(
 
 def _matching_pose_text(
     view: int,
-    fit: _TransformFit,
-    mount_from_holder: SE3,
-    camera_from_world: SE3,
+    fit: _JudgedFit,
+    robot: Poses,
+    camera: Poses,
     ids: Sequence[str],
 ) -> str:
     """Return which other view's pose the picture fits, or that it fits none, in words."""
-    robot, camera = (host_matrices(p) for p in (mount_from_holder, camera_from_world))
-    camera_from_mount, holder_from_world = (
-        host_matrices(p) for p in (fit.camera_from_mount, fit.holder_from_world)
-    )
+    camera_from_mount, holder_from_world, _ = fit.transforms
     # The robot pose that this picture needs, from Eq. 10: T = H^-1 C X^-1.
     required = np.linalg.inv(camera_from_mount) @ camera[view] @ np.linalg.inv(holder_from_world)
     offset = required @ np.linalg.inv(robot)

@@ -179,19 +179,18 @@ def poses_from_points(
         )
     _refuse_other_unit(points[whole], target, seen[whole])
     fit = _fitted(points[whole], target, seen[whole])
-    count = len(points)
-    poses, covariance = np.full((count, 4, 4), np.nan), np.full((count, 6, 6), np.nan)
-    changes = np.full((count, 6, 2), np.nan)
-    residuals, used = np.full(points.shape, np.nan), np.zeros(seen.shape, dtype=bool)
-    poses[whole], covariance[whole] = fit.camera_from_world, fit.covariance
-    changes[whole] = fit.sensor_changes
-    residuals[whole], used[whole] = fit.residuals, fit.used
+
+    def of_all_views(values: np.ndarray, missing: float = np.nan) -> np.ndarray:
+        every = np.full((len(points), *values.shape[1:]), missing, dtype=values.dtype)
+        every[whole] = values
+        return every
+
     return fit._replace(
-        camera_from_world=poses,
-        covariance=covariance,
-        sensor_changes=changes,
-        residuals=residuals,
-        used=used,
+        camera_from_world=of_all_views(fit.camera_from_world),
+        covariance=of_all_views(fit.covariance),
+        sensor_changes=of_all_views(fit.sensor_changes),
+        residuals=of_all_views(fit.residuals),
+        used=of_all_views(fit.used, missing=False),
     )
 
 

@@ -3,7 +3,6 @@
 from .abstract_problem import AbstractBuiltProblem as AbstractBuiltProblem
 from .abstract_problem import AbstractProblem as AbstractProblem
 from .abstract_problem import NormalEquations as NormalEquations
-from .arms_builder import STEP_NAMES as STEP_NAMES
 from .arms_builder import BuiltArms as BuiltArms
 from .arms_builder import base_path as base_path
 from .arms_builder import build_arms as build_arms
@@ -34,6 +33,7 @@ from .observability import observability as observability
 from .parameters import DEPTH_BIAS_NAMES as DEPTH_BIAS_NAMES
 from .parameters import POSE_CORRECTIONS as POSE_CORRECTIONS
 from .parameters import ROBOT_ERROR as ROBOT_ERROR
+from .parameters import STEP_NAMES as STEP_NAMES
 from .parameters import TARGET_SCALE as TARGET_SCALE
 from .parameters import Parameters as Parameters
 from .parameters import Step as Step
@@ -44,6 +44,7 @@ from .parameters import host_step as host_step
 from .parameters import is_size as is_size
 from .parameters import parameter_mask as parameter_mask
 from .parameters import parameter_names as parameter_names
+from .parameters import step_names as step_names
 from .parameters import twist_by_step as twist_by_step
 from .pixel_sigma import SIGMA_FLOOR as SIGMA_FLOOR
 from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigma

@@ -292,6 +292,26 @@ class AbstractRigProblem(AbstractProblem):
     camera_mask: eqx.AbstractVar[Bool[Array, "shared"]]
 
     @property
+    @abc.abstractmethod
+    def parts(self) -> list[Any]:
+        """The problems of the arms, or of the cameras, stacked by kind."""
+
+    @property
+    def visible_count(self) -> int:
+        """The number of visible points in all pictures."""
+        return sum(part.visible_count for part in self.parts)
+
+    @property
+    def number_count(self) -> int:
+        """The number of measured numbers, as in `AbstractProblem`."""
+        return sum(part.number_count for part in self.parts)
+
+    @property
+    def observation_count(self) -> int:
+        """The number of points in all pictures, visible or not."""
+        return sum(part.observation_count for part in self.parts)
+
+    @property
     def parameter_count(self) -> int:
         """The number of shared parameters, free or not."""
         return len(self.camera_mask)

@@ -15,7 +15,13 @@ from ..runtime.array_namespace import to_device
 from ..runtime.modules import with_fields
 from .abstract_problem import AbstractBuiltProblem
 from .arms_problem import ArmInRig, ArmsProblem
-from .parameters import POSE_CORRECTIONS, Step, host_retract_transform, parameter_mask
+from .parameters import (
+    POSE_CORRECTIONS,
+    Step,
+    host_retract_transform,
+    parameter_mask,
+    step_names,
+)
 from .priors import ParameterChoice, Prior
 from .problem_builder import prior_means_and_weights
 from .rig_builder import BuiltRig, camera_mask, rig_parameter_names
@@ -23,9 +29,6 @@ from .rig_problem import RigProblem
 
 BASE_FROM_WORLD = "base_from_world"
 """Name of the pose of a target on the table, after the target's own name."""
-
-STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
-"""Names of the parameters of a transform, after the transform's own name."""
 
 
 class BuiltArms(AbstractBuiltProblem):
@@ -74,7 +77,7 @@ def choices_of_arms(
         moved = {name for own in _common_poses(rig, arm, starts).values() for name in own}
         names[arm] = {own: name for own, name in names[arm].items() if own not in moved}
     bases = [base_path(rig.arm_names[0], arm) for arm in rig.arm_names[1:]]
-    of_bases = (f"{base}.{name}" for base in bases for name in STEP_NAMES)
+    of_bases = step_names(*bases)
     for path in choice.fixed:
         if path.partition(".")[0] in bases:
             raise ValueError(f"fixed: {path!r}: a base has no start; give a prior with a mean")
@@ -125,10 +128,7 @@ def build_arms(
     """
     starts = {name: start for built, _ in arms.values() for name, start in built.starts.items()}
     parts = [_Part.of(rig, arm, starts, *arms[arm]) for arm in rig.arm_names]
-    bases = {
-        part.arm: tuple(f"{base_path(parts[0].arm, part.arm)}.{name}" for name in STEP_NAMES)
-        for part in parts[1:]
-    }
+    bases = {part.arm: step_names(base_path(parts[0].arm, part.arm)) for part in parts[1:]}
     of_arms = (name for part in parts for name in part.names.values())
     of_bases = [name for own in bases.values() for name in own]
     names = tuple(dict.fromkeys((*of_arms, *of_bases)))
@@ -184,12 +184,7 @@ class _Shared(NamedTuple):
 
 
 def _shared_parameters(parts: Sequence["_Part"], place: Mapping[str, int]) -> _Shared:
-    """Return the shared parameters of all arms.
-
-    Args:
-        parts: the arms.
-        place: index of each parameter, by its name.
-    """
+    """Return the shared parameters of all arms, with `place` the index of each name."""
     size = len(place)
     known, free = np.zeros(size, dtype=bool), np.zeros(size, dtype=bool)
     step, mean, weight = np.zeros(size), np.full(size, np.nan), np.zeros(size)
@@ -220,15 +215,7 @@ def _with_priors_of_bases(
     first: str,
     priors: Mapping[str, Prior],
 ) -> tuple[Float[np.ndarray, "shared"], Float[np.ndarray, "shared"]]:
-    """Return the means and weights of all priors, including the given priors on bases.
-
-    Args:
-        names: names of the parameters.
-        shared: the parameters, with the arms' priors.
-        others: names of the arms but the first.
-        first: name of the first arm.
-        priors: priors by path.
-    """
+    """Return the means and weights of all priors, including the given priors on bases."""
     paths = {base_path(first, arm) for arm in others}
     given = {path: prior for path, prior in priors.items() if path.split(".")[0] in paths}
     mean, weight = prior_means_and_weights(names, len(names), given, None, None, 1.0)

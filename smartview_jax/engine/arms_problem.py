@@ -136,19 +136,9 @@ class ArmsProblem(AbstractRigProblem):
         return None
 
     @property
-    def visible_count(self) -> int:
-        """The number of visible points in all pictures."""
-        return sum(arm.problem.visible_count for arm in self.arms)
-
-    @property
-    def number_count(self) -> int:
-        """The number of measured numbers, as in `AbstractProblem`."""
-        return sum(arm.problem.number_count for arm in self.arms)
-
-    @property
-    def observation_count(self) -> int:
-        """The number of points in all pictures, visible or not."""
-        return sum(arm.problem.observation_count for arm in self.arms)
+    def parts(self) -> list[Any]:
+        """The problems of the arms."""
+        return [arm.problem for arm in self.arms]
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""

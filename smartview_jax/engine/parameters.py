@@ -14,8 +14,9 @@ stays positive.
 """
 
 import difflib
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,27 +26,31 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import BASES, Calibration, DepthBias
+from ..cameras import Camera, moved_cameras
 from ..geometry import host_exponentials, host_matrices, host_transforms
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import array_namespace, as_float_array
 from ..runtime.modules import HostModule
 
-_AXES = ("x", "y", "z")
+STEP_NAMES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz")
+"""Names of the parameters of a transform, after the transform's own name."""
+
 POSE_CORRECTIONS = "pose_corrections"
 """First part of the names of the views' pose corrections."""
+
 TARGET_SCALE = "target_scale"
 """The name of the target's scale, both as a parameter and as a group of unknown size."""
 
 DEPTH_BIAS_NAMES = ("depth_bias.scale", "depth_bias.offset")
 """Names of the bias of the depths that a camera measures."""
 
-BASES_NAMES = tuple(
-    f"{BASES}.{part}.{axis}" for part in ("translation", "rotation") for axis in _AXES
-)
-"""Names of the transform between the bases of two arms."""
-
 ROBOT_ERROR = "robot_error"
 """First part of the names of the robot error field's coefficients."""
+
+
+def step_names(*paths: str) -> tuple[str, ...]:
+    """Return the names of the parameters of transforms, six for each path."""
+    return tuple(f"{path}.{name}" for path in paths for name in STEP_NAMES)
 
 
 def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> tuple[str, ...]:
@@ -59,13 +64,8 @@ def parameter_names(calibration: Calibration, view_ids: Sequence[str] = ()) -> t
     for path, leaf in jax.tree_util.tree_leaves_with_path(calibration.camera):
         name = f"camera{jax.tree_util.keystr(path)}"
         camera += [name] if np.ndim(leaf) == 0 else [f"{name}.{k}" for k in range(np.size(leaf))]
-    transforms = [
-        f"{name}.{part}.{axis}"
-        for name in calibration.transform_names
-        for part in ("translation", "rotation")
-        for axis in _AXES
-    ]
-    bases = [] if calibration.base_from_other_base is None else list(BASES_NAMES)
+    transforms = step_names(*calibration.transform_names)
+    bases = () if calibration.base_from_other_base is None else step_names(BASES)
     error = calibration.robot_error
     fields = [] if error is None else [f"{ROBOT_ERROR}.{name}" for name in error.field.names]
     bias = [] if calibration.depth_bias is None else list(DEPTH_BIAS_NAMES)
@@ -80,12 +80,7 @@ def is_size(name: str) -> bool:
 
 def correction_names(view_ids: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the pose corrections of some views, six for each."""
-    return tuple(
-        f"{POSE_CORRECTIONS}.{view}.{part}.{axis}"
-        for view in view_ids
-        for part in ("translation", "rotation")
-        for axis in _AXES
-    )
+    return step_names(*(f"{POSE_CORRECTIONS}.{view}" for view in view_ids))
 
 
 def parameter_mask(names: Sequence[str], paths: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
@@ -186,57 +181,70 @@ class Parameters(HostModule):
         camera_size = sum(np.size(leaf) for leaf in jax.tree.leaves(self.start.camera))
         error = self.start.robot_error
         bias_size = 0 if self.start.depth_bias is None else len(DEPTH_BIAS_NAMES)
-        bases_size = 0 if self.start.base_from_other_base is None else len(BASES_NAMES)
+        bases_size = 0 if self.start.base_from_other_base is None else len(STEP_NAMES)
         return ParameterLayout.of_sizes(
             camera_size, 0 if error is None else error.field.size, bias_size, bases_size
         )
 
-    def values(self) -> Float[Array, "shared"]:
+    def values(self, xp: ModuleType = jnp) -> Float[Any, "shared"]:
         """Return the values of the start; rotations, which are steps from it, are zero.
 
         The value of the target's scale is its logarithm.
+
+        Args:
+            xp: `numpy` to compute on the host, where `jax.numpy` would be compiled.
         """
         start = self.start
-        error, bias, bases = start.robot_error, start.depth_bias, start.base_from_other_base
-        return jnp.concatenate(
-            [
-                ravel_pytree(start.camera)[0],
-                start.camera_from_mount.translation(),
-                jnp.zeros(3),
-                start.holder_from_world.translation(),
-                jnp.zeros(3),
-                jnp.log(start.target_scale)[None],
-                jnp.zeros(0) if error is None else error.coefficients,
-                *([] if bias is None else [bias.scale[None], bias.offset[None]]),
-                *([] if bases is None else [bases.translation(), jnp.zeros(3)]),
-            ]
+        error, bias = start.robot_error, start.depth_bias
+        transforms = [start.camera_from_mount, start.holder_from_world]
+        mount, holder, *bases = (
+            xp.pad(xp.asarray(transform.wxyz_xyz)[4:], (0, 3))
+            for transform in (*transforms, start.base_from_other_base)
+            if transform is not None
         )
+        groups = [
+            *jax.tree.leaves(start.camera),
+            mount,
+            holder,
+            xp.log(xp.asarray(start.target_scale)),
+            *([] if error is None else [error.coefficients]),
+            *([] if bias is None else [bias.scale, bias.offset]),
+            *bases,
+        ]
+        return xp.concatenate([xp.ravel(xp.asarray(group)) for group in groups])
 
     def retract(self, step: Step) -> tuple[Calibration, Float[Array, "views 6"]]:
         """Return the calibration and the pose corrections after a step from the start."""
         start, layout, shared = self.start, self.layout, step.shared
         camera_values, rebuild = ravel_pytree(start.camera)
-        error = start.robot_error
+        camera = rebuild(camera_values + shared[layout.camera])
+        return self._moved(camera, shared, retract_transform), step.per_view
+
+    def _moved(
+        self, camera: Camera, shared: Array | np.ndarray, moved: Callable[[SE3, Any], SE3]
+    ) -> Calibration:
+        """Return the calibration after a step, by `moved` for transforms, with a moved camera."""
+        start, layout, xp = self.start, self.layout, array_namespace(shared)
+        error, bias, bases = start.robot_error, start.depth_bias, start.base_from_other_base
         if error is not None:
-            error = RobotError(error.field, error.coefficients + shared[layout.field])
-        bias = start.depth_bias
+            coefficients = xp.asarray(error.coefficients) + shared[layout.field]
+            error = RobotError(error.field, as_float_array(coefficients))
         if bias is not None:
             by_scale, by_offset = shared[layout.depth_bias]
-            bias = DepthBias(bias.scale + by_scale, bias.offset + by_offset)
-        bases = start.base_from_other_base
+            scale, offset = xp.asarray(bias.scale), xp.asarray(bias.offset)
+            bias = DepthBias(scale + by_scale, offset + by_offset)
         if bases is not None:
-            bases = retract_transform(bases, shared[layout.bases])
-        calibration = Calibration(
-            rebuild(camera_values + shared[layout.camera]),
-            retract_transform(start.camera_from_mount, shared[layout.mount]),
-            retract_transform(start.holder_from_world, shared[layout.holder]),
+            bases = moved(bases, shared[layout.bases])
+        return Calibration(
+            camera,
+            moved(start.camera_from_mount, shared[layout.mount]),
+            moved(start.holder_from_world, shared[layout.holder]),
             start.mount,
-            start.target_scale * jnp.exp(shared[layout.target_scale][0]),
+            xp.asarray(start.target_scale) * xp.exp(shared[layout.target_scale][0]),
             error,
             depth_bias=bias,
             base_from_other_base=bases,
         )
-        return calibration, step.per_view
 
     def step_to(self, other: Calibration) -> Float[Array, "shared"]:
         """Return the step from the start to another calibration with the same parameters."""
@@ -261,57 +269,15 @@ def rotation_vector_between(start: SE3, end: SE3) -> Float[Array, "3"]:
     return (end.rotation() @ start.rotation().inverse()).log()
 
 
-def host_values(start: Calibration) -> Float[np.ndarray, "shared"]:
-    """Return the values of `Parameters(start).values`, computed with NumPy."""
-    error, rotation = start.robot_error, np.zeros(3)
-    mount, holder = (
-        np.asarray(transform.wxyz_xyz)[4:]
-        for transform in (start.camera_from_mount, start.holder_from_world)
-    )
-    camera = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(start.camera)]
-    scale = np.log(np.asarray(start.target_scale))[None]
-    coefficients = np.zeros(0) if error is None else np.asarray(error.coefficients)
-    bias = np.zeros(0) if start.depth_bias is None else start.depth_bias.host_values
-    between = start.base_from_other_base
-    bases = [] if between is None else [np.asarray(between.wxyz_xyz)[4:], rotation]
-    values = [*camera, mount, rotation, holder, rotation, scale, coefficients, bias, *bases]
-    return np.concatenate(values)
-
-
 def host_retract(start: Calibration, shared: Float[np.ndarray, "shared"]) -> Calibration:
     """Return the calibration of `Parameters(start).retract` for a step of the shared parameters.
 
     It is computed with NumPy, for a few steps, because compilation would take longer.
     """
-    layout = Parameters(start).layout
-    # The camera's numbers are in the order of its leaves, as in `ravel_pytree`.
-    leaves, structure = jax.tree.flatten(start.camera)
-    ends = np.cumsum([np.size(leaf) for leaf in leaves])
-    steps = np.split(shared[layout.camera], ends[:-1])
-    camera = [
-        to_device(np.asarray(leaf) + step.reshape(np.shape(leaf)))
-        for leaf, step in zip(leaves, steps, strict=True)
-    ]
-    error = start.robot_error
-    if error is not None:
-        coefficients = np.asarray(error.coefficients) + shared[layout.field]
-        error = RobotError(error.field, to_device(coefficients))
-    bias = start.depth_bias
-    if bias is not None:
-        bias = DepthBias(*(bias.host_values + shared[layout.depth_bias]))
-    bases = start.base_from_other_base
-    if bases is not None:
-        bases = host_retract_transform(bases, shared[layout.bases])
-    return Calibration(
-        jax.tree.unflatten(structure, camera),
-        host_retract_transform(start.camera_from_mount, shared[layout.mount]),
-        host_retract_transform(start.holder_from_world, shared[layout.holder]),
-        start.mount,
-        np.asarray(start.target_scale) * np.exp(shared[layout.target_scale][0]),
-        error,
-        depth_bias=bias,
-        base_from_other_base=bases,
-    )
+    parameters = Parameters(start)
+    camera = moved_cameras(start.camera, shared[parameters.layout.camera])
+    assert isinstance(camera, Camera)
+    return parameters._moved(camera, shared, host_retract_transform)
 
 
 def host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:

@@ -23,7 +23,7 @@ from ..runtime.modules import HostModule, with_fields
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
 from .depth_equations import DepthEquations, depth_residuals, linearise_depths
 from .losses import AbstractLoss
-from .parameters import DEPTH_BIAS_NAMES, Parameters, Step, host_values
+from .parameters import DEPTH_BIAS_NAMES, Parameters, Step
 from .pose_jacobians import PoseJacobians, corrections_at_tool, linearise_poses
 from .prepared_poses import PreparedPoses, prepare_poses
 from .schur import BlockArrow
@@ -147,7 +147,7 @@ class JointProblem(AbstractProblem):
 
     def host_start_values(self) -> Float[np.ndarray, "shared"]:
         """Return `start_values`, computed with NumPy."""
-        return host_values(self.parameters.start)
+        return self.parameters.values(np)
 
     def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
         """Return the calibration and the pose corrections at a scaled step."""
@@ -431,19 +431,15 @@ class JointProblem(AbstractProblem):
         free_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
         return pose_jacobians.per_view_jacobian * free_scale[:, None, :]
 
-    def normal_equations_by_view(
-        self, z: Step
-    ) -> tuple[Float[Array, "views free"], Float[Array, "views free free"]]:
-        """Return every view's term of the shared parameters' gradient and matrix."""
+    def gradients_by_view(self, z: Step) -> Float[Array, "views free"]:
+        """Return every view's term of the shared parameters' gradient."""
         pose_jacobians = self._linearise_poses(z)
         views = self._view_normal_equations(pose_jacobians)
         shared = self._shared_jacobian(pose_jacobians)
-        gradient = jnp.einsum("vki,vk->vi", shared, views.gradient)
-        matrix = jnp.einsum("vki,vkl,vlj->vij", shared, views.matrix, shared)
-        if self.has_depths:
-            depths = self._depth_equations(pose_jacobians)
-            return gradient + depths.shared_gradients, matrix + depths.blocks.shared
-        return gradient, matrix
+        gradients = jnp.einsum("vki,vk->vi", shared, views.gradient)
+        if not self.has_depths:
+            return gradients
+        return gradients + self._depth_equations(pose_jacobians).shared_gradients
 
     def blocks_by_view(self, z: Step) -> ViewBlocks:
         """Return every view's own term of the matrix of the normal equations, without priors."""

@@ -5,7 +5,7 @@ It combines the lens, the noise model, the free and fixed parameters, and the pr
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 import equinox as eqx
 import jax
@@ -235,7 +235,7 @@ def with_field(start: Calibration, field: FieldChoice) -> Calibration:
     if field is None:
         return start.uncorrected
     current = start.robot_error
-    if current is not None and _is_same_field(current.field, field):
+    if current is not None and equal_on_host(current.field, field):
         return start
     return with_fields(start, robot_error=RobotError.zero(field))
 
@@ -268,8 +268,8 @@ def with_known_depth_noise(data: Dataset, noise: Noise, factor: float = 1.0) -> 
     )
 
 
-def _is_same_field(first: AbstractField, second: AbstractField) -> bool:
-    """Return whether two fields are equal, compared on the host."""
+def equal_on_host(first: Any, second: Any) -> bool:
+    """Return whether two pytrees of arrays are equal, compared on the host."""
     if jax.tree.structure(first) != jax.tree.structure(second):
         return False
     pairs = zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)

@@ -31,6 +31,7 @@ from .priors import ParameterChoice, ParameterOptions
 from .problem import JointProblem
 from .problem_builder import (
     TYPICAL_DEPTH_BIAS,
+    equal_on_host,
     prior_means_and_weights,
     step_from_vector,
     unprojectable_points,
@@ -186,11 +187,7 @@ def _require_one_robot_error(starts: Mapping[str, Calibration]) -> None:
     first, *others = starts
     expected = starts[first].robot_error
     for name in others:
-        found = starts[name].robot_error
-        leaves = jax.tree.leaves(expected), jax.tree.leaves(found)
-        if jax.tree.structure(expected) != jax.tree.structure(found) or not all(
-            np.array_equal(a, b) for a, b in zip(*leaves, strict=True)
-        ):
+        if not equal_on_host(expected, starts[name].robot_error):
             raise ValueError(
                 f"starts: the robot's error in {name!r} is another than in {first!r}, but a rig "
                 "has one robot; give field="

@@ -20,7 +20,7 @@ from ..robot_errors import RobotError
 from ..robots import Command
 from ..runtime.modules import HostModule
 from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
-from .parameters import Step, host_values
+from .parameters import Step
 from .prepared_poses import PreparedPoses, prepare_poses
 from .problem import FittedChain, JointProblem
 from .schur import BlockArrow
@@ -73,19 +73,9 @@ class RigProblem(AbstractRigProblem):
         return self.start_error
 
     @property
-    def visible_count(self) -> int:
-        """The number of visible points in all pictures."""
-        return sum(group.problems.visible_count for group in self.groups)
-
-    @property
-    def number_count(self) -> int:
-        """The number of measured numbers, as in `AbstractProblem`."""
-        return sum(group.problems.number_count for group in self.groups)
-
-    @property
-    def observation_count(self) -> int:
-        """The number of points in all pictures, visible or not."""
-        return sum(group.problems.observations.visible.size for group in self.groups)
+    def parts(self) -> list[Any]:
+        """The problems of the cameras, stacked by kind."""
+        return [group.problems for group in self.groups]
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""
@@ -99,9 +89,9 @@ class RigProblem(AbstractRigProblem):
         """Return `start_values`, computed with NumPy."""
         values = np.zeros(self.parameter_count)
         for group in self.groups:
-            starts = group.problems.parameters.start
             for camera, index in enumerate(np.asarray(group.parameter_index)):
-                values[index] = host_values(jax.tree.map(lambda x, k=camera: x[k], starts))
+                parameters = jax.tree.map(lambda x, k=camera: x[k], group.problems.parameters)
+                values[index] = parameters.values(np)
         return values
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "states 6"]) -> "RigProblem":

@@ -152,23 +152,6 @@ class Elimination(eqx.Module):
     per_view_whitening: Float[Array, "views 6 6"]
     gain: Float[Array, "views 6 shared"]
 
-    @property
-    def per_view_inverse(self) -> Float[Array, "views 6 6"]:
-        """The inverse of each view's own block."""
-        return jnp.swapaxes(self.per_view_whitening, 1, 2) @ self.per_view_whitening
-
-    def per_view_covariance(
-        self, shared_covariance: Float[Array, "shared shared"]
-    ) -> Float[Array, "views 6 6"]:
-        """Compute the covariance of each view's own parameters.
-
-        It is the covariance for known shared parameters, plus the contribution of their
-        uncertainty.
-        """
-        # Cov(y_v) = D_v^-1 + K_v C K_v^T with the gain K_v = D_v^-1 B_v and C = Cov(x).
-        gain_covariance = self.gain @ shared_covariance
-        return self.per_view_inverse + jnp.einsum("vki,vli->vkl", gain_covariance, self.gain)
-
 
 def eliminate(operator: BlockArrow) -> Elimination:
     """Eliminate every view's own parameters from the normal equations.

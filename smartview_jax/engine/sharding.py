@@ -10,7 +10,6 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jax.sharding import Mesh, NamedSharding
@@ -18,10 +17,18 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
 from ..runtime.array_namespace import to_device
+from ..runtime.modules import with_fields
+from ..runtime.padding import repeat_last
 from .parameters import Step
-from .problem import VIEW_AXIS, FittedChain, JointProblem, NormalEquations
-from .schur import BlockArrow
-from .solver import Solution, solve
+from .problem import VIEW_AXIS, JointProblem, NormalEquations
+from .solver import (
+    Solution,
+    chain_without_padding,
+    equations_without_padding,
+    padded_step,
+    solve,
+    step_without_padding,
+)
 
 
 def solve_on(
@@ -36,40 +43,15 @@ def solve_on(
     process calls this function with the same problem and with all devices (`jax.devices()`), and
     every process gets the whole result.
     """
-    corrected_views = len(problem.per_view_free)
     sharded = shard(problem, devices)
     if start is not None:
-        # The views that were added as padding have no free parameters: their step is zero.
-        padding = len(sharded.per_view_free) - corrected_views
-        start = Step(start.shared, jnp.pad(start.per_view, ((0, padding), (0, 0))))
+        start = padded_step(start, sharded)
     solution, equations = solve(sharded, solver, start=start)
 
-    def without_padding(x: Array) -> Array:
-        """Copy an array of the views without the padding."""
-        return to_device(x)[:corrected_views]
-
-    z, gradient, matrix, chain = solution.z, equations.gradient, equations.matrix, solution.chain
-    view_count = len(problem.observations.visible)
-    return (
-        solution._replace(
-            z=Step(to_device(z.shared), without_padding(z.per_view)),
-            chain=FittedChain(
-                jax.tree.map(to_device, chain.calibration),
-                without_padding(chain.pose_corrections),
-                to_device(chain.field_corrections)[:view_count],
-                to_device(chain.camera_from_world)[:view_count],
-            ),
-        ),
-        NormalEquations(
-            to_device(equations.cost),
-            Step(to_device(gradient.shared), without_padding(gradient.per_view)),
-            BlockArrow(
-                to_device(matrix.shared),
-                without_padding(matrix.border),
-                without_padding(matrix.per_view),
-            ),
-        ),
-    )
+    single = jax.tree.map(to_device, solution.chain.calibration)
+    chain = with_fields(chain_without_padding(solution.chain, problem), calibration=single)
+    z = step_without_padding(solution.z, problem)
+    return solution._replace(z=z, chain=chain), equations_without_padding(equations, problem)
 
 
 def shard(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
@@ -118,21 +100,11 @@ def _with_view_arrays(problem: JointProblem, arrays: tuple[Any, ...]) -> JointPr
     return eqx.tree_at(_view_arrays, problem, arrays, is_leaf=lambda x: x is None)
 
 
-def pad_with_last(arrays: Any, copies: int) -> Any:
-    """Append copies of the last entry to arrays, to fill up the last device.
-
-    Args:
-        arrays: pytree of arrays.
-        copies: number of copies.
-    """
-    return jax.tree.map(lambda x: jnp.concatenate([x, x[-1:].repeat(copies, axis=0)]), arrays)
-
-
 def _pad_views(arrays: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
     """Repeat the last view; in the copies no point is visible and no parameter is free."""
-    observations, prepared_poses, per_view_free, *rest = pad_with_last(arrays, extra)
-    views = len(observations.visible) - extra
-    observations = eqx.tree_at(
-        lambda o: o.visible, observations, observations.visible.at[views:].set(False)
-    )
-    return observations, prepared_poses, per_view_free.at[views:].set(False), *rest
+    views = len(arrays[0].visible)
+    padded = jax.tree.map(np.array, repeat_last(arrays, views + extra))
+    observations, _, per_view_free, *_ = padded
+    observations.visible[views:] = False
+    per_view_free[views:] = False
+    return padded

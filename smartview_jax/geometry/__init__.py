@@ -6,9 +6,6 @@ from .camera_poses import five_viewpoints as five_viewpoints
 from .camera_poses import look_at as look_at
 from .camera_poses import spiral_directions as spiral_directions
 from .camera_poses import viewing_direction as viewing_direction
-from .conics import circle_dual_conic as circle_dual_conic
-from .conics import conic_centre as conic_centre
-from .conics import region_centroid as region_centroid
 from .euler import EULER_CONVENTIONS as EULER_CONVENTIONS
 from .euler import EulerConvention as EulerConvention
 from .euler import rotation_from_ypr as rotation_from_ypr
@@ -41,7 +38,6 @@ from .rigid_transforms import host_nearest_rotation as host_nearest_rotation
 from .rigid_transforms import mean_matrix as mean_matrix
 from .rigid_transforms import mean_pose as mean_pose
 from .rigid_transforms import nearest_rotation as nearest_rotation
-from .rigid_transforms import rotation_angle as rotation_angle
 from .rigid_transforms import se3_left_jacobian as se3_left_jacobian
 from .rigid_transforms import transform_points as transform_points
 from .rigid_transforms import transformed_coordinates as transformed_coordinates

@@ -193,14 +193,7 @@ def _matrix_codec() -> PoseCodec:
 def _quaternion_codec(
     name: str, columns: tuple[str, ...], wxyz: tuple[int, ...], units: tuple[str, str] = _SI
 ) -> PoseCodec:
-    """Return a codec of x, y, z and a unit quaternion.
-
-    Args:
-        name: name of the format.
-        columns: names of the last four columns.
-        wxyz: indices of w, x, y and z among the last four columns.
-        units: units of length and angle of the format.
-    """
+    """Return a codec of x, y, z and a unit quaternion: `wxyz` are indices among its columns."""
     # (w, x, y, z) = row[wxyz], so that row = (w, x, y, z)[argsort(wxyz)], the inverse permutation.
     inverse_permutation = tuple(int(k) for k in np.argsort(wxyz))
 
@@ -249,14 +242,7 @@ def _position_rotation_codec(
 ) -> PoseCodec:
     """Return a codec whose rows are x, y, z and then the numbers of the rotation.
 
-    Args:
-        name: name of the format.
-        columns: names of the rotation's columns.
-        angle_columns: indices, in the whole row, of the columns that are angles.
-        to_rotation: converts the rotation's columns to a rotation.
-        from_rotation: the inverse of `to_rotation`, for JAX's rotations.
-        check: as in `PoseCodec`.
-        units: units of length and angle of the format.
+    The indices of the columns that are angles are in the whole row.
     """
     return PoseCodec(
         name=name,

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..runtime.array_namespace import as_float_array
@@ -92,11 +92,6 @@ def check_rigid(
         elif np.linalg.det(rotation) < 0.0:
             problems[label] = "not a rotation: the determinant is -1 (a mirrored frame)"
     return problems
-
-
-def rotation_angle(rotation: SO3) -> Float[Array, "*batch"]:
-    """Return the angle of a rotation, in [0, pi] rad; it is differentiable except at angle zero."""
-    return jnp.linalg.norm(rotation.log(), axis=-1)
 
 
 @one_program

@@ -13,7 +13,6 @@ from .closed_form import motion_pairs as motion_pairs
 from .closed_form import park_martin as park_martin
 from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz
-from .frobenius import frobenius_cost as frobenius_cost
 from .minimum_norm import determined_steps as determined_steps
 from .minimum_norm import minimum_norm_transforms as minimum_norm_transforms
 from .solution import HandEyeResult as HandEyeResult

@@ -1,4 +1,4 @@
-"""Compute the cost of Eq. 17, as a differentiable function and as a least-squares matrix.
+"""Compute the cost of Eq. 17 as a least-squares matrix.
 
 Eq. 17 sums `|| T_i^-1 T_j X - X C_i^-1 C_j ||_F^2` over all pairs of views. It is quadratic in the
 entries x of X, so all pairs together are `|| F x ||^2` with a small matrix F, which is computed
@@ -7,42 +7,8 @@ their square. No square of a large number is subtracted from another, so that co
 full precision of nearly exact poses.
 """
 
-import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3
-from jaxtyping import Array, Float
-
-
-def frobenius_cost(
-    X: SE3,
-    T: SE3,
-    C: SE3,
-    weights: Float[Array, "views"],
-    length_scale: float | Float[Array, ""] = 1.0,
-) -> Float[Array, ""]:
-    """Return the cost of Eq. 17, `sum over i != j of || T_i^-1 T_j X - X C_i^-1 C_j ||_F^2`.
-
-    Pairs are weighted by the product of the weights of their views. The norm adds rotation entries
-    to lengths, so its minimum depends on the unit of length, `length_scale` metres.
-    """
-    # The sums over pairs as sums over views: see `frobenius_factor`, whose names these are.
-    R, t = X.rotation().as_matrix(), X.translation()
-    P, Q = T.rotation().as_matrix(), C.rotation().as_matrix()
-    total = jnp.sum(weights)
-    q = C.translation() - (weights @ C.translation() / total)[None]
-    Y = jnp.einsum("iac,cd,ibd->iab", P, R, Q)
-    z = jnp.einsum("iab,b->ia", P, t) + T.translation()
-    z = z - (weights @ z / total)[None]
-    Y_mean = jnp.einsum("i,iab->ab", weights, Y) / total
-    D = Y - Y_mean[None]
-    rotation = 2.0 * total * jnp.einsum("i,iab->", weights, D**2)
-    own = z - jnp.einsum("iab,ib->ia", Y, q)
-    common = z - q @ Y_mean.T
-    translation = total * jnp.einsum("i,ia->", weights, own**2 + common**2)
-    spread = jnp.einsum("j,jb,jc->bc", weights, q, q)
-    translation = translation + jnp.einsum("i,iab,bc,iac->", weights, D, spread, D)
-    # Translations in the chosen unit of length.
-    return rotation + translation / jnp.asarray(length_scale, dtype=float) ** 2
+from jaxtyping import Float
 
 
 def frobenius_factor(
@@ -51,9 +17,11 @@ def frobenius_factor(
     weights: Float[np.ndarray, "views"],
     length_scale: float = 1.0,
 ) -> Float[np.ndarray, "rows 13"]:
-    """Return the matrix F with `frobenius_cost = || F x ||^2`.
+    """Return the matrix F with `|| F x ||^2` the cost of Eq. 17, weighted.
 
-    The vector x has the nine entries of the rotation of X row by row, its translation, and 1.
+    Pairs are weighted by the product of the weights of their views. The norm adds rotation entries
+    to lengths, so its minimum depends on the unit of length, `length_scale` metres. The vector x
+    has the nine entries of the rotation of X row by row, its translation, and 1.
 
     Args:
         T: robot poses as 4x4 matrices.

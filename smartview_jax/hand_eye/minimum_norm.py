@@ -189,13 +189,9 @@ def _shifted_to_start(
     start: tuple[_Matrix | None, _Matrix | None],
     camera_on_hand: bool,
 ) -> tuple[_Matrix, _Matrix]:
-    """Return the transforms moved along undetermined twists to where they start.
+    """Return the transforms moved along undetermined twists of the holder to where they start.
 
-    Args:
-        camera, world: the transforms found.
-        mount_from_holder: of any view.
-        twists: undetermined twists of the holder.
-        start, camera_on_hand: as in `minimum_norm_transforms`.
+    The pose `mount_from_holder` is of any view.
     """
     if not len(twists):
         return camera, world

@@ -56,12 +56,10 @@ class HandEyeResult(HostModule):
         holder_from_world: pose of the target, by minimising Eq. 17.
         camera_from_mount: the hand-eye transform computed from `holder_from_world` and averaged
             over the views. The errors of the two then cancel in the chain, so use this one.
-        camera_from_mount_direct: the hand-eye transform by minimising the same cost for the
-            other unknown (`C_j C_i^-1 X = X T_j T_i^-1`).
-        hand_eye_difference: between the two hand-eye transforms, translation (m) and rotation
-            (rad).
+        hand_eye_difference: from `camera_from_mount` to the hand-eye transform by minimising the
+            same cost for the other unknown (`C_j C_i^-1 X = X T_j T_i^-1`), translation (m) and
+            rotation (rad).
         searches: every start tried for `holder_from_world`.
-        hand_eye_searches: every start tried for `camera_from_mount`.
         best_starts: names of the two starts that reached the lowest cost.
         converged: whether both searches converged.
         message: the same in words.
@@ -69,10 +67,8 @@ class HandEyeResult(HostModule):
 
     holder_from_world: SE3
     camera_from_mount: SE3
-    camera_from_mount_direct: SE3
     hand_eye_difference: tuple[float, float] = eqx.field(static=True)
     searches: tuple[SearchRecord, ...] = eqx.field(static=True)
-    hand_eye_searches: tuple[SearchRecord, ...] = eqx.field(static=True)
     best_starts: tuple[str, str] = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
     message: str = eqx.field(static=True)
@@ -147,7 +143,7 @@ def solve_hand_eye(
     # Eliminating base_from_world instead of camera_from_tool from Eq. 10 gives
     #     C_j C_i^-1 X = X T_j T_i^-1,  X = camera_from_tool,
     # which is the same search with C^-1 and T^-1 in the roles of T and C.
-    hand_eye_solution, hand_eye_searches, hand_eye_best = _search(
+    hand_eye_solution, _, hand_eye_best = _search(
         frobenius_factor(np.linalg.inv(C), np.linalg.inv(T), w, length_scale) / total,
         total**2,
         {PAPER_START: np.eye(4), **{name: form[0] for name, form in closed_forms.items()}},
@@ -156,16 +152,14 @@ def solve_hand_eye(
     difference = host_logarithms(np.linalg.inv(averaged) @ hand_eye_solution)
     converged = world_best.converged and hand_eye_best.converged
     # JAX arrays, so that users can differentiate; `device_put` compiles no program.
-    holder_from_world, camera_from_mount, camera_from_mount_direct = (
-        jax.device_put(host_transforms(x)) for x in (world_solution, averaged, hand_eye_solution)
+    holder_from_world, camera_from_mount = (
+        jax.device_put(host_transforms(x)) for x in (world_solution, averaged)
     )
     return HandEyeResult(
         holder_from_world,
         camera_from_mount,
-        camera_from_mount_direct,
         (float(np.linalg.norm(difference[:3])), float(np.linalg.norm(difference[3:]))),
         world_searches,
-        hand_eye_searches,
         (world_best.name, hand_eye_best.name),
         converged,
         "converged" if converged else "BFGS did not converge; the best of its answers was taken",
@@ -181,11 +175,6 @@ def _minimum_norm_result(
     """Return the result for a motion that leaves directions of the transforms undetermined.
 
     Eq. 17 has no single minimum there, and noise of the camera's rotations would choose one.
-
-    Args:
-        camera, world: both transforms by `minimum_norm_transforms`.
-        initial: the start of `holder_from_world`.
-        factor: the matrix of `frobenius_factor`.
     """
     entries = [np.append(pose[:3, :3].ravel(), [*pose[:3, 3], 1.0]) for pose in (initial, world)]
     costs = [float(np.sum(np.square(factor @ x))) for x in entries]
@@ -196,9 +185,7 @@ def _minimum_norm_result(
     return HandEyeResult(
         holder_from_world,
         camera_from_mount,
-        camera_from_mount,
         (0.0, 0.0),
-        (record,),
         (record,),
         (MINIMUM_NORM_START, MINIMUM_NORM_START),
         True,

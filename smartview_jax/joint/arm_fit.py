@@ -20,7 +20,8 @@ from ..engine import (
 )
 from ..fit_result import Rejection
 from ..robot_errors import FieldChoice, RobotPrior
-from ..variance import RigNoiseEstimate, estimate_rig_noise, with_weighed_depths
+from ..variance import RigNoiseEstimate, estimate_rig_noise
+from .fitted_depth_sensor import weighed_depths
 from .gross_errors import without_views
 from .rig_rejection import Contradiction, contradiction, suspect_state
 from .view_rejection import inflation_reason, is_plausible
@@ -94,7 +95,12 @@ def fit_arm(
             progress(f"joint fit of the rig: {shared} shared parameters, {count} points")
         return SolvedArm(rig, built, estimate, *solve(built.problem, start=start))
 
-    rig = _with_weighed_depths(rig, starts, options)
+    noise, field, choice, _ = options
+    weighed = {
+        name: weighed_depths(data, starts[name], choice.of_camera(name), noise, field)
+        for name, data in rig.cameras.items()
+    }
+    rig = rig.with_cameras(weighed)
     # The noise is estimated again without a wrong pose, since one inflates it for all states.
     found, left_out = fit_once(rig), []
     while (estimate := found.estimate) is not None:
@@ -115,22 +121,6 @@ def fit_arm(
             found, wrong = refitted, suspect._replace(reason=reason)
         left_out += [(name, Rejection(wrong.view_id, None, wrong.reason)) for name in wrong.cameras]
     return found._replace(rejected=tuple(left_out))
-
-
-def _with_weighed_depths(rig: Rig, starts: Mapping[str, Calibration], options: ArmOptions) -> Rig:
-    """Return the rig with depths that count relative to their camera's noise, stated or not."""
-    noise, field = options.noise, options.field
-    sigma = noise.within_view_pixel if isinstance(noise, Noise) else None
-    if sigma is not None and field == "auto":
-        field = next(iter(starts.values())).field
-    return rig.with_cameras(
-        {
-            name: with_weighed_depths(
-                data, starts[name], options.choice.of_camera(name), field, sigma
-            )
-            for name, data in rig.cameras.items()
-        }
-    )
 
 
 def _built(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import host_mount_from_holder
 from ..dataset import MINIMUM_RELIABLE_VIEWS, UNIT_ROTATION, UNIT_TRANSLATION, PoseDataset
 from ..engine import TARGET_SCALE, parameter_names
 from ..geometry import (
@@ -23,7 +23,7 @@ from ..geometry import (
     host_matrices,
     host_transforms,
 )
-from ..robot_errors import LinearInPose, RobotPrior
+from ..robot_errors import LinearInPose
 from ..runtime.blas_threads import on_one_blas_thread
 from ..variance import (
     UNIT_SCALE,
@@ -34,7 +34,7 @@ from ..variance import (
     walk_log_evidence,
 )
 from .joint_fit import JointFit
-from .tracker_noise import TrackerNoise, TrackerPrior, in_metres, noise_priors, scaled_pairs
+from .tracker_noise import TrackedChain, TrackerNoise, in_metres, noise_priors, scaled_pairs
 
 MIN_CORRELATION = 2.0
 """Correlation of successive errors for which a drift is considered, in its standard deviations.
@@ -85,77 +85,51 @@ class TrackerDrift(NamedTuple):
         )
 
 
-def tracker_drift(
-    data: PoseDataset,
-    noise: TrackerNoise,
-    calibration: Calibration,
-    scale: bool,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> TrackerDrift | None:
+def tracker_drift(chain: TrackedChain, noise: TrackerNoise) -> TrackerDrift | None:
     """Return the drift of a tracker, if the evidence is for one; else None.
 
     The smooth errors of robots may be alike in successive pairs, too. So the evidence is compared
     between a robot with such errors, and the same with a tracker that drifts.
 
     Args:
-        data: the pairs in the order in which they were measured.
+        chain: the pairs, and what is known of them.
         noise: the result of `likeliest_noise`.
-        calibration, scale, robot_prior, tracker_prior: as there.
     """
-    if tracker_prior.drift_probability == 0.0 or data.seen.sum() < MINIMUM_RELIABLE_VIEWS:
+    probability, seen = chain.tracker_prior.drift_probability, chain.data.seen
+    if probability == 0.0 or seen.sum() < MINIMUM_RELIABLE_VIEWS:
         return None
     # A drift of the scale alone is in one of the six numbers of a pose.
-    if noise.correlation < MIN_CORRELATION and not scale:
+    if noise.correlation < MIN_CORRELATION and not chain.scale:
         return None
-    return likeliest_drift(data, noise, calibration, scale, robot_prior, tracker_prior)[0]
+    return likeliest_drift(chain, noise)[0]
 
 
 @on_one_blas_thread
-def likeliest_drift(
-    data: PoseDataset,
-    noise: TrackerNoise,
-    calibration: Calibration,
-    scale: bool,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> tuple[TrackerDrift | None, float]:
+def likeliest_drift(chain: TrackedChain, noise: TrackerNoise) -> tuple[TrackerDrift | None, float]:
     """Return the drift, if the evidence is for one, and the logarithm of the likelier's evidence.
 
-    The evidence is of positions in metres.
-
-    Args:
-        data, noise, calibration, scale, robot_prior, tracker_prior: as in `tracker_drift`.
+    The evidence is of positions in metres. The arguments are as in `tracker_drift`.
     """
-    probability = tracker_prior.drift_probability
-    steady, drifting = (_Chain(data, calibration, scale, noise, robot_prior) for _ in range(2))
-    without = steady.evidence(_priors(noise, robot_prior, tracker_prior), False)
+    probability = chain.tracker_prior.drift_probability
+    steady, drifting = _Chain(chain, noise), _Chain(chain, noise)
+    without = steady.evidence(_priors(chain, noise, False), False)
     if probability == 0.0:
         return None, without
     odds = float(np.log(probability / (1.0 - probability)))
-    priors = _priors(noise, robot_prior, tracker_prior, scale)
-    with_drift = drifting.evidence(priors, True) + odds
+    with_drift = drifting.evidence(_priors(chain, noise, True), True) + odds
     return (drifting.drift(), with_drift) if with_drift > without else (None, without)
 
 
 class _Chain:
     """A chain of tracked poses, which is estimated with the noises, and with a drift or none."""
 
-    def __init__(
-        self,
-        data: PoseDataset,
-        calibration: Calibration,
-        scale: bool,
-        noise: TrackerNoise,
-        robot_prior: RobotPrior,
-    ):
-        self.data, self.scale, self.noise = data, scale, noise
-        self.camera_from_mount = host_matrices(calibration.camera_from_mount)
-        self.holder_from_world = host_matrices(calibration.holder_from_world)
-        self.factor = float(calibration.target_scale)
-        self.drifted = np.zeros((data.view_count, 7 if scale else 6))
-        self.field = LinearInPose.from_poses(data.base_from_tool)
-        medians = robot_prior.medians(self.field)[2:]
+    def __init__(self, chain: TrackedChain, noise: TrackerNoise):
+        self.data, self.scale, self.noise = chain.data, chain.scale, noise
+        self.camera_from_mount, self.holder_from_world = chain.transforms
+        self.factor = float(chain.calibration.target_scale)
+        self.drifted = np.zeros((chain.data.view_count, 7 if chain.scale else 6))
+        self.field = LinearInPose.from_poses(chain.data.base_from_tool)
+        medians = chain.robot_prior.medians(self.field)[2:]
         self.field_stds = np.repeat(medians, [count for _, count in self.field.groups])
 
     def evidence(self, priors: LogNormalPriors, drifts: bool) -> float:
@@ -237,33 +211,23 @@ class _Chain:
         )
 
 
-def _priors(
-    noise: TrackerNoise,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-    scale: bool | None = None,
-) -> LogNormalPriors:
-    """Return the priors on all noises, on the size of the field and on the drift.
-
-    Args:
-        noise: the white noise.
-        robot_prior, tracker_prior: the priors' parameters.
-        scale: whether the scale may drift, too; None without a drift.
-    """
-    white = noise_priors(len(noise.variances), noise.robot_medians, robot_prior, tracker_prior)
+def _priors(chain: TrackedChain, noise: TrackerNoise, drifts: bool) -> LogNormalPriors:
+    """Return the priors on all noises, on the size of the field and on the drift, if any."""
+    white = noise_priors(chain, len(noise.variances), noise.robot_medians)
     more = [(0.0, np.log(FIELD_GEOMETRIC_STD))]
-    if scale is not None:
-        wide = np.log(tracker_prior.drift_geometric_std)
-        ratio = tracker_prior.drift_ratio_median * UNIT_TRANSLATION / UNIT_ROTATION
+    if drifts:
+        prior = chain.tracker_prior
+        wide = np.log(prior.drift_geometric_std)
+        ratio = prior.drift_ratio_median * UNIT_TRANSLATION / UNIT_ROTATION
         more += [
-            (np.log(tracker_prior.drift_median / UNIT_TRANSLATION), wide),
-            (np.log(ratio), np.log(tracker_prior.ratio_geometric_std)),
-            *([(np.log(tracker_prior.drift_scale_median / UNIT_SCALE), wide)] if scale else []),
+            (np.log(prior.drift_median / UNIT_TRANSLATION), wide),
+            (np.log(ratio), np.log(prior.ratio_geometric_std)),
+            *([(np.log(prior.drift_scale_median / UNIT_SCALE), wide)] if chain.scale else []),
         ]
     count = len(white.means)
     powers = np.eye(count + len(more))
     powers[:count, :count] = white.powers
-    if scale is not None:
+    if drifts:
         powers[count + 2, count + 1] = -1.0
     means, stds = np.array(more).T
     return LogNormalPriors(

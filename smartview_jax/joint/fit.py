@@ -59,8 +59,8 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from ..runtime.modules import with_fields
 from ..staged import with_region
-from ..variance import NoiseEstimate, estimate_noise, with_weighed_depths
-from .fitted_depth_sensor import fitted_depth_sensor
+from ..variance import NoiseEstimate, estimate_noise
+from .fitted_depth_sensor import fitted_depth_sensor, weighed_depths
 from .gross_errors import remove_gross_errors, without_views
 from .held_parameters import held_value_warnings
 from .joint_fit import JointFit
@@ -167,13 +167,16 @@ def fit_joint(
     stated_shape = None if noise == "estimated" else start.target_shape
     start = with_fields(start, target_shape=None)
 
-    def fit_once(
-        data: Dataset, rejected_points: tuple[Rejection, ...]
-    ) -> tuple[JointFit, BlockArrow]:
+    keeps_all = gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated")
+    used_data, rejected_points = data, ()
+    if has_pixels and not keeps_all:
+        used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
+
+    def fit_once(data: Dataset) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
         open_motion, noise_estimate = undetermined_motion(data, start, choice), None
         chosen = choice.holding(*open_motion.held)
-        data = _with_weighed_depths(data, start, chosen, noise, field)
+        data = weighed_depths(data, start, chosen, noise, field)
         if noise == "estimated":
             noise_estimate = estimate_noise(
                 data,
@@ -228,46 +231,26 @@ def fit_joint(
         )
         return with_undetermined(joint_fit, open_motion), equations.matrix
 
-    if gross_errors == "keep" or (gross_errors == "auto" and noise != "estimated"):
-        return _finish_fit(fit_once(data, ())[0], data, all_data)
     # Gross errors first, then one view at a time: a view rejected by its posterior pose correction
     # or, if all poses look poor, the view without which the pose standard deviations collapse.
     # After each view the noise is estimated again, since one wrong pose inflates it for all views.
-    used_data, rejected_points = data, ()
-    if has_pixels:
-        used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
-    accepted, matrix = fit_once(used_data, rejected_points)
-    while True:
+    accepted, matrix = fit_once(used_data)
+    while not keeps_all:
         # The view is left out, not down-weighted: a pose of another picture has no information.
         if (inconsistent := inconsistent_view(used_data, accepted, matrix)) is not None:
-            used_data = without_views(used_data, dict([inconsistent]))
-            accepted, matrix = fit_once(used_data, rejected_points)
+            wrong = dict([inconsistent])
         elif (suspect := suspect_view(used_data, accepted, matrix)) is not None:
             # One wrong pose inflates the pose standard deviations of all views, so that no view
             # fails the test. Compare the fits with and without the suspect instead.
-            data_without_suspect = without_views(used_data, {suspect: ""})
-            refitted, matrix = fit_once(data_without_suspect, rejected_points)
+            refitted, _ = fit_once(without_views(used_data, {suspect: ""}))
             if (reason := inflation_reason(accepted.noise, refitted.noise)) is None:
                 break
-            used_data = without_views(used_data, {suspect: reason})
-            accepted, matrix = fit_once(used_data, rejected_points)
+            wrong = {suspect: reason}
         else:
             break
+        used_data = without_views(used_data, wrong)
+        accepted, matrix = fit_once(used_data)
     return _finish_fit(accepted, used_data, all_data)
-
-
-def _with_weighed_depths(
-    data: Dataset,
-    start: Calibration,
-    choice: ParameterChoice,
-    noise: str | Noise,
-    field: FieldChoice,
-) -> Dataset:
-    """Return the data with depths that count relative to the pixels' noise, stated or not."""
-    if not isinstance(noise, Noise):
-        return with_weighed_depths(data, start, choice, field)
-    own_field = start.field if field == "auto" else field
-    return with_weighed_depths(data, start, choice, own_field, noise.within_view_pixel)
 
 
 def _embedded(

@@ -1,4 +1,4 @@
-"""Describe the depth sensor of a camera by a joint fit: its bias, with uncertainty, and noise."""
+"""Weigh the depths of a camera for a joint fit, and describe its depth sensor by the result."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,9 @@ from jaxtyping import Float
 
 from ..calibration import Calibration
 from ..dataset import Dataset, DepthSensor
-from ..engine import DEPTH_BIAS_NAMES
+from ..engine import DEPTH_BIAS_NAMES, Noise, ParameterChoice
+from ..robot_errors import FieldChoice
+from ..variance import with_weighed_depths
 
 
 def fitted_depth_sensor(
@@ -47,3 +49,17 @@ def fitted_depth_sensor(
         noise.quadratic,
         noise.common or 0.0,
     )
+
+
+def weighed_depths(
+    data: Dataset,
+    start: Calibration,
+    choice: ParameterChoice,
+    noise: str | Noise,
+    field: FieldChoice,
+) -> Dataset:
+    """Return the data with depths that count relative to the pixels' noise, stated or not."""
+    if not isinstance(noise, Noise):
+        return with_weighed_depths(data, start, choice, field)
+    own_field = start.field if field == "auto" else field
+    return with_weighed_depths(data, start, choice, own_field, noise.within_view_pixel)

@@ -73,18 +73,18 @@ class _Refit(NamedTuple):
     cost: float
     freedom: int
 
-    def is_better(self, cost: float, held_count: int) -> bool:
-        """Return whether it is better than the fit under test by more than chance, by an F test.
+    def contradicted(self, names: Sequence[str], cost: float) -> list[str]:
+        """Return which parameters that the fit under test held differ from it, the farthest first.
+
+        There are none if this fit is not better by more than chance, by an F test.
 
         Args:
+            names: names of all of them.
             cost: of the fit under test.
-            held_count: number of parameters that are held there.
         """
-        gain = (cost - self.cost) / held_count / (self.cost / self.freedom)
-        return bool(gain > 0.0 and fdtrc(held_count, self.freedom, gain) < MAX_P_VALUE)
-
-    def contradicted(self, names: Sequence[str]) -> list[str]:
-        """Return which of some parameters differ from the fit under test, the farthest first."""
+        gain = (cost - self.cost) / len(names) / (self.cost / self.freedom)
+        if not (gain > 0.0 and fdtrc(len(names), self.freedom, gain) < MAX_P_VALUE):
+            return []
         sigmas = {name: abs(self.difference[name]) / self.std[name] for name in names}
         farthest = sorted(sigmas, key=lambda name: -sigmas[name])[:MAX_NAMED_VALUES]
         return [name for name in farthest if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
@@ -147,8 +147,8 @@ def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[s
     if not determined:
         return []
     refit = min(determined, key=lambda candidate: candidate.cost)
-    contradicted = refit.contradicted([all_names[k] for k in held])
-    if not (contradicted and refit.is_better(before, len(held))):
+    contradicted = refit.contradicted([all_names[k] for k in held], before)
+    if not contradicted:
         return []
     assert isinstance(refit.problem, JointProblem)
     text = _contradiction_text(
@@ -172,7 +172,6 @@ def _contradiction_text(
     """Return in words which held values the pictures contradict.
 
     Args:
-        names: names of the parameters.
         refit: the fit in which they are free.
         estimated, held: value and unit of each parameter in that fit and as held.
     """
@@ -205,8 +204,8 @@ def held_camera_warnings(arm: SolvedArm) -> tuple[str, ...]:
     refit = _refit(problem, names, z, np.union1d(free, held))
     if refit is None:
         return ()
-    contradicted = refit.contradicted([names[k] for k in held])
-    if not (contradicted and refit.is_better(arm.solution.costs[-1], len(held))):
+    contradicted = refit.contradicted([names[k] for k in held], arm.solution.costs[-1])
+    if not contradicted:
         return ()
     start = problem.host_start_values()
     # Rounding errors of a coefficient that is zero would look like a value.

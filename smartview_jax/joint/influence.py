@@ -78,21 +78,16 @@ def deletion_changes(problem: JointProblem, z: Step) -> Float[Array, "views free
         problem: the problem, in the parameters' own units.
         z: its optimum.
     """
-    matrix = problem.normal_equations(z).matrix
-    elimination = eliminate(matrix)
-    # g_i and, before the elimination of the view's correction, A_i.
-    gradient, view_information = problem.normal_equations_by_view(z)
-    if len(matrix.per_view):
-        # R_i = A_i - B_i^T C_i^-1 B_i. The view's own gradient, data and prior together, is zero at
-        # the optimum, so eliminating the correction does not change g_i.
-        view_information = view_information - jnp.einsum(
-            "vki,vkj->vij", matrix.border, elimination.gain
-        )
+    information = eliminate(problem.normal_equations(z).matrix).schur_complement
+    # R_i = A_i - B_i^T C_i^-1 B_i. The view's own gradient, data and prior together, is zero at the
+    # optimum, so eliminating the correction does not change g_i.
+    view_information = problem.without_corrections(problem.blocks_by_view(z))
+    gradient = problem.gradients_by_view(z)
     # Solve (R - R_i) x = g_i, scaled so that R has a unit diagonal, all views batched.
-    column_norms = jnp.sqrt(jnp.diagonal(elimination.schur_complement))
+    column_norms = jnp.sqrt(jnp.diagonal(information))
     inverse_norms = 1.0 / jnp.where(column_norms > 0.0, column_norms, 1.0)
     information_without_view = (
-        (elimination.schur_complement[None] - view_information)
+        (information[None] - view_information)
         * inverse_norms[None, :, None]
         * inverse_norms[None, None]
     )

@@ -6,7 +6,7 @@ Data sets of about the same size are padded to the same shape and share a progra
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -137,7 +137,8 @@ def fit_many(
     field, choice = checked_field_choice(field), ParameterChoice.of(fixed, free, priors)
     starts = [with_field(with_lens(one, lens), field) for one in starts]
     checked, held, warnings, errors = _with_checked_poses(data, starts, choice)
-    options = _Options(noise, loss, choice.holding(*held), field)
+    choice = choice.holding(*held)
+    options = {"noise": noise, "loss": loss, "field": field, **choice._asdict()}
     mesh = None if devices is None else Mesh(np.array(devices), (FITS_AXIS,))
     results: dict[int, _Result] = {}
     shared_names: tuple[str, ...] = ()
@@ -159,29 +160,8 @@ def fit_many(
     )
     if all(named):
         raise next(error for error in named if error is not None)
-    calibrations, corrections, covariance, cost, steps, converged = _stacked(
-        results, starts, errors
-    )
-    return ManyFits(
-        calibrations,
-        corrections,
-        covariance,
-        cost,
-        steps,
-        converged,
-        shared_names,
-        warnings,
-        named,
-    )
-
-
-class _Options(NamedTuple):
-    """The options that all fits have in common, as in `build_problem`."""
-
-    noise: str | Noise
-    loss: str | AbstractLoss | None
-    choice: ParameterChoice
-    field: FieldChoice
+    arrays = _stacked(results, starts, errors)
+    return ManyFits(*arrays, parameter_names=shared_names, warnings=warnings, errors=named)
 
 
 _Result = tuple[Any, ...]
@@ -227,7 +207,7 @@ def _usable(data: Dataset) -> tuple[int, ...]:
 def _built_by_views(
     group: Mapping[int, Dataset],
     starts: Sequence[Calibration],
-    options: _Options,
+    options: Mapping[str, Any],
     errors: dict[int, str],
 ) -> dict[tuple[int, ...], BuiltProblem]:
     """Build the problem of each pattern of usable views; add the errors of those without one.
@@ -239,14 +219,7 @@ def _built_by_views(
         views = _usable(item)
         if views not in built:
             try:
-                built[views] = build_problem(
-                    item,
-                    starts[k],
-                    noise=options.noise,
-                    loss=options.loss,
-                    **options.choice._asdict(),
-                    field=options.field,
-                )
+                built[views] = build_problem(item, starts[k], **options)
             except ValueError as error:
                 errors[k] = str(error)
     return built

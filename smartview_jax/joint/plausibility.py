@@ -19,7 +19,7 @@ from ..dataset import (
     distinct_poses,
     repetition_warnings,
 )
-from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction
+from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction, step_names
 from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
 from ..staged import mistaken_unit
@@ -94,7 +94,7 @@ def plausibility_warnings(
     warnings += principal_point_warnings(fit.calibration.camera, fit.std, "camera")
     # Before the target: its size is found wrong if a known focal length is.
     warnings += contradicted_values
-    warnings += _target_warnings(fit)
+    warnings += _scale_warnings(fit) + _shape_warnings(fit)
     of_lens = _lens_warnings(fit)
     # Where the lens is not named as the cause, the disagreement is the only sign of one.
     warnings += of_lens or (_disagreement_warnings(fit) if has_pixels else [])
@@ -215,11 +215,6 @@ def _lens_warnings(fit: JointFit) -> list[str]:
         f"distortion of {lens.rms:.2g} px RMS is not described by the {kind} lens: {advice} "
         "the target and the detections"
     ]
-
-
-def _target_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the stated size of the target, and about its shape."""
-    return _scale_warnings(fit) + _shape_warnings(fit)
 
 
 def _shape_warnings(fit: JointFit) -> list[str]:
@@ -398,7 +393,7 @@ def _mount_warnings(fit: JointFit) -> list[str]:
     ]
     if fit.noise_estimate is not None and fit.noise_estimate.mount_displacement is not None:
         shift = np.array(fit.noise_estimate.mount_displacement)
-        names = [f"{mount}.{p}.{a}" for p in ("translation", "rotation") for a in "xyz"]
+        names = step_names(mount)
         # Only parameters that are free and determined have a finite std.
         determined = [k for k, name in enumerate(names) if np.isfinite(fit.std.get(name, np.inf))]
         shift_in_stds = np.array([abs(shift[k]) / fit.std[names[k]] for k in determined])

@@ -17,10 +17,7 @@ from jaxtyping import Bool, Float
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..dataset import (
-    PoseDataset,
-    chain_residuals,
-)
+from ..dataset import PoseDataset, chain_residuals
 from ..engine import TARGET_SCALE, ParameterChoice, Prior
 from ..geometry import PoseLike, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
@@ -34,7 +31,13 @@ from .joint_fit import JointFit
 from .pose_start import blank_calibration, start_in_own_unit, start_of_poses
 from .robust_hand_eye import chain_errors
 from .sensor_error import with_sensor_error
-from .tracker_noise import TrackerPrior, in_tracker_units, likeliest_noise, with_noise
+from .tracker_noise import (
+    TrackedChain,
+    TrackerPrior,
+    in_tracker_units,
+    likeliest_noise,
+    with_noise,
+)
 from .undetermined import require_moving_robot
 
 MAX_ROUNDS = 3
@@ -242,10 +245,10 @@ def fit_poses(
         """Return the pairs that agree, with the tracker's noise, the fit to them and the drift."""
         used, drift = without_views(data, _contradictions(data, calibration, consistent)), None
         if not data.states_covariance:
-            arguments = calibration, scale, prior, tracker_prior or TrackerPrior()
-            noise = likeliest_noise(used, *arguments)
+            chain = TrackedChain(used, calibration, scale, prior, tracker_prior or TrackerPrior())
+            noise = likeliest_noise(chain)
             if may_drift:
-                drift = tracker_drift(used, noise, *arguments)
+                drift = tracker_drift(chain, noise)
             if drift is not None:
                 without = host_transforms(drift.camera_from_world)
                 used = dataclasses.replace(used, camera_from_world=without)
@@ -324,13 +327,7 @@ def _contradictions(
 def _consistent_again(
     data: PoseDataset, fit: JointFit, seen: Bool[np.ndarray, "views"]
 ) -> Bool[np.ndarray, "views"]:
-    """Return the pairs that agree with a fit, among all that were measured.
-
-    Args:
-        data: the pairs, without the tracker's drift.
-        fit: to some of them.
-        seen: all that were measured.
-    """
+    """Return the pairs that agree with a fit to some of them, among all that were seen."""
     errors = tracked_pose_errors(data, fit.calibration)
     typical = np.array(pose_rms(errors[fit.used_views]))
     return seen & (errors <= CONSISTENT_ERROR * typical).all(axis=1)

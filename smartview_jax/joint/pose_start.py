@@ -22,10 +22,10 @@ from ..hand_eye import solve_hand_eye
 from ..robot_errors import RobotPrior
 from ..runtime.array_namespace import to_device
 from ..staged import known_transforms
+from .drifting_tracker import likeliest_drift
 from .gross_errors import without_views
-from .own_unit import has_own_unit
 from .robust_hand_eye import robust_hand_eye
-from .tracker_noise import TrackerPrior
+from .tracker_noise import TrackedChain, TrackerPrior, likeliest_noise
 from .undetermined import require_moving_robot
 
 MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
@@ -105,8 +105,13 @@ def start_in_own_unit(
 ) -> PoseStart | None:
     """Return the start with a unit of the tracker's own, if the poses are rather in one.
 
+    The positions of a single moving camera have an unknown unit. Measured against a robot in metres
+    they go astray more and more, as with a tracker that drifts, and a drift that is estimated
+    absorbs most of it: robot and tracker then seem to agree, with a camera far from its place. So
+    both models are compared by their evidence, with the prior of a target of another size.
+
     Args:
-        data: the pairs.
+        data: the pairs in the order in which they were measured.
         blank, start: as in `start_of_poses`.
         given: the start with the tracker's unit as stated.
         robot_prior, tracker_prior: as in `fit_poses`.
@@ -117,8 +122,8 @@ def start_in_own_unit(
         return None
     others = np.flatnonzero(~(given.consistent & scaled.consistent))
     agreeing = without_views(data, dict.fromkeys(others.tolist(), ""))
-    calibrations = given.calibration, scaled.calibration
-    if not has_own_unit(agreeing, *calibrations, robot_prior, tracker_prior):
+    chain = TrackedChain(agreeing, given.calibration, False, robot_prior, tracker_prior)
+    if not _has_own_unit(chain, chain._replace(calibration=scaled.calibration, scale=True)):
         return None
     size = float(scaled.calibration.target_scale)
     text = (
@@ -186,3 +191,35 @@ def blank_calibration(data: PoseDataset, camera: Camera | None) -> Calibration:
     """Return a calibration whose transforms are not known yet."""
     identity = host_transforms(np.eye(4))
     return Calibration(camera or NO_CAMERA, identity, identity, data.mount)
+
+
+def _has_own_unit(given: TrackedChain, scaled: TrackedChain) -> bool:
+    """Return whether the tracker's unit is rather its own than the metre.
+
+    The pairs agree with the calibrations of both, in metres and in a unit of the tracker's own.
+    """
+    prior = given.robot_prior
+    probability, std = prior.wrong_target_probability, prior.wrong_target_scale_std
+    if probability == 0.0:
+        return False
+    drifts, in_metres = _drift_and_evidence(given)
+    drifts_in_own_unit, in_own_unit = _drift_and_evidence(scaled)
+    # Of a steady tracker the joint fit asks whether the target has its stated size.
+    if not (drifts or drifts_in_own_unit):
+        return False
+    # The likelihood is of positions in the tracker's unit, and the size's logarithm is normal.
+    size = float(np.log(scaled.calibration.target_scale))
+    in_own_unit += 3.0 * np.count_nonzero(given.data.seen) * size
+    log_prior = -0.5 * (size / std) ** 2 - np.log(std * np.sqrt(2.0 * np.pi))
+    odds = np.log(probability / (1.0 - probability))
+    return bool(in_own_unit + log_prior + odds > in_metres)
+
+
+def _drift_and_evidence(chain: TrackedChain) -> tuple[bool, float]:
+    """Return whether the tracker drifts, and the logarithm of the likelier answer's evidence."""
+    try:
+        drift, evidence = likeliest_drift(chain, likeliest_noise(chain))
+    except np.linalg.LinAlgError:
+        # In a wrong unit the drift may be so large that the chain is lost in rounding errors.
+        return False, -np.inf
+    return drift is not None, evidence

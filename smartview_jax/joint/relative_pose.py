@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Float
 
 from ..calibration import Calibration
-from ..engine import STEP_NAMES, base_path, twist_by_step
+from ..engine import base_path, step_names, twist_by_step
 from ..files import read_yaml
 from ..geometry import (
     host_adjoints,
@@ -115,7 +115,7 @@ def relative_pose(
             "pose changes with the robot's; use their `camera_from_world`"
         )
     first_pose, second_pose = (
-        _Pose(host_matrices(c.camera_from_mount), _step_names(f"{name}.{c.transform_names[0]}"))
+        _Pose(host_matrices(c.camera_from_mount), step_names(f"{name}.{c.transform_names[0]}"))
         for name, c in ((first, a), (second, b))
     )
     matrix = first_pose.matrix @ np.linalg.inv(second_pose.matrix)
@@ -144,7 +144,7 @@ def relative_base(
     """
     reference = next(iter(bases))
     first_pose, second_pose = (
-        _Pose(host_matrices(base), _step_names(base_path(reference, name)))
+        _Pose(host_matrices(base), step_names(base_path(reference, name)))
         for name, base in zip((first, second), _both("an arm", bases, first, second), strict=True)
     )
     first_inverse = np.linalg.inv(first_pose.matrix)
@@ -169,11 +169,6 @@ class _Pose(NamedTuple):
     names: tuple[str, ...]
 
 
-def _step_names(path: str) -> tuple[str, ...]:
-    """Return the names of a transform's parameters."""
-    return tuple(f"{path}.{name}" for name in STEP_NAMES)
-
-
 def _with_covariance(
     matrix: Float[np.ndarray, "4 4"],
     twists: Sequence[tuple[_Pose, Float[np.ndarray, "6 6"]]],
@@ -182,11 +177,7 @@ def _with_covariance(
 ) -> RelativePose:
     """Return a transform with its covariance by the parameters of the transforms that make it up.
 
-    Args:
-        matrix: the transform.
-        twists: its motion on the left by the motion on the left of each of these transforms.
-        parameter_names: names of the free parameters.
-        covariance: their covariance.
+    `twists` are its motions on the left by the motion on the left of each of these transforms.
     """
     names = [name for pose, _ in twists for name in pose.names]
     by_steps = [by_motion @ twist_by_step(pose.matrix) for pose, by_motion in twists]

@@ -148,14 +148,7 @@ def _assembled(
     joined: JoinedArms | None,
     rejected: tuple[tuple[str, Rejection], ...],
 ) -> RigFit:
-    """Build the result: calibrations, covariance and inliers at the solution.
-
-    Args:
-        rig: data sets of all arms.
-        arms: the fit of each arm alone.
-        joined: the fit of all arms; None if there is one.
-        rejected: what was left out before.
-    """
+    """Build the result from the fits of the arms alone and of all, which is None for one arm."""
     first = next(iter(arms.values()))
     together = joined or first
     built, solution, equations = together.built, together.solution, together.equations

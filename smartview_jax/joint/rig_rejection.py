@@ -4,7 +4,6 @@ If the robot was not where it reported, all cameras contradict the report; if a 
 another state, its camera alone does.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -45,27 +44,26 @@ def contradiction(rig: Rig, built: BuiltRig, z: Step, matrix: BlockArrow) -> Con
         z: its optimum.
         matrix: matrix of the normal equations there.
     """
-    seeing = rig.seeing
-    if sum(len(cameras) > 0 for cameras in seeing) <= MINIMUM_RELIABLE_VIEWS:
+    placed = sum(len(cameras) > 0 for cameras in rig.seeing)
+    if placed <= MINIMUM_RELIABLE_VIEWS:
         return None
-    return _wrong_view(rig, built, z, seeing) or _wrong_state(rig, built, z, matrix, seeing)
+    if (wrong := _wrong_view(rig, built, z)) is not None:
+        return wrong
+    worst, p_value = _worst_state(rig, built, z, matrix)
+    # Bonferroni: the smallest of n p-values is tested at the level FALSE_ALARM_PROBABILITY / n.
+    return worst if p_value * placed < FALSE_ALARM_PROBABILITY else None
 
 
 def suspect_state(rig: Rig, built: BuiltRig, z: Step, matrix: BlockArrow) -> Contradiction | None:
     """Return the state that contradicts the others most, significantly or not; None with few."""
-    seeing = rig.seeing
-    if sum(len(cameras) > 0 for cameras in seeing) <= MINIMUM_RELIABLE_VIEWS:
+    if sum(len(cameras) > 0 for cameras in rig.seeing) <= MINIMUM_RELIABLE_VIEWS:
         return None
-    scores = pose_outlier_test(built.problem, z, matrix, sigmas_known=False)
-    state = int(np.argmin(scores.p_value))
-    return Contradiction(rig.view_ids[state], seeing[state], "")
+    return _worst_state(rig, built, z, matrix)[0]._replace(reason="")
 
 
-def _wrong_view(
-    rig: Rig, built: BuiltRig, z: Step, seeing: Sequence[tuple[str, ...]]
-) -> Contradiction | None:
+def _wrong_view(rig: Rig, built: BuiltRig, z: Step) -> Contradiction | None:
     """Return the view of one camera that contradicts the other cameras in the same state."""
-    distances = _distances_by_view(built, z)
+    distances, seeing = _distances_by_view(built, z), rig.seeing
     # A state that one camera saw has the pose that this camera tells.
     shared = {
         (camera, state): distances[camera][view]
@@ -91,22 +89,19 @@ def _wrong_view(
     )
 
 
-def _wrong_state(
-    rig: Rig, built: BuiltRig, z: Step, matrix: BlockArrow, seeing: Sequence[tuple[str, ...]]
-) -> Contradiction | None:
-    """Return the state whose reported pose contradicts what all cameras saw."""
-    placed = sum(len(cameras) > 0 for cameras in seeing)
+def _worst_state(
+    rig: Rig, built: BuiltRig, z: Step, matrix: BlockArrow
+) -> tuple[Contradiction, float]:
+    """Return the state whose reported pose contradicts most what all cameras saw, and p-value."""
     scores = pose_outlier_test(built.problem, z, matrix, sigmas_known=False)
     state = int(np.argmin(scores.p_value))
-    # Bonferroni: the smallest of n p-values is tested at the level FALSE_ALARM_PROBABILITY / n.
-    if not float(scores.p_value[state]) * placed < FALSE_ALARM_PROBABILITY:
-        return None
-    return Contradiction(
+    worst = Contradiction(
         rig.view_ids[state],
-        seeing[state],
+        rig.seeing[state],
         f"the robot's pose lies {float(scores.distance[state]):.0f} standard deviations from where "
         "the other states put it: mispaired or moved?",
     )
+    return worst, float(scores.p_value[state])
 
 
 def _distances_by_view(built: BuiltRig, z: Step) -> dict[str, Float[np.ndarray, "views"]]:

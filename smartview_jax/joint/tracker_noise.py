@@ -108,33 +108,41 @@ class TrackerNoise(NamedTuple):
     correlation: float
 
 
+class TrackedChain(NamedTuple):
+    """Tracked poses, and what is known of their chain and of the errors.
+
+    Attributes:
+        data: the pairs in the order in which they were measured.
+        calibration: near the solution.
+        scale: whether the tracker's unit is unknown. If it drifts, that is a noise in depth.
+        robot_prior, tracker_prior: on the sizes of the robot's noise, and on the tracker's.
+    """
+
+    data: PoseDataset
+    calibration: Calibration
+    scale: bool
+    robot_prior: RobotPrior
+    tracker_prior: TrackerPrior
+
+    @property
+    def transforms(self) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
+        """The matrices `camera_from_mount` and `holder_from_world`."""
+        chain = self.calibration.camera_from_mount, self.calibration.holder_from_world
+        return host_matrices(chain[0]), host_matrices(chain[1])
+
+
 @on_one_blas_thread
-def likeliest_noise(
-    data: PoseDataset,
-    calibration: Calibration,
-    scale: bool,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> TrackerNoise:
+def likeliest_noise(chain: TrackedChain) -> TrackerNoise:
     """Return the likeliest noise of a tracker.
 
     It is found with white noise of the robot alone: its systematic errors are smooth, and hardly
     change the ratios. Whether there is a noise in depth, and along which axis, is decided by the
     evidence.
-
-    Args:
-        data: the pairs.
-        calibration: near the solution.
-        scale: whether the tracker's unit is unknown. If it drifts, that is a noise in depth.
-        robot_prior, tracker_prior: on the sizes of the robot's noise, and on the ratios.
     """
     axes: tuple[DepthAxis, ...] = ("none", *DEPTH_AXES)
-    measured = in_metres(data, float(calibration.target_scale))
-    noises = [
-        _tracker_noise(measured, calibration, axis, scale, robot_prior, tracker_prior)
-        for axis in axes
-    ]
-    return max(noises, key=lambda noise: noise.evidence)
+    factor = float(chain.calibration.target_scale)
+    measured = chain._replace(data=in_metres(chain.data, factor))
+    return max((_tracker_noise(measured, axis) for axis in axes), key=lambda noise: noise.evidence)
 
 
 def in_metres(data: PoseDataset, factor: float) -> PoseDataset:
@@ -195,75 +203,52 @@ def scaled_pairs(
     return pairs._replace(by_unknowns=np.concatenate([pairs.by_unknowns, by_scale], axis=2))
 
 
-def _tracker_noise(
-    data: PoseDataset,
-    calibration: Calibration,
-    axis: DepthAxis,
-    scale: bool,
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> TrackerNoise:
-    """Return the likeliest noise of tracked poses in metres, with a depth axis.
-
-    Args:
-        data: the pairs.
-        calibration, scale, robot_prior, tracker_prior: as in `likeliest_noise`.
-        axis: of the noise in depth.
-    """
-    camera_from_mount = host_matrices(calibration.camera_from_mount)
-    holder_from_world = host_matrices(calibration.holder_from_world)
-    pairs = scaled_pairs(data, camera_from_mount, holder_from_world, axis, scale)
-    used = pairs.of(data.seen)
-    found, medians = _likeliest(used, np.ones(len(pairs.parts)), robot_prior, tracker_prior)
+def _tracker_noise(chain: TrackedChain, axis: DepthAxis) -> TrackerNoise:
+    """Return the likeliest noise of tracked poses in metres, with a depth axis."""
+    transforms = chain.transforms
+    pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
+    used = pairs.of(chain.data.seen)
+    best = _likeliest(chain, used, np.ones(len(pairs.parts)))
     for _ in range(UNIT_ROUNDS - 1):
-        camera_from_mount, holder_from_world = moved_transforms(
-            camera_from_mount, holder_from_world, used.solved(found.variances)
-        )
-        pairs = scaled_pairs(data, camera_from_mount, holder_from_world, axis, scale)
-        used = pairs.of(data.seen)
-        found, medians = _likeliest(used, found.variances, robot_prior, tracker_prior)
+        transforms = moved_transforms(*transforms, used.solved(best.variances))
+        pairs = scaled_pairs(chain.data, *transforms, axis, chain.scale)
+        used = pairs.of(chain.data.seen)
+        best = _likeliest(chain, used, best.variances)
     # The last two are the robot's.
-    covariance = np.einsum("k,kvij->vij", found.variances[:-2], pairs.parts[:-2])
-    correlation = serial_correlation(used, found.variances)
-    return TrackerNoise(axis, found.variances, medians, covariance, found.evidence, correlation)
+    covariance = np.einsum("k,kvij->vij", best.variances[:-2], pairs.parts[:-2])
+    correlation = serial_correlation(used, best.variances)
+    return TrackerNoise(axis, best.variances, best.medians, covariance, best.evidence, correlation)
 
 
 class _Likeliest(NamedTuple):
-    """The likeliest variances, and the logarithm of their evidence."""
+    """The likeliest variances, the logarithm of their evidence, and the robot's medians."""
 
     variances: Float[np.ndarray, "parts"]
     evidence: float
+    medians: Float[np.ndarray, "2"]
 
 
 def _likeliest(
-    pairs: LinearPairs,
-    start: Float[np.ndarray, "parts"],
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
-) -> tuple[_Likeliest, Float[np.ndarray, "2"]]:
-    """Return the likeliest variances, of a good robot or of a weak one, and its medians."""
-    weak = robot_prior.weak_robot_probability
-    weak_medians = robot_prior.weak_translation_median, robot_prior.weak_rotation_median
-    found = []
-    for medians, probability in (
-        (robot_prior.medians(None), 1.0 - weak),
-        (np.array(weak_medians), weak),
-    ):
+    chain: TrackedChain, pairs: LinearPairs, start: Float[np.ndarray, "parts"]
+) -> _Likeliest:
+    """Return the likeliest variances, of a good robot or of a weak one."""
+    prior = chain.robot_prior
+    weak = prior.weak_robot_probability
+    weak_medians = np.array([prior.weak_translation_median, prior.weak_rotation_median])
+    candidates = []
+    for medians, probability in ((prior.medians(None), 1.0 - weak), (weak_medians, weak)):
         if probability > 0.0:
-            priors = noise_priors(len(pairs.parts), medians, robot_prior, tracker_prior)
-            best = likeliest_variances(pairs, start, priors)
+            best = likeliest_variances(pairs, start, noise_priors(chain, len(pairs.parts), medians))
             evidence = best.evidence + float(np.log(probability))
-            found.append((_Likeliest(best.variances, evidence), medians))
-    return max(found, key=lambda candidate: candidate[0].evidence)
+            candidates.append(_Likeliest(best.variances, evidence, medians))
+    return max(candidates, key=lambda candidate: candidate.evidence)
 
 
 def noise_priors(
-    parts: int,
-    robot_medians: Float[np.ndarray, "2"],
-    robot_prior: RobotPrior,
-    tracker_prior: TrackerPrior,
+    chain: TrackedChain, parts: int, robot_medians: Float[np.ndarray, "2"]
 ) -> LogNormalPriors:
     """Return the priors on a tracker's noises and, with these medians, on the robot's."""
+    tracker_prior = chain.tracker_prior
     units = np.array([UNIT_TRANSLATION, UNIT_ROTATION])
     # The noise across the depth axis is the first part, to which others have ratios; the robot's
     # are the last two. Without a prior on the first part the evidence for no noise is unbounded.
@@ -281,5 +266,5 @@ def noise_priors(
         ]
     )
     means = np.concatenate([of_tracker[:, 0], np.log(robot_medians / units)])
-    stds = np.concatenate([of_tracker[:, 1], robot_prior.log_stds(None)])
+    stds = np.concatenate([of_tracker[:, 1], chain.robot_prior.log_stds(None)])
     return LogNormalPriors(powers, means, stds)

@@ -24,7 +24,7 @@ from ..dataset import (
     turns_about_one_point,
     undetermined_twists,
 )
-from ..engine import TARGET_SCALE, Direction, ParameterChoice, describe_direction
+from ..engine import TARGET_SCALE, Direction, ParameterChoice, describe_direction, step_names
 from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
 
@@ -85,12 +85,7 @@ def undetermined_motion(
         start: the calibration at which directions are expressed.
         choice: the parameters that the user holds, frees or gives priors.
     """
-    names = tuple(
-        f"{name}.{part}.{axis}"
-        for name in start.transform_names
-        for part in ("translation", "rotation")
-        for axis in "xyz"
-    )
+    names = step_names(*start.transform_names)
     robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     robot = robot[data.usable_views()]
     empty = UndeterminedMotion(names, np.zeros((0, 12)), ())

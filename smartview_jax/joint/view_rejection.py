@@ -55,9 +55,8 @@ def suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None
         noise_estimate is None
         or noise is None
         or len(data.usable_views()) <= MINIMUM_RELIABLE_VIEWS
+        or is_plausible(noise, noise_estimate.robot_prior)
     ):
-        return None
-    if is_plausible(noise, noise_estimate.robot_prior):
         return None
     scores = pose_outlier_test(fit.problem, fit.solution.z, matrix, sigmas_known=False)
     return int(np.argmin(np.asarray(scores.p_value)))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import as_se3, host_poses
+from ..geometry import as_se3, host_exponentials, host_matrices, host_poses
 from .serial_arm import SerialArm
 
 PARALLEL_TOLERANCE = 1e-9
@@ -114,3 +114,20 @@ def _frame(
 ) -> Float[np.ndarray, "4 4"]:
     """Return the homogeneous matrix of a frame with given origin, z axis and x axis."""
     return host_poses(np.stack([x, np.cross(z, x), z], axis=1), origin)
+
+
+def axis_frames_at_zero(
+    arm: SerialArm,
+) -> tuple[Float[np.ndarray, "joints 4 4"], Float[np.ndarray, "4 4"]]:
+    """Return frames with the joints' axes as z axes, and the flange, where all joints are zero."""
+    frame, frames = host_matrices(arm.base_from_first), []
+    rows = (np.asarray(row) for row in (arm.theta, arm.d, arm.a, arm.alpha))
+    for theta, d, a, alpha in zip(*rows, strict=True):
+        # Both parts of a screw are along one axis, so that its exponential is their product.
+        turn = host_exponentials(np.array([0.0, 0.0, d, 0.0, 0.0, theta]))
+        link = host_exponentials(np.array([a, 0.0, 0.0, alpha, 0.0, 0.0]))
+        if arm.convention == "modified":
+            frame = frame @ link
+        frames.append(frame)
+        frame = frame @ turn @ (link if arm.convention == "standard" else np.eye(4))
+    return np.stack(frames), frame

@@ -166,14 +166,6 @@ def _limits_from_plain(rows: list[list[float | None]] | None) -> np.ndarray | No
     """Return joint limits as an array, infinite where the file has null."""
     if rows is None:
         return None
-    unbounded = (-np.inf, np.inf)
-    return np.array(
-        [
-            [
-                default if bound is None else bound
-                for bound, default in zip(row, unbounded, strict=True)
-            ]
-            for row in rows
-        ],
-        dtype=float,
-    )
+    # NumPy reads None as NaN.
+    limits = np.array(rows, dtype=float).reshape(len(rows), 2)
+    return np.where(np.isnan(limits), [-np.inf, np.inf], limits)

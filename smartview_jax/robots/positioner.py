@@ -1,10 +1,9 @@
 """Describe a positioner or a linear axis that carries the target by joints of the arm."""
 
 import numpy as np
-from jaxtyping import Float
 
-from ..geometry import PoseLike, as_se3, host_exponentials, host_matrices, host_transformed
-from .joint_axes import arm_from_axes
+from ..geometry import PoseLike, as_se3, host_matrices
+from .joint_axes import arm_from_axes, axis_frames_at_zero
 from .serial_arm import SerialArm
 
 
@@ -35,46 +34,21 @@ def arm_with_positioner(
         (1,) 7
     """
     plate = host_matrices(positioner.flange_from_tool)
-    points, directions, end = _axes_at_zero(positioner)
+    frames, end = axis_frames_at_zero(positioner)
     # The positioner moves its plate; seen from the plate, its base is moved the other way.
     plate_from_positioner = np.linalg.inv(end @ plate)
     plate_from_base = plate_from_positioner @ np.linalg.inv(
         host_matrices(as_se3(base_from_positioner))
     )
-    own_points, own_directions, flange = _axes_at_zero(arm)
+    own_frames, flange = axis_frames_at_zero(arm)
     tool = flange @ host_matrices(arm.flange_from_tool)
+    # Seen from the plate, the positioner's axes turn the other way, and the last one comes first.
+    frames = plate_from_positioner @ frames[::-1] @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    axes = np.concatenate([frames, plate_from_base @ own_frames])
     return arm_from_axes(
-        np.vstack(
-            [
-                host_transformed(plate_from_positioner, points)[::-1],
-                host_transformed(plate_from_base, own_points),
-            ]
-        ),
-        np.vstack(
-            [
-                -directions[::-1] @ plate_from_positioner[:3, :3].T,
-                own_directions @ plate_from_base[:3, :3].T,
-            ]
-        ),
+        axes[:, :3, 3],
+        axes[:, :3, 2],
         plate_from_base @ tool,
         prismatic=(*positioner.prismatic[::-1], *arm.prismatic),
         limits=np.vstack([np.asarray(positioner.limits)[::-1], np.asarray(arm.limits)]),
     )
-
-
-def _axes_at_zero(
-    arm: SerialArm,
-) -> tuple[Float[np.ndarray, "joints 3"], Float[np.ndarray, "joints 3"], Float[np.ndarray, "4 4"]]:
-    """Return a point and the direction of each joint's axis, and the flange, all joints at zero."""
-    frame, points, directions = host_matrices(arm.base_from_first), [], []
-    rows = (np.asarray(row) for row in (arm.theta, arm.d, arm.a, arm.alpha))
-    for theta, d, a, alpha in zip(*rows, strict=True):
-        # Both parts of a screw are along one axis, so that its exponential is their product.
-        turn = host_exponentials(np.array([0.0, 0.0, d, 0.0, 0.0, theta]))
-        link = host_exponentials(np.array([a, 0.0, 0.0, alpha, 0.0, 0.0]))
-        if arm.convention == "modified":
-            frame = frame @ link
-        points.append(frame[:3, 3])
-        directions.append(frame[:3, 2])
-        frame = frame @ turn @ (link if arm.convention == "standard" else np.eye(4))
-    return np.array(points), np.array(directions), frame

@@ -24,7 +24,6 @@ from ..data_checks import views_to_use as views_to_use
 from ..hand_eye import CLOSED_FORMS as CLOSED_FORMS
 from ..hand_eye import HandEyeResult as HandEyeResult
 from ..hand_eye import daniilidis as daniilidis
-from ..hand_eye import frobenius_cost as frobenius_cost
 from ..hand_eye import park_martin as park_martin
 from ..hand_eye import shah as shah
 from ..hand_eye import solve_hand_eye as solve_hand_eye

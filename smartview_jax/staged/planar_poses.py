@@ -53,14 +53,22 @@ def mirrored_poses(
     n, m = _turned(R, normal), _turned(R, middle) + t
     s = m / np.linalg.norm(m, axis=1, keepdims=True)
     mirrored = 2.0 * np.sum(s * n, axis=1, keepdims=True) * s - n
-    # The smallest rotation from n to its mirror image: I + K + K^2 / (1 + cos).
-    K = host_cross_matrices(np.cross(n, mirrored))
-    cosine = np.sum(n * mirrored, axis=1)[:, None, None]
-    turn = np.eye(3) + K + K @ K / np.maximum(1.0 + cosine, 1e-9)
     result = poses.copy()
-    result[:, :3, :3] = turn @ R
+    result[:, :3, :3] = rotation_between(n, mirrored) @ R
     result[:, :3, 3] = m - _turned(result[:, :3, :3], middle)
     return result
+
+
+def rotation_between(
+    start: Float[np.ndarray, "views 3"], end: Float[np.ndarray, "views 3"]
+) -> Float[np.ndarray, "views 3 3"]:
+    """Return the smallest rotation that takes one unit vector to another.
+
+    `R = I + K + K^2 / (1 + cos)`, with K the cross-product matrix of `start x end`.
+    """
+    K = host_cross_matrices(np.cross(start, end))
+    cosine = np.sum(start * end, axis=1)[:, None, None]
+    return np.eye(3) + K + K @ K / np.maximum(1.0 + cosine, 1e-9)
 
 
 def refined_poses(
@@ -68,7 +76,7 @@ def refined_poses(
 ) -> tuple[Float[np.ndarray, "views 4 4"], Float[np.ndarray, "views"]]:
     """Return the poses at the nearest minimum of the sum of squares, and that sum for each view."""
     poses = poses.copy()
-    residual, jacobian, cost = _linearised(poses, sight)
+    residual, jacobian, cost = linearised(poses, sight)
     damping = np.full(len(poses), 1e-3)
     active = np.arange(len(poses))
     for _ in range(maximum_steps):
@@ -79,7 +87,7 @@ def refined_poses(
         added = damping[active, None] * np.maximum(diagonal, floor) + floor
         step = -np.linalg.solve(matrix + np.eye(6) * added[:, None], gradient[..., None])[..., 0]
         trial = host_exponentials(step) @ poses[active]
-        values = _linearised(trial, Sight(*(part[active] for part in sight)))
+        values = linearised(trial, Sight(*(part[active] for part in sight)))
         is_better = values[2] < cost[active]
         better, gained = active[is_better], (cost[active] - values[2])[is_better]
         # Most views need few steps; the others go on alone.
@@ -96,7 +104,7 @@ def refined_poses(
     return poses, cost
 
 
-def _linearised(
+def linearised(
     poses: Float[np.ndarray, "views 4 4"], sight: Sight
 ) -> tuple[
     Float[np.ndarray, "views rows"], Float[np.ndarray, "views rows 6"], Float[np.ndarray, "views"]

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from ..dataset import undetermined_twists
 from ..geometry import (
-    host_cross_matrices,
+    host_adjoints,
     host_exponentials,
     host_nearest_rotation,
     host_poses,
@@ -22,7 +22,7 @@ from ..geometry import (
     host_rotation_vectors,
 )
 from ..hand_eye import minimum_norm_transforms
-from .planar_poses import MIN_DEPTH, Sight
+from .planar_poses import MIN_DEPTH, Sight, linearised
 
 Matrices = Float[np.ndarray, "views 4 4"]
 
@@ -177,9 +177,7 @@ def _different_first(
 ) -> list[int]:
     """Return the best transforms to refine, most of them different, so that rivals are among them.
 
-    Args:
-        order: indices of the transforms, the best first.
-        cameras, worlds: the transforms.
+    `order` has the indices of the transforms, the best first.
     """
     chosen = [int(k) for k in order[:MAX_ALIKE]]
     for k in order[MAX_ALIKE:]:
@@ -322,24 +320,14 @@ def _chain_linearised(
     Float[np.ndarray, "views points"],
 ]:
     """Return residuals, their derivative by a twist at mount and holder, and their squares."""
-    in_holder = sight.points @ world[:3, :3].T + world[:3, 3]
-    R, t = robot[:, :3, :3], robot[:, :3, 3]
-    in_mount = in_holder @ R.swapaxes(1, 2) + t[:, None]
-    p = in_mount @ camera[:3, :3].T + camera[:3, 3]
-    in_front = p[..., 2] > MIN_DEPTH
-    z = np.where(in_front, p[..., 2], 1.0)
-    ideal = p[..., :2] / z[..., None]
-    residual = np.where((sight.seen & in_front)[..., None], ideal - sight.rays, 0.0)
-    D = np.zeros((*z.shape, 2, 3))
-    D[..., 0, 0] = D[..., 1, 1] = 1.0 / z
-    D[..., 2] = -ideal / z[..., None]
-    D = D @ camera[:3, :3]
-    E = D @ R[:, None]
+    residual, jacobian, _ = linearised(camera @ robot @ world, sight)
+    # A twist at mount or holder passes to the camera through the transforms left of it.
     jacobian = np.concatenate(
-        [D, -D @ host_cross_matrices(in_mount), E, -E @ host_cross_matrices(in_holder)], axis=-1
+        [jacobian @ host_adjoints(camera), jacobian @ host_adjoints(camera @ robot)], axis=2
     )
-    squares = np.where(in_front, np.sum(residual**2, axis=-1), np.inf)
-    return residual, jacobian, squares
+    squares = squared_distances(camera[None], robot, world[None], sight)[0]
+    shape = (*sight.seen.shape, 2)
+    return residual.reshape(shape), jacobian.reshape(*shape, 12), squares
 
 
 def _scale_and_deviance(

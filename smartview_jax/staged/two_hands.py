@@ -14,8 +14,6 @@ equation: Wu, Wang, Qi and Ren, Simultaneous hand-eye, tool-flange, and robot-ro
 for comanipulation by solving the AXB = YCZ problem, 2016.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
@@ -26,6 +24,7 @@ from ..geometry import (
     host_logarithms,
     host_matrices,
     host_nearest_rotation,
+    host_poses,
     host_transforms,
 )
 from ..robots import HandPoses
@@ -54,16 +53,8 @@ def place_bases(hands: HandPoses, camera_from_world: SE3, used: Bool[np.ndarray,
     Raises:
         ValueError: a hand that did not turn about two axes.
     """
-    return solve_bases(
-        *(
-            host_matrices(poses)[used]
-            for poses in (
-                camera_from_world,
-                hands.base_from_tool,
-                hands.other_base_from_other_tool,
-            )
-        )
-    )
+    poses = camera_from_world, hands.base_from_tool, hands.other_base_from_other_tool
+    return solve_bases(*(host_matrices(pose)[used] for pose in poses))
 
 
 def solve_bases(
@@ -85,12 +76,7 @@ def solve_bases(
     for name, poses in (("with the camera", left), ("with the target", right)):
         _require_turns(name, poses[:, :3, :3])
     turns = _rotations(camera_from_world[:, :3, :3], left[:, :3, :3], right[:, :3, :3])
-    ends = [np.eye(4) for _ in range(3)]
-    for pose, rotation in zip(ends, turns, strict=True):
-        pose[:3, :3] = rotation
-    shifts = _translations(camera_from_world, left, right, turns)
-    for pose, shift in zip(ends, shifts, strict=True):
-        pose[:3, 3] = shift
+    ends = host_poses(turns, _translations(camera_from_world, left, right, turns))
     return host_transforms(_refined(camera_from_world, left, right, ends)[1])
 
 
@@ -110,7 +96,7 @@ def _rotations(
     seen: Float[np.ndarray, "views 3 3"],
     left: Float[np.ndarray, "views 3 3"],
     right: Float[np.ndarray, "views 3 3"],
-) -> list[Float[np.ndarray, "3 3"]]:
+) -> Float[np.ndarray, "3 3 3"]:
     """Return the rotations of X, B and Z."""
     tried = Rotation.random(TRIED_ROTATIONS, np.random.default_rng(0)).as_matrix()
     between = left[None] @ tried[:, None] @ right[None]
@@ -134,14 +120,14 @@ def _rotations(
         start = Rotation.from_matrix(np.stack([x, tried[k], z.T])).as_rotvec().ravel()
         results.append(least_squares(misses, start, loss="soft_l1", f_scale=0.01))
     found = min(results, key=lambda result: result.cost)
-    return list(Rotation.from_rotvec(found.x.reshape(3, 3)).as_matrix())
+    return Rotation.from_rotvec(found.x.reshape(3, 3)).as_matrix()
 
 
 def _translations(
     seen: Float[np.ndarray, "views 4 4"],
     left: Float[np.ndarray, "views 4 4"],
     right: Float[np.ndarray, "views 4 4"],
-    turns: list[Float[np.ndarray, "3 3"]],
+    turns: Float[np.ndarray, "3 3 3"],
 ) -> Float[np.ndarray, "3 3"]:
     """Return the translations of X, B and Z for given rotations."""
     # t_C = t_X + X (t_L + L (t_B + B (t_R + R t_Z)))
@@ -158,7 +144,7 @@ def _refined(
     seen: Float[np.ndarray, "views 4 4"],
     left: Float[np.ndarray, "views 4 4"],
     right: Float[np.ndarray, "views 4 4"],
-    ends: list[Float[np.ndarray, "4 4"]],
+    ends: Float[np.ndarray, "3 4 4"],
 ) -> list[Float[np.ndarray, "4 4"]]:
     """Return X, B and Z that fit rotations and translations together, wrong views counting less."""
 
@@ -184,12 +170,9 @@ def _refined(
         # In units of the median miss of a coordinate, of translations and of rotations.
         size = np.median(np.abs(missed(step)).reshape(-1, 2, 3), axis=(0, 2)).repeat(3)
         size = np.maximum(size, SMALLEST_MISS)
-        step = least_squares(_in_units(missed, size), step, loss=loss, x_scale="jac").x
+
+        def in_units(step: np.ndarray, size: np.ndarray = size) -> np.ndarray:
+            return (missed(step) / size).ravel()
+
+        step = least_squares(in_units, step, loss=loss, x_scale="jac").x
     return moved(step)
-
-
-def _in_units(
-    missed: Callable[[np.ndarray], np.ndarray], size: Float[np.ndarray, "6"]
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the misses of all views as one vector, in units of their sizes."""
-    return lambda step: (missed(step) / size).ravel()

@@ -21,6 +21,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera, unit_rays
+from ..data_checks import collinear_views
 from ..dataset import Observations, coplanar, extents
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
@@ -37,8 +38,6 @@ NO_START = "none"
 
 _MAX_ALPHA_RELATIVE_STD = 0.03
 """Largest relative standard deviation of alpha at which a view counts as determining it."""
-_COLLINEARITY_TOLERANCE = 1e-3
-"""Ratio of second to largest extent of the points below which they count as one line."""
 
 
 class ViewCalibrations(HostModule):
@@ -86,10 +85,9 @@ def calibrate_views(
     view_count, point_count = observations.visible.shape
     points, pixels, visible = _host_observations(observations.padded())
     centre = (np.array(image_size, dtype=float) - 1.0) / 2.0
-    extent = extents(points, visible)
     # Whether the points of a view lie in one plane (any plane), which decides how it is started.
-    flat = coplanar(extent)
-    problems = _view_problems(visible.sum(axis=1), extent, flat)
+    flat = coplanar(extents(points, visible))
+    problems = _view_problems(visible.sum(axis=1), collinear_views(points, visible), flat)
     start = view_starts(points, pixels, visible, flat, centre, float(max(image_size)))
     # One plane: only alpha (and k1) are free; alpha_v / alpha_u, u0 and v0 are held.
     free = np.ones((len(flat), 5), dtype=bool)
@@ -147,13 +145,10 @@ def estimate_view_poses(
         `camera_from_world`, the RMS reprojection error of each view in px, and the points used.
     """
     view_count, point_count = observations.visible.shape
-    points, pixels, visible = _host_observations(observations.padded())
-    rays, valid = map(np.asarray, unit_rays(camera, jax.device_put(pixels)))
-    visible = visible & valid & (rays[..., 2] > 1e-3)
-    rays = np.where(visible[..., None], rays, 1.0)
+    points, ideal, visible = _ideal_observations(observations, camera)
     # Undistorted pixels relative to the principal point: an ideal pinhole camera with known alpha.
     alpha = float(camera.alpha_u)
-    undistorted = alpha * rays[..., :2] / rays[..., 2:]
+    undistorted = alpha * ideal
     flat = coplanar(extents(points, visible))
     centre, longer_side = np.zeros(2), float(max(camera.image_size))
     start = view_starts(points, undistorted, visible, flat, centre, longer_side)
@@ -171,13 +166,20 @@ def unprojected(
     observations: Observations, camera: Camera
 ) -> tuple[Float[np.ndarray, "views points 2"], Bool[np.ndarray, "views points"]]:
     """Return the ideal coordinates x / z, y / z of the pixels, and where they are such."""
-    shape = observations.visible.shape
-    _, pixels, visible = _host_observations(observations.padded())
+    views, points = observations.visible.shape
+    _, ideal, usable = _ideal_observations(observations, camera)
+    return ideal[:views, :points], usable[:views, :points]
+
+
+def _ideal_observations(
+    observations: Observations, camera: Camera
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return padded points, ideal coordinates of the pixels, zero elsewhere, and where they are."""
+    points, pixels, visible = _host_observations(observations.padded())
     rays, valid = map(np.asarray, unit_rays(camera, jax.device_put(pixels)))
     usable = visible & valid & (rays[..., 2] > 1e-3)
     ideal = rays[..., :2] / np.where(usable, rays[..., 2], 1.0)[..., None]
-    views, points = shape
-    return np.where(usable[..., None], ideal, 0.0)[:views, :points], usable[:views, :points]
+    return points, np.where(usable[..., None], ideal, 0.0), usable
 
 
 def _host_observations(observations: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -188,16 +190,16 @@ def _host_observations(observations: Observations) -> tuple[np.ndarray, np.ndarr
 
 
 def _view_problems(
-    point_counts: np.ndarray, extent: np.ndarray, flat: np.ndarray
+    point_counts: np.ndarray, collinear: np.ndarray, flat: np.ndarray
 ) -> tuple[str, ...]:
     """Return for every view why it shows too few points, or an empty text if it does not."""
     problems = []
-    for count, (_, second, largest), plane in zip(point_counts, extent, flat, strict=True):
+    for count, on_line, plane in zip(point_counts, collinear, flat, strict=True):
         needed = 4 if plane else 6
         if count < needed:
             where = "in one plane" if plane else "in space"
             problems.append(f"{count} points seen, {needed} {where} needed")
-        elif second < _COLLINEARITY_TOLERANCE * largest:
+        elif on_line:
             problems.append(f"the {count} points seen lie on one line")
         else:
             problems.append("")
@@ -243,11 +245,7 @@ def _hold_intrinsics(
 
 
 def _fit_all_views(*by_view: Any) -> ViewFit:
-    """Fit every view by `_fit_views`, in batches: one program then serves any small data set.
-
-    Args:
-        by_view: the arguments of `_fit_views`.
-    """
+    """Fit every view by `_fit_views`, in batches: one program then serves any small data set."""
     view_count, point_count = by_view[0].shape[:2]
     # A large data set is not padded and has programs of its own; hundreds of calls cost it a fifth.
     is_large = view_count * point_count > MAX_PADDED_OBSERVATIONS

@@ -16,8 +16,9 @@ from jaxtyping import Bool, Float
 
 from ..cameras import Camera, Radial
 from ..dataset import mean_point, scatter
-from ..geometry import host_cross_matrices, host_nearest_rotation, host_transforms
+from ..geometry import host_nearest_rotation, host_poses, host_transforms
 from ..runtime.array_namespace import AnyArray
+from .planar_poses import rotation_between
 
 HostArray = np.ndarray
 """A NumPy array with one entry for each view along its first axis."""
@@ -115,7 +116,7 @@ def planar_start(
         # A small plane looks almost the same when its normal is mirrored about the line of sight.
         normal = rotation[..., 2]
         cosine = np.sum(line_of_sight * normal, axis=1, keepdims=True)
-        mirror_rotation = _rotation_between(normal, 2.0 * cosine * line_of_sight - normal)
+        mirror_rotation = rotation_between(normal, 2.0 * cosine * line_of_sight - normal)
         poses = [
             _pose_parameters(R @ plane, t, origin) for R in (rotation, mirror_rotation @ rotation)
         ]
@@ -284,17 +285,5 @@ def _null_vector(rows: list[HostArray]) -> HostArray:
 
 def _pose_parameters(rotation: HostArray, translation: HostArray, origin: HostArray) -> HostArray:
     """Return the pose `x -> R (x - origin) + t` as the seven numbers of an SE3."""
-    matrices = np.zeros((len(rotation), 4, 4))
-    matrices[:, :3, :3], matrices[:, 3, 3] = rotation, 1.0
-    matrices[:, :3, 3] = translation - (rotation @ origin[..., None])[..., 0]
-    return np.asarray(host_transforms(matrices).wxyz_xyz)
-
-
-def _rotation_between(start: HostArray, end: HostArray) -> HostArray:
-    """Return the smallest rotation that takes one unit vector to another.
-
-    `R = I + K + K^2 / (1 + cos)`, with K the cross-product matrix of `start x end`.
-    """
-    K = host_cross_matrices(np.cross(start, end))
-    cosine = np.sum(start * end, axis=1)[:, None, None]
-    return np.eye(3) + K + K @ K / np.maximum(1.0 + cosine, 1e-6)
+    shift = translation - (rotation @ origin[..., None])[..., 0]
+    return np.asarray(host_transforms(host_poses(rotation, shift)).wxyz_xyz)

@@ -13,13 +13,8 @@ from smartview_jax.cameras import (
     circle_centre_bias,
     circle_image_centre,
 )
-from smartview_jax.geometry import (
-    circle_dual_conic,
-    conic_centre,
-    host_exponentials,
-    host_matrices,
-    host_transforms,
-)
+from smartview_jax.cameras.circles import region_centroid
+from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 
 POSE = SE3.from_rotation_and_translation(
     SO3.from_rpy_radians(0.3, -0.6, 0.2), jnp.array([0.06, -0.04, 0.25])
@@ -83,9 +78,27 @@ def test_the_centre_is_that_of_the_region_seen(lens):
 
 def test_without_a_lens_it_is_the_centre_of_the_ellipse():
     camera = camera_with(Pinhole())
-    ellipse = np.asarray(conic_centre(circle_dual_conic(POSE, RADIUS)))
-    wanted = ellipse * [600.0, 620.0] + [320.0, 240.0]
+    # The homography [r1 r2 t] maps the circle's dual conic diag(r^2, r^2, -1) to the image's, and
+    # the centre of a conic is the last column of its dual.
+    homography = host_matrices(POSE)[:3, [0, 1, 3]]
+    dual = homography @ np.diag([float(RADIUS) ** 2, float(RADIUS) ** 2, -1.0]) @ homography.T
+    wanted = dual[:2, 2] / dual[2, 2] * [600.0, 620.0] + [320.0, 240.0]
     np.testing.assert_allclose(centre_and_bias(camera, POSE, RADIUS)[0], wanted, atol=1e-10)
+
+
+def test_the_centroid_of_a_limacon_far_from_the_origin():
+    """`r = 1 + a cos(t)` encloses a region whose centroid is known."""
+    a, far = 0.4, np.array([1e6, -2e6])
+    t = 2.0 * np.pi / 48 * np.arange(48.0)
+    unit = np.stack([np.cos(t), np.sin(t)], axis=-1)
+    across = np.stack([-np.sin(t), np.cos(t)], axis=-1)
+    radius, slope = 1.0 + a * np.cos(t), -a * np.sin(t)
+    boundary = far + radius[:, None] * unit
+    velocity = slope[:, None] * unit + radius[:, None] * across
+    wanted = np.array([(a + a**3 / 4.0) / (1.0 + a**2 / 2.0), 0.0])
+    for turn in (boundary, velocity), (boundary[::-1], -velocity[::-1]):
+        centroid = jax.jit(region_centroid)(*turn)
+        np.testing.assert_allclose(centroid - far, wanted, atol=1e-8)
 
 
 def test_a_circle_seen_from_straight_above_is_not_shifted():

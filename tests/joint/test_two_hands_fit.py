@@ -11,7 +11,6 @@ from two_hands_scene import BOARD, NOISE, TRANSFORMS, transform_error, two_hands
 
 import smartview_jax as sv
 from smartview_jax.engine import STEP_NAMES, Parameters, host_retract
-from smartview_jax.engine.parameters import host_values
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 from smartview_jax.modeling.view_poses import SeenViews
 
@@ -154,7 +153,7 @@ def test_the_parameters_of_three_transforms():
     truth = two_hands(0).calibration
     parameters = Parameters(truth)
     step = 1e-2 * np.random.default_rng(0).standard_normal(parameters.layout.size)
-    np.testing.assert_array_equal(host_values(truth), parameters.values())
+    np.testing.assert_array_equal(parameters.values(np), parameters.values())
     moved = host_retract(truth, step)
     np.testing.assert_allclose(parameters.step_to(moved), step, atol=1e-12)
     assert (

@@ -15,7 +15,7 @@ from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
 from smartview_jax.simulation import random_viewpoints, simulate
 from smartview_jax.staged import estimate_view_poses, fit_staged
-from smartview_jax.staged.planar_poses import Sight, _linearised, mirrored_poses, refined_poses
+from smartview_jax.staged.planar_poses import Sight, linearised, mirrored_poses, refined_poses
 from smartview_jax.staged.two_poses import choose_poses
 from smartview_jax.targets import TagGrid
 
@@ -113,7 +113,7 @@ def test_the_derivatives_by_a_pose_are_opencv_s():
     seen = np.ones((2, 9), dtype=bool)
     seen[1, 4] = False
     identity = np.tile(np.eye(4), (2, 1, 1))
-    _, jacobian, _ = _linearised(identity, Sight(in_camera, np.zeros((2, 9, 2)), seen))
+    _, jacobian, _ = linearised(identity, Sight(in_camera, np.zeros((2, 9, 2)), seen))
     for view in range(2):
         by_pose = cv2.projectPoints(in_camera[view], np.zeros(3), np.zeros(3), np.eye(3), None)[1]
         # OpenCV's columns begin with the rotation; a twist with the translation.

@@ -5,11 +5,10 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from ...calibration import Calibration
 from ...dataset import Rig
-from ...engine import is_size, reduced_equations, solve
+from ...engine import is_size, reduced_equations, solve, step_names
 from ...geometry import host_matrices, host_transforms
 from ...joint import RigFit, fit_rig, relative_pose
 from ...robot_errors import LinearInPose
@@ -126,22 +125,22 @@ def pose_uncertainties(fit: RigFit) -> tuple[PoseUncertainty, ...]:
     """Return the uncertainty of each hand-eye transform and each relative pose, by cause."""
     by_cause = covariance_by_cause(fit)
     calibrations, names = fit.calibrations, fit.parameter_names
-    found = []
+    place, found = {name: k for k, name in enumerate(names)}, []
     for name, calibration in calibrations.items():
         path = f"{name}.{calibration.transform_names[0]}"
-        rows = [k for k, name in enumerate(names) if name.startswith(f"{path}.")]
-        is_turn = [".rotation." in names[row] for row in rows]
+        # A parameter that was held has the variance that is appended.
+        rows = [place.get(own, -1) for own in step_names(path)]
         variances = {
-            cause: _variances(np.diagonal(matrix)[rows], np.array(is_turn, dtype=bool))
-            for cause, matrix in by_cause.items()
+            cause: np.append(np.diagonal(matrix), 0.0)[rows] for cause, matrix in by_cause.items()
         }
         found.append(_pose_uncertainty(path, variances))
     for first, second in combinations(calibrations, 2):
         if calibrations[first].mount == calibrations[second].mount:
-            variances = {
-                cause: _relative_variances(calibrations, names, matrix, first, second)
+            covariances = {
+                cause: relative_pose(calibrations, names, matrix, first, second).covariance
                 for cause, matrix in by_cause.items()
             }
+            variances = {cause: np.diagonal(matrix) for cause, matrix in covariances.items()}
             found.append(_pose_uncertainty(f"{second} in {first}", variances))
     return tuple(found)
 
@@ -180,32 +179,14 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     return {cause: part for cause, part in parts.items() if part.any()}
 
 
-def _variances(
-    diagonal: Float[np.ndarray, "rows"], is_turn: Bool[np.ndarray, "rows"]
-) -> tuple[float, float]:
-    """Return the variances of translation and rotation, all axes together."""
-    return float(diagonal[~is_turn].sum()), float(diagonal[is_turn].sum())
-
-
-def _relative_variances(
-    calibrations: Mapping[str, Calibration],
-    names: tuple[str, ...],
-    covariance: Float[np.ndarray, "free free"],
-    first: str,
-    second: str,
-) -> tuple[float, float]:
-    """Return the variances of a relative pose's translation and rotation, all axes together."""
-    found = relative_pose(calibrations, names, covariance, first, second).covariance
-    return _variances(np.diagonal(found), np.arange(6) >= 3)
-
-
-def _pose_uncertainty(name: str, variances: Mapping[str, tuple[float, float]]) -> PoseUncertainty:
-    """Return the uncertainty of a pose from the variances due to each cause."""
+def _pose_uncertainty(
+    name: str, variances: Mapping[str, Float[np.ndarray, "6"]]
+) -> PoseUncertainty:
+    """Return the uncertainty of a pose from the variances of its parameters due to each cause."""
+    # Of translation and rotation, all axes together.
+    sums = {cause: own.reshape(2, 3).sum(axis=1) for cause, own in variances.items()}
     # Rounding may make the part of a cause without effect slightly negative.
-    causes = [
-        PoseCause(cause, max(places, 0.0) ** 0.5, max(turns, 0.0) ** 0.5)
-        for cause, (places, turns) in variances.items()
-    ]
+    causes = [PoseCause(cause, *np.sqrt(own.clip(0.0)).tolist()) for cause, own in sums.items()]
     causes.sort(key=lambda cause: -cause.translation)
-    places, turns = np.sqrt(np.sum(list(variances.values()), axis=0))
+    places, turns = np.sqrt(np.sum(list(sums.values()), axis=0))
     return PoseUncertainty(name, float(places), float(turns), tuple(causes))

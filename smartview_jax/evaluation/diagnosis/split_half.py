@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ...calibration import Calibration
 from ...dataset import Dataset
+from ...engine import step_names
 from ...joint import MAX_ROTATION_HALF_WIDTH, MAX_TRANSLATION_HALF_WIDTH
 from ..held_out import predictor_of
 
@@ -116,6 +117,5 @@ def _stated_std(fit: Any) -> Float[np.ndarray, "6"] | None:
     std = getattr(fit, "std", None)
     if std is None:
         return None
-    name = _calibration(fit).transform_names[0]
-    parts = [f"{part}.{axis}" for part in ("translation", "rotation") for axis in "xyz"]
-    return np.array([std.get(f"{name}.{part}", 0.0) for part in parts])
+    names = step_names(_calibration(fit).transform_names[0])
+    return np.array([std.get(name, 0.0) for name in names])

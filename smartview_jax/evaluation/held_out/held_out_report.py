@@ -57,11 +57,21 @@ def held_out_reports(
             data, fitter, progress=lambda text: report(f"held-out by region: {text}"), by="region"
         )
     reports = {
-        name: _part_report(by_view, by_region, data, choose, thorough)
+        name: _scores(by_view, by_region, data, choose, thorough)
         for name, choose in (("staged", _choose_staged), ("joint", _choose_joint))
     }
-    if any(fold.failure is None and has_correction(fold.fit.joint) for fold in by_view):
-        reports[f"joint, {UNCORRECTED_SUFFIX}"] = _uncorrected_report(by_view, by_region, data)
+    # Only the joint fit estimates a robot error model and predicts its own error.
+    joint_fits = [fold.fit.joint for fold in by_view if fold.failure is None]
+    reports["joint"] = reports["joint"]._replace(
+        predicted_error=predicted_error(by_view, data, _choose_joint) if thorough else None,
+        error_models=tuple(
+            fit.noise_estimate.name for fit in joint_fits if fit.noise_estimate is not None
+        ),
+    )
+    if any(map(has_correction, joint_fits)):
+        reports[f"joint, {UNCORRECTED_SUFFIX}"] = _scores(
+            by_view, by_region, data, choose_uncorrected(_choose_joint), False
+        )
     return reports
 
 
@@ -75,36 +85,16 @@ def _choose_joint(fit: CalibrationFit, _: Dataset):
     return fit.joint
 
 
-def _part_report(
+def _scores(
     by_view: tuple[FoldFit, ...],
     by_region: tuple[FoldFit, ...] | None,
     data: Dataset,
     choose: Callable,
-    thorough: bool,
+    with_free_poses: bool,
 ) -> HeldOutReport:
     """Return the held-out errors of one part of a calibration."""
-    held_out, error_models = score(by_view, data, choose), ()
-    # Only the joint fit estimates a robot error model and predicts its own error.
-    if choose is _choose_joint:
-        fits = [fold.fit.joint for fold in by_view if fold.failure is None]
-        error_models = tuple(
-            fit.noise_estimate.name for fit in fits if fit.noise_estimate is not None
-        )
-    if not thorough:
-        return HeldOutReport(held_out, error_models=error_models)
     return HeldOutReport(
-        held_out,
+        score(by_view, data, choose),
         None if by_region is None else score(by_region, data, choose),
-        score(by_view, data, choose, free_pose_errors),
-        predicted_error(by_view, data, choose) if choose is _choose_joint else None,
-        error_models,
+        score(by_view, data, choose, free_pose_errors) if with_free_poses else None,
     )
-
-
-def _uncorrected_report(
-    by_view: tuple[FoldFit, ...], by_region: tuple[FoldFit, ...] | None, data: Dataset
-) -> HeldOutReport:
-    """Return the held-out errors of the joint fit without its correction of the robot's error."""
-    choose_joint_uncorrected = choose_uncorrected(_choose_joint)
-    region_errors = None if by_region is None else score(by_region, data, choose_joint_uncorrected)
-    return HeldOutReport(score(by_view, data, choose_joint_uncorrected), region_errors)

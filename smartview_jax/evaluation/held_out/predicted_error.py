@@ -37,31 +37,16 @@ class PredictedError(NamedTuple):
 
     @property
     def rms_ratio(self) -> float:
-        """The actual over the predicted RMS: 1 is consistent, 2 is twice the stated uncertainty."""
-        return _rms_ratio(self.actual.errors.px, self.predicted.errors.px)
+        """The actual over the predicted RMS: 1 is consistent, 2 is twice the stated uncertainty.
 
-    @property
-    def rms_ratio_per_view(self) -> Float[np.ndarray, "views"]:
-        """The same ratio for every view; NaN for a view that was not held out."""
-        return np.array([self._rms_ratio_of_views([k]) for k in range(len(self.actual.errors.px))])
-
-    @property
-    def rms_ratio_per_fold(self) -> Float[np.ndarray, "folds"]:
-        """The same ratio for every fold; NaN for a failed fold."""
-        return np.array([self._rms_ratio_of_views(list(fold)) for fold in self.actual.folds])
-
-    def _rms_ratio_of_views(self, views: list[int]) -> float:
-        """Return the ratio for some views."""
-        return _rms_ratio(self.actual.errors.px[views], self.predicted.errors.px[views])
-
-
-def _rms_ratio(actual: np.ndarray, predicted: np.ndarray) -> float:
-    """Return the ratio of actual to predicted RMS over points that have both; NaN if none has."""
-    # sqrt(sum(actual^2) / sum(predicted^2)), pooled so that tiny predicted errors do not dominate.
-    both = np.isfinite(actual) & np.isfinite(predicted)
-    if not both.any():
-        return float("nan")
-    return float(np.sqrt(np.sum(actual[both] ** 2) / np.sum(predicted[both] ** 2)))
+        It is over the points that have both, and NaN if none has.
+        """
+        # sqrt(sum(actual^2) / sum(predicted^2)): tiny predicted errors do not dominate.
+        actual, predicted = self.actual.errors.px, self.predicted.errors.px
+        both = np.isfinite(actual) & np.isfinite(predicted)
+        if not both.any():
+            return float("nan")
+        return float(np.sqrt(np.sum(actual[both] ** 2) / np.sum(predicted[both] ** 2)))
 
 
 def predicted_error(
