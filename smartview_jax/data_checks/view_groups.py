@@ -21,7 +21,7 @@ from .change_texts import moved_text
 from .closure import MAX_CLOSURE_SCORE, Poses
 from .convention_hypotheses import listed_views
 from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
-from .misfit_evidence import closure_variances, evidence
+from .misfit_evidence import error_variances, errors_of, evidence
 from .transform_fit import (
     Matrix,
     fit_transforms,
@@ -182,7 +182,8 @@ def find_groups(
             turns = _quarter_turns(fit.camera_from_mount, change, distance)
         groups.append(ViewGroup(tuple(views[group].tolist()), translation, rotation, turns))
     # Each view may be of any group.
-    odds = evidence(closure_variances(given[members]), corrected[members], 6 * len(others))
+    variances = error_variances(errors_of(given[members]))
+    odds = evidence(variances, errors_of(corrected[members]), 6 * len(others))
     odds -= 2.0 * len(members) * np.log(1 + len(others))
     if odds < 2.0 * np.log(options.min_odds):
         return None
