@@ -33,6 +33,9 @@ from .wireframe import Wireframe
 EXPLAINED_DISTANCE = 2.0
 """Largest distance, px, of an edge point from the predicted edge that it explains."""
 
+INDEPENDENT_LENGTH = 12.0
+"""Length of an edge, px, that counts as one independent observation (found or missing)."""
+
 MAX_RADIUS = 12
 """Largest distance, px, of an edge point from the predicted edge."""
 
@@ -89,9 +92,9 @@ class EdgeLines(NamedTuple):
         variances: their variances, px^2, independent of each other.
         by_pose: derivatives of the predicted numbers by the tangent of the object's pose.
         measured: whether there is a line.
-        visible_px: visible length of each edge, px, without its ends where the blur rounds corners
-            (`ROUNDED_REACH`).
-        explained_px: the part of it with an edge point within the radius, px.
+        visible_px: visible length of each edge, px, without what has no edge point where the blur
+            rounds corners (`ROUNDED_REACH`).
+        explained_px: visible length with an edge point within the radius, px.
         found_px: visible length where the line has points, px.
         strength: mean gradient of the line's points, grey levels per px.
         scatter: standard deviation of the points about their line, px.
@@ -208,7 +211,7 @@ def edge_lines(
     visible_px = over_edges(px)
     measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
     # The blur rounds corners: what is missing there is no evidence against the object.
-    counted_px = jnp.where(turned_gap > ROUNDED_REACH, px, 0.0)
+    counted_px = jnp.where(has_point | (turned_gap > ROUNDED_REACH), px, 0.0)
     measured &= W >= MIN_LINE_POINTS
     strengths = over_edges(weights * lookup.strengths[point]) / W
     whole = MODEL_SIGMA**2 + tolerance**2
@@ -238,7 +241,7 @@ def edge_lines(
         jnp.where(keep[..., None], by_pose, 0.0),
         measured,
         over_edges(counted_px),
-        over_edges(jnp.where(has_point, counted_px, 0.0)),
+        over_edges(jnp.where(has_point, px, 0.0)),
         jnp.where(measured, found_px, 0.0),
         jnp.where(measured, strengths, 0.0),
         jnp.sqrt(variance),

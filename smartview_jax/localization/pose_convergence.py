@@ -20,7 +20,7 @@ from ..modeling import SeenViews
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import repeat_last
-from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, lines_in_views
+from .edge_lines import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .wireframe import Wireframe
 
@@ -55,8 +55,8 @@ def converged_poses(
 
     Each step weights every edge of every view by Geman and McClure's function of its distance, with
     a standard deviation that shrinks with the search radius (graduated non-convexity). Where the
-    steps end at a pose that explains less, because other edges are within the radius or because too
-    few edges are measured to determine a step, the pose stays as it is.
+    steps end at a pose that explains clearly less, because other edges are within the radius or
+    because too few edges are measured to determine a step, the pose stays as it is.
     """
 
     def step(pose: Float[Array, "4 4"], search: tuple[Float[Array, ""], Float[Array, ""]]):
@@ -71,7 +71,9 @@ def converged_poses(
         radii = jnp.asarray((EXPLAINED_DISTANCE, *RADII, EXPLAINED_DISTANCE))
         is_taken = jnp.asarray((0.0, *(1.0 for _ in RADII), 0.0))
         _, (poses, lengths) = jax.lax.scan(step, pose, (radii, is_taken))
-        best = jnp.where(lengths[-1, 1] >= lengths[0, 1], -1, 0)
+        # A loss of less than one independent observation is none.
+        is_lost = ~(lengths[-1, 1] > lengths[0, 1] - INDEPENDENT_LENGTH)
+        best = jnp.where(is_lost, 0, -1)
         return poses[best], lengths[best]
 
     # One pose after the other, so that the arrays stay in the processor's cache.
