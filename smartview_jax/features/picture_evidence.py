@@ -23,7 +23,7 @@ from .gradient import Gradient
 from .ideal_plane import IdealPlane
 from .lone_edges import lone_points
 from .picture_checks import grey_levels
-from .picture_scale import edge_width, reduced, scale_for, scaled_camera
+from .picture_scale import edge_width, gradient_at, resized, scale_for, scaled_camera
 
 ORIENTATIONS = 8
 """Number of distance maps; directions are modulo half a turn, since an edge has no orientation."""
@@ -117,7 +117,8 @@ def picture_evidence(
 ) -> PictureEvidence:
     """Find the features of a picture and prepare the distance maps of its edges.
 
-    A picture whose edges are wide is reduced first (`picture_scale`).
+    A picture whose edges are wide is reduced first, and a small sharp one enlarged
+    (`picture_scale`).
 
     Args:
         picture: uint8, grey `(rows, columns)` or BGR `(rows, columns, 3)`.
@@ -136,12 +137,12 @@ def _evidence(
 ) -> PictureEvidence:
     """Return the evidence of a picture, given its grey levels."""
     gradient = Gradient.of(grey)
-    scale = scale_for(edge_width(gradient)) if scale is None else scale
+    scale = scale_for(edge_width(gradient), camera.image_size) if scale is None else scale
     searched_by = scaled_camera(camera, scale)
     searched = grey
     if scale != 1.0:
-        searched = reduced(grey, searched_by)
-        gradient = Gradient.of(searched)
+        searched = resized(grey, searched_by)
+        gradient = gradient_at(scale, gradient, searched)
     edge_points = find_edge_points(gradient)
     features = features_from_edge_points(searched, gradient, edge_points, searched_by)
     lone, maps = lone_points(edge_points), edge_maps(features, searched_by)

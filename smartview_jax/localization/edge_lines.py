@@ -33,6 +33,9 @@ from .wireframe import Wireframe
 EXPLAINED_DISTANCE = 2.0
 """Largest distance, px, of an edge point from the predicted edge that it explains."""
 
+INDEPENDENT_LENGTH = 12.0
+"""Length of an edge, px, that counts as one independent observation (found or missing)."""
+
 MAX_RADIUS = 12
 """Largest distance, px, of an edge point from the predicted edge."""
 
@@ -55,6 +58,10 @@ MIN_POINT_SIGMA = 0.03
 MODEL_SIGMA = 0.003
 """Standard deviation of a whole line's position, px, no matter how many points it has, where the
 object is exactly as its model."""
+
+ROUNDED_REACH = 2.0 * EDGE_BLUR
+"""Distance, px, from an edge of another direction within which a blurred edge is rounded: its
+points are displaced or have neither direction."""
 
 MIN_EDGE_PX = 8.0
 """Visible length, px, below which an edge is not measured."""
@@ -85,7 +92,8 @@ class EdgeLines(NamedTuple):
         variances: their variances, px^2, independent of each other.
         by_pose: derivatives of the predicted numbers by the tangent of the object's pose.
         measured: whether there is a line.
-        visible_px: visible length of each edge, px.
+        visible_px: visible length of each edge, px, without what has no edge point where the blur
+            rounds corners (`ROUNDED_REACH`).
         explained_px: visible length with an edge point within the radius, px.
         found_px: visible length where the line has points, px.
         strength: mean gradient of the line's points, grey levels per px.
@@ -173,7 +181,8 @@ def edge_lines(
     # Positions along the edge, from the mean of its visible samples.
     middle = over_edges(px[:, None] * p) / _positive(over_edges(px))[:, None]
     t = ((p - middle[edges]) * d).sum(axis=1)
-    clear = has_point & _is_clear(wireframe, view.vertices, view.edge_px, p)
+    gap, turned_gap = _gaps_to_others(wireframe, view.vertices, view.edge_px, p, d)
+    clear = has_point & (gap > CLEARANCE)
     # In texture most points have another edge next to them; there all points are used.
     lone = clear & lookup.lone[point]
     are_enough = over_edges(jnp.where(lone, px, 0.0)) >= MIN_SHARE * over_edges(px)
@@ -201,6 +210,8 @@ def edge_lines(
     tilted = jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
     visible_px = over_edges(px)
     measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
+    # The blur rounds corners: what is missing there is no evidence against the object.
+    counted_px = jnp.where(has_point | (turned_gap > ROUNDED_REACH), px, 0.0)
     measured &= W >= MIN_LINE_POINTS
     strengths = over_edges(weights * lookup.strengths[point]) / W
     whole = MODEL_SIGMA**2 + tolerance**2
@@ -229,7 +240,7 @@ def edge_lines(
         jnp.where(keep, variances, 1.0),
         jnp.where(keep[..., None], by_pose, 0.0),
         measured,
-        visible_px,
+        over_edges(counted_px),
         over_edges(jnp.where(has_point, px, 0.0)),
         jnp.where(measured, found_px, 0.0),
         jnp.where(measured, strengths, 0.0),
@@ -294,22 +305,38 @@ def _positive(values: Array) -> Array:
     return jnp.where(values > 0.0, values, 1.0)
 
 
-def _is_clear(
+def _gaps_to_others(
     wireframe: Wireframe,
     vertices: Float[Array, "V 2"],
     edge_px: Float[Array, "E"],
     p: Float[Array, "S 2"],
-) -> Bool[Array, "S"]:
-    """Return which samples are far enough from all visible edges but their own edge or rim."""
+    d: Float[Array, "S 2"],
+) -> tuple[Float[Array, "S"], Float[Array, "S"]]:
+    """Return how far samples are from all visible edges but their own edge or rim, px.
+
+    The second number leaves out the edges whose points a sample's edge would take for its own,
+    because they have its direction (`MIN_ALIGNMENT`).
+
+    Args:
+        wireframe: of the model.
+        vertices: pixels of the vertices.
+        edge_px: visible lengths of the edges, px.
+        p: pixels of the samples.
+        d: unit directions of their edges in the picture.
+    """
     a, b = (vertices[wireframe.edges[:, k]] for k in (0, 1))
     is_visible = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
     a, b = (jnp.where(is_visible[:, None], x, 0.0) for x in (a, b))
-    along = (b - a) / _positive(((b - a) ** 2).sum(axis=1))[:, None]
+    squared_lengths = _positive(((b - a) ** 2).sum(axis=1))
+    along = (b - a) / squared_lengths[:, None]
     gap = p[:, None] - a[None]
     s = jnp.clip((gap * along[None]).sum(axis=2), 0.0, 1.0)
     squared = ((gap - s[..., None] * (b - a)[None]) ** 2).sum(axis=2)
     is_own_edge = wireframe.sample_chains[:, None] == wireframe.edge_chains[None]
-    return (is_own_edge | ~is_visible[None] | (squared > CLEARANCE**2)).all(axis=1)
+    squared = jnp.where(is_own_edge | ~is_visible[None], jnp.inf, squared)
+    cosines = jnp.abs(d @ (b - a).T) / jnp.sqrt(squared_lengths)[None]
+    turned = jnp.where(cosines < MIN_ALIGNMENT, squared, jnp.inf)
+    return jnp.sqrt(squared.min(axis=1)), jnp.sqrt(turned.min(axis=1))
 
 
 def _nearest_along_normals(

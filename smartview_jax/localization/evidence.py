@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import binom, gammaln
 
-from .edge_lines import EXPLAINED_DISTANCE, MIN_POINT_SIGMA, EdgeLines
+from .edge_lines import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, MIN_POINT_SIGMA, EdgeLines
 from .moved_faces import MovedFace
 from .rig_noise import ViewDisagreement
 from .wireframe import Wireframe
@@ -31,9 +31,6 @@ edge points, tell right poses from wrong ones no better.
 
 MIN_EXACT_EDGES = 4
 """Smallest number of edges for which the probability of a chance fit is computed."""
-
-INDEPENDENT_LENGTH = 12.0
-"""Length of an edge, px, that counts as one independent observation (found or missing)."""
 
 
 class Evidence(NamedTuple):

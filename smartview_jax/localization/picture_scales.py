@@ -12,11 +12,11 @@ def at_one_scale(
 ) -> tuple[tuple[PictureEvidence, ...], SeenViews]:
     """Return the evidence of all pictures at the scale of the sharpest one, and the views.
 
-    The cameras of the returned views are the cameras of the reduced pictures.
+    The cameras of the returned views are the cameras of the resized pictures.
 
     Args:
         pictures: of all views.
-        views: with the cameras that took them, or already with the ones of the reduced pictures.
+        views: with the cameras that took them, or already with the ones of the resized pictures.
     """
     # Numbers that differ are refused by whatever looks into the pictures.
     both = list(zip(pictures, views.cameras, strict=False))

@@ -20,7 +20,7 @@ from ..modeling import SeenViews
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import repeat_last
-from .edge_lines import EXPLAINED_DISTANCE, EdgeLines, lines_in_views
+from .edge_lines import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, EdgeLines, lines_in_views
 from .edge_lookup import EdgeLookup, padded_poses
 from .wireframe import Wireframe
 
@@ -54,18 +54,27 @@ def converged_poses(
     """Return poses after the steps of `RADII`, and their visible and explained edge lengths, px.
 
     Each step weights every edge of every view by Geman and McClure's function of its distance, with
-    a standard deviation that shrinks with the search radius (graduated non-convexity).
+    a standard deviation that shrinks with the search radius (graduated non-convexity). Where the
+    steps end at a pose that explains clearly less, because other edges are within the radius or
+    because too few edges are measured to determine a step, the pose stays as it is.
     """
 
-    def step(pose: Float[Array, "4 4"], radius: Float[Array, ""]):
+    def step(pose: Float[Array, "4 4"], search: tuple[Float[Array, ""], Float[Array, ""]]):
+        radius, length = search
         lines = lines_in_views(wireframe, camera, lookup, camera_from_world, pose, radius)
-        moved = pose @ SE3.exp(_robust_step(lines, TOLERANCE_OF_RADIUS * radius)).as_matrix()
-        return moved, (pose, _lengths(lines))
+        tangent = length * _robust_step(lines, TOLERANCE_OF_RADIUS * radius)
+        return pose @ SE3.exp(tangent).as_matrix(), (pose, _lengths(lines))
 
     def converge(pose: Float[Array, "4 4"]) -> tuple[Float[Array, "4 4"], Float[Array, "2"]]:
-        # A last round, whose step is not taken, gives the lengths: the lines are compiled once.
-        _, (poses, lengths) = jax.lax.scan(step, pose, jnp.asarray((*RADII, EXPLAINED_DISTANCE)))
-        return poses[-1], lengths[-1]
+        # A first and a last round, whose steps are not taken, give the lengths: the lines are
+        # compiled once.
+        radii = jnp.asarray((EXPLAINED_DISTANCE, *RADII, EXPLAINED_DISTANCE))
+        is_taken = jnp.asarray((0.0, *(1.0 for _ in RADII), 0.0))
+        _, (poses, lengths) = jax.lax.scan(step, pose, (radii, is_taken))
+        # A loss of less than one independent observation is none.
+        is_lost = ~(lengths[-1, 1] > lengths[0, 1] - INDEPENDENT_LENGTH)
+        best = jnp.where(is_lost, 0, -1)
+        return poses[best], lengths[best]
 
     # One pose after the other, so that the arrays stay in the processor's cache.
     return jax.lax.map(converge, world_from_object)

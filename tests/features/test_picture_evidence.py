@@ -142,7 +142,7 @@ def test_segments_along_taken_edge_points_are_left_out():
     picture[60:180, 40:120] = 180
     picture[60:180, 200:280] = 180
     camera = sv.Camera(300.0, 300.0, 160.0, 120.0, Pinhole(), (320, 240))
-    evidence = picture_evidence(picture, camera)
+    evidence = picture_evidence(picture, camera, scale=1.0)
     free = evidence.edge_points.pixels[:, 0] > 160.0
     left = evidence_of_points(evidence, free, camera)
     middles = left.features.segments.mean(axis=1)

@@ -10,7 +10,7 @@ import smartview_jax as sv
 from smartview_jax.cameras import Pinhole
 from smartview_jax.features import edge_width, picture_evidence, scaled_camera
 from smartview_jax.features.gradient import Gradient
-from smartview_jax.features.picture_scale import STANDARD_WIDTH, scale_for
+from smartview_jax.features.picture_scale import STANDARD_WIDTH, gradient_at, resized, scale_for
 
 SIZE = (200, 160)
 
@@ -37,12 +37,44 @@ def test_the_width_of_edges_is_measured(width, noise):
 def test_a_picture_without_strong_edges_has_no_width_and_is_not_reduced():
     width = edge_width(Gradient.of(np.random.default_rng(0).normal(100.0, 3.0, SIZE[::-1])))
     assert np.isnan(width)
-    assert scale_for(width) == 1.0
+    assert scale_for(width, SIZE) == 1.0
 
 
 def test_pictures_with_wide_edges_are_reduced_to_the_standard_width():
-    widths = STANDARD_WIDTH * np.array([0.0, 0.1, 0.5, 1.0, 1.15, 2.0, 4.0])
-    assert [scale_for(float(width)) for width in widths] == [1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.5]
+    widths = STANDARD_WIDTH * np.array([1.0, 1.15, 2.0, 4.0])
+    assert [scale_for(float(width), SIZE) for width in widths] == [1.0, 1.0, 0.5, 0.5]
+
+
+@pytest.mark.parametrize("width", [0.0, 0.4, 0.55])
+def test_only_small_pictures_with_sharp_edges_are_enlarged(width):
+    scales = {side: scale_for(width, (side, side // 2)) for side in (100, 320, 400, 600, 1280)}
+    assert scales[100] == scales[320] > scales[600] == scales[1280] == 1.0
+    assert max(side * scale for side, scale in scales.items() if scale > 1.0) <= 640.0
+
+
+def test_enlarging_a_small_picture_shows_the_corners_of_its_objects():
+    """Smoothing by a pixel cuts the corners of a square of 43 px."""
+    size = (100, 80)
+    found = picture_evidence(steps(0.35, size=size).astype(np.uint8), camera(size))
+    assert found.features.image_size == (200, 160)
+    # Counted from the outer border of the first pixel.
+    enlarged = (found.edge_points.pixels + 0.5) / found.scale - 0.5
+    # Turned back, the sides are parallel to the axes.
+    signs = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+    gaps = []
+    for points in (found.at(1.0, camera(size)).edge_points.pixels, enlarged):
+        turned = (points - 0.5 * np.array(size)) @ np.array([[0.9, -0.44], [0.44, 0.9]])
+        gaps.append(KDTree(turned).query(0.27 * size[1] * signs)[0].max())
+    assert gaps[1] < 0.7 * gaps[0]
+
+
+@pytest.mark.parametrize("scale", [2.0**0.5, 2.0])
+def test_the_noise_of_an_enlarged_picture_is_known(scale):
+    """Interpolation makes it smooth, so that it looks several times as small."""
+    grey = np.random.default_rng(0).normal(120.0, 6.0, (480, 600))
+    size = (round(600 * scale), round(480 * scale))
+    gradient = gradient_at(scale, Gradient.of(grey), resized(grey, camera(size)))
+    assert gradient.sigma == pytest.approx(gradient.by_u.std(), rel=0.03)
 
 
 def test_an_enlarged_picture_has_the_edge_points_of_the_original():

@@ -1,13 +1,16 @@
 """Lines of edge points along predicted edges, under the transformations of JAX."""
 
+import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from drawn_edges import drawn
 from jaxlie import SE3
-from placed_box import MODEL, POSE
+from placed_box import MODEL, POSE, projected
 
+from smartview_jax.features.edge_points import find_edge_points
+from smartview_jax.features.gradient import Gradient
 from smartview_jax.geometry import host_exponentials
 from smartview_jax.localization.edge_lines import edge_lines
 from smartview_jax.localization.edge_lookup import EdgeLookup
@@ -73,3 +76,36 @@ def test_points_that_another_edge_displaces_count_where_others_are_too_few(
         assert np.median(off) < 0.01
     else:
         np.testing.assert_array_equal(off, unaware_off)
+
+
+def pictures_of_faces(views, supersampling=8):
+    """The box in every view, its faces drawn by OpenCV in grey levels of their own."""
+    pictures = []
+    corners = projected(views, MODEL.vertices @ POSE[:3, :3].T + POSE[:3, 3])
+    for camera, in_view in zip(views.cameras, corners, strict=True):
+        width, rows = camera.image_size
+        large = np.full((supersampling * rows, supersampling * width), 40, np.uint8)
+        for k, face in enumerate(MODEL.faces):
+            polygon = in_view[list(face.loop)]
+            around = np.roll(polygon, -1, axis=0)
+            # Outward faces run anticlockwise from outside, where v points down.
+            if (polygon[:, 0] * around[:, 1] - polygon[:, 1] * around[:, 0]).sum() < 0.0:
+                # Pixel 0 reaches from -0.5 to 0.5.
+                fixed = np.rint(16 * (supersampling * (polygon + 0.5) - 0.5)).astype(np.int32)
+                cv2.fillPoly(large, [fixed], 80 + 25 * k, shift=4)
+        picture = cv2.resize(large, (width, rows), interpolation=cv2.INTER_AREA)
+        pictures.append(picture.astype(float))
+    return pictures
+
+
+def test_a_small_picture_shows_as_much_of_an_object_as_a_large_one(views, wireframe):
+    """The blur rounds the corners; in small pictures they are a tenth of the edges and more."""
+    shares = []
+    for scale in (1.0, 0.25):
+        width, rows = (round(scale * x) for x in views.camera.image_size)
+        seen = views._replace(camera=views.camera.resized((width, rows)))
+        points = [find_edge_points(Gradient.of(picture)) for picture in pictures_of_faces(seen)]
+        lines = measured_lines(wireframe, seen, EdgeLookup.of(points, (width, rows)), POSE, 2.0)
+        shares.append(lines.explained_px.sum() / lines.visible_px.sum())
+    assert shares[0] > 0.98
+    assert shares[1] > shares[0] - 0.02

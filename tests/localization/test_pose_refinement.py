@@ -24,8 +24,10 @@ from smartview_jax.localization import (
     converged_poses,
     refine_pose,
 )
+from smartview_jax.localization.edge_lines import INDEPENDENT_LENGTH
 from smartview_jax.localization.edge_lookup import padded_poses
 from smartview_jax.localization.heavy_tails import solve_heavy_tailed
+from smartview_jax.localization.pose_convergence import lengths_of_poses, poses_on_edges
 from smartview_jax.localization.pose_equations import CommonErrors, PoseEquations, solve_pose
 from smartview_jax.localization.refinement import line_equations, measured_lines
 from smartview_jax.modeling import CalibrationUncertainty, ObjectModel, pixel_jacobians
@@ -120,6 +122,19 @@ def test_rough_poses_converge(views):
     assert (np.linalg.norm(errors[:, :3], axis=1) < 1e-4).all()
     visible, explained = np.asarray(lengths).T
     assert (explained / visible).min() > 0.97
+
+
+@pytest.mark.parametrize("shown", [[0], [0, 4, 8]])
+def test_poses_do_not_leave_the_edges_that_they_explain(views, shown):
+    """A few edges leave the pose undetermined, so that a step may go anywhere."""
+    coarse, hidden = Wireframe.of(MODEL), set(range(len(MODEL.edges))) - set(shown)
+    pictures = drawn(MODEL, views, POSE, 0.5, hidden=hidden)
+    lookup = EdgeLookup.of(pictures, views.camera.image_size)
+    given = starts(np.random.default_rng(4), 24)
+    before = lengths_of_poses(coarse, views, lookup, given)
+    poses, lengths = poses_on_edges(coarse, views, lookup, given)
+    assert (lengths[:, 1] > before[:, 1] - INDEPENDENT_LENGTH).all()
+    np.testing.assert_allclose(lengths, lengths_of_poses(coarse, views, lookup, poses))
 
 
 def test_the_pictures_covariance_is_true(views, wireframe):
