@@ -1,24 +1,20 @@
 """Define `smartview check`, which looks at a data set before anything is calibrated with it."""
 
+import dataclasses
 import math
 from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import typer
 
+import smartview_jax as sv
+
 from . import options
-from .error_documents import views_left_out
+from .documents import print_document, views_left_out
 from .fit_options import CameraOption
-from .json_document import print_document
 from .load import load_named
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from ..cameras import Camera
-    from ..data_checks import ConventionReport
-    from ..dataset import Dataset, Rig
-    from ..robots import HandPoses
-    from ..staged import StagedFit
 
 MIN_VIEWS = 10
 """Fewest usable views for which no more are requested."""
@@ -69,16 +65,14 @@ def check(
     Exits with 1 if the data cannot be calibrated as they are.
     """
     with errors_reported(debug):
-        from ..io import is_rig_folder, load_rig, read_camera, read_cameras
-
-        if dataset is not None and is_rig_folder(dataset):
+        if dataset is not None and sv.io.is_rig_folder(dataset):
             with progress_line() as progress:
-                rig = load_rig(dataset, bad_views, progress)
-            known = {} if camera is None else read_cameras(camera, tuple(rig.cameras))
+                rig = sv.load_rig(dataset, bad_views, progress)
+            known = {} if camera is None else sv.io.read_cameras(camera, tuple(rig.cameras))
             if not _check_rig(rig, dataset.resolve().name, json, known):
                 raise typer.Exit(1)
             return
-        known_camera = None if camera is None else read_camera(camera)
+        known_camera = None if camera is None else sv.io.read_camera(camera)
         with progress_line() as progress:
             data, name = load_named(dataset, bad_views, progress)
         checked = _checked(data, name, known_camera)
@@ -108,11 +102,11 @@ class CheckedData(NamedTuple):
     problems: tuple[str, ...]
     doubts: tuple[str, ...]
     document: dict[str, Any]
-    staged: "StagedFit | None"
+    staged: "sv.StagedFit | None"
 
 
 def _checked(
-    given: "Dataset", name: str, camera: "Camera | None", reference: str | None = None
+    given: "sv.Dataset", name: str, camera: "sv.Camera | None", reference: str | None = None
 ) -> CheckedData:
     """Check the data of one camera.
 
@@ -156,7 +150,7 @@ def _print_findings(problems: Iterable[str], doubts: Iterable[str]) -> None:
             typer.echo(f"{kind}: {text}")
 
 
-def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]") -> bool:
+def _check_rig(rig: "sv.Rig", name: str, json: bool, known: "Mapping[str, sv.Camera]") -> bool:
     """Check the data of several cameras, and return whether all can be calibrated."""
     from ..rig_pipeline import reference_camera, shared_target_findings, usable_view_counts
 
@@ -198,7 +192,7 @@ def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]")
     return ready
 
 
-def _lonely_cameras(rig: "Rig") -> list[str]:
+def _lonely_cameras(rig: "sv.Rig") -> list[str]:
     """Return a doubt for each camera that shares neither a state nor a target with another."""
     if len(rig.cameras) == 1:
         return []
@@ -212,26 +206,17 @@ def _lonely_cameras(rig: "Rig") -> list[str]:
     ]
 
 
-def _without_repetitions(data: "Dataset") -> "Dataset":
+def _without_repetitions(data: "sv.Dataset") -> "sv.Dataset":
     """Return the data without views that repeat others, with the reason for each."""
-    import dataclasses
-
-    from ..dataset import repeated_views
-
-    reasons = repeated_views(data)
+    reasons = sv.dataset.repeated_views(data)
     masked = [(data.view_ids[view], text) for view, text in reasons.items()]
     return dataclasses.replace(
         data.mask_views(list(reasons)), masked_views=(*data.masked_views, *masked)
     )
 
 
-def _figures(data: "Dataset") -> DatasetFigures:
+def _figures(data: "sv.Dataset") -> DatasetFigures:
     """Count the points, the covered part of the picture and the extent of the robot's motion."""
-    import numpy as np
-
-    from ..dataset import turns_about_one_axis
-    from ..geometry import host_matrices
-
     visible = np.asarray(data.visible)
     counts = visible.sum(axis=1)
     pixels, picture_used = np.asarray(data.pixels)[visible], None
@@ -244,16 +229,16 @@ def _figures(data: "Dataset") -> DatasetFigures:
     used = data.usable_views()
     if len(used) < 2:
         return DatasetFigures(points, picture_used, len(used), None, None)
-    poses = host_matrices(data.base_from_tool)[used]
+    poses = sv.geometry.host_matrices(data.base_from_tool)[used]
     # trace(R_i^T R_j) = 1 + 2 cos(angle between them)
     traces = np.einsum("iab,jab->ij", poses[:, :3, :3], poses[:, :3, :3])
     largest = float(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)).max())
     extent = tuple(np.ptp(poses[:, :3, 3], axis=0).tolist())
-    one_axis = turns_about_one_axis(poses)
+    one_axis = sv.dataset.turns_about_one_axis(poses)
     return DatasetFigures(points, picture_used, len(used), extent, largest, one_axis)
 
 
-def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
+def _seen(figures: DatasetFigures, data: "sv.Dataset") -> list[str]:
     """Return the detections in words: points by view, views left out, share of the picture used."""
     least, greatest, median = figures.points
     lines = [f"points seen in a view: {least} to {greatest}, median {median:.0f}"]
@@ -266,8 +251,6 @@ def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
 
 def _motion(figures: DatasetFigures) -> list[str]:
     """Return in words how far the robot moved and turned between the views."""
-    from ..geometry import vector_text
-
     if figures.extent is None or figures.largest_rotation is None:
         return [f"usable views: {figures.usable_views}; take more"]
     largest = math.degrees(figures.largest_rotation)
@@ -283,15 +266,13 @@ def _motion(figures: DatasetFigures) -> list[str]:
     extent_mm = [1e3 * x for x in figures.extent]
     return [
         f"usable views: {figures.usable_views}{more}",
-        f"the tool moved by {vector_text(extent_mm, 0)} mm along x, y, z",
+        f"the tool moved by {sv.geometry.vector_text(extent_mm, 0)} mm along x, y, z",
         f"largest rotation between two views: {largest:.0f} degrees{advice}",
     ]
 
 
-def _motions_of_hands(data: "Dataset", hands: "HandPoses") -> list[str]:
+def _motions_of_hands(data: "sv.Dataset", hands: "sv.robots.HandPoses") -> list[str]:
     """Return in words how far each of two hands moved and turned between the views."""
-    import dataclasses
-
     lines = [f"usable views: {len(data.usable_views())}"]
     for name, poses in (
         ("camera", hands.base_from_tool),
@@ -304,7 +285,7 @@ def _motions_of_hands(data: "Dataset", hands: "HandPoses") -> list[str]:
 
 def _document(
     name: str,
-    data: "Dataset",
+    data: "sv.Dataset",
     figures: DatasetFigures,
     problems: tuple[str, ...],
     doubts: tuple[str, ...],
@@ -342,10 +323,12 @@ class Agreement(NamedTuple):
 
     problems: tuple[str, ...]
     doubts: tuple[str, ...]
-    staged: "StagedFit | None"
+    staged: "sv.StagedFit | None"
 
 
-def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | None") -> Agreement:
+def _agreement(
+    data: "sv.Dataset", reported: Collection[str], camera: "sv.Camera | None"
+) -> Agreement:
     """Compare pictures and poses by the staged fit.
 
     Args:
@@ -353,14 +336,12 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
         reported: names of the views whose mask is reported already.
         camera: a known camera; None to estimate it.
     """
-    from ..staged import fit_staged, require_picture_size
-
     try:
         # As in `calibrate`, so that data are refused for the same reasons.
         if camera is not None:
-            require_picture_size("--camera", camera, data.image_size)
+            sv.staged.require_picture_size("--camera", camera, data.image_size)
         lens = "opencv4" if camera is None else camera.lens
-        fit = fit_staged(data, lens, camera=camera, conventions="report")
+        fit = sv.fit_staged(data, lens, camera=camera, conventions="report")
     except ValueError as error:
         return Agreement((str(error),), (), None)
     problems = fit.conventions.problems
@@ -377,10 +358,10 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
     return Agreement(problems, (*doubts, *fit.warnings), fit)
 
 
-def _doubts_of_motion(report: "ConventionReport", camera_is_known: bool) -> list[str]:
+def _doubts_of_motion(
+    report: "sv.data_checks.ConventionReport", camera_is_known: bool
+) -> list[str]:
     """Return what is doubtful about the motions of robot and camera, though they are alike."""
-    from ..staged import mistaken_unit
-
     ratio, std = report.length_ratio, report.length_ratio_std
     is_other_size = not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO
     if is_other_size and abs(ratio - 1.0) > 2.0 * std:
@@ -389,7 +370,7 @@ def _doubts_of_motion(report: "ConventionReport", camera_is_known: bool) -> list
             size = f"is the known camera's focal length {ratio:.3g} times the true one, or {size}"
         return [
             f"the camera moves {ratio:.3g} times as far as the robot says: "
-            f"{mistaken_unit(ratio) or size}"
+            f"{sv.staged.mistaken_unit(ratio) or size}"
         ]
     rotation, translation = report.closure_error
     if report.is_close:

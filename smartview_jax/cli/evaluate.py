@@ -1,26 +1,20 @@
 """Define `smartview evaluate`, which predicts pictures that a calibration was not fitted to."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+import smartview_jax as sv
+
+from ..files import read_yaml, refuse_unwritable
 from . import options
-from .error_documents import errors_document, views_left_out
-from .json_document import print_document
+from .documents import errors_document, print_document, views_left_out
 from .load import load_named
 from .options import with_option_groups
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..calibration import Calibration
-    from ..dataset import Dataset
-    from ..evaluation import ReprojectionErrors
-    from ..joint import SavedEstimate
-    from ..report import ErrorSummary
 
 
 @dataclass(frozen=True)
@@ -66,13 +60,7 @@ def evaluate(
     --moved only the camera and the hand-eye transform are judged.
     """
     with errors_reported(debug):
-        from ..evaluation import reprojection_errors
-        from ..files import refuse_unwritable
-        from ..io import is_rig_folder
-        from ..joint import load_with_uncertainty
-        from ..report import ErrorSummary, write_evaluation_page
-
-        if is_rig_folder(new.dataset):
+        if sv.io.is_rig_folder(new.dataset):
             if compare or out is not None:
                 raise ValueError(
                     f"--compare, --out: not for several cameras, which {new.dataset} has"
@@ -83,12 +71,14 @@ def evaluate(
             refuse_unwritable(out.parent, "--out")
         paths = [calibration, *(compare or [])]
         with progress_line() as progress:
-            loaded = [load_with_uncertainty(path) for path in paths]
+            loaded = [sv.joint.load_with_uncertainty(path) for path in paths]
             data, name = load_named(new.dataset, new.bad_views, progress)
             if new.moved:
                 loaded = [(_with_target_found(moved_from, data), None) for moved_from, _ in loaded]
             summaries = [
-                ErrorSummary(path.stem, reprojection_errors(fitted_calibration, data), None)
+                sv.report.ErrorSummary(
+                    path.stem, sv.evaluation.reprojection_errors(fitted_calibration, data), None
+                )
                 for path, (fitted_calibration, _) in zip(paths, loaded, strict=True)
             ]
         fitted = _fitted_views(calibration, data)
@@ -100,7 +90,9 @@ def evaluate(
             _print(rows, [data], verdict)
         if out is not None:
             title = f"{calibration.name} on {name}"
-            write_evaluation_page(out, title, verdict, loaded[0][0], data, summaries, rows)
+            sv.report.write_evaluation_page(
+                out, title, verdict, loaded[0][0], data, summaries, rows
+            )
         if json:
             entries = [
                 {"file": path, **_entries(summary, foreseen, data)}
@@ -126,20 +118,19 @@ def _evaluate_rig(calibrations: Path, new: NewPictures, json: bool) -> None:
         new: pictures of several cameras.
         json: whether to print a document for programs.
     """
-    from ..evaluation import reprojection_errors
-    from ..io import load_rig
-    from ..joint import load_with_uncertainty
-    from ..report import ErrorSummary
-
     with progress_line() as progress:
-        rig = load_rig(new.dataset, new.bad_views, progress)
+        rig = sv.load_rig(new.dataset, new.bad_views, progress)
         summaries, expected, files, fitted = [], [], [], {}
         for name, data in rig.cameras.items():
             files.append(calibrations / f"{name}.yaml")
-            calibration, estimate = load_with_uncertainty(files[-1])
+            calibration, estimate = sv.joint.load_with_uncertainty(files[-1])
             if new.moved:
                 calibration, estimate = _with_target_found(calibration, data), None
-            summaries.append(ErrorSummary(name, reprojection_errors(calibration, data), None))
+            summaries.append(
+                sv.report.ErrorSummary(
+                    name, sv.evaluation.reprojection_errors(calibration, data), None
+                )
+            )
             expected.append(_expected(estimate, data))
             fitted[name] = _fitted_views(files[-1], data)
     cameras, name = list(rig.cameras.values()), new.dataset.resolve().name
@@ -164,7 +155,7 @@ def _evaluate_rig(calibrations: Path, new: NewPictures, json: bool) -> None:
     _print(_rows(summaries, cameras, expected), cameras, "\n".join(texts))
 
 
-def _print(rows: "Sequence[Sequence[str]]", datasets: "Sequence[Dataset]", verdict: str) -> None:
+def _print(rows: Sequence[Sequence[str]], datasets: "Sequence[sv.Dataset]", verdict: str) -> None:
     """Print the table of figures, the views left out, and the result in a sentence."""
     for row in rows:
         typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
@@ -174,16 +165,16 @@ def _print(rows: "Sequence[Sequence[str]]", datasets: "Sequence[Dataset]", verdi
 
 
 def _entries(
-    summary: "ErrorSummary", expected: "ReprojectionErrors | None", data: "Dataset"
+    summary: "sv.report.ErrorSummary",
+    expected: "sv.evaluation.ReprojectionErrors | None",
+    data: "sv.Dataset",
 ) -> dict[str, Any]:
     """Return the figures of one calibration for programs, also by view."""
-    from ..evaluation import rms_interval
-
     errors = summary.reprojection_errors
     return {
         "name": summary.name,
         **errors_document(errors),
-        "rms_interval_95_px": list(rms_interval(errors)),
+        "rms_interval_95_px": list(sv.evaluation.rms_interval(errors)),
         # As the calibration's covariance predicts; `over_expected` is ideally 1.
         "expected_rms_px": None if expected is None else expected.rms,
         "over_expected": None if expected is None else errors.rms / expected.rms,
@@ -192,17 +183,14 @@ def _entries(
     }
 
 
-def _fitted_views(calibration: Path, data: "Dataset") -> list[str]:
+def _fitted_views(calibration: Path, data: "sv.Dataset") -> list[str]:
     """Return the names of the views whose pictures the calibration was fitted to."""
-    from ..dataset import picture_digests
-    from ..files import read_yaml
-
     fitted = set(read_yaml(calibration).get("pictures") or ())
-    digests = picture_digests(data)
+    digests = sv.dataset.picture_digests(data)
     return [view for view, digest in zip(data.view_ids, digests, strict=True) if digest in fitted]
 
 
-def _fitted_text(fitted: "Sequence[str]", data: "Dataset") -> str:
+def _fitted_text(fitted: Sequence[str], data: "sv.Dataset") -> str:
     """Return a sentence about pictures that are not new to the calibration; empty without any."""
     if not fitted:
         return ""
@@ -214,29 +202,25 @@ def _fitted_text(fitted: "Sequence[str]", data: "Dataset") -> str:
     )
 
 
-def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibration":
+def _with_target_found(calibration: "sv.Calibration", data: "sv.Dataset") -> "sv.Calibration":
     """Return the calibration with the target's pose refitted to the pictures, all else held."""
-    from ..joint import fit_joint
-
     held = ("camera", calibration.transform_names[0])
-    return fit_joint(data, calibration, noise="trusted", fixed=held).calibration
+    return sv.fit_joint(data, calibration, noise="trusted", fixed=held).calibration
 
 
-def _expected(estimate: "SavedEstimate | None", data: "Dataset") -> "ReprojectionErrors | None":
+def _expected(
+    estimate: "sv.joint.SavedEstimate | None", data: "sv.Dataset"
+) -> "sv.evaluation.ReprojectionErrors | None":
     """Return the errors that the calibration's covariance predicts; None without a covariance."""
-    from ..evaluation import expected_reprojection_errors
-
-    return None if estimate is None else expected_reprojection_errors(estimate, data)
+    return None if estimate is None else sv.evaluation.expected_reprojection_errors(estimate, data)
 
 
 def _rows(
-    summaries: "Sequence[ErrorSummary]",
-    datasets: "Sequence[Dataset]",
-    expected: "Sequence[ReprojectionErrors | None]",
+    summaries: "Sequence[sv.report.ErrorSummary]",
+    datasets: "Sequence[sv.Dataset]",
+    expected: "Sequence[sv.evaluation.ReprojectionErrors | None]",
 ) -> list[list[str]]:
     """Return the table, one column for each calibration, with the measures' names first."""
-    from ..evaluation import rms_interval
-
     columns = [
         [
             "",
@@ -251,7 +235,7 @@ def _rows(
     ]
     for summary, data, foreseen in zip(summaries, datasets, expected, strict=True):
         errors = summary.reprojection_errors
-        low, high = rms_interval(errors)
+        low, high = sv.evaluation.rms_interval(errors)
         views = int((errors.px == errors.px).any(axis=1).sum())
         columns.append(
             [
@@ -268,7 +252,7 @@ def _rows(
     return [list(row) for row in zip(*columns, strict=True)]
 
 
-def _verdict(summary: "ErrorSummary", name: str) -> str:
+def _verdict(summary: "sv.report.ErrorSummary", name: str) -> str:
     """Return the result in a sentence."""
     errors = summary.reprojection_errors
     return (

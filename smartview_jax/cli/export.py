@@ -2,18 +2,34 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
+import smartview_jax as sv
+
 from ..argument_checks import errors_at
+from ..export_text import (
+    MOUNT_FRAMES,
+    OpenCVDistortion,
+    RigCamera,
+    StaticTransform,
+    camera_info_text,
+    easy_handeye_text,
+    inverse_pose,
+    kalibr_camchain_text,
+    launch_text,
+    opencv_distortion,
+    opencv_text,
+    origin_text,
+    pose_matrix,
+    static_transform_launch_text,
+    static_transform_text,
+)
 from .options import DebugOption
+from .robot_commands import named_arm
 from .terminal import errors_reported
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ..export_text import OpenCVDistortion
 
 
 class ExportFormat(StrEnum):
@@ -108,7 +124,7 @@ WITHOUT_ROBOT = (ExportFormat.CAMERA_INFO, ExportFormat.KALIBR)
 """The formats in which a correction of the robot's error would not matter."""
 
 
-def _note_corrections(contents: "dict[Path, dict[str, Any]]", to: ExportFormat) -> None:
+def _note_corrections(contents: dict[Path, dict[str, Any]], to: ExportFormat) -> None:
     """Print a note if the exported calibrations lose the correction of the robot's error."""
     corrected = any(content.get("robot_error") is not None for content in contents.values())
     if not corrected or to in WITHOUT_ROBOT:
@@ -124,8 +140,8 @@ def _note_corrections(contents: "dict[Path, dict[str, Any]]", to: ExportFormat) 
 
 
 def _exported_text(
-    contents: "dict[Path, dict[str, Any]]",
-    children: "dict[Path, str]",
+    contents: dict[Path, dict[str, Any]],
+    children: dict[Path, str],
     to: ExportFormat,
     parent: str | None,
 ) -> str:
@@ -138,8 +154,6 @@ def _exported_text(
         parent: name of the mount's frame; None for ROS's usual one.
     """
     if to is ExportFormat.ROS_LAUNCH and len(contents) > 1:
-        from ..export_text import StaticTransform, launch_text
-
         return launch_text(
             {
                 path.stem: StaticTransform(*_mounted(content, parent), children[path])
@@ -159,19 +173,15 @@ def _exported_text(
     return "".join(texts)
 
 
-def _mounted(content: dict[str, Any], parent: str | None) -> "tuple[np.ndarray, str]":
+def _mounted(content: dict[str, Any], parent: str | None) -> tuple[np.ndarray, str]:
     """Return the pose of the camera in its mount's frame, and the name of this frame."""
-    from ..export_text import MOUNT_FRAMES, inverse_pose
-
     mount = content["mount"]
     name = "camera_from_base" if mount == "eye_to_hand" else "camera_from_tool"
     return inverse_pose(_pose(content[name])), parent or MOUNT_FRAMES[mount]
 
 
-def _camchain_text(contents: "dict[Path, dict[str, Any]]") -> str:
+def _camchain_text(contents: dict[Path, dict[str, Any]]) -> str:
     """Return the cameras as Kalibr's camchain."""
-    from ..export_text import RigCamera, kalibr_camchain_text
-
     return kalibr_camchain_text(
         {
             path.stem: RigCamera(
@@ -187,14 +197,6 @@ def _camchain_text(contents: "dict[Path, dict[str, Any]]") -> str:
 
 def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, child: str) -> str:
     """Return the pose of the camera in its mount's frame, for ROS, easy_handeye2 or URDF."""
-    from ..export_text import (
-        easy_handeye_text,
-        origin_text,
-        pose_matrix,
-        static_transform_launch_text,
-        static_transform_text,
-    )
-
     mount_from_camera, frame = _mounted(content, parent)
     if to is ExportFormat.URDF:
         return f"{origin_text(pose_matrix(mount_from_camera))}\n"
@@ -207,23 +209,17 @@ def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, ch
 
 def _robot_text(path: Path, arm: str | None, parent: str | None, child: str) -> str:
     """Return the arm as the calibration found it, with its camera, as URDF."""
-    from ..calibration import Calibration
-    from ..io import robot_urdf
-    from .robot_commands import named_arm
-
-    loaded = Calibration.load(path)
+    loaded = sv.Calibration.load(path)
     on_hand = loaded.mount != "eye_to_hand"
     # A fixed camera is on the base link, whose name does not change.
     if parent is not None and not on_hand:
         raise ValueError("--parent: with robot_urdf a fixed camera is on base_link")
     tool = parent or "tool0"
-    return robot_urdf(loaded, None if arm is None else named_arm(arm), tool, child)
+    return sv.io.robot_urdf(loaded, None if arm is None else named_arm(arm), tool, child)
 
 
 def _camera_text(path: Path, content: dict[str, Any], to: ExportFormat) -> str:
     """Return the camera for ROS, or the camera and both transforms for OpenCV."""
-    from ..export_text import camera_info_text, opencv_text, pose_matrix
-
     camera, lens = content["camera"], _opencv_lens(path, content)
     if to is ExportFormat.CAMERA_INFO:
         return camera_info_text(camera, lens, "camera")
@@ -231,23 +227,16 @@ def _camera_text(path: Path, content: dict[str, Any], to: ExportFormat) -> str:
     return opencv_text(camera, lens, {name: pose_matrix(_pose(content[name])) for name in names})
 
 
-def _opencv_lens(path: Path, content: dict[str, Any]) -> "OpenCVDistortion":
+def _opencv_lens(path: Path, content: dict[str, Any]) -> OpenCVDistortion:
     """Return the lens of a calibration file as OpenCV's model, or as the nearest one."""
-    from ..export_text import opencv_distortion
-
     with errors_at(path):
         lens = opencv_distortion(content["camera"]["lens"])
     if lens is None:
-        from ..calibration import Calibration
-        from ..io import opencv_coefficients
-
         # OpenCV's nearest lens is fitted.
-        lens = opencv_coefficients(Calibration.load(path).camera)
+        lens = sv.io.opencv_coefficients(sv.Calibration.load(path).camera)
     return lens
 
 
-def _pose(entry: dict[str, Any]) -> "np.ndarray":
+def _pose(entry: dict[str, Any]) -> np.ndarray:
     """Return a transform of a file as seven numbers: quaternion, real part first, and m."""
-    import numpy as np
-
     return np.array([*entry["quaternion_wxyz"], *entry["translation"]], dtype=float)
