@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,26 +69,26 @@ def check(
             with progress_line() as progress:
                 rig = sv.load_rig(dataset, bad_views, progress)
             known = {} if camera is None else sv.io.read_cameras(camera, tuple(rig.cameras))
-            if not _check_rig(rig, dataset.resolve().name, json, known):
-                raise typer.Exit(1)
-            return
-        known_camera = None if camera is None else sv.io.read_camera(camera)
-        with progress_line() as progress:
-            data, name = load_named(dataset, bad_views, progress)
-        checked = _checked(data, name, known_camera)
-        if json:
-            print_document("check", checked.document)
+            findings = _checked_rig(rig, dataset.resolve().name, known)
         else:
-            _print_lines(checked)
-        if checked.problems:
+            known_camera = None if camera is None else sv.io.read_camera(camera)
+            with progress_line() as progress:
+                data, name = load_named(dataset, bad_views, progress)
+            findings = _checked(data, name, known_camera)
+        if json:
+            print_document("check", findings.document)
+        else:
+            findings.print()
+        if not findings.are_ready:
             raise typer.Exit(1)
         if not json:
-            except_for = ", apart from these doubts" if checked.doubts else ""
-            typer.echo(f"camera and robot agree{except_for}: ready for smartview calibrate")
+            except_for = ", apart from these doubts" if findings.are_doubtful else ""
+            cameras = "cameras" if findings.cameras else "camera"
+            typer.echo(f"{cameras} and robot agree{except_for}: ready for smartview calibrate")
 
 
-class CheckedData(NamedTuple):
-    """The findings in the data set of one camera.
+class Findings(NamedTuple):
+    """The findings in a data set.
 
     Attributes:
         lines: the figures in words.
@@ -96,18 +96,40 @@ class CheckedData(NamedTuple):
         doubts: views and figures that do not fit, although most do.
         document: all of it as values for programs.
         staged: the staged fit; None if there is none.
+        cameras: findings in the data of each of several cameras.
     """
 
-    lines: tuple[str, ...]
-    problems: tuple[str, ...]
-    doubts: tuple[str, ...]
+    lines: Sequence[str]
+    problems: Sequence[str]
+    doubts: Sequence[str]
     document: dict[str, Any]
-    staged: "sv.StagedFit | None"
+    staged: "sv.StagedFit | None" = None
+    cameras: "Sequence[Findings]" = ()
+
+    @property
+    def are_ready(self) -> bool:
+        """Whether the data can be calibrated."""
+        return not self.problems and all(camera.are_ready for camera in self.cameras)
+
+    @property
+    def are_doubtful(self) -> bool:
+        """Whether anything does not fit."""
+        return bool(self.doubts) or any(camera.are_doubtful for camera in self.cameras)
+
+    def print(self) -> None:
+        """Print what was found, problems and doubts last."""
+        for text in self.lines:
+            typer.echo(text)
+        for camera in self.cameras:
+            camera.print()
+        for kind, texts in (("problem", self.problems), ("doubt", self.doubts)):
+            for text in texts:
+                typer.echo(f"{kind}: {text}")
 
 
 def _checked(
     given: "sv.Dataset", name: str, camera: "sv.Camera | None", reference: str | None = None
-) -> CheckedData:
+) -> Findings:
     """Check the data of one camera.
 
     Args:
@@ -126,70 +148,45 @@ def _checked(
             f"usable views: {figures.usable_views}; its place follows from the target that "
             f"{reference} sees"
         )
-        problems, doubts, staged = Agreement((), (), None)
+        problems, doubts, staged = (), (), None
     else:
         lines += _motion(figures) if data.hands is None else _motions_of_hands(data, data.hands)
         # The data with repetitions: if all poses are equal, no view is left without them.
         reported = {view for view, _ in data.masked_views}
         problems, doubts, staged = _agreement(given, reported, camera)
     document = _document(name, data, figures, problems, doubts)
-    return CheckedData(tuple(lines), problems, doubts, document, staged)
+    return Findings(lines, problems, doubts, document, staged)
 
 
-def _print_lines(checked: CheckedData) -> None:
-    """Print what was found, problems and doubts last."""
-    for text in checked.lines:
-        typer.echo(text)
-    _print_findings(checked.problems, checked.doubts)
-
-
-def _print_findings(problems: Iterable[str], doubts: Iterable[str]) -> None:
-    """Print problems, then doubts, a line each."""
-    for kind, texts in (("problem", problems), ("doubt", doubts)):
-        for text in texts:
-            typer.echo(f"{kind}: {text}")
-
-
-def _check_rig(rig: "sv.Rig", name: str, json: bool, known: "Mapping[str, sv.Camera]") -> bool:
-    """Check the data of several cameras, and return whether all can be calibrated."""
+def _checked_rig(rig: "sv.Rig", name: str, known: "Mapping[str, sv.Camera]") -> Findings:
+    """Check the data of several cameras."""
     from ..rig_pipeline import reference_camera, shared_target_findings, usable_view_counts
 
     counts = {c: n for c, n in usable_view_counts(rig, known).items() if n >= 3}
-    checked = {
+    cameras = {
         camera: _checked(data, camera, known.get(camera), reference_camera(rig, camera, counts))
         for camera, data in rig.cameras.items()
     }
-    shared = sum(len(cameras) > 1 for cameras in rig.seeing)
-    together = shared_target_findings(
-        rig, {camera: found.staged for camera, found in checked.items() if found.staged is not None}
-    )
-    doubts = [*together.doubts, *_lonely_cameras(rig)]
-    ready = not together.problems and not any(found.problems for found in checked.values())
-    if json:
-        document = {
-            "data_set": name,
-            "states": rig.view_count,
-            "states_seen_by_several": shared,
-            "cameras": {camera: found.document for camera, found in checked.items()},
-            "problems": list(together.problems),
-            "doubts": doubts,
-            "can_be_calibrated": ready,
-        }
-        print_document("check", document)
-        return ready
+    shared = sum(len(seeing) > 1 for seeing in rig.seeing)
+    staged = {name: each.staged for name, each in cameras.items() if each.staged is not None}
+    together = shared_target_findings(rig, staged)
+    problems, doubts = list(together.problems), [*together.doubts, *_lonely_cameras(rig)]
     robots = "the robot" if len(rig.arm_names) == 1 else f"the arms {', '.join(rig.arm_names)}"
-    typer.echo(
-        f"{name}: {len(checked)} cameras, {rig.view_count} states of {robots}, {shared} of them "
+    line = (
+        f"{name}: {len(cameras)} cameras, {rig.view_count} states of {robots}, {shared} of them "
         "seen by several cameras"
     )
-    for found in checked.values():
-        _print_lines(found)
-    _print_findings(together.problems, doubts)
-    if ready:
-        any_doubt = bool(doubts) or any(found.doubts for found in checked.values())
-        except_for = ", apart from these doubts" if any_doubt else ""
-        typer.echo(f"cameras and robot agree{except_for}: ready for smartview calibrate")
-    return ready
+    document = {
+        "data_set": name,
+        "states": rig.view_count,
+        "states_seen_by_several": shared,
+        "cameras": {camera: each.document for camera, each in cameras.items()},
+        "problems": problems,
+        "doubts": doubts,
+    }
+    findings = Findings([line], problems, doubts, document, cameras=list(cameras.values()))
+    document["can_be_calibrated"] = findings.are_ready
+    return findings
 
 
 def _lonely_cameras(rig: "sv.Rig") -> list[str]:
@@ -287,8 +284,8 @@ def _document(
     name: str,
     data: "sv.Dataset",
     figures: DatasetFigures,
-    problems: tuple[str, ...],
-    doubts: tuple[str, ...],
+    problems: Sequence[str],
+    doubts: Sequence[str],
 ) -> dict[str, Any]:
     """Return figures, problems and doubts as values for programs."""
     least, greatest, median = figures.points
@@ -312,24 +309,10 @@ def _document(
     }
 
 
-class Agreement(NamedTuple):
-    """The agreement of pictures and poses.
-
-    Attributes:
-        problems: reasons why the data cannot be calibrated.
-        doubts: views and figures that do not fit, although most do.
-        staged: the staged fit; None if there is none.
-    """
-
-    problems: tuple[str, ...]
-    doubts: tuple[str, ...]
-    staged: "sv.StagedFit | None"
-
-
 def _agreement(
     data: "sv.Dataset", reported: Collection[str], camera: "sv.Camera | None"
-) -> Agreement:
-    """Compare pictures and poses by the staged fit.
+) -> "tuple[Sequence[str], Sequence[str], sv.StagedFit | None]":
+    """Return problems, doubts and the staged fit, by which pictures and poses are compared.
 
     Args:
         data: the data set.
@@ -343,7 +326,7 @@ def _agreement(
         lens = "opencv4" if camera is None else camera.lens
         fit = sv.fit_staged(data, lens, camera=camera, conventions="report")
     except ValueError as error:
-        return Agreement((str(error),), (), None)
+        return (str(error),), (), None
     problems = fit.conventions.problems
     reasons = {data.view_ids[view]: text for view, text in fit.conventions.suspicious_views}
     # Where robot and camera do not move alike, every view's disagreement is a consequence.
@@ -355,7 +338,7 @@ def _agreement(
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     if not problems and not fit.conventions.change:
         doubts += _doubts_of_motion(fit.conventions, camera is not None)
-    return Agreement(problems, (*doubts, *fit.warnings), fit)
+    return problems, (*doubts, *fit.warnings), fit
 
 
 def _doubts_of_motion(

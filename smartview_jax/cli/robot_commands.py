@@ -110,7 +110,7 @@ class CommandSheet(NamedTuple):
 
     @property
     def unchecked(self) -> tuple[str, ...]:
-        """Which safety checks could not be made, in words."""
+        """The safety checks that could not be made, in words."""
         return sv.viewpoints.unchecked(self.calibration, self.arm is not None)
 
     def print(self) -> None:

@@ -19,7 +19,6 @@ from ..argument_checks import require_readable
 from ..geometry import LENGTH_UNITS, pose_codec
 from .csv_tables import (
     Table,
-    duplicates,
     parse_numbers,
     read_table,
     refuse_out_of_range,
@@ -45,6 +44,7 @@ class ReadPoses(NamedTuple):
         masked_views: reason by view id, for the views whose row is not a valid pose.
         table: the file as a table; None for a file in JSON.
         pose_format: name of the poses' format; None if it is not known.
+        notes: sentences on what was recognised or repaired in the tables.
     """
 
     view_ids: list[str]
@@ -52,6 +52,7 @@ class ReadPoses(NamedTuple):
     masked_views: dict[str, str]
     table: Table | None = None
     pose_format: str | None = None
+    notes: tuple[str, ...] = ()
 
 
 def read_poses(
@@ -74,11 +75,7 @@ def read_poses(
         return _read_commands(path, content)
     table = read_table(path, ("view",))
     refuse_truncated(path, table.rows, content.get("rows"))
-    view_ids = [row["view"] for row in table.rows]
-    if duplicates(view_ids):
-        raise ValueError(f"{path}: view {', '.join(duplicates(view_ids))} has more than one row")
-    if not view_ids:
-        raise ValueError(f"{path}: no poses")
+    view_ids = table.view_ids("poses")
     form = table_format(path, table.rows, content, entry)
     table, codec = table.requiring(("view", *form.columns), form.units), form.codec
     # NaN passes here: `bad_views` decides below.
@@ -96,7 +93,7 @@ def read_poses(
         np.array(is_valid)[:, None], rows, rows[is_valid.index(True) if any(is_valid) else 0]
     )
     poses = decoded_poses(path, form, rows, view_ids)
-    return ReadPoses(view_ids, poses, masked_views, table, codec.name)
+    return ReadPoses(view_ids, poses, masked_views, table, codec.name, table.notes)
 
 
 def write_poses(
@@ -119,26 +116,15 @@ def write_poses(
         ValueError: an unknown format, or a name or position with which the file could not be read
             back.
     """
-    codec = pose_codec(pose_format)
-    refuse_unreadable_poses(folder, view_ids, poses, file)
+    codec, path = pose_codec(pose_format), folder / file
+    require_readable(f"{path}: view", view_ids)
+    refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
     rows = codec.encode(poses, *codec.units)
     write_table(
-        folder / file,
+        path,
         ("view", *codec.columns),
         [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
     )
-
-
-def refuse_unreadable_poses(
-    folder: Path, view_ids: Sequence[str], poses: SE3, file: str = POSES_FILE
-) -> None:
-    """Raise a ValueError for names or positions with which a table could not be read back.
-
-    Called before the first of several files is written.
-    """
-    path = folder / file
-    require_readable(f"{path}: view", view_ids)
-    refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
 
 
 def poses_entry(

@@ -18,8 +18,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
+from .. import schemas
 from ..argument_checks import errors_at, require_readable
-from ..files import read_yaml, write_atomically
+from ..files import write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..robots import MAX_TOOL_COORDINATE
 from .csv_tables import duplicates, parse_numbers, read_table, write_table
@@ -122,11 +123,10 @@ def write_viewpoints(
             ],
         )
     elif path.suffix == ".json":
-        from ..schemas.external_formats import VIEWPOINTS_SCHEMA
-        from ..schemas.validation import write_validated
-
         viewpoints = _validated_viewpoints(base_from_tool, names, joints)
-        write_validated(path, _json_content(viewpoints, codec, hand), VIEWPOINTS_SCHEMA)
+        schemas.write_validated(
+            path, _json_content(viewpoints, codec, hand), schemas.VIEWPOINTS_SCHEMA
+        )
     elif pose_format != VAL_CODEC:
         raise ValueError(
             f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: write .csv or .json"
@@ -286,10 +286,7 @@ def _read_csv(path: Path) -> Viewpoints:
 
 def _read_json(path: Path) -> Viewpoints:
     """Read commands from a JSON file of `write_viewpoints`."""
-    from ..schemas.external_formats import VIEWPOINTS_SCHEMA
-    from ..schemas.validation import validate_content
-
-    content = validate_content(read_yaml(path), VIEWPOINTS_SCHEMA, path)
+    content = schemas.read_validated(path, schemas.VIEWPOINTS_SCHEMA)
     codec, entries = pose_codec(content.format), content.viewpoints
     if content.units != _units(codec):
         raise ValueError(f"{path}: units: expected {_units(codec)}, found {content.units}")

@@ -2,9 +2,11 @@
 
 import io
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
 
 # The palette of Okabe and Ito, which colour-blind readers can distinguish.
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
@@ -51,3 +53,47 @@ def picture_axes(axes: Axes, image_size: tuple[int, int]) -> None:
     width, height = image_size
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
     axes.set(aspect="equal", xlabel="u (px)", ylabel="v (px)")
+
+
+def space_axes(
+    figure: PlotFigure, unit: str, x: str = "x", place: tuple[int, int, int] = (1, 1, 1)
+) -> Axes3D:
+    """Return the axes of a plot in space.
+
+    Args:
+        figure: the figure.
+        unit: unit of the axes.
+        x: name of the first axis.
+        place: numbers of rows and columns of plots, and the number of this one from 1.
+    """
+    axes: Axes3D = figure.add_subplot(*place, projection="3d")  # pyright: ignore[reportAssignmentType]
+    axes.set(xlabel=f"{x} ({unit})", ylabel=f"y ({unit})", zlabel=f"z ({unit})")
+    return axes
+
+
+def draw_frame(axes: Axes3D, pose: np.ndarray, length: float, factor: float = 1.0) -> None:
+    """Draw the three axes of a frame, whose pose is in metres: x red, y green, z blue.
+
+    Args:
+        axes: where to draw.
+        pose: of the frame.
+        length: of the drawn axes, in the unit of the plot.
+        factor: the plot's unit in metres, inverted: 1e3 for mm.
+    """
+    origin = factor * pose[:3, 3]
+    for axis, colour in zip(pose[:3, :3].T, (RED, GREEN, BLUE), strict=True):
+        axes.plot(*np.stack([origin, origin + length * axis]).T, color=colour, linewidth=2)
+
+
+def draw_pyramid(
+    axes: Axes3D,
+    centre: np.ndarray,
+    corners: np.ndarray,
+    colour: str,
+    linewidth: float,
+    label: str | None = None,
+) -> None:
+    """Draw a camera: the border of its picture, and a line from its centre to each corner."""
+    axes.plot(*corners[[0, 1, 2, 3, 0]].T, color=colour, linewidth=linewidth, label=label)
+    for corner in corners:
+        axes.plot(*np.stack([centre, corner]).T, color=colour, linewidth=linewidth / 1.5)

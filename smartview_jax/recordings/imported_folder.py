@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from .. import schemas
 from ..argument_checks import errors_at
 from ..files import dump_yaml, parse_yaml, read_yaml, write_atomically
 from ..io import DESCRIPTION_FILE, TARGETS, marked_entries, read_april_grid, read_target
@@ -87,13 +88,10 @@ def view_names(count: int) -> tuple[str, ...]:
 
 def write_description(folder: Path, entries: Mapping[str, Any], target: TargetText | None) -> None:
     """Write the description, with comments in the target's entry if it is to be filled in."""
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import refuse_unreadable
-
     path = folder / DESCRIPTION_FILE
     *lines, end_mark = dump_yaml(marked_entries(entries)).splitlines(keepends=True)
     text = "".join([*lines, "" if target is None else target.text, end_mark])
-    refuse_unreadable(parse_yaml(text, path), DATASET_SCHEMA, path)
+    schemas.refuse_unreadable(parse_yaml(text, path), schemas.DATASET_SCHEMA, path)
     write_atomically(path, text)
 
 

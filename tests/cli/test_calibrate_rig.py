@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 
 from smartview_jax import (
     Rig,
-    calibration_pipeline,
     compare,
     load_dataset,
     load_estimate,
@@ -85,7 +84,7 @@ def test_a_calibration_for_each_camera_and_one_report(
         assert start is None
         return fit
 
-    monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
+    monkeypatch.setattr("smartview_jax.calibrate", known_fit)
     told = CliRunner().invoke(app, ["calibrate", folder, "--diagnose", "--json", "--out", str(out)])
     assert told.exit_code == 0, told.output
     document = json.loads(told.stdout)
@@ -149,7 +148,7 @@ def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
         starts.append(start)
         return fit
 
-    monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
+    monkeypatch.setattr("smartview_jax.calibrate", known_fit)
     given = ["camera1.camera_from_tool=0,0,0.1,0,0,0"]
     settings = CalibrateSettings(known=FitKnowledge(camera=tmp_path, start=given))
     result = fitted_rig(rig, "cell", settings, lambda _: None)

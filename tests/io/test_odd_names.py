@@ -282,7 +282,7 @@ MAY_BE_EMPTY = {"object", "face", "grasp", "journal"}
 WRITERS = {
     "calibration/calibration.py save": "calibration in YAML",
     "io/csv_tables.py write_table": "misses",
-    "cli/calibrate_poses.py write_pose_files": "(the package's own)",
+    "cli/calibrate_poses.py write": "(the package's own)",
     "io/dataset_folder.py write_described_folder": "description",
     "io/detections.py write_detections": "data set",
     "io/detections.py write_kept_detections": "kept detections",
@@ -300,7 +300,7 @@ WRITERS = {
     "io/pose_log.py write_pose_log": "times of pictures",
     "io/point_depths.py write_depths": "depths",
     "io/poses.py write_poses": "data set",
-    "io/tracked_covariances.py write_covariances": "covariances of tracked poses",
+    "io/tracked_poses.py _write_covariances": "covariances of tracked poses",
     "io/viewpoints.py write_viewpoints": "viewpoints in JSON",
     "io/visp.py write_visp_pose": "(one pose)",
     "recordings/import_bag.py write": "(views are numbered)",
