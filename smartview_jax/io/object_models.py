@@ -64,10 +64,8 @@ def load_object_model(path: str | os.PathLike[str]) -> ObjectModel:
             message names the file and the line or entry.
     """
     content = parse_json(read_text(path), path)
-    try:
+    with errors_at(path):
         return object_model_from_dict(content)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def object_model_to_dict(model: ObjectModel) -> dict[str, Any]:

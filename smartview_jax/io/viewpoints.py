@@ -104,35 +104,28 @@ def write_viewpoints(
     path, codec = Path(path), pose_codec(pose_format)
     if path.suffix not in (".val", ".v2", ".csv", ".json"):
         raise ValueError(f"{path}: expected a file ending in .val, .v2, .csv or .json")
-    if path.suffix == ".csv":
-        viewpoints = _validated_viewpoints(base_from_tool, names, joints)
-        readings = (
-            np.zeros((len(viewpoints.names), 0)) if viewpoints.joints is None else viewpoints.joints
-        )
-        joint_columns = (f"joint_{1 + k}" for k in range(readings.shape[1]))
-        header = ["view", FORMAT_COLUMN, *pose_columns(codec), *joint_columns]
-        header += [] if hand is None else ["motion", "opening_m"]
-        rows = np.concatenate([_encoded_poses(viewpoints, codec), readings], axis=1).tolist()
-        steps = hand_columns(hand, len(rows))
-        write_table(
-            path,
-            header,
-            [
-                [name, codec.name, *row, *step]
-                for name, row, step in zip(viewpoints.names, rows, steps, strict=True)
-            ],
-        )
-    elif path.suffix == ".json":
-        viewpoints = _validated_viewpoints(base_from_tool, names, joints)
-        schemas.write_validated(
-            path, _json_content(viewpoints, codec, hand), schemas.VIEWPOINTS_SCHEMA
-        )
-    elif pose_format != VAL_CODEC:
-        raise ValueError(
-            f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: write .csv or .json"
-        )
-    else:
+    if path.suffix in (".val", ".v2"):
+        if pose_format != VAL_CODEC:
+            raise ValueError(
+                f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: write .csv or "
+                ".json"
+            )
         write_atomically(path, val_program(base_from_tool, names, hand))
+        return
+    viewpoints = _validated_viewpoints(base_from_tool, names, joints)
+    if path.suffix == ".json":
+        content = _json_content(viewpoints, codec, hand)
+        schemas.write_validated(path, content, schemas.VIEWPOINTS_SCHEMA)
+        return
+    count, readings = len(viewpoints.names), viewpoints.joints
+    numbers = _encoded_poses(viewpoints, codec)
+    header = ["view", FORMAT_COLUMN, *pose_columns(codec)]
+    if readings is not None:
+        numbers = np.concatenate([numbers, readings], axis=1)
+        header += [f"joint_{1 + k}" for k in range(readings.shape[1])]
+    header += [] if hand is None else ["motion", "opening_m"]
+    rows = zip(viewpoints.names, numbers.tolist(), hand_columns(hand, count), strict=True)
+    write_table(path, header, [[name, codec.name, *row, *step] for name, row, step in rows])
 
 
 def read_viewpoints(path: str | Path) -> Viewpoints:
@@ -243,23 +236,17 @@ def _json_content(
     viewpoints: Viewpoints, codec: PoseCodec, hand: HandSteps | None
 ) -> dict[str, Any]:
     """Return the commands as the content of a JSON file."""
-    entries = [
-        {
-            "name": name,
-            _pose_key(codec): row,
-            **({} if joints is None else {"joints": joints}),
-            **dict(zip(("motion", "opening_m"), step, strict=False)),
-        }
-        for name, row, joints, step in zip(
-            viewpoints.names,
-            _encoded_poses(viewpoints, codec).tolist(),
-            [None] * len(viewpoints.names)
-            if viewpoints.joints is None
-            else viewpoints.joints.tolist(),
-            hand_columns(hand, len(viewpoints.names)),
-            strict=True,
+    entries: list[dict[str, Any]] = [
+        {"name": name, _pose_key(codec): row}
+        for name, row in zip(
+            viewpoints.names, _encoded_poses(viewpoints, codec).tolist(), strict=True
         )
     ]
+    if viewpoints.joints is not None:
+        for entry, readings in zip(entries, viewpoints.joints.tolist(), strict=True):
+            entry["joints"] = readings
+    for entry, step in zip(entries, hand_columns(hand, len(entries)), strict=True):
+        entry |= dict(zip(("motion", "opening_m"), step, strict=False))
     return {
         "smartview_viewpoints": FORMAT_VERSION,
         "format": codec.name,

@@ -1,4 +1,5 @@
 from .calibrated_rig import CALIBRATED_RIG_SCHEMA as CALIBRATED_RIG_SCHEMA
+from .calibrated_rig import RELATIVE_POSE_SCHEMA as RELATIVE_POSE_SCHEMA
 from .calibration import CALIBRATION_SCHEMA as CALIBRATION_SCHEMA
 from .calibration import PINHOLE_SCHEMA as PINHOLE_SCHEMA
 from .calibration import read_calibration_file as read_calibration_file
@@ -24,7 +25,6 @@ from .misses import MISSES_SCHEMA as MISSES_SCHEMA
 from .object_model import OBJECT_MODEL_SCHEMA as OBJECT_MODEL_SCHEMA
 from .object_views import OBJECT_VIEWS_SCHEMA as OBJECT_VIEWS_SCHEMA
 from .object_views import RIG_OBJECT_VIEWS_SCHEMA as RIG_OBJECT_VIEWS_SCHEMA
-from .relative_pose import RELATIVE_POSE_SCHEMA as RELATIVE_POSE_SCHEMA
 from .rig import RIG_SCHEMA as RIG_SCHEMA
 from .rig import RigFile as RigFile
 from .validation import Content as Content
