@@ -34,63 +34,43 @@ def compare(
     For a folder with several cameras, print fits of each camera alone and of all together.
     """
     with errors_reported(debug):
-        if dataset is not None and sv.io.is_rig_folder(dataset):
-            given = [name for name, value in dataclasses.asdict(known).items() if value is not None]
-            given += ["base-from-world"] * (base_from_world is not None)
-            if given:
-                raise ValueError(f"--{given[0]}: not for several cameras, which {dataset} has")
-            _compare_rig(dataset, lens, bad_views, json)
-            return
+        given = {}
         with progress_line() as progress:
-            data, name = load_named(dataset, bad_views, progress, base_from_world)
-            fit_options = parse_fit_options(lens, data.mount, known)
-            methods = sv.evaluation.standard_methods(lens, **fit_options.arguments())
-            rows = sv.compare(data, methods, progress=progress)
-        if json:
-            content = {
-                "data_set": name,
-                "lens": lens,
-                "given": fit_options.given,
-                "methods": [method_document(row) for row in rows],
+            if dataset is not None and sv.io.is_rig_folder(dataset):
+                _refuse_knowledge(known, base_from_world, dataset)
+                rig, name = sv.load_rig(dataset, bad_views, progress), dataset.resolve().name
+                methods = sv.evaluation.standard_rig_methods(lens)
+                data_of, rows_of = rig.cameras, sv.compare(rig, methods, progress=progress)
+            else:
+                data, name = load_named(dataset, bad_views, progress, base_from_world)
+                fit_options = parse_fit_options(lens, data.mount, known)
+                methods = sv.evaluation.standard_methods(lens, **fit_options.arguments())
+                data_of, rows_of = {"": data}, {"": sv.compare(data, methods, progress=progress)}
+                given = {"given": fit_options.given}
+        if not json:
+            for camera, data in data_of.items():
+                title = ", ".join([name, *([f"camera {camera}"] if camera else []), f"lens {lens}"])
+                _print(title, rows_of[camera], data.notes)
+            return
+        entries = {
+            camera: {
+                "methods": [method_document(row) for row in rows_of[camera]],
                 "left_out_views": views_left_out(data.masked_views),
                 # With --json nothing but the document is on stdout.
                 "notes": list(data.notes),
             }
-            print_document("compare", content)
-            return
-        _print(f"{name}, lens {lens}", rows, data.notes)
-
-
-def _compare_rig(folder: Path, lens: str, bad_views: str, json: bool) -> None:
-    """Print the methods of each camera of a rig side by side: fitted alone, and all together.
-
-    Args:
-        folder: data-set folder with several cameras.
-        lens: lens model of all cameras.
-        bad_views: as in `load_rig`.
-        json: whether to print a document for programs.
-    """
-    with progress_line() as progress:
-        rig = sv.load_rig(folder, bad_views, progress)
-        rows = sv.compare(rig, sv.evaluation.standard_rig_methods(lens), progress=progress)
-    name, cameras = folder.resolve().name, rig.cameras.items()
-    if json:
-        content = {
-            "data_set": name,
-            "lens": lens,
-            "cameras": {
-                camera: {
-                    "methods": [method_document(row) for row in rows[camera]],
-                    "left_out_views": views_left_out(data.masked_views),
-                    "notes": list(data.notes),
-                }
-                for camera, data in cameras
-            },
+            for camera, data in data_of.items()
         }
-        print_document("compare", content)
-        return
-    for camera, data in cameras:
-        _print(f"{name}, camera {camera}, lens {lens}", rows[camera], data.notes)
+        content = entries.get("", {"cameras": entries})
+        print_document("compare", {"data_set": name, "lens": lens, **given, **content})
+
+
+def _refuse_knowledge(known: FitKnowledge, base_from_world: str | None, dataset: Path) -> None:
+    """Raise a ValueError for an option that the methods of several cameras do not have."""
+    given = [name for name, value in dataclasses.asdict(known).items() if value is not None]
+    given += ["base-from-world"] * (base_from_world is not None)
+    if given:
+        raise ValueError(f"--{given[0]}: not for several cameras, which {dataset} has")
 
 
 def _print(title: str, rows: "Sequence[sv.evaluation.MethodResult]", notes: Sequence[str]) -> None:

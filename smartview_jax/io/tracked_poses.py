@@ -51,7 +51,7 @@ _DIRECTIONS = {"camera_from_world": "base_from_tool", "world_from_camera": "tool
 """Directions of the tracker's table by the direction that the robot's table would have."""
 
 COVARIANCES_FILE = "tracker_covariances.csv"
-"""The name of the file that `write_covariances` writes."""
+"""The name of the file with the covariances of the poses."""
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _UPPER = np.triu_indices(len(_AXES))
