@@ -130,14 +130,10 @@ class Findings(NamedTuple):
 def _checked(
     given: "sv.Dataset", name: str, camera: "sv.Camera | None", reference: str | None = None
 ) -> Findings:
-    """Check the data of one camera.
+    """Check the data of one camera, which may be known.
 
-    Args:
-        given: the data set.
-        name: name of the data set or of the camera.
-        camera: the known camera; None for one to be estimated.
-        reference: another camera of a rig, which tells where the target is; one or two views of a
-            known camera suffice then.
+    Of a known camera one or two views suffice if a reference, another camera of the rig, tells
+    where the target is.
     """
     data = _without_repetitions(given)
     figures = _figures(data)
@@ -314,10 +310,7 @@ def _agreement(
 ) -> "tuple[Sequence[str], Sequence[str], sv.StagedFit | None]":
     """Return problems, doubts and the staged fit, by which pictures and poses are compared.
 
-    Args:
-        data: the data set.
-        reported: names of the views whose mask is reported already.
-        camera: a known camera; None to estimate it.
+    Views whose mask is reported already are no doubts.
     """
     try:
         # As in `calibrate`, so that data are refused for the same reasons.

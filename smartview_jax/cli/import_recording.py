@@ -94,20 +94,9 @@ class SourceOptions:
     def sources(self) -> "sv.BagSources":
         """Return the topics and frames, with the arm read from its file."""
         arm, names = self.arm_and_names()
-        return sv.BagSources(
-            image=self.image,
-            camera_info=self.camera_info,
-            base=self.base,
-            tool=self.tool,
-            robot=self.robot,
-            joints=self.joints,
-            joint_names=names,
-            arm=arm,
-            tag=self.tag,
-            tag_id=self.tag_id,
-            camera=self.camera_frame,
-            received=self.received,
-        )
+        named = {key: value for key, value in vars(self).items() if key != "camera_frame"}
+        named |= {"arm": arm, "joint_names": names, "camera": self.camera_frame}
+        return sv.BagSources(**named)
 
     def arm_and_names(self) -> "tuple[sv.robots.SerialArm | None, tuple[str, ...]]":
         """Return the arm of the joint readings and the names of its joints."""

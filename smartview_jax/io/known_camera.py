@@ -93,12 +93,7 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
 
 
 def _refuse_misnamed(others: Sequence[Path], lacking: Sequence[str]) -> None:
-    """Raise a ValueError that names a camera's file whose name is no camera of the rig.
-
-    Args:
-        others: files whose names are no camera's.
-        lacking: names of the cameras without a file.
-    """
+    """Raise a ValueError for a camera's file among others that are not called as a camera is."""
     for file in others:
         try:
             read_camera(file)

@@ -198,11 +198,8 @@ def _in_order(
 ) -> tuple[Float[np.ndarray, "times columns"], tuple[str, ...]]:
     """Return the rows sorted by time, without duplicates, and notes on what was changed.
 
-    Recorders that merge several topics write rows late and repeat them.
-
-    Args:
-        path: of the log, for messages.
-        numbers: rows of numbers, the time first.
+    Recorders that merge several topics write rows late and repeat them. The time is the first
+    column.
 
     Raises:
         ValueError: two poses at one time.

@@ -155,11 +155,6 @@ def _with_read_covariances(
 ) -> PoseDataset:
     """Return a data set with the covariances that its folder states, if it states any.
 
-    Args:
-        data: the poses.
-        folder: of the data set.
-        entry: the entry `tracked_poses` of its description.
-
     Raises:
         FileNotFoundError: the table is missing.
         ValueError: a view without a pose, or that has no or several covariances, a number that is

@@ -174,7 +174,7 @@ class _Import:
     def _write_pictures(
         self, folder: Path, topic: str, views: Mapping[int, str], until: int
     ) -> PictureFile:
-        """Write the chosen pictures one after the other, and return the first.
+        """Write the chosen pictures of a topic one after the other, and return the first.
 
         Args:
             folder: of the data set.
