@@ -65,8 +65,8 @@ from .joints import joints_entry, write_joints
 from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 from .point_depths import DEPTHS_FILE, with_folder_depths, write_depths
-from .poses import OTHER_POSES_FILE, POSES_FILE, poses_entry, read_poses, write_poses
-from .robot_readings import RobotReadings, read_robot_readings
+from .poses import OTHER_POSES_FILE, POSES_FILE, RobotReadings, poses_entry, read_poses, write_poses
+from .robot_readings import read_robot_readings
 from .tracked_poses import read_tracked_folder, write_tracked_poses
 
 

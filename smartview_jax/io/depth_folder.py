@@ -42,7 +42,8 @@ from .csv_tables import parse_numbers, read_table
 from .folder_description import DescribedFolder, read_target
 from .folder_pictures import LoadOptions, picture_files
 from .known_camera import read_camera
-from .robot_readings import RobotReadings, read_robot_readings
+from .poses import RobotReadings
+from .robot_readings import read_robot_readings
 
 POINT_FORMATS = (".csv", ".npy", ".npz", ".ply")
 """Endings of the files of measured points."""

@@ -28,7 +28,7 @@ from .csv_tables import (
     write_table,
 )
 from .pose_format import decoded_poses, table_format
-from .poses import ReadPoses
+from .poses import RobotReadings
 
 LOG_FILE, TIMES_FILE = "log.csv", "times.csv"
 """The names of the files that `write_pose_log` writes."""
@@ -60,14 +60,14 @@ class PoseLog(NamedTuple):
     table: Table | None = None
     pose_format: str | None = None
 
-    def read_poses(self) -> ReadPoses:
+    def read_poses(self) -> RobotReadings:
         """Return the poses at the pictures' times, without those in gaps of the log.
 
         Raises:
             ValueError: a picture was taken outside the logged times; the message names its view.
         """
         views, in_gaps = list(self.view_ids), self.views_in_gaps()
-        return ReadPoses(views, self.poses(), in_gaps, self.table, self.pose_format, self.notes)
+        return RobotReadings(views, self.poses(), in_gaps, self.table, self.pose_format, self.notes)
 
     def poses(self) -> SE3:
         """Return the robot's poses when the pictures were taken.

@@ -75,8 +75,8 @@ from .folder_description import (
 )
 from .folder_pictures import LoadOptions
 from .point_depths import with_folder_depths, write_depths
-from .poses import poses_entry
-from .robot_readings import RobotReadings, read_robot_readings
+from .poses import RobotReadings, poses_entry
+from .robot_readings import read_robot_readings
 from .table_text import VIEW_COLUMN
 
 DETECTIONS_FOLDER, DEPTHS_FOLDER = "detections", "depths"

@@ -2,67 +2,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
-from jaxlie import SE3
-from jaxtyping import Float
-
-from ..dataset import Dataset
-from ..geometry import host_matrices, host_transforms
-from ..robots import Command, SerialArm
-from ..runtime.array_namespace import to_device
-from .csv_tables import Table
 from .folder_description import DescribedFolder
 from .joints import read_joints
 from .pose_log import read_pose_log
-from .poses import ReadPoses, read_poses
-
-
-class RobotReadings(NamedTuple):
-    """The robot's reported poses by view, with joint readings if the folder has them.
-
-    Attributes:
-        view_ids: view ids.
-        poses: reported `base_from_tool`, `(views)`.
-        masked_views: reason by view id, for the views whose row is not a valid pose.
-        table: the table that has a row for each view; None if the poses are in a file in JSON.
-        pose_format: name of the format of the reported poses; None if it is not known.
-        notes: sentences on what was recognised or repaired in the tables.
-        joints: joint readings, rad (m for a prismatic joint); None where the folder has none.
-        arm: the arm that the readings belong to; None where there are no readings.
-        name_suffix: suffix of the view names in the tables that `view_ids` do not have.
-    """
-
-    view_ids: Sequence[str]
-    poses: SE3
-    masked_views: dict[str, str]
-    table: Table | None = None
-    pose_format: str | None = None
-    notes: tuple[str, ...] = ()
-    joints: Float[np.ndarray, "views joints"] | None = None
-    arm: SerialArm | None = None
-    name_suffix: str = ""
-
-    @property
-    def command(self) -> Command:
-        """The reported poses, with joint readings if they are known."""
-        return Command(self.poses, None if self.joints is None else to_device(self.joints))
-
-    def of_views(self, views: Sequence[str]) -> "RobotReadings":
-        """Return the readings of some of the views, by id."""
-        place = {view: k for k, view in enumerate(self.view_ids)}
-        index = np.array([place[view] for view in views], dtype=int)
-        return self._replace(
-            view_ids=list(views),
-            poses=host_transforms(host_matrices(self.poses)[index]),
-            masked_views={v: text for v, text in self.masked_views.items() if v in set(views)},
-            joints=None if self.joints is None else np.asarray(self.joints)[index],
-        )
-
-    def with_joints(self, data: Dataset) -> Dataset:
-        """Return the data set with the joint readings added, if there are any."""
-        return data if self.arm is None else data.with_joints(self.joints, self.arm)
+from .poses import RobotReadings, read_poses
 
 
 def read_robot_readings(described: DescribedFolder, bad_views: str) -> RobotReadings:
@@ -130,7 +74,7 @@ def suffix_in_names(described: DescribedFolder, view_ids: Sequence[str]) -> str:
 def _read_tables(described: DescribedFolder, bad_views: str) -> RobotReadings:
     """Read the tables with the view names as written."""
     folder, content = described.folder, described.content
-    poses: ReadPoses | None = None
+    poses: RobotReadings | None = None
     if "poses" in content:
         is_log = content["poses"].get("picture_times") is not None
         poses = (
@@ -139,11 +83,11 @@ def _read_tables(described: DescribedFolder, bad_views: str) -> RobotReadings:
             else read_poses(folder, content["poses"], bad_views)
         )
         if "joints" not in content:
-            return RobotReadings(*poses)
+            return poses
     joints = read_joints(described, None if poses is None else poses.view_ids)
     if poses is None:
         # The arm's forward kinematics gives the poses.
         computed = joints.arm.base_from_tool(joints.readings)
-        poses = ReadPoses(list(joints.view_ids), computed, {}, joints.table)
+        poses = RobotReadings(list(joints.view_ids), computed, {}, joints.table)
     notes = (*poses.notes, *joints.notes)
-    return RobotReadings(*poses)._replace(notes=notes, joints=joints.readings, arm=joints.arm)
+    return poses._replace(notes=notes, joints=joints.readings, arm=joints.arm)
