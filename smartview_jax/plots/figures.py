@@ -58,28 +58,14 @@ def picture_axes(axes: Axes, image_size: tuple[int, int]) -> None:
 def space_axes(
     figure: PlotFigure, unit: str, x: str = "x", place: tuple[int, int, int] = (1, 1, 1)
 ) -> Axes3D:
-    """Return the axes of a plot in space.
-
-    Args:
-        figure: the figure.
-        unit: unit of the axes.
-        x: name of the first axis.
-        place: numbers of rows and columns of plots, and the number of this one from 1.
-    """
+    """Return the axes of a plot in space, at a place as `Figure.add_subplot` takes it."""
     axes: Axes3D = figure.add_subplot(*place, projection="3d")  # pyright: ignore[reportAssignmentType]
     axes.set(xlabel=f"{x} ({unit})", ylabel=f"y ({unit})", zlabel=f"z ({unit})")
     return axes
 
 
 def draw_frame(axes: Axes3D, pose: np.ndarray, length: float, factor: float = 1.0) -> None:
-    """Draw the three axes of a frame, whose pose is in metres: x red, y green, z blue.
-
-    Args:
-        axes: where to draw.
-        pose: of the frame.
-        length: of the drawn axes, in the unit of the plot.
-        factor: the plot's unit in metres, inverted: 1e3 for mm.
-    """
+    """Draw the axes of a frame, x red, y green, z blue, from its pose in m times a factor."""
     origin = factor * pose[:3, 3]
     for axis, colour in zip(pose[:3, :3].T, (RED, GREEN, BLUE), strict=True):
         axes.plot(*np.stack([origin, origin + length * axis]).T, color=colour, linewidth=2)

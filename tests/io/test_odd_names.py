@@ -304,7 +304,7 @@ WRITERS = {
     "io/viewpoints.py write_viewpoints": "viewpoints in JSON",
     "io/visp.py write_visp_pose": "(one pose)",
     "recordings/import_bag.py write": "(views are numbered)",
-    "recordings/imported_folder.py write": "(views are numbered)",
+    "recordings/imported_folder.py write_record": "(views are numbered)",
     "recordings/picture_messages.py write": "(views are numbered)",
     "recordings/imported_folder.py write_description": "(views are numbered)",
     "picking/demo.py run_demo": "(the package's own)",
