@@ -14,7 +14,7 @@ from smartview_jax import io
 from smartview_jax.files import dump_yaml, read_yaml, write_atomically
 from smartview_jax.geometry import ViewedRegion
 from smartview_jax.io import robot_cal_tools
-from smartview_jax.io.rough_pose import rough_pose
+from smartview_jax.io.folder_description import rough_pose
 from smartview_jax.robot_errors import JointOffsets, LinearInPosition, RobotError
 from smartview_jax.robots import kuka_lwr4
 from smartview_jax.schemas.dataset import DATASET_SCHEMA
@@ -95,7 +95,8 @@ def _roughly(mount: str, name: str, pose: dict[str, list[float]]) -> Callable[[P
 
 
 def _load_roughly(path: Path) -> tuple[sv.Dataset, SE3 | None]:
-    return _load_folder(path), rough_pose(validate_content(read_yaml(path), DATASET_SCHEMA, path))
+    whole = validate_content(read_yaml(path), DATASET_SCHEMA, path)
+    return _load_folder(path), rough_pose(whole.base_from_world or whole.tool_from_world)
 
 
 def _roughly_in_range(found: tuple[sv.Dataset, SE3 | None]) -> None:

@@ -2,6 +2,7 @@ from . import arm_identification as arm_identification
 from . import calibration as calibration
 from . import calibration_pipeline as calibration_pipeline
 from . import cameras as cameras
+from . import capture as capture
 from . import data_checks as data_checks
 from . import dataset as dataset
 from . import depth as depth

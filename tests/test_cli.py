@@ -3,7 +3,6 @@ import html
 import inspect
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from typer.testing import CliRunner
 
 from smartview_jax import Calibration, report
 from smartview_jax.cli import app
-from smartview_jax.evaluation import ErrorBudget, reprojection_errors
+from smartview_jax.evaluation import ErrorBudget, error_budget, reprojection_errors
 from smartview_jax.evaluation.diagnosis.causes import ErrorCause
 from smartview_jax.files import read_yaml
 from smartview_jax.simulation import paper_calibration, paper_points, random_scene
@@ -102,8 +101,7 @@ def test_a_camera_that_stands_is_published_in_the_base(tmp_path):
 
 def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
     """Three views are too few to be held out, and these do not ask for a field."""
-    evaluation = sys.modules["smartview_jax.evaluation"]
-    asked = inspect.signature(evaluation.error_budget)
+    asked = inspect.signature(error_budget)
 
     def budget(*given, **options):
         """Computing it takes longer than all fits, and has tests of its own."""
@@ -111,7 +109,7 @@ def test_what_an_earlier_run_wrote_does_not_stay(tmp_path, monkeypatch):
         causes = (ErrorCause("too few views", 0.731, "take more"), ErrorCause("pixels", 0.15, ""))
         return ErrorBudget(0.75, causes, (), "too few views", "Take twelve more views.")
 
-    monkeypatch.setattr(evaluation, "error_budget", budget)
+    monkeypatch.setattr("smartview_jax.error_budget", budget)
     monkeypatch.setattr(LOAD, lambda *_, **__: (three_views(), "three views"))
     (tmp_path / "calibration_uncorrected.yaml").write_text("from an earlier run")
     run = RUNNER.invoke(app, ["calibrate", "--diagnose", "--out", str(tmp_path)])
@@ -257,11 +255,7 @@ def test_a_bad_view_is_an_error_or_masked_as_the_user_says(tmp_path, monkeypatch
     assert run.exit_code == 2
     assert "3.png: not a picture that can be read" in run.stderr
     seen = []
-    monkeypatch.setattr(
-        sys.modules["smartview_jax.evaluation"],
-        "compare",
-        lambda data, *_, **__: seen.append(data) or [],
-    )
+    monkeypatch.setattr("smartview_jax.compare", lambda data, *_, **__: seen.append(data) or [])
     run = RUNNER.invoke(app, ["compare", str(folder), "--bad-views", "mask"])
     assert run.exit_code == 0, run.output
     assert [view for view, _ in seen[0].masked_views] == ["3"]

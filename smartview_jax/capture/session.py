@@ -66,6 +66,10 @@ class CaptureSession:
         folder: the data set.
         options: goal and limits.
         listener: called with a line of text for each thing that happens.
+        last_look: the last picture that was looked at; None before the first.
+        last_settle_test: the settle test of the last attempt to take a view.
+        last_estimate: the last fit; None before the first.
+        is_moving: whether the robot moves on request of this session.
     """
 
     def __init__(
@@ -103,12 +107,12 @@ class CaptureSession:
         self._state = threading.RLock()
         self._views: list[_View] = []
         self._last_picture: np.ndarray | None = None
-        self._look: Look | None = None
-        self._settle: SettleTest | None = None
-        self._estimate: Estimate | None = None
+        self.last_look: Look | None = None
+        self.last_settle_test: SettleTest | None = None
+        self.last_estimate: Estimate | None = None
         self._proposals: list[Proposal] = []
         self._fitted_views = 0
-        self._moving = False
+        self.is_moving: bool = False
         self._closing = threading.Event()
         self._wanted = threading.Condition(self._state)
         try:
@@ -157,34 +161,10 @@ class CaptureSession:
             return len(self._views)
 
     @property
-    def last_look(self) -> Look | None:
-        """The last picture that was looked at; None before the first."""
-        with self._state:
-            return self._look
-
-    @property
-    def last_settle_test(self) -> SettleTest | None:
-        """The settle test of the last attempt to take a view."""
-        with self._state:
-            return self._settle
-
-    @property
-    def last_estimate(self) -> Estimate | None:
-        """The last fit; None before the first."""
-        with self._state:
-            return self._estimate
-
-    @property
     def is_fitting(self) -> bool:
         """Whether views were taken that no fit has seen yet."""
         with self._state:
             return self._is_fit_wanted()
-
-    @property
-    def is_moving(self) -> bool:
-        """Whether the robot moves on request of this session."""
-        with self._state:
-            return self._moving
 
     @property
     def is_typed(self) -> bool:
@@ -201,7 +181,7 @@ class CaptureSession:
     def is_reached(self) -> bool:
         """Whether the expected error of the last fit is as small as wanted."""
         with self._state:
-            return self._estimate is not None and self._estimate.reaches(self.options.goal)
+            return self.last_estimate is not None and self.last_estimate.reaches(self.options.goal)
 
     @property
     def proposal(self) -> Proposal | None:
@@ -237,7 +217,7 @@ class CaptureSession:
             return
         planned = first_proposals(self.folder.description, self.options)
         with self._state:
-            if self._estimate is None or not self._estimate.proposals:
+            if self.last_estimate is None or not self.last_estimate.proposals:
                 # Where a process was killed, the next one goes on after the views that it took.
                 self._proposals = [
                     proposal for proposal in planned if not self._is_near_a_view(proposal)
@@ -257,7 +237,7 @@ class CaptureSession:
                 pose = None
         look = Look(picture, detect(picture, self._board), pose, time.monotonic())
         with self._state:
-            self._look = look
+            self.last_look = look
         return look
 
     def take(self) -> str:
@@ -279,8 +259,8 @@ class CaptureSession:
             found_first = found if second is first else detect(first, self._board)
             test = settle_test(found_first, found, before, after)
             with self._state:
-                self._look = Look(second, found, after, time.monotonic())
-                self._settle = test
+                self.last_look = Look(second, found, after, time.monotonic())
+                self.last_settle_test = test
                 last = self._last_picture
             if not test.is_settled:
                 raise NotTakenError(test.reason)
@@ -336,7 +316,7 @@ class CaptureSession:
             # A straight line between two points of a box stays in it.
             limits.require_inside(self._pose())
             with self._state:
-                self._moving = True
+                self.is_moving = True
             try:
                 robot.move(proposal.base_from_tool, limits.speed, self._stop_motion)
             except SourceLostError as error:
@@ -344,7 +324,7 @@ class CaptureSession:
                 raise
             finally:
                 with self._state:
-                    self._moving = False
+                    self.is_moving = False
 
     def stop(self) -> None:
         """Stop the robot's motion, and refuse all others until `allow_motion`.
@@ -401,7 +381,7 @@ class CaptureSession:
             data = load_dataset(self.folder.folder, "mask")
         found = estimate(data, self.options)
         with self._state:
-            self._estimate = found
+            self.last_estimate = found
             # A calibration from few views may be far off: until then the drawing is safer.
             if found.proposals and (found.is_reliable or not self._proposals):
                 self._proposals = [p for p in found.proposals if not self._is_near_a_view(p)]

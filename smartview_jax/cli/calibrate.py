@@ -1,28 +1,23 @@
 """Define `smartview calibrate`, the main job: fit, judge, print, write the results."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import smartview_jax as sv
+
 from ..files import refuse_unwritable
 from . import options
-from .calibrate_folder import (
-    RESULT_FILES,
-    CalibrateSettings,
-    calibrated_folder,
-    loaded_folder,
-    run_name,
-    write_files,
-)
+from .calibrate_folder import CalibrateSettings, loaded_folder, run_name
 from .calibrate_folders import calibrate_folders
-from .calibrate_rig import calibrate_rig_folders
-from .json_document import print_document
+from .calibrate_pictures import CalibrateResult, calibrated_pictures
+from .calibrate_poses import PoseResult, calibrated_poses
+from .calibrate_rig import RigResult, fitted_rig, loaded_rig
+from .documents import print_document
 from .options import with_option_groups
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from ..dataset import Dataset
 
 
 @with_option_groups
@@ -71,90 +66,40 @@ def calibrate(
     Poses that a tracker measured may take the place of pictures; hand_eye.calib has the result.
     """
     with errors_reported(debug):
+        folders = datasets or []
         # Several cameras: of one folder, or each in a folder of its own.
-        if together or _has_cameras(datasets):
-            if not calibrate_rig_folders(datasets or [], out, settings, json):
-                raise typer.Exit(1)
-            return
-        if datasets is not None and len(datasets) > 1:
-            code = calibrate_folders(datasets, out, settings, jobs, json)
-            if code:
-                raise typer.Exit(code)
-            return
-        dataset = datasets[0] if datasets else None
+        is_rig = together or (len(folders) == 1 and sv.io.is_rig_folder(folders[0]))
+        if len(folders) > 1 and not is_rig:
+            raise typer.Exit(calibrate_folders(folders, out, settings, jobs, json))
         # Checked first, so that minutes of fitting are not lost to a folder that is read-only.
         refuse_unwritable(out, "--out")
+        run = run_name()
         with progress_line() as progress:
-            data, name = loaded_folder(dataset, settings, progress)
-        ends = _calibrate_poses if _has_tracked_poses(data) else _calibrate_pictures
+            result = _fitted_rig_or_folder(folders, is_rig, settings, progress)
+        if not json:
+            result.print()
+        with progress_line() as progress:
+            files = result.write(out, run, progress)
+        if json:
+            print_document("calibrate", result.document(run, list(files)))
+        else:
+            for file, text in files.items():
+                typer.echo(f"{file}: {text}")
         # The results are written, but a script must notice that the fit did not converge.
-        if not ends(data, name, settings, out, json):
+        if not result.converged:
             raise typer.Exit(1)
 
 
-def _has_cameras(folders: "list[Path] | None") -> bool:
-    """Return whether the only data set is a folder with several cameras."""
-    from ..io import is_rig_folder
-
-    return folders is not None and len(folders) == 1 and is_rig_folder(folders[0])
-
-
-def _has_tracked_poses(data: "Dataset") -> bool:
-    """Return whether a data set has tracked poses in place of pictures."""
-    from ..dataset import PoseDataset
-
-    return isinstance(data, PoseDataset)
-
-
-def _calibrate_pictures(
-    data: "Dataset", name: str, settings: CalibrateSettings, out: Path, json: bool
-) -> bool:
-    """Calibrate pictures, print and write the results; return whether the fit converged."""
-    from .calibrate_document import calibrate_document
-    from .calibrate_tables import print_calibrate_result
-
-    run = run_name()
-    with progress_line() as progress:
-        result, given = calibrated_folder(data, name, settings, progress)
-    if not json:
-        print_calibrate_result(result)
-    with progress_line() as progress:
-        files = write_files(result, out, run, given, progress)
-    if json:
-        print_document("calibrate", calibrate_document(result, run, given, files))
-    else:
-        _print_files(files, RESULT_FILES)
-    return result.fit.result.converged
-
-
-def _calibrate_poses(
-    data: "Dataset", name: str, settings: CalibrateSettings, out: Path, json: bool
-) -> bool:
-    """Calibrate tracked poses, print and write the results; return whether the fit converged."""
-    from ..dataset import PoseDataset
-    from .calibrate_poses import (
-        POSE_RESULT_FILES,
-        calibrated_poses,
-        pose_document,
-        print_pose_result,
-        write_pose_files,
-    )
-
-    run = run_name()
-    assert isinstance(data, PoseDataset)
-    with progress_line() as progress:
-        result = calibrated_poses(data, name, settings, progress)
-    if not json:
-        print_pose_result(result)
-    files = write_pose_files(result, out, run)
-    if json:
-        print_document("calibrate", pose_document(result, run, files))
-    else:
-        _print_files(files, POSE_RESULT_FILES)
-    return result.fit.result.converged
-
-
-def _print_files(files: "list[Path]", descriptions: dict[str, str]) -> None:
-    """Print which files were written."""
-    for file in files:
-        typer.echo(f"{file}: {descriptions[file.name]}")
+def _fitted_rig_or_folder(
+    folders: list[Path],
+    is_rig: bool,
+    settings: CalibrateSettings,
+    progress: Callable[[str], None],
+) -> CalibrateResult | PoseResult | RigResult:
+    """Load and fit the cameras of a rig, or the pictures or tracked poses of one folder."""
+    if is_rig:
+        return fitted_rig(*loaded_rig(folders, settings, progress), settings, progress)
+    data, name = loaded_folder(folders[0] if folders else None, settings, progress)
+    if isinstance(data, sv.dataset.PoseDataset):
+        return calibrated_poses(data, name, settings, progress)
+    return calibrated_pictures(data, name, settings, progress)

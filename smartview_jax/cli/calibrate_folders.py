@@ -6,22 +6,20 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+import smartview_jax as sv
 
 from ..files import refuse_unwritable
-from .calibrate_folder import (
-    CalibrateSettings,
-    calibrated_folder,
-    loaded_folder,
-    run_name,
-    write_files,
-)
-from .json_document import print_document
+from .calibrate_folder import CalibrateSettings, loaded_folder, run_name
+from .calibrate_pictures import CalibrateResult, calibrated_pictures
+from .documents import print_document
 from .terminal import progress_line
-
-if TYPE_CHECKING:
-    from ..fleet import Outcome
-    from .calibrate_result import CalibrateResult
 
 FAILED_CODE, NOT_CONVERGED_CODE = 2, 1
 """Exit codes if a folder could not be calibrated, and if a fit did not converge."""
@@ -63,8 +61,6 @@ def calibrate_folders(
     Raises:
         ValueError: two folders with the same name, or results that cannot be written.
     """
-    from ..fleet import outcomes
-
     names = [folder.resolve().name for folder in folders]
     for name, count in Counter(names).items():
         if count > 1:
@@ -75,11 +71,11 @@ def calibrate_folders(
     for name in names:
         refuse_unwritable(out / name, "--out")
     job = functools.partial(_calibrate_folder, out=out, settings=settings)
-    found: dict[int, Outcome] = {}
+    found: dict[int, sv.fleet.Outcome] = {}
     with progress_line() as progress, ExitStack() as stack:
         # One at a time needs no second process.
         executor = stack.enter_context(ThreadPoolExecutor(1)) if jobs == 1 else jobs
-        for outcome in outcomes(job, folders, executor):
+        for outcome in sv.fleet.outcomes(job, folders, executor):
             found[outcome.number] = outcome
             ended = "failed" if outcome.error else "calibrated"
             progress(f"{names[outcome.number]} {ended}: {len(found)} of {len(folders)}")
@@ -99,25 +95,20 @@ def _calibrate_folder(folder: Path, out: Path, settings: CalibrateSettings) -> F
     Raises:
         ValueError, OSError: as for a single folder.
     """
-    from ..dataset import PoseDataset
-    from .calibrate_document import calibrate_document
 
     def silent(_: str) -> None:
         """Report nothing: the lines of several folders would be mixed."""
 
-    run, report = run_name(), silent
-    data, name = loaded_folder(folder, settings, report)
-    if isinstance(data, PoseDataset):
+    data, name = loaded_folder(folder, settings, silent)
+    if isinstance(data, sv.dataset.PoseDataset):
         raise ValueError(f"{folder}: has tracked poses: calibrate it alone")
-    result, given = calibrated_folder(data, name, settings, report)
-    files = write_files(result, out / result.name, run, given, report)
-    return _summary(result, calibrate_document(result, run, given, files))
+    result, run = calibrated_pictures(data, name, settings, silent), run_name()
+    files = result.write(out / name, run, silent)
+    return _summary(result, result.document(run, list(files)))
 
 
-def _summary(result: "CalibrateResult", document: dict[str, Any]) -> FolderResult:
+def _summary(result: CalibrateResult, document: dict[str, Any]) -> FolderResult:
     """Return the figures of a calibration for a row of the table."""
-    import numpy as np
-
     fit, errors = result.fit, document["errors"]
     mount_path = fit.calibration.transform_names[0]
     stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
@@ -145,7 +136,7 @@ def _outcome_words(converged: bool, warnings: int) -> str:
     return f"{warnings} warning{'s' if warnings > 1 else ''}" if warnings else "good"
 
 
-def _documents(names: Sequence[str], results: "Sequence[Outcome]") -> list[dict[str, Any]]:
+def _documents(names: Sequence[str], results: "Sequence[sv.fleet.Outcome]") -> list[dict[str, Any]]:
     """Return each folder's document: of a single run, or with the error in its place."""
     return [
         {"data_set": name, "error": str(outcome.error)}
@@ -155,12 +146,8 @@ def _documents(names: Sequence[str], results: "Sequence[Outcome]") -> list[dict[
     ]
 
 
-def _print_table(names: Sequence[str], results: "Sequence[Outcome]", out: Path) -> None:
+def _print_table(names: Sequence[str], results: "Sequence[sv.fleet.Outcome]", out: Path) -> None:
     """Print a row for each folder, then the errors and where the results are."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("data set", max_width=MAX_NAME_WIDTH, overflow="ellipsis", no_wrap=True)
     for title in ("views", "RMS px", "held out", "hand-eye (x, y, z) mm", "+-"):
@@ -181,10 +168,8 @@ def _print_table(names: Sequence[str], results: "Sequence[Outcome]", out: Path) 
         console.print(text, highlight=False, markup=False)
 
 
-def _cells(outcome: "Outcome") -> tuple[str, ...]:
+def _cells(outcome: "sv.fleet.Outcome") -> tuple[str, ...]:
     """Return the cells of a folder's row after its name."""
-    from ..geometry import vector_text
-
     if outcome.error:
         return ("", "", "", "", "", "error")
     result: FolderResult = outcome.result
@@ -192,7 +177,7 @@ def _cells(outcome: "Outcome") -> tuple[str, ...]:
         str(result.views),
         f"{result.rms:.3f}",
         "" if result.held_out_rms is None else f"{result.held_out_rms:.3f}",
-        vector_text(result.translation, 1),
+        sv.geometry.vector_text(result.translation, 1),
         "held" if result.translation_std is None else f"{result.translation_std:.2f}",
         result.outcome,
     )

@@ -3,19 +3,15 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-from ..files import file_transaction, refuse_unwritable
-from .calibrate_folder import CalibrateSettings, command_line, loaded_folder, run_name
+import smartview_jax as sv
+
+from ..files import file_transaction
+from .calibrate_folder import CalibrateSettings, command_line, loaded_folder
+from .documents import budget_document, transform_document
 from .fit_options import parse_rig_start
-from .json_document import print_document, transform_document
-from .terminal import progress_line
-
-if TYPE_CHECKING:
-    from ..dataset import Rig
-    from ..evaluation import HeldOutErrors, RigErrorBudget
-    from ..joint import RigFit
-
+from .terminal import print_lines, print_table
 
 _Known = TypeVar("_Known")
 
@@ -32,64 +28,111 @@ class RigResult(NamedTuple):
         budget: causes of the errors; None where they were not computed.
     """
 
-    rig: "Rig"
+    rig: "sv.Rig"
     name: str
-    fit: "RigFit"
-    held_out: "dict[str, HeldOutErrors] | None"
+    fit: "sv.RigFit"
+    held_out: "dict[str, sv.evaluation.HeldOutErrors] | None"
     notes: tuple[str, ...]
-    budget: "RigErrorBudget | None" = None
+    budget: "sv.evaluation.RigErrorBudget | None" = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the joint fit converged."""
+        return self.fit.result.converged
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes and warnings as lines for people."""
         return (*self.notes, *(f"warning: {text}" for text in self.fit.warnings))
 
+    def print(self) -> None:
+        """Print notes and warnings, a row for each camera and each pair, and what was left out."""
+        fit, budget, report = self.fit, self.budget, sv.report
+        print_lines(*self.remarks)
+        tables = [
+            (report.CAMERA_HEADINGS, report.rig_camera_rows(fit, self.rig, self.held_out)),
+            (report.RELATIVE_HEADINGS, report.relative_pose_rows(fit)),
+            (report.RELATIVE_HEADINGS, report.base_rows(fit)),
+        ]
+        if budget is not None:
+            headings = ("error by cause (px)", *budget.cameras)
+            tables.append((headings, report.rig_budget_rows(budget)))
+            tables.append((report.POSE_CAUSE_HEADINGS, report.pose_cause_rows(budget)))
+        for headings, rows in tables:
+            if rows:
+                print_table(headings, rows)
+        print_lines(report.rig_summary(fit, self.held_out))
+        sensors = fit.sensors.items()
+        print_lines(*(f"{name}: depth sensor: {sensor.described}" for name, sensor in sensors))
+        if budget is not None:
+            print_lines(*(f"{name}: {part.summary}" for name, part in budget.cameras.items()))
+        for name, entry in fit.rejected:
+            place = "" if entry.point is None else f", point {entry.point}"
+            print_lines(f"left out: {name}, view {entry.view}{place}: {entry.reason}")
 
-def calibrate_rig_folders(
-    folders: Sequence[Path], out: Path, settings: CalibrateSettings, json: bool
-) -> bool:
-    """Calibrate a folder with several cameras, or folders that are the cameras of one rig.
+    def write(self, out: Path, run: str, progress: Callable[[str], None]) -> dict[Path, str]:
+        """Write a calibration for each camera and one report, or nothing; return what each is."""
+        progress("drawing the report")
+        names = [*self.fit.file_names, "report.html"]
+        with file_transaction(out, tuple(names)) as folder:
+            self.fit.save(folder, run)
+            origin = sv.report.Origin(self.name, command_line(), run)
+            page = folder / "report.html"
+            sv.report.write_rig_page(
+                page, self.fit, self.rig, self.held_out, origin, self.remarks, self.budget
+            )
+        files = {out / name: _what_it_holds(out / name, self.fit) for name in names[:-1]}
+        return {**files, out / names[-1]: "the report: results and accuracy"}
 
-    For each camera a calibration is written, such as `left.yaml`, and one report for all.
+    def document(self, run: str, files: list[Path]) -> dict[str, Any]:
+        """Return the result as values for programs."""
+        fit, cameras = self.fit, {}
+        for name, calibration in fit.calibrations.items():
+            mount = calibration.transform_names[0]
+            parts = [f"{part}.{k}" for part in ("translation", "rotation") for k in "xyz"]
+            scores = None if self.held_out is None else self.held_out[name].errors.rms
+            sensor = fit.sensors.get(name)
+            cameras[name] = {
+                mount: transform_document(calibration.camera_from_mount),
+                "std": {part: fit.std[f"{name}.{mount}.{part}"] for part in parts},
+                "rms_px": fit.rms(name),
+                "held_out_rms_px": scores,
+                "depth_sensor": None if sensor is None else dataclasses.asdict(sensor),
+            }
+        robots = {
+            name: {"translation": noise.translation, "rotation": noise.rotation}
+            for name, noise in fit.noises.items()
+        }
+        arms = {name: {**robots[name], **_base_document(fit, name)} for name in fit.bases}
+        return {
+            "cameras": cameras,
+            **({"arms": arms} if arms else {"robot": next(iter(robots.values()))}),
+            "states": len(fit.view_ids),
+            "converged": fit.result.converged,
+            "budget": None if self.budget is None else _budget_document(self.budget),
+            "notes": list(self.notes),
+            "warnings": list(fit.warnings),
+            "left_out": [
+                {"camera": name, "view": e.view, "point": e.point, "reason": e.reason}
+                for name, e in fit.rejected
+            ],
+            "run": run,
+            "files": files,
+        }
 
-    Returns:
-        Whether the fit converged.
+
+def loaded_rig(
+    folders: Sequence[Path], settings: CalibrateSettings, progress: Callable[[str], None]
+) -> "tuple[sv.Rig, str]":
+    """Load a folder with several cameras, or a folder for each camera, and return a name too.
 
     Raises:
         ValueError: an option that a rig does not have, or data sets that do not belong to one
             robot.
     """
     _refuse_other_options(settings)
-    refuse_unwritable(out, "--out")
-    run = run_name()
-    with progress_line() as progress:
-        rig, name = _loaded_rig(folders, settings, progress)
-        result = _calibrated_rig(rig, name, settings, progress)
-    if not json:
-        _print_result(result)
-    with progress_line() as progress:
-        progress("drawing the report")
-        files = _write_files(result, out, run)
-    if json:
-        print_document("calibrate", {**_document(result), "run": run, "files": files})
-    else:
-        from typer import echo
-
-        for file in files[:-1]:
-            echo(f"{file}: {_what_it_holds(file, result.fit)}")
-        echo(f"{files[-1]}: the report: results and accuracy")
-    return result.fit.result.converged
-
-
-def _loaded_rig(
-    folders: Sequence[Path], settings: CalibrateSettings, progress: Callable[[str], None]
-) -> "tuple[Rig, str]":
-    """Load a folder with several cameras, or a folder for each camera, and return a name too."""
-    from ..dataset import Rig
-    from ..io import load_rig
-
     if len(folders) == 1:
-        rig = load_rig(folders[0], settings.bad_views, progress)
+        rig = sv.load_rig(folders[0], settings.bad_views, progress)
         return rig, folders[0].resolve().name
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < max(2, len(names)):
@@ -101,39 +144,31 @@ def _loaded_rig(
         name: loaded_folder(folder, settings, progress)[0]
         for name, folder in zip(names, folders, strict=True)
     }
-    return Rig(cameras), ", ".join(names)
+    return sv.Rig(cameras), ", ".join(names)
 
 
-def _calibrated_rig(
-    rig: "Rig", name: str, settings: CalibrateSettings, progress: Callable[[str], None]
+def fitted_rig(
+    rig: "sv.Rig", name: str, settings: CalibrateSettings, progress: Callable[[str], None]
 ) -> RigResult:
     """Fit a rig, and compute its held-out errors and the causes of its errors if requested."""
-    from ..calibration_pipeline import calibrate
-    from ..evaluation import (
-        MIN_HELD_OUT_VIEWS,
-        error_budget,
-        held_out,
-        without_rejected_rig_views,
-    )
-    from ..io import read_cameras
-
     notes = [f"{camera}: {note}" for camera, data in rig.cameras.items() for note in data.notes]
     known = None
     if settings.known.camera is not None:
-        known = read_cameras(settings.known.camera, tuple(rig.cameras))
+        known = sv.io.read_cameras(settings.known.camera, tuple(rig.cameras))
         notes.append(f"known cameras, held: {', '.join(known)}, from {settings.known.camera}")
     mounts = {camera: data.mount for camera, data in rig.cameras.items()}
     start = parse_rig_start(settings.known.start or (), mounts)
     if start is not None:
         notes.append(f"start given for {', '.join(start)}")
-    fit = calibrate(rig, settings.lens, camera=known, start=start, progress=progress)
-    scores, used = None, without_rejected_rig_views(rig, fit)
-    if settings.held_out and len(used.usable_views()) < MIN_HELD_OUT_VIEWS:
-        notes.append(f"held-out error needs at least {MIN_HELD_OUT_VIEWS} usable states: left out")
+    fit = sv.calibrate(rig, settings.lens, camera=known, start=start, progress=progress)
+    scores, used = None, sv.evaluation.without_rejected_rig_views(rig, fit)
+    least = sv.evaluation.MIN_HELD_OUT_VIEWS
+    if settings.held_out and len(used.usable_views()) < least:
+        notes.append(f"held-out error needs at least {least} usable states: left out")
     elif settings.held_out:
-        scores = held_out(
+        scores = sv.held_out(
             used,
-            lambda part: calibrate(
+            lambda part: sv.calibrate(
                 part,
                 settings.lens,
                 camera=_of_cameras(part, known),
@@ -147,13 +182,13 @@ def _calibrated_rig(
     budget = None
     if settings.diagnose:
         try:
-            budget = error_budget(rig, fit, progress)
+            budget = sv.error_budget(rig, fit, progress)
         except ValueError as error:
             notes.append(f"no error budget: {error}")
     return RigResult(rig, name, fit, scores, tuple(notes), budget)
 
 
-def _of_cameras(rig: "Rig", known: dict[str, _Known] | None) -> dict[str, _Known] | None:
+def _of_cameras(rig: "sv.Rig", known: dict[str, _Known] | None) -> dict[str, _Known] | None:
     """Return what is known of the cameras that a rig has."""
     return known and {name: camera for name, camera in known.items() if name in rig.cameras}
 
@@ -173,124 +208,20 @@ def _refuse_other_options(settings: CalibrateSettings) -> None:
         )
 
 
-def _what_it_holds(file: Path, fit: "RigFit") -> str:
+def _what_it_holds(file: Path, fit: "sv.RigFit") -> str:
     """Return what a file of the result has, in words."""
-    from ..joint import JOINT_SUFFIX, RIG_FILE
-
-    if file.name == RIG_FILE:
+    if file.name == sv.joint.RIG_FILE:
         return "the covariance of all cameras together"
-    if file.name.endswith(JOINT_SUFFIX):
-        arm = file.name.removesuffix(JOINT_SUFFIX)
+    if file.name.endswith(sv.joint.JOINT_SUFFIX):
+        arm = file.name.removesuffix(sv.joint.JOINT_SUFFIX)
         return f"the covariance of all cameras of {arm} together"
     is_camera = file.stem in fit.calibrations
     kept = "the calibration of this camera" if is_camera else "where these arms are"
     return f"{kept}, with its covariance"
 
 
-def _print_result(result: RigResult) -> None:
-    """Print notes and warnings, a row for each camera and each pair, and what was left out."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from ..report import (
-        CAMERA_HEADINGS,
-        POSE_CAUSE_HEADINGS,
-        RELATIVE_HEADINGS,
-        base_rows,
-        pose_cause_rows,
-        relative_pose_rows,
-        rig_budget_rows,
-        rig_camera_rows,
-        rig_summary,
-    )
-
-    console = Console()
-    for note in result.remarks:
-        console.print(note, highlight=False, markup=False)
-    tables = [
-        (CAMERA_HEADINGS, rig_camera_rows(result.fit, result.rig, result.held_out)),
-        (RELATIVE_HEADINGS, relative_pose_rows(result.fit)),
-        (RELATIVE_HEADINGS, base_rows(result.fit)),
-    ]
-    if result.budget is not None:
-        headings = ("error by cause (px)", *result.budget.cameras)
-        tables.append((headings, rig_budget_rows(result.budget)))
-        tables.append((POSE_CAUSE_HEADINGS, pose_cause_rows(result.budget)))
-    for headings, rows in tables:
-        if rows:
-            table = Table(*headings)
-            for row in rows:
-                table.add_row(*row)
-            console.print(table)
-    console.print(rig_summary(result.fit, result.held_out), highlight=False)
-    for name, sensor in result.fit.sensors.items():
-        console.print(f"{name}: depth sensor: {sensor.described}", highlight=False, markup=False)
-    if result.budget is not None:
-        for name, budget in result.budget.cameras.items():
-            console.print(f"{name}: {budget.summary}", highlight=False, markup=False)
-    for name, entry in result.fit.rejected:
-        place = "" if entry.point is None else f", point {entry.point}"
-        console.print(
-            f"left out: {name}, view {entry.view}{place}: {entry.reason}",
-            highlight=False,
-            markup=False,
-        )
-
-
-def _write_files(result: RigResult, out: Path, run: str) -> list[Path]:
-    """Write the cameras' calibrations and the report, all or none, and return their paths."""
-    from ..report import Origin, write_rig_page
-
-    names = [*result.fit.file_names, "report.html"]
-    with file_transaction(out, tuple(names)) as folder:
-        result.fit.save(folder, run)
-        origin = Origin(result.name, command_line(), run)
-        page = folder / "report.html"
-        write_rig_page(
-            page, result.fit, result.rig, result.held_out, origin, result.remarks, result.budget
-        )
-    return [out / name for name in names]
-
-
-def _document(result: RigResult) -> dict[str, Any]:
-    """Return the result as plain numbers for `--json`."""
-    fit, cameras = result.fit, {}
-    for name, calibration in fit.calibrations.items():
-        mount = calibration.transform_names[0]
-        parts = [f"{part}.{k}" for part in ("translation", "rotation") for k in "xyz"]
-        scores = None if result.held_out is None else result.held_out[name].errors.rms
-        sensor = fit.sensors.get(name)
-        cameras[name] = {
-            mount: transform_document(calibration.camera_from_mount),
-            "std": {part: fit.std[f"{name}.{mount}.{part}"] for part in parts},
-            "rms_px": fit.rms(name),
-            "held_out_rms_px": scores,
-            "depth_sensor": None if sensor is None else dataclasses.asdict(sensor),
-        }
-    robots = {
-        name: {"translation": noise.translation, "rotation": noise.rotation}
-        for name, noise in fit.noises.items()
-    }
-    arms = {name: {**robots[name], **_base_document(fit, name)} for name in fit.bases}
-    return {
-        "cameras": cameras,
-        **({"arms": arms} if arms else {"robot": next(iter(robots.values()))}),
-        "states": len(fit.view_ids),
-        "converged": fit.result.converged,
-        "budget": None if result.budget is None else _budget_document(result.budget),
-        "notes": list(result.notes),
-        "warnings": list(fit.warnings),
-        "left_out": [
-            {"camera": name, "view": e.view, "point": e.point, "reason": e.reason}
-            for name, e in fit.rejected
-        ],
-    }
-
-
-def _budget_document(budget: "RigErrorBudget") -> dict[str, Any]:
+def _budget_document(budget: "sv.evaluation.RigErrorBudget") -> dict[str, Any]:
     """Return the causes of the errors of a rig as plain numbers."""
-    from .calibrate_document import budget_document
-
     return {
         "cameras": {name: budget_document(own) for name, own in budget.cameras.items()},
         "poses": {
@@ -303,7 +234,7 @@ def _budget_document(budget: "RigErrorBudget") -> dict[str, Any]:
     }
 
 
-def _base_document(fit: "RigFit", arm: str) -> dict[str, Any]:
+def _base_document(fit: "sv.RigFit", arm: str) -> dict[str, Any]:
     """Return the pose of an arm's base in the base of the first arm as plain numbers."""
     first = next(iter(fit.bases))
     base = fit.base(first, arm)

@@ -1,14 +1,17 @@
 """Define `smartview capture`, which takes calibration views live, with a page or unattended."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from .capture_sources import SourceOptions, open_sources
+import smartview_jax as sv
+
+from .capture_sources import SourceOptions, Sources, open_sources
+from .documents import print_document
 from .fit_options import parse_transforms
-from .json_document import print_document
 from .options import (
     BelowOption,
     DebugOption,
@@ -18,11 +21,6 @@ from .options import (
     with_option_groups,
 )
 from .terminal import errors_reported
-
-if TYPE_CHECKING:
-    from ..capture import CaptureOptions, CaptureOutcome, CaptureSession, MotionLimits
-    from ..io import GrowingDataset
-    from .capture_sources import Sources
 
 
 @dataclass(frozen=True)
@@ -95,10 +93,8 @@ class MotionOptions:
         ),
     ] = 100.0
 
-    def limits(self, sources: "Sources") -> "MotionLimits | None":
+    def limits(self, sources: Sources) -> "sv.capture.MotionLimits | None":
         """Return the limits of motions; None if the robot is not to move."""
-        from ..capture import MotionLimits
-
         if not self.move:
             if self.box is not None:
                 raise ValueError("--box: only with --move")
@@ -110,7 +106,7 @@ class MotionOptions:
         numbers = parse_numbers("--box", self.box, 6, "x,y,z,x,y,z (m)")
         corners = list(zip(numbers[:3], numbers[3:], strict=True))
         lowest, highest = zip(*map(sorted, corners), strict=True)
-        return MotionLimits(tuple(lowest), tuple(highest), 1e-3 * self.speed)
+        return sv.capture.MotionLimits(tuple(lowest), tuple(highest), 1e-3 * self.speed)
 
 
 @with_option_groups
@@ -135,30 +131,24 @@ def capture(
     """
     with errors_reported(debug):
         if named.print_program is not None:
-            from ..capture import controller_program
-
-            typer.echo(controller_program(named.print_program.value), nl=False)
+            typer.echo(sv.capture.controller_program(named.print_program.value), nl=False)
             return
         if folder is None:
             raise ValueError("expected the folder of a data set (smartview new begins one)")
-        try:
-            sources = open_sources(named, folder)
-        except ImportError as error:
-            # The user can install a missing extra: one line, no traceback.
-            raise ValueError(str(error)) from error
-        from ..capture import CaptureSession, capture_unattended
-        from ..io import GrowingDataset
+        sources = open_sources(named, folder)
 
         limits = motion.limits(sources)
-        with GrowingDataset(folder) as data:
+        with sv.io.GrowingDataset(folder) as data:
             if motion.auto and named.robot == "typed":
                 raise ValueError("--auto: needs a robot that reports its poses, found typed")
             options = _options(data, wanted, limits, sources, motion.auto)
             _refuse_unplanned(motion.auto and motion.move, options, len(data.names))
             say = _say if motion.auto else (lambda _: None)
-            with CaptureSession(data, sources.camera, sources.robot, options, say) as session:
+            with sv.capture.CaptureSession(
+                data, sources.camera, sources.robot, options, say
+            ) as session:
                 if motion.auto:
-                    outcome = capture_unattended(session, wanted.views, motion.patience)
+                    outcome = sv.capture.capture_unattended(session, wanted.views, motion.patience)
                     _give(outcome, wanted.goal, folder, json)
                     if not outcome.is_reached:
                         raise typer.Exit(1)
@@ -172,41 +162,35 @@ def _say(text: str) -> None:
 
 
 def _options(
-    data: "GrowingDataset",
+    data: "sv.io.GrowingDataset",
     wanted: WantedViews,
-    motion: "MotionLimits | None",
-    sources: "Sources",
+    motion: "sv.capture.MotionLimits | None",
+    sources: Sources,
     auto: bool,
-) -> "CaptureOptions":
+) -> "sv.capture.CaptureOptions":
     """Return the choices of the options."""
-    from ..calibration import transform_names
-    from ..capture import MIN_FITTED_VIEWS, CaptureOptions
-    from ..dataset import MINIMUM_RELIABLE_VIEWS
-    from ..io import read_camera
-    from ..viewpoints import ViewLimits
-
     described = data.description
     rough = parse_transforms(wanted.start, described.mount) if wanted.start else {}
-    mount_name, holder_name = transform_names(described.mount)
+    mount_name, holder_name = sv.calibration.transform_names(described.mount)
     if not rough and sources.simulated is not None:
         drawing = sources.simulated.drawing
         rough = {mount_name: drawing.camera_from_mount, holder_name: drawing.holder_from_world}
     # dataset.yaml may state the target's pose; the option takes precedence.
     if rough and described.holder_from_world is not None:
         rough.setdefault(holder_name, described.holder_from_world)
-    camera = None if wanted.known_camera is None else read_camera(wanted.known_camera)
-    return CaptureOptions(
+    camera = None if wanted.known_camera is None else sv.io.read_camera(wanted.known_camera)
+    return sv.capture.CaptureOptions(
         goal=1e-3 * wanted.goal,
-        limits=ViewLimits(below=wanted.below),
+        limits=sv.viewpoints.ViewLimits(below=wanted.below),
         start=rough or None,
         camera=camera,
         motion=motion,
         # A person wants to see how it goes; nobody reads the first fits of an unattended run.
-        first_fit=MINIMUM_RELIABLE_VIEWS if auto else MIN_FITTED_VIEWS,
+        first_fit=sv.dataset.MINIMUM_RELIABLE_VIEWS if auto else sv.capture.MIN_FITTED_VIEWS,
     )
 
 
-def _refuse_unplanned(moves_alone: bool, options: "CaptureOptions", views: int) -> None:
+def _refuse_unplanned(moves_alone: bool, options: "sv.capture.CaptureOptions", views: int) -> None:
     """Raise a ValueError where the robot is to move alone and nothing says where to."""
     if moves_alone and options.start is None and views < options.first_fit:
         raise ValueError(
@@ -215,7 +199,7 @@ def _refuse_unplanned(moves_alone: bool, options: "CaptureOptions", views: int) 
         )
 
 
-def _give(outcome: "CaptureOutcome", goal: float, folder: Path, json: bool) -> None:
+def _give(outcome: "sv.capture.CaptureOutcome", goal: float, folder: Path, json: bool) -> None:
     """Print how an unattended capture ended."""
     if json:
         content = {
@@ -228,7 +212,6 @@ def _give(outcome: "CaptureOutcome", goal: float, folder: Path, json: bool) -> N
         }
         print_document("capture", content)
         return
-    import math
 
     error = f"{1e3 * outcome.error:.2g} mm" if math.isfinite(outcome.error) else "unknown"
     typer.echo(outcome.reason)
@@ -236,12 +219,9 @@ def _give(outcome: "CaptureOutcome", goal: float, folder: Path, json: bool) -> N
     typer.echo(f"next: smartview calibrate {folder}")
 
 
-def _serve(session: "CaptureSession", page: PageOptions, folder: Path, views: int) -> None:
+def _serve(
+    session: "sv.capture.CaptureSession", page: PageOptions, folder: Path, views: int
+) -> None:
     """Serve the page until the process is interrupted."""
-    from ..capture import serve_capture
-
     announce = page.announcement(f"capture into {folder}", "all views are stored")
-    try:
-        serve_capture(session, page.port, announce, views)
-    except ImportError as error:
-        raise ValueError(str(error)) from error
+    sv.capture.serve_capture(session, page.port, announce, views)

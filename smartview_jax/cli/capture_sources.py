@@ -4,14 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from .options import PoseFormatOption
+import smartview_jax as sv
 
-if TYPE_CHECKING:
-    from ..capture import Camera, Reopened, Robot, SimulatedSources
+from ..extras import import_extra
+from .options import PoseFormatOption
 
 SIMULATED = "simulated"
 """The name of the simulated cell's camera and robot."""
@@ -67,9 +67,9 @@ class Sources(NamedTuple):
         simulated: the simulated cell; None without one.
     """
 
-    camera: "Reopened[Camera]"
-    robot: "Reopened[Robot]"
-    simulated: "SimulatedSources | None"
+    camera: "sv.capture.Reopened[sv.capture.Camera]"
+    robot: "sv.capture.Reopened[sv.capture.Robot]"
+    simulated: "sv.capture.SimulatedSources | None"
 
 
 def open_sources(named: SourceOptions, folder: Path) -> Sources:
@@ -84,59 +84,55 @@ def open_sources(named: SourceOptions, folder: Path) -> Sources:
         ValueError: a text that names no source.
         OSError: the folder has no description.
     """
-    from ..capture import Reopened, SimulatedSources
-
     simulated = None
     if SIMULATED in (named.camera, named.robot):
         if named.camera != named.robot:
             raise ValueError(f"--camera and --robot: expected both {SIMULATED}, or neither")
-        simulated = SimulatedSources(named.seed)
+        simulated = sv.capture.SimulatedSources(named.seed)
         simulated.write_description(folder)
-        return Sources(Reopened(simulated.camera), Reopened(simulated.robot), simulated)
+        return Sources(
+            sv.capture.Reopened(simulated.camera), sv.capture.Reopened(simulated.robot), simulated
+        )
     open_camera = _camera(named.camera, folder)
     open_robot = _robot(named.robot, named.pose_format, folder)
-    return Sources(Reopened(open_camera), Reopened(open_robot), simulated)
+    return Sources(sv.capture.Reopened(open_camera), sv.capture.Reopened(open_robot), simulated)
 
 
-def _camera(text: str, folder: Path) -> "Callable[[], Camera]":
+def _camera(text: str, folder: Path) -> "Callable[[], sv.capture.Camera]":
     """Return the function that opens a camera."""
-    from ..capture import OpenCVCamera, PictureFolder, VideoFile
-
     if text.isdecimal():
-        return lambda: OpenCVCamera(int(text))
+        return lambda: sv.capture.OpenCVCamera(int(text))
     path = Path(text)
     if path.is_dir():
         # The folder's own pictures would be taken again.
         if path.resolve() == (folder / "images").resolve():
             raise ValueError(f"--camera: {path} is where the views are stored; name another folder")
-        return lambda: PictureFolder(path)
+        return lambda: sv.capture.PictureFolder(path)
     if path.is_file() or "://" in text:
-        return lambda: VideoFile(text)
+        return lambda: sv.capture.VideoFile(text)
     raise ValueError(
         f"--camera: expected an index such as 0, a video file, the address of a stream, a folder "
         f"or {SIMULATED}, found {text!r}"
     )
 
 
-def _robot(text: str, pose_format: str, folder: Path) -> "Callable[[], Robot]":
+def _robot(text: str, pose_format: str, folder: Path) -> "Callable[[], sv.capture.Robot]":
     """Return the function that connects to a robot."""
-    from ..capture import TcpRobot, TypedRobot, UniversalRobot
-    from ..extras import import_extra
-    from ..geometry import pose_codec
-    from ..io import GrowingDataset
-
-    with GrowingDataset(folder) as data:
+    with sv.io.GrowingDataset(folder) as data:
         named = pose_format or data.pose_format.codec.name
-    pose_codec(named)
+    sv.geometry.pose_codec(named)
     kind, _, address = text.partition(":")
     if text == "typed":
-        robot = TypedRobot(named)
+        robot = sv.capture.TypedRobot(named)
         return lambda: robot
     if kind == "ur" and address:
         import_extra("rtde_receive", "ur", "a Universal Robots arm")
-        return lambda: UniversalRobot(address)
+        return lambda: sv.capture.UniversalRobot(address)
     host, _, port = address.rpartition(":")
-    kinds: dict[str, Any] = {"tcp": TcpRobot.connect, "listen": TcpRobot.accept}
+    kinds: dict[str, Any] = {
+        "tcp": sv.capture.TcpRobot.connect,
+        "listen": sv.capture.TcpRobot.accept,
+    }
     if kind not in kinds or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ValueError(
             f"--robot: expected tcp:HOST:PORT, listen:HOST:PORT, ur:HOST, {SIMULATED} or typed, "

@@ -1,24 +1,20 @@
 """Define `smartview check`, which looks at a data set before anything is calibrated with it."""
 
+import dataclasses
 import math
-from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
 
+import numpy as np
 import typer
 
+import smartview_jax as sv
+
 from . import options
-from .error_documents import views_left_out
+from .documents import print_document, views_left_out
 from .fit_options import CameraOption
-from .json_document import print_document
 from .load import load_named
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from ..cameras import Camera
-    from ..data_checks import ConventionReport
-    from ..dataset import Dataset, Rig
-    from ..robots import HandPoses
-    from ..staged import StagedFit
 
 MIN_VIEWS = 10
 """Fewest usable views for which no more are requested."""
@@ -69,32 +65,30 @@ def check(
     Exits with 1 if the data cannot be calibrated as they are.
     """
     with errors_reported(debug):
-        from ..io import is_rig_folder, load_rig, read_camera, read_cameras
-
-        if dataset is not None and is_rig_folder(dataset):
+        if dataset is not None and sv.io.is_rig_folder(dataset):
             with progress_line() as progress:
-                rig = load_rig(dataset, bad_views, progress)
-            known = {} if camera is None else read_cameras(camera, tuple(rig.cameras))
-            if not _check_rig(rig, dataset.resolve().name, json, known):
-                raise typer.Exit(1)
-            return
-        known_camera = None if camera is None else read_camera(camera)
-        with progress_line() as progress:
-            data, name = load_named(dataset, bad_views, progress)
-        checked = _checked(data, name, known_camera)
-        if json:
-            print_document("check", checked.document)
+                rig = sv.load_rig(dataset, bad_views, progress)
+            known = {} if camera is None else sv.io.read_cameras(camera, tuple(rig.cameras))
+            findings = _checked_rig(rig, dataset.resolve().name, known)
         else:
-            _print_lines(checked)
-        if checked.problems:
+            known_camera = None if camera is None else sv.io.read_camera(camera)
+            with progress_line() as progress:
+                data, name = load_named(dataset, bad_views, progress)
+            findings = _checked(data, name, known_camera)
+        if json:
+            print_document("check", findings.document)
+        else:
+            findings.print()
+        if not findings.are_ready:
             raise typer.Exit(1)
         if not json:
-            except_for = ", apart from these doubts" if checked.doubts else ""
-            typer.echo(f"camera and robot agree{except_for}: ready for smartview calibrate")
+            except_for = ", apart from these doubts" if findings.are_doubtful else ""
+            cameras = "cameras" if findings.cameras else "camera"
+            typer.echo(f"{cameras} and robot agree{except_for}: ready for smartview calibrate")
 
 
-class CheckedData(NamedTuple):
-    """The findings in the data set of one camera.
+class Findings(NamedTuple):
+    """The findings in a data set.
 
     Attributes:
         lines: the figures in words.
@@ -102,26 +96,44 @@ class CheckedData(NamedTuple):
         doubts: views and figures that do not fit, although most do.
         document: all of it as values for programs.
         staged: the staged fit; None if there is none.
+        cameras: findings in the data of each of several cameras.
     """
 
-    lines: tuple[str, ...]
-    problems: tuple[str, ...]
-    doubts: tuple[str, ...]
+    lines: Sequence[str]
+    problems: Sequence[str]
+    doubts: Sequence[str]
     document: dict[str, Any]
-    staged: "StagedFit | None"
+    staged: "sv.StagedFit | None" = None
+    cameras: "Sequence[Findings]" = ()
+
+    @property
+    def are_ready(self) -> bool:
+        """Whether the data can be calibrated."""
+        return not self.problems and all(camera.are_ready for camera in self.cameras)
+
+    @property
+    def are_doubtful(self) -> bool:
+        """Whether anything does not fit."""
+        return bool(self.doubts) or any(camera.are_doubtful for camera in self.cameras)
+
+    def print(self) -> None:
+        """Print what was found, problems and doubts last."""
+        for text in self.lines:
+            typer.echo(text)
+        for camera in self.cameras:
+            camera.print()
+        for kind, texts in (("problem", self.problems), ("doubt", self.doubts)):
+            for text in texts:
+                typer.echo(f"{kind}: {text}")
 
 
 def _checked(
-    given: "Dataset", name: str, camera: "Camera | None", reference: str | None = None
-) -> CheckedData:
-    """Check the data of one camera.
+    given: "sv.Dataset", name: str, camera: "sv.Camera | None", reference: str | None = None
+) -> Findings:
+    """Check the data of one camera, which may be known.
 
-    Args:
-        given: the data set.
-        name: name of the data set or of the camera.
-        camera: the known camera; None for one to be estimated.
-        reference: another camera of a rig, which tells where the target is; one or two views of a
-            known camera suffice then.
+    Of a known camera one or two views suffice if a reference, another camera of the rig, tells
+    where the target is.
     """
     data = _without_repetitions(given)
     figures = _figures(data)
@@ -132,73 +144,48 @@ def _checked(
             f"usable views: {figures.usable_views}; its place follows from the target that "
             f"{reference} sees"
         )
-        problems, doubts, staged = Agreement((), (), None)
+        problems, doubts, staged = (), (), None
     else:
         lines += _motion(figures) if data.hands is None else _motions_of_hands(data, data.hands)
         # The data with repetitions: if all poses are equal, no view is left without them.
         reported = {view for view, _ in data.masked_views}
         problems, doubts, staged = _agreement(given, reported, camera)
     document = _document(name, data, figures, problems, doubts)
-    return CheckedData(tuple(lines), problems, doubts, document, staged)
+    return Findings(lines, problems, doubts, document, staged)
 
 
-def _print_lines(checked: CheckedData) -> None:
-    """Print what was found, problems and doubts last."""
-    for text in checked.lines:
-        typer.echo(text)
-    _print_findings(checked.problems, checked.doubts)
-
-
-def _print_findings(problems: Iterable[str], doubts: Iterable[str]) -> None:
-    """Print problems, then doubts, a line each."""
-    for kind, texts in (("problem", problems), ("doubt", doubts)):
-        for text in texts:
-            typer.echo(f"{kind}: {text}")
-
-
-def _check_rig(rig: "Rig", name: str, json: bool, known: "Mapping[str, Camera]") -> bool:
-    """Check the data of several cameras, and return whether all can be calibrated."""
+def _checked_rig(rig: "sv.Rig", name: str, known: "Mapping[str, sv.Camera]") -> Findings:
+    """Check the data of several cameras."""
     from ..rig_pipeline import reference_camera, shared_target_findings, usable_view_counts
 
     counts = {c: n for c, n in usable_view_counts(rig, known).items() if n >= 3}
-    checked = {
+    cameras = {
         camera: _checked(data, camera, known.get(camera), reference_camera(rig, camera, counts))
         for camera, data in rig.cameras.items()
     }
-    shared = sum(len(cameras) > 1 for cameras in rig.seeing)
-    together = shared_target_findings(
-        rig, {camera: found.staged for camera, found in checked.items() if found.staged is not None}
-    )
-    doubts = [*together.doubts, *_lonely_cameras(rig)]
-    ready = not together.problems and not any(found.problems for found in checked.values())
-    if json:
-        document = {
-            "data_set": name,
-            "states": rig.view_count,
-            "states_seen_by_several": shared,
-            "cameras": {camera: found.document for camera, found in checked.items()},
-            "problems": list(together.problems),
-            "doubts": doubts,
-            "can_be_calibrated": ready,
-        }
-        print_document("check", document)
-        return ready
+    shared = sum(len(seeing) > 1 for seeing in rig.seeing)
+    staged = {name: each.staged for name, each in cameras.items() if each.staged is not None}
+    together = shared_target_findings(rig, staged)
+    problems, doubts = list(together.problems), [*together.doubts, *_lonely_cameras(rig)]
     robots = "the robot" if len(rig.arm_names) == 1 else f"the arms {', '.join(rig.arm_names)}"
-    typer.echo(
-        f"{name}: {len(checked)} cameras, {rig.view_count} states of {robots}, {shared} of them "
+    line = (
+        f"{name}: {len(cameras)} cameras, {rig.view_count} states of {robots}, {shared} of them "
         "seen by several cameras"
     )
-    for found in checked.values():
-        _print_lines(found)
-    _print_findings(together.problems, doubts)
-    if ready:
-        any_doubt = bool(doubts) or any(found.doubts for found in checked.values())
-        except_for = ", apart from these doubts" if any_doubt else ""
-        typer.echo(f"cameras and robot agree{except_for}: ready for smartview calibrate")
-    return ready
+    document = {
+        "data_set": name,
+        "states": rig.view_count,
+        "states_seen_by_several": shared,
+        "cameras": {camera: each.document for camera, each in cameras.items()},
+        "problems": problems,
+        "doubts": doubts,
+    }
+    findings = Findings([line], problems, doubts, document, cameras=list(cameras.values()))
+    document["can_be_calibrated"] = findings.are_ready
+    return findings
 
 
-def _lonely_cameras(rig: "Rig") -> list[str]:
+def _lonely_cameras(rig: "sv.Rig") -> list[str]:
     """Return a doubt for each camera that shares neither a state nor a target with another."""
     if len(rig.cameras) == 1:
         return []
@@ -212,26 +199,17 @@ def _lonely_cameras(rig: "Rig") -> list[str]:
     ]
 
 
-def _without_repetitions(data: "Dataset") -> "Dataset":
+def _without_repetitions(data: "sv.Dataset") -> "sv.Dataset":
     """Return the data without views that repeat others, with the reason for each."""
-    import dataclasses
-
-    from ..dataset import repeated_views
-
-    reasons = repeated_views(data)
+    reasons = sv.dataset.repeated_views(data)
     masked = [(data.view_ids[view], text) for view, text in reasons.items()]
     return dataclasses.replace(
         data.mask_views(list(reasons)), masked_views=(*data.masked_views, *masked)
     )
 
 
-def _figures(data: "Dataset") -> DatasetFigures:
+def _figures(data: "sv.Dataset") -> DatasetFigures:
     """Count the points, the covered part of the picture and the extent of the robot's motion."""
-    import numpy as np
-
-    from ..dataset import turns_about_one_axis
-    from ..geometry import host_matrices
-
     visible = np.asarray(data.visible)
     counts = visible.sum(axis=1)
     pixels, picture_used = np.asarray(data.pixels)[visible], None
@@ -244,16 +222,16 @@ def _figures(data: "Dataset") -> DatasetFigures:
     used = data.usable_views()
     if len(used) < 2:
         return DatasetFigures(points, picture_used, len(used), None, None)
-    poses = host_matrices(data.base_from_tool)[used]
+    poses = sv.geometry.host_matrices(data.base_from_tool)[used]
     # trace(R_i^T R_j) = 1 + 2 cos(angle between them)
     traces = np.einsum("iab,jab->ij", poses[:, :3, :3], poses[:, :3, :3])
     largest = float(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)).max())
     extent = tuple(np.ptp(poses[:, :3, 3], axis=0).tolist())
-    one_axis = turns_about_one_axis(poses)
+    one_axis = sv.dataset.turns_about_one_axis(poses)
     return DatasetFigures(points, picture_used, len(used), extent, largest, one_axis)
 
 
-def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
+def _seen(figures: DatasetFigures, data: "sv.Dataset") -> list[str]:
     """Return the detections in words: points by view, views left out, share of the picture used."""
     least, greatest, median = figures.points
     lines = [f"points seen in a view: {least} to {greatest}, median {median:.0f}"]
@@ -266,8 +244,6 @@ def _seen(figures: DatasetFigures, data: "Dataset") -> list[str]:
 
 def _motion(figures: DatasetFigures) -> list[str]:
     """Return in words how far the robot moved and turned between the views."""
-    from ..geometry import vector_text
-
     if figures.extent is None or figures.largest_rotation is None:
         return [f"usable views: {figures.usable_views}; take more"]
     largest = math.degrees(figures.largest_rotation)
@@ -283,15 +259,13 @@ def _motion(figures: DatasetFigures) -> list[str]:
     extent_mm = [1e3 * x for x in figures.extent]
     return [
         f"usable views: {figures.usable_views}{more}",
-        f"the tool moved by {vector_text(extent_mm, 0)} mm along x, y, z",
+        f"the tool moved by {sv.geometry.vector_text(extent_mm, 0)} mm along x, y, z",
         f"largest rotation between two views: {largest:.0f} degrees{advice}",
     ]
 
 
-def _motions_of_hands(data: "Dataset", hands: "HandPoses") -> list[str]:
+def _motions_of_hands(data: "sv.Dataset", hands: "sv.robots.HandPoses") -> list[str]:
     """Return in words how far each of two hands moved and turned between the views."""
-    import dataclasses
-
     lines = [f"usable views: {len(data.usable_views())}"]
     for name, poses in (
         ("camera", hands.base_from_tool),
@@ -304,10 +278,10 @@ def _motions_of_hands(data: "Dataset", hands: "HandPoses") -> list[str]:
 
 def _document(
     name: str,
-    data: "Dataset",
+    data: "sv.Dataset",
     figures: DatasetFigures,
-    problems: tuple[str, ...],
-    doubts: tuple[str, ...],
+    problems: Sequence[str],
+    doubts: Sequence[str],
 ) -> dict[str, Any]:
     """Return figures, problems and doubts as values for programs."""
     least, greatest, median = figures.points
@@ -331,38 +305,21 @@ def _document(
     }
 
 
-class Agreement(NamedTuple):
-    """The agreement of pictures and poses.
+def _agreement(
+    data: "sv.Dataset", reported: Collection[str], camera: "sv.Camera | None"
+) -> "tuple[Sequence[str], Sequence[str], sv.StagedFit | None]":
+    """Return problems, doubts and the staged fit, by which pictures and poses are compared.
 
-    Attributes:
-        problems: reasons why the data cannot be calibrated.
-        doubts: views and figures that do not fit, although most do.
-        staged: the staged fit; None if there is none.
+    Views whose mask is reported already are no doubts.
     """
-
-    problems: tuple[str, ...]
-    doubts: tuple[str, ...]
-    staged: "StagedFit | None"
-
-
-def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | None") -> Agreement:
-    """Compare pictures and poses by the staged fit.
-
-    Args:
-        data: the data set.
-        reported: names of the views whose mask is reported already.
-        camera: a known camera; None to estimate it.
-    """
-    from ..staged import fit_staged, require_picture_size
-
     try:
         # As in `calibrate`, so that data are refused for the same reasons.
         if camera is not None:
-            require_picture_size("--camera", camera, data.image_size)
+            sv.staged.require_picture_size("--camera", camera, data.image_size)
         lens = "opencv4" if camera is None else camera.lens
-        fit = fit_staged(data, lens, camera=camera, conventions="report")
+        fit = sv.fit_staged(data, lens, camera=camera, conventions="report")
     except ValueError as error:
-        return Agreement((str(error),), (), None)
+        return (str(error),), (), None
     problems = fit.conventions.problems
     reasons = {data.view_ids[view]: text for view, text in fit.conventions.suspicious_views}
     # Where robot and camera do not move alike, every view's disagreement is a consequence.
@@ -374,26 +331,23 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     if not problems and not fit.conventions.change:
         doubts += _doubts_of_motion(fit.conventions, camera is not None, data.joints is not None)
-    return Agreement(problems, (*doubts, *fit.warnings), fit)
+    return problems, (*doubts, *fit.warnings), fit
 
 
 def _doubts_of_motion(
-    report: "ConventionReport", camera_is_known: bool, by_joints: bool
+    report: "sv.data_checks.ConventionReport", camera_is_known: bool, by_joints: bool
 ) -> list[str]:
     """Return what is doubtful about the motions of robot and camera, though they are alike."""
-    from ..data_checks import OTHER_ARM_TEXT
-    from ..staged import mistaken_unit
-
     ratio, std = report.length_ratio, report.length_ratio_std
     is_other_size = not 1.0 / MAX_SIZE_RATIO < ratio < MAX_SIZE_RATIO
     if is_other_size and abs(ratio - 1.0) > 2.0 * std:
         size = f"is the target {1.0 / ratio:.3g} times as large as stated? measure it"
         if camera_is_known:
             size = f"is the known camera's focal length {ratio:.3g} times the true one, or {size}"
-        cause = mistaken_unit(ratio) or size
+        cause = sv.staged.mistaken_unit(ratio) or size
         return [
             f"the camera moves {ratio:.3g} times as far as the robot says: {cause}"
-            + (f"; {OTHER_ARM_TEXT}" if by_joints else "")
+            + (f"; {sv.data_checks.OTHER_ARM_TEXT}" if by_joints else "")
         ]
     rotation, translation = report.closure_error
     if report.is_close:

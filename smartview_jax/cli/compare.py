@@ -1,21 +1,21 @@
 """Define `smartview compare`, which prints several methods side by side."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+import smartview_jax as sv
 
 from . import options
-from .error_documents import method_document, views_left_out
+from .documents import method_document, print_document, views_left_out
 from .fit_options import FitKnowledge, parse_fit_options
-from .json_document import print_document
 from .load import load_named
 from .options import with_option_groups
-from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..evaluation import MethodResult
+from .terminal import errors_reported, print_lines, progress_line
 
 
 @with_option_groups
@@ -34,87 +34,83 @@ def compare(
     For a folder with several cameras, print fits of each camera alone and of all together.
     """
     with errors_reported(debug):
-        from ..evaluation import compare as compare_methods
-        from ..evaluation import standard_methods
-        from ..io import is_rig_folder
-
-        if dataset is not None and is_rig_folder(dataset):
-            given = [name for name, value in dataclasses.asdict(known).items() if value is not None]
-            given += ["base-from-world"] * (base_from_world is not None)
-            if given:
-                raise ValueError(f"--{given[0]}: not for several cameras, which {dataset} has")
-            _compare_rig(dataset, lens, bad_views, json)
-            return
+        given = {}
         with progress_line() as progress:
-            data, name = load_named(dataset, bad_views, progress, base_from_world)
-            fit_options = parse_fit_options(lens, data.mount, known)
-            methods = standard_methods(lens, **fit_options.arguments())
-            rows = compare_methods(data, methods, progress=progress)
-        if json:
-            content = {
-                "data_set": name,
-                "lens": lens,
-                "given": fit_options.given,
-                "methods": [method_document(row) for row in rows],
+            if dataset is not None and sv.io.is_rig_folder(dataset):
+                _refuse_knowledge(known, base_from_world, dataset)
+                rig, name = sv.load_rig(dataset, bad_views, progress), dataset.resolve().name
+                methods = sv.evaluation.standard_rig_methods(lens)
+                data_of, rows_of = rig.cameras, sv.compare(rig, methods, progress=progress)
+            else:
+                data, name = load_named(dataset, bad_views, progress, base_from_world)
+                fit_options = parse_fit_options(lens, data.mount, known)
+                methods = sv.evaluation.standard_methods(lens, **fit_options.arguments())
+                data_of, rows_of = {"": data}, {"": sv.compare(data, methods, progress=progress)}
+                given = {"given": fit_options.given}
+        if not json:
+            for camera, data in data_of.items():
+                title = ", ".join([name, *([f"camera {camera}"] if camera else []), f"lens {lens}"])
+                _print(title, rows_of[camera], data.notes)
+            return
+        entries = {
+            camera: {
+                "methods": [method_document(row) for row in rows_of[camera]],
                 "left_out_views": views_left_out(data.masked_views),
                 # With --json nothing but the document is on stdout.
                 "notes": list(data.notes),
             }
-            print_document("compare", content)
-            return
-        _print(f"{name}, lens {lens}", rows, data.notes)
-
-
-def _compare_rig(folder: Path, lens: str, bad_views: str, json: bool) -> None:
-    """Print the methods of each camera of a rig side by side: fitted alone, and all together.
-
-    Args:
-        folder: data-set folder with several cameras.
-        lens: lens model of all cameras.
-        bad_views: as in `load_rig`.
-        json: whether to print a document for programs.
-    """
-    from ..evaluation import compare as compare_methods
-    from ..evaluation import standard_rig_methods
-    from ..io import load_rig
-
-    with progress_line() as progress:
-        rig = load_rig(folder, bad_views, progress)
-        rows = compare_methods(rig, standard_rig_methods(lens), progress=progress)
-    name, cameras = folder.resolve().name, rig.cameras.items()
-    if json:
-        content = {
-            "data_set": name,
-            "lens": lens,
-            "cameras": {
-                camera: {
-                    "methods": [method_document(row) for row in rows[camera]],
-                    "left_out_views": views_left_out(data.masked_views),
-                    "notes": list(data.notes),
-                }
-                for camera, data in cameras
-            },
+            for camera, data in data_of.items()
         }
-        print_document("compare", content)
-        return
-    for camera, data in cameras:
-        _print(f"{name}, camera {camera}, lens {lens}", rows[camera], data.notes)
+        content = entries.get("", {"cameras": entries})
+        print_document("compare", {"data_set": name, "lens": lens, **given, **content})
 
 
-def _print(title: str, rows: "Sequence[MethodResult]", notes: "Sequence[str]") -> None:
+def _refuse_knowledge(known: FitKnowledge, base_from_world: str | None, dataset: Path) -> None:
+    """Raise a ValueError for an option that the methods of several cameras do not have."""
+    given = [name for name, value in dataclasses.asdict(known).items() if value is not None]
+    given += ["base-from-world"] * (base_from_world is not None)
+    if given:
+        raise ValueError(f"--{given[0]}: not for several cameras, which {dataset} has")
+
+
+def _print(title: str, rows: "Sequence[sv.evaluation.MethodResult]", notes: Sequence[str]) -> None:
     """Print the tables of a comparison, notes on the data, and remarks on the methods."""
-    from rich.console import Console
-
-    from ..evaluation import HeldOutReport
-    from ..report import remarks
-    from .compare_tables import print_comparison
-
-    console = Console()
-    console.print(title, highlight=False, markup=False)
+    print_lines(title)
     print_comparison(rows)
-    for note in notes:
-        console.print(note, highlight=False, markup=False)
+    print_lines(*notes)
     for row in rows:
-        held_out_report = None if row.held_out is None else HeldOutReport(row.held_out)
-        for remark in remarks(row.name, row.fitted, held_out_report, row.failure):
-            console.print(remark, highlight=False, markup=False)
+        held_out = None if row.held_out is None else sv.evaluation.HeldOutReport(row.held_out)
+        print_lines(*sv.report.remarks(row.name, row.fitted, held_out, row.failure))
+
+
+_TABLES = {
+    "on the views that were fitted": ("mean +- std, px", "RMS, px", "left out points, views"),
+    "on views that no fit saw": ("held out, px", "95 % interval, px", "held out, mm"),
+}
+"""The headings of each table, by its title; together they cover all numbers of a row."""
+
+
+def print_comparison(rows: "Sequence[sv.evaluation.MethodResult]") -> None:
+    """Print two tables with a row for each method: errors on fitted views, and on held-out ones.
+
+    One table of all columns is wider than most terminals.
+    """
+    console = Console()
+    # The report's own texts, so that page and terminal agree.
+    texts = [
+        dict[str, str](
+            zip(sv.report.COMPARISON_HEADINGS, sv.report.comparison_row(row), strict=True)
+        )
+        for row in rows
+    ]
+    for title, headings in _TABLES.items():
+        table = Table(
+            "method", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False
+        )
+        for heading in headings:
+            # Headings and method names may wrap, but a number is never cut.
+            parts = [*heading.split(), *(text[heading] for text in texts)]
+            table.add_column(heading, justify="right", width=max(map(len, parts)))
+        for text in texts:
+            table.add_row(text["method"], *(text[heading] for heading in headings))
+        console.print(table)

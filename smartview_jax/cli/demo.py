@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+import smartview_jax as sv
+
 from ..files import refuse_unwritable
 from .options import DebugOption
 from .terminal import errors_reported, progress_line
@@ -33,14 +35,8 @@ def demo(
         refuse_unwritable(out, "--out")
         if views < 8:
             raise ValueError(f"--views: expected 8 or more, found {views}")
-        try:
-            from ..picking import run_demo
-
-            with progress_line() as progress:
-                result = run_demo(out, seed, views, progress)
-        except ImportError as error:
-            # The user can install a missing extra: one line, no traceback.
-            raise ValueError(str(error)) from error
+        with progress_line() as progress:
+            result = sv.picking.run_demo(out, seed, views, progress)
         typer.echo(result.pick.outcome)
         held = f"in the hand after the lift: {'yes' if result.held else 'no'}"
         # Without a detection there is no position error.

@@ -1,26 +1,20 @@
 """Define `smartview evaluate`, which predicts pictures that a calibration was not fitted to."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+import smartview_jax as sv
+
+from ..files import read_yaml, refuse_unwritable
 from . import options
-from .error_documents import errors_document, views_left_out
-from .json_document import print_document
+from .documents import errors_document, print_document, views_left_out
 from .load import load_named
 from .options import with_option_groups
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..calibration import Calibration
-    from ..dataset import Dataset
-    from ..evaluation import ReprojectionErrors
-    from ..joint import SavedEstimate
-    from ..report import ErrorSummary
 
 
 @dataclass(frozen=True)
@@ -66,212 +60,173 @@ def evaluate(
     --moved only the camera and the hand-eye transform are judged.
     """
     with errors_reported(debug):
-        from ..evaluation import reprojection_errors
-        from ..files import refuse_unwritable
-        from ..io import is_rig_folder
-        from ..joint import load_with_uncertainty
-        from ..report import ErrorSummary, write_evaluation_page
-
-        if is_rig_folder(new.dataset):
-            if compare or out is not None:
-                raise ValueError(
-                    f"--compare, --out: not for several cameras, which {new.dataset} has"
-                )
-            _evaluate_rig(calibration, new, json)
-            return
+        several = sv.io.is_rig_folder(new.dataset)
+        if several and (compare or out is not None):
+            raise ValueError(f"--compare, --out: not for several cameras, which {new.dataset} has")
         if out is not None:
             refuse_unwritable(out.parent, "--out")
-        paths = [calibration, *(compare or [])]
         with progress_line() as progress:
-            loaded = [load_with_uncertainty(path) for path in paths]
-            data, name = load_named(new.dataset, new.bad_views, progress)
-            if new.moved:
-                loaded = [(_with_target_found(moved_from, data), None) for moved_from, _ in loaded]
-            summaries = [
-                ErrorSummary(path.stem, reprojection_errors(fitted_calibration, data), None)
-                for path, (fitted_calibration, _) in zip(paths, loaded, strict=True)
+            if several:
+                rig = sv.load_rig(new.dataset, new.bad_views, progress)
+                name, names = new.dataset.resolve().name, list(rig.cameras)
+                datasets = list(rig.cameras.values())
+                paths = [calibration / f"{camera}.yaml" for camera in names]
+                loaded = map(sv.joint.load_with_uncertainty, paths)
+            else:
+                paths = [calibration, *(compare or [])]
+                names = [path.stem for path in paths]
+                loaded = [sv.joint.load_with_uncertainty(path) for path in paths]
+                data, name = load_named(new.dataset, new.bad_views, progress)
+                datasets = [data] * len(paths)
+            predictions = [
+                Prediction.of(*given, new.moved)
+                for given in zip(names, paths, loaded, datasets, strict=True)
             ]
-        fitted = _fitted_views(calibration, data)
-        expected = [_expected(estimate, data) for _, estimate in loaded]
-        rows = _rows(summaries, [data] * len(summaries), expected)
-        verdict = _verdict(summaries[0], name) + _fitted_text(fitted, data)
+        judged = predictions if several else predictions[:1]
+        verdict = "\n".join(prediction.verdict(name) for prediction in judged)
         # People see the figures before the page is drawn, which takes seconds.
+        rows = _rows(predictions)
         if not json:
-            _print(rows, [data], verdict)
+            _print(rows, judged, verdict)
         if out is not None:
             title = f"{calibration.name} on {name}"
-            write_evaluation_page(out, title, verdict, loaded[0][0], data, summaries, rows)
-        if json:
-            entries = [
-                {"file": path, **_entries(summary, foreseen, data)}
-                for path, summary, foreseen in zip(paths, summaries, expected, strict=True)
-            ]
-            content = {
-                "data_set": name,
-                "calibrations": entries,
-                "page": out,
-                "fitted_views": fitted,
-            }
-            left_out = {"left_out_views": views_left_out(data.masked_views)}
-            print_document("evaluate", content | left_out)
+            summaries = [prediction.summary for prediction in predictions]
+            first = predictions[0]
+            sv.report.write_evaluation_page(
+                out, title, verdict, first.calibration, first.data, summaries, rows
+            )
+        if json and several:
+            entries = [prediction.document() | prediction.views() for prediction in predictions]
+            print_document("evaluate", {"data_set": name, "cameras": entries})
+        elif json:
+            entries = [prediction.document() for prediction in predictions]
+            content = {"data_set": name, "calibrations": entries, "page": out}
+            print_document("evaluate", content | predictions[0].views())
         elif out is not None:
             typer.echo(f"{out}: the figures")
 
 
-def _evaluate_rig(calibrations: Path, new: NewPictures, json: bool) -> None:
-    """Predict new pictures of several cameras, and print the error of each.
+@dataclass(frozen=True)
+class Prediction:
+    """The errors with which a calibration predicts new pictures.
 
-    Args:
-        calibrations: folder with a calibration of each camera, named after it.
-        new: pictures of several cameras.
-        json: whether to print a document for programs.
+    Attributes:
+        summary: name of the calibration, and the errors.
+        path: file of the calibration.
+        calibration: the calibration, whose target may have been found again.
+        data: the new pictures.
+        expected: errors that the calibration's covariance predicts; None without a covariance.
+        fitted_views: names of the views whose pictures the calibration was fitted to.
     """
-    from ..evaluation import reprojection_errors
-    from ..io import load_rig
-    from ..joint import load_with_uncertainty
-    from ..report import ErrorSummary
 
-    with progress_line() as progress:
-        rig = load_rig(new.dataset, new.bad_views, progress)
-        summaries, expected, files, fitted = [], [], [], {}
-        for name, data in rig.cameras.items():
-            files.append(calibrations / f"{name}.yaml")
-            calibration, estimate = load_with_uncertainty(files[-1])
-            if new.moved:
-                calibration, estimate = _with_target_found(calibration, data), None
-            summaries.append(ErrorSummary(name, reprojection_errors(calibration, data), None))
-            expected.append(_expected(estimate, data))
-            fitted[name] = _fitted_views(files[-1], data)
-    cameras, name = list(rig.cameras.values()), new.dataset.resolve().name
-    if json:
-        entries = [
-            {
-                "file": file,
-                **_entries(summary, foreseen, data),
-                "fitted_views": fitted[summary.name],
-                "left_out_views": views_left_out(data.masked_views),
-            }
-            for file, summary, foreseen, data in zip(
-                files, summaries, expected, cameras, strict=True
-            )
-        ]
-        print_document("evaluate", {"data_set": name, "cameras": entries})
-        return
-    texts = [
-        _verdict(summary, name) + _fitted_text(fitted[summary.name], data)
-        for summary, data in zip(summaries, cameras, strict=True)
-    ]
-    _print(_rows(summaries, cameras, expected), cameras, "\n".join(texts))
+    summary: "sv.report.ErrorSummary"
+    path: Path
+    calibration: "sv.Calibration"
+    data: "sv.Dataset"
+    expected: "sv.evaluation.ReprojectionErrors | None"
+    fitted_views: list[str]
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        path: Path,
+        loaded: "tuple[sv.Calibration, sv.joint.SavedEstimate | None]",
+        data: "sv.Dataset",
+        moved: bool,
+    ) -> "Prediction":
+        """Return the prediction of a data set, whose target may have been moved."""
+        (calibration, estimate), expected = loaded, None
+        if moved:
+            # The target's pose is refitted to the pictures, all else held.
+            held = ("camera", calibration.transform_names[0])
+            calibration = sv.fit_joint(data, calibration, noise="trusted", fixed=held).calibration
+        elif estimate is not None:
+            expected = sv.evaluation.expected_reprojection_errors(estimate, data)
+        errors = sv.evaluation.reprojection_errors(calibration, data)
+        used = set(read_yaml(path).get("pictures") or ())
+        digests = zip(data.view_ids, sv.dataset.picture_digests(data), strict=True)
+        fitted = [view for view, digest in digests if digest in used]
+        summary = sv.report.ErrorSummary(name, errors, None)
+        return cls(summary, path, calibration, data, expected, fitted)
 
-def _print(rows: "Sequence[Sequence[str]]", datasets: "Sequence[Dataset]", verdict: str) -> None:
-    """Print the table of figures, the views left out, and the result in a sentence."""
-    for row in rows:
-        typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
-    for view, reason in dict(entry for data in datasets for entry in data.masked_views).items():
-        typer.echo(f"view {view} is left out: {reason}")
-    typer.echo(verdict)
-
-
-def _entries(
-    summary: "ErrorSummary", expected: "ReprojectionErrors | None", data: "Dataset"
-) -> dict[str, Any]:
-    """Return the figures of one calibration for programs, also by view."""
-    from ..evaluation import rms_interval
-
-    errors = summary.reprojection_errors
-    return {
-        "name": summary.name,
-        **errors_document(errors),
-        "rms_interval_95_px": list(rms_interval(errors)),
-        # As the calibration's covariance predicts; `over_expected` is ideally 1.
-        "expected_rms_px": None if expected is None else expected.rms,
-        "over_expected": None if expected is None else errors.rms / expected.rms,
-        # A view without points has NaN, which JSON writes as null.
-        "rms_by_view_px": dict(zip(data.view_ids, errors.rms_per_view.tolist(), strict=True)),
-    }
-
-
-def _fitted_views(calibration: Path, data: "Dataset") -> list[str]:
-    """Return the names of the views whose pictures the calibration was fitted to."""
-    from ..dataset import picture_digests
-    from ..files import read_yaml
-
-    fitted = set(read_yaml(calibration).get("pictures") or ())
-    digests = picture_digests(data)
-    return [view for view, digest in zip(data.view_ids, digests, strict=True) if digest in fitted]
-
-
-def _fitted_text(fitted: "Sequence[str]", data: "Dataset") -> str:
-    """Return a sentence about pictures that are not new to the calibration; empty without any."""
-    if not fitted:
-        return ""
-    names = "" if len(fitted) == data.view_count else f" ({', '.join(fitted)})"
-    return (
-        f"\n{len(fitted)} of {data.view_count} pictures{names} were used to fit this calibration: "
-        "the error on new pictures is larger. Take new ones, or see the held-out errors of "
-        "smartview calibrate."
-    )
-
-
-def _with_target_found(calibration: "Calibration", data: "Dataset") -> "Calibration":
-    """Return the calibration with the target's pose refitted to the pictures, all else held."""
-    from ..joint import fit_joint
-
-    held = ("camera", calibration.transform_names[0])
-    return fit_joint(data, calibration, noise="trusted", fixed=held).calibration
-
-
-def _expected(estimate: "SavedEstimate | None", data: "Dataset") -> "ReprojectionErrors | None":
-    """Return the errors that the calibration's covariance predicts; None without a covariance."""
-    from ..evaluation import expected_reprojection_errors
-
-    return None if estimate is None else expected_reprojection_errors(estimate, data)
-
-
-def _rows(
-    summaries: "Sequence[ErrorSummary]",
-    datasets: "Sequence[Dataset]",
-    expected: "Sequence[ReprojectionErrors | None]",
-) -> list[list[str]]:
-    """Return the table, one column for each calibration, with the measures' names first."""
-    from ..evaluation import rms_interval
-
-    columns = [
-        [
-            "",
-            "mean +- std",
-            "RMS",
-            "  95 % interval over views",
-            "  at the target",
-            "  actual / predicted error (ideal: 1)",
-            "points, views",
-            "points that cannot be predicted",
-        ]
-    ]
-    for summary, data, foreseen in zip(summaries, datasets, expected, strict=True):
-        errors = summary.reprojection_errors
-        low, high = rms_interval(errors)
-        views = int((errors.px == errors.px).any(axis=1).sum())
-        columns.append(
-            [
-                summary.name,
-                f"{errors.mean:.2f} +- {errors.std:.2f} px",
-                f"{errors.rms:.2f} px",
-                f"{low:.2f} to {high:.2f} px",
-                f"{errors.rms_mm:.2f} mm",
-                "-" if foreseen is None else f"{errors.rms / foreseen.rms:.2f}",
-                f"{data.observation_count}, {views}",
-                f"{errors.unpredicted_count}",
-            ]
+    def verdict(self, name: str) -> str:
+        """Return the result in a sentence, and a second one about pictures that are not new."""
+        errors, data, fitted = self.summary.reprojection_errors, self.data, self.fitted_views
+        text = (
+            f"{self.summary.name} predicts the target in {name} to {errors.rms:.2f} px RMS, "
+            f"{errors.rms_mm:.2f} mm at the target."
         )
+        if not fitted:
+            return text
+        names = "" if len(fitted) == data.view_count else f" ({', '.join(fitted)})"
+        return (
+            f"{text}\n{len(fitted)} of {data.view_count} pictures{names} were used to fit this "
+            "calibration: the error on new pictures is larger. Take new ones, or see the held-out "
+            "errors of smartview calibrate."
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the figures for programs, also by view."""
+        errors, expected = self.summary.reprojection_errors, self.expected
+        rms_by_view = zip(self.data.view_ids, errors.rms_per_view.tolist(), strict=True)
+        return {
+            "file": self.path,
+            "name": self.summary.name,
+            **errors_document(errors),
+            "rms_interval_95_px": list(sv.evaluation.rms_interval(errors)),
+            # As the calibration's covariance predicts; `over_expected` is ideally 1.
+            "expected_rms_px": None if expected is None else expected.rms,
+            "over_expected": None if expected is None else errors.rms / expected.rms,
+            # A view without points has NaN, which JSON writes as null.
+            "rms_by_view_px": dict(rms_by_view),
+        }
+
+    def views(self) -> dict[str, Any]:
+        """Return the views that are not new, and those left out, for programs."""
+        left_out = views_left_out(self.data.masked_views)
+        return {"fitted_views": self.fitted_views, "left_out_views": left_out}
+
+    def column(self) -> list[str]:
+        """Return the figures as a column of the table."""
+        errors, expected = self.summary.reprojection_errors, self.expected
+        low, high = sv.evaluation.rms_interval(errors)
+        views = int((errors.px == errors.px).any(axis=1).sum())
+        return [
+            self.summary.name,
+            f"{errors.mean:.2f} +- {errors.std:.2f} px",
+            f"{errors.rms:.2f} px",
+            f"{low:.2f} to {high:.2f} px",
+            f"{errors.rms_mm:.2f} mm",
+            "-" if expected is None else f"{errors.rms / expected.rms:.2f}",
+            f"{self.data.observation_count}, {views}",
+            f"{errors.unpredicted_count}",
+        ]
+
+
+_MEASURES = (
+    "",
+    "mean +- std",
+    "RMS",
+    "  95 % interval over views",
+    "  at the target",
+    "  actual / predicted error (ideal: 1)",
+    "points, views",
+    "points that cannot be predicted",
+)
+
+
+def _rows(predictions: Sequence[Prediction]) -> list[list[str]]:
+    """Return the table, one column for each calibration, with the measures' names first."""
+    columns = (_MEASURES, *(prediction.column() for prediction in predictions))
     return [list(row) for row in zip(*columns, strict=True)]
 
 
-def _verdict(summary: "ErrorSummary", name: str) -> str:
-    """Return the result in a sentence."""
-    errors = summary.reprojection_errors
-    return (
-        f"{summary.name} predicts the target in {name} to {errors.rms:.2f} px RMS, "
-        f"{errors.rms_mm:.2f} mm at the target."
-    )
+def _print(rows: Sequence[Sequence[str]], judged: Sequence[Prediction], verdict: str) -> None:
+    """Print the table of figures, the views left out, and the result in a sentence."""
+    for row in rows:
+        typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
+    masked = (entry for prediction in judged for entry in prediction.data.masked_views)
+    for view, reason in dict(masked).items():
+        typer.echo(f"view {view} is left out: {reason}")
+    typer.echo(verdict)

@@ -2,18 +2,35 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
+import numpy as np
 import typer
 
+import smartview_jax as sv
+
+from .. import schemas
 from ..argument_checks import errors_at
+from ..export_text import (
+    MOUNT_FRAMES,
+    OpenCVDistortion,
+    RigCamera,
+    StaticTransform,
+    camera_info_text,
+    easy_handeye_text,
+    inverse_pose,
+    kalibr_camchain_text,
+    launch_text,
+    opencv_distortion,
+    opencv_text,
+    origin_text,
+    pose_matrix,
+    static_transform_launch_text,
+    static_transform_text,
+)
 from .options import DebugOption
+from .robot_commands import named_arm
 from .terminal import errors_reported
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ..export_text import OpenCVDistortion
 
 
 class ExportFormat(StrEnum):
@@ -71,8 +88,6 @@ def export(
 ) -> None:
     """Print the calibration of one camera or of several in another program's format."""
     with errors_reported(debug):
-        from ..schemas.calibration import read_calibration_file
-
         several = len(calibrations) > 1
         if several and to not in SEVERAL_CAMERAS:
             names = ", ".join(form.value for form in SEVERAL_CAMERAS)
@@ -81,19 +96,23 @@ def export(
             raise ValueError("--child: the frames of several cameras have the names of their files")
         if arm is not None and to is not ExportFormat.ROBOT_URDF:
             raise ValueError("--arm: only with --to robot_urdf")
-        children = {path: f"{path.stem}_optical_frame" for path in calibrations}
-        if len(set(children.values())) < len(calibrations):
+        names = [f"{path.stem}_optical_frame" for path in calibrations]
+        if len(set(names)) < len(calibrations):
             raise ValueError("expected files of different names, one for each camera")
         if not several:
-            children = {calibrations[0]: child or "camera_optical_frame"}
-        # Plain numbers suffice: JAX would take longer to import than everything here.
-        contents = {path: read_calibration_file(path) for path in calibrations}
-        if to is ExportFormat.ROBOT_URDF:
-            path = calibrations[0]
-            typer.echo(_robot_text(path, arm, parent, children[path]), nl=False)
-            return
-        _note_corrections(contents, to)
-        typer.echo(_exported_text(contents, children, to, parent), nl=False)
+            names = [child or "camera_optical_frame"]
+        exported = [
+            # Plain numbers suffice: JAX would take longer to import than everything here.
+            Exported(path, schemas.read_calibration_file(path), parent, name)
+            for path, name in zip(calibrations, names, strict=True)
+        ]
+        if to is not ExportFormat.ROBOT_URDF:
+            _note_corrections(exported, to)
+            joined = several or to is ExportFormat.KALIBR
+            text = _joined_text(exported, to) if joined else exported[0].text(to)
+        else:
+            text = exported[0].robot_text(arm)
+        typer.echo(text, nl=False)
 
 
 SEVERAL_CAMERAS = (
@@ -108,14 +127,96 @@ WITHOUT_ROBOT = (ExportFormat.CAMERA_INFO, ExportFormat.KALIBR)
 """The formats in which a correction of the robot's error would not matter."""
 
 
-def _note_corrections(contents: "dict[Path, dict[str, Any]]", to: ExportFormat) -> None:
+class Exported(NamedTuple):
+    """A calibration file that is exported.
+
+    Attributes:
+        path: of the file.
+        content: of the file.
+        parent: name of the mount's frame; None for ROS's usual file.
+        child: name of the camera's frame.
+    """
+
+    path: Path
+    content: dict[str, Any]
+    parent: str | None
+    child: str
+
+    def text(self, to: ExportFormat) -> str:
+        """Return the calibration in a format."""
+        content, pose, frame = self.content, self.mount_from_camera, self.frame
+        if to is ExportFormat.CAMERA_INFO:
+            return camera_info_text(content["camera"], self.lens(), "camera")
+        if to is ExportFormat.OPENCV:
+            poses = {
+                name: pose_matrix(_pose(content[name])) for name in content if "_from_" in name
+            }
+            return opencv_text(content["camera"], self.lens(), poses)
+        if to is ExportFormat.URDF:
+            return f"{origin_text(pose_matrix(pose))}\n"
+        if to is ExportFormat.EASY_HANDEYE:
+            return easy_handeye_text(pose, content["mount"], frame, self.child, "smartview")
+        if to is ExportFormat.ROS_LAUNCH:
+            return static_transform_launch_text(pose, frame, self.child)
+        return static_transform_text(pose, frame, self.child)
+
+    @property
+    def frame(self) -> str:
+        """The name of the mount's frame."""
+        return self.parent or MOUNT_FRAMES[self.content["mount"]]
+
+    @property
+    def mount_from_camera(self) -> np.ndarray:
+        """The pose of the camera in its mount's frame."""
+        fixed = self.content["mount"] == "eye_to_hand"
+        return inverse_pose(_pose(self.content[f"camera_from_{'base' if fixed else 'tool'}"]))
+
+    def lens(self) -> OpenCVDistortion:
+        """Return the lens as OpenCV's model, or as the nearest file."""
+        with errors_at(self.path):
+            lens = opencv_distortion(self.content["camera"]["lens"])
+        # OpenCV's nearest lens is fitted.
+        return lens or sv.io.opencv_coefficients(sv.Calibration.load(self.path).camera)
+
+    def rig_camera(self) -> RigCamera:
+        """Return the camera as one of several on a mount."""
+        content = self.content
+        return RigCamera(content["camera"], self.lens(), content["mount"], self.mount_from_camera)
+
+    def robot_text(self, arm: str | None) -> str:
+        """Return the arm as the calibration found it, with its camera, as URDF."""
+        loaded = sv.Calibration.load(self.path)
+        # A fixed camera is on the base link, whose name does not change.
+        if self.parent is not None and loaded.mount == "eye_to_hand":
+            raise ValueError("--parent: with robot_urdf a fixed camera is on base_link")
+        known = None if arm is None else named_arm(arm)
+        return sv.io.robot_urdf(loaded, known, self.parent or "tool0", self.child)
+
+
+def _joined_text(exported: list[Exported], to: ExportFormat) -> str:
+    """Return the calibrations in a format that holds several."""
+    if to is ExportFormat.KALIBR:
+        return kalibr_camchain_text({file.path.stem: file.rig_camera() for file in exported})
+    if to is ExportFormat.ROS_LAUNCH:
+        frames = {
+            file.path.stem: StaticTransform(file.mount_from_camera, file.frame, file.child)
+            for file in exported
+        }
+        return launch_text(frames)
+    named = to is ExportFormat.URDF
+    return "".join(
+        (f"<!-- {file.path.stem} -->\n" if named else "") + file.text(to) for file in exported
+    )
+
+
+def _note_corrections(exported: list[Exported], to: ExportFormat) -> None:
     """Print a note if the exported calibrations lose the correction of the robot's error."""
-    corrected = any(content.get("robot_error") is not None for content in contents.values())
+    corrected = any(file.content.get("robot_error") is not None for file in exported)
     if not corrected or to in WITHOUT_ROBOT:
         return
     # The note goes to stderr, because stdout may be redirected to the exported file.
     advice = "export calibration_uncorrected.yaml, which was fitted without the correction"
-    if len(contents) > 1:
+    if len(exported) > 1:
         advice = "its transforms are the true ones, but predict worse without the correction"
     typer.echo(
         f"note: this calibration corrects the robot's error, but the exported one cannot; {advice}",
@@ -123,131 +224,6 @@ def _note_corrections(contents: "dict[Path, dict[str, Any]]", to: ExportFormat) 
     )
 
 
-def _exported_text(
-    contents: "dict[Path, dict[str, Any]]",
-    children: "dict[Path, str]",
-    to: ExportFormat,
-    parent: str | None,
-) -> str:
-    """Return one calibration, or several, in a format.
-
-    Args:
-        contents: content of each calibration file.
-        children: name of each camera's frame.
-        to: the format.
-        parent: name of the mount's frame; None for ROS's usual one.
-    """
-    if to is ExportFormat.ROS_LAUNCH and len(contents) > 1:
-        from ..export_text import StaticTransform, launch_text
-
-        return launch_text(
-            {
-                path.stem: StaticTransform(*_mounted(content, parent), children[path])
-                for path, content in contents.items()
-            }
-        )
-    if to is ExportFormat.KALIBR:
-        return _camchain_text(contents)
-    if to in (ExportFormat.CAMERA_INFO, ExportFormat.OPENCV):
-        (path, content), *_ = contents.items()
-        return _camera_text(path, content, to)
-    texts = [_pose_text(content, to, parent, children[path]) for path, content in contents.items()]
-    if to is ExportFormat.URDF and len(contents) > 1:
-        texts = [
-            f"<!-- {path.stem} -->\n{text}" for path, text in zip(contents, texts, strict=True)
-        ]
-    return "".join(texts)
-
-
-def _mounted(content: dict[str, Any], parent: str | None) -> "tuple[np.ndarray, str]":
-    """Return the pose of the camera in its mount's frame, and the name of this frame."""
-    from ..export_text import MOUNT_FRAMES, inverse_pose
-
-    mount = content["mount"]
-    name = "camera_from_base" if mount == "eye_to_hand" else "camera_from_tool"
-    return inverse_pose(_pose(content[name])), parent or MOUNT_FRAMES[mount]
-
-
-def _camchain_text(contents: "dict[Path, dict[str, Any]]") -> str:
-    """Return the cameras as Kalibr's camchain."""
-    from ..export_text import RigCamera, kalibr_camchain_text
-
-    return kalibr_camchain_text(
-        {
-            path.stem: RigCamera(
-                content["camera"],
-                _opencv_lens(path, content),
-                content["mount"],
-                _mounted(content, None)[0],
-            )
-            for path, content in contents.items()
-        }
-    )
-
-
-def _pose_text(content: dict[str, Any], to: ExportFormat, parent: str | None, child: str) -> str:
-    """Return the pose of the camera in its mount's frame, for ROS, easy_handeye2 or URDF."""
-    from ..export_text import (
-        easy_handeye_text,
-        origin_text,
-        pose_matrix,
-        static_transform_launch_text,
-        static_transform_text,
-    )
-
-    mount_from_camera, frame = _mounted(content, parent)
-    if to is ExportFormat.URDF:
-        return f"{origin_text(pose_matrix(mount_from_camera))}\n"
-    if to is ExportFormat.EASY_HANDEYE:
-        return easy_handeye_text(mount_from_camera, content["mount"], frame, child, "smartview")
-    if to is ExportFormat.ROS_LAUNCH:
-        return static_transform_launch_text(mount_from_camera, frame, child)
-    return static_transform_text(mount_from_camera, frame, child)
-
-
-def _robot_text(path: Path, arm: str | None, parent: str | None, child: str) -> str:
-    """Return the arm as the calibration found it, with its camera, as URDF."""
-    from ..calibration import Calibration
-    from ..io import robot_urdf
-    from .robot_commands import named_arm
-
-    loaded = Calibration.load(path)
-    on_hand = loaded.mount != "eye_to_hand"
-    # A fixed camera is on the base link, whose name does not change.
-    if parent is not None and not on_hand:
-        raise ValueError("--parent: with robot_urdf a fixed camera is on base_link")
-    tool = parent or "tool0"
-    return robot_urdf(loaded, None if arm is None else named_arm(arm), tool, child)
-
-
-def _camera_text(path: Path, content: dict[str, Any], to: ExportFormat) -> str:
-    """Return the camera for ROS, or the camera and both transforms for OpenCV."""
-    from ..export_text import camera_info_text, opencv_text, pose_matrix
-
-    camera, lens = content["camera"], _opencv_lens(path, content)
-    if to is ExportFormat.CAMERA_INFO:
-        return camera_info_text(camera, lens, "camera")
-    names = [name for name in content if "_from_" in name]
-    return opencv_text(camera, lens, {name: pose_matrix(_pose(content[name])) for name in names})
-
-
-def _opencv_lens(path: Path, content: dict[str, Any]) -> "OpenCVDistortion":
-    """Return the lens of a calibration file as OpenCV's model, or as the nearest one."""
-    from ..export_text import opencv_distortion
-
-    with errors_at(path):
-        lens = opencv_distortion(content["camera"]["lens"])
-    if lens is None:
-        from ..calibration import Calibration
-        from ..io import opencv_coefficients
-
-        # OpenCV's nearest lens is fitted.
-        lens = opencv_coefficients(Calibration.load(path).camera)
-    return lens
-
-
-def _pose(entry: dict[str, Any]) -> "np.ndarray":
+def _pose(entry: dict[str, Any]) -> np.ndarray:
     """Return a transform of a file as seven numbers: quaternion, real part first, and m."""
-    import numpy as np
-
     return np.array([*entry["quaternion_wxyz"], *entry["translation"]], dtype=float)

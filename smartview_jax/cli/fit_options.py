@@ -1,5 +1,6 @@
 """Define the options that state prior knowledge, and read their texts."""
 
+import dataclasses
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -7,16 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+import numpy as np
 import typer
 
+import smartview_jax as sv
+
 from ..argument_checks import NUMBER_PATTERN, errors_at
+from ..files import read_yaml
 
 if TYPE_CHECKING:
     from jaxlie import SE3
 
-    from ..calibration import Calibration
-    from ..cameras import Camera
-    from ..engine import Prior
 
 CameraOption = Annotated[
     Path | None,
@@ -90,11 +92,11 @@ class FitOptions(NamedTuple):
         given: the options in words, for the files of a run; empty where there are none.
     """
 
-    camera: "Camera | None" = None
-    start: "Calibration | dict[str, SE3] | None" = None
+    camera: "sv.Camera | None" = None
+    start: "sv.Calibration | dict[str, SE3] | None" = None
     fixed: tuple[str, ...] = ()
     free: tuple[str, ...] = ()
-    priors: "dict[str, Prior] | None" = None
+    priors: "dict[str, sv.Prior] | None" = None
     given: str = ""
 
     def arguments(self) -> dict[str, Any]:
@@ -114,10 +116,8 @@ def parse_fit_options(lens: str, mount: str, known: FitKnowledge) -> FitOptions:
     Raises:
         ValueError: an unknown name, a missing unit, or options that contradict each other.
     """
-    from ..io import read_camera
-
     # Before anything is detected or fitted, so that a misspelt name is reported at once.
-    camera = None if known.camera is None else read_camera(known.camera)
+    camera = None if known.camera is None else sv.io.read_camera(known.camera)
     fixed, free = tuple(known.fixed or ()), tuple(known.free or ())
     units = _units_by_name(lens, mount, camera)
     for option, paths in (("--fixed", fixed), ("--free", free)):
@@ -144,37 +144,30 @@ def _in_words(known: FitKnowledge) -> str:
     return ", ".join(f"--{name} {text}" for name, listed in texts for text in listed)
 
 
-def _units_by_name(lens: str, mount: str, camera: "Camera | None") -> dict[str, str]:
+def _units_by_name(lens: str, mount: str, camera: "sv.Camera | None") -> dict[str, str]:
     """Return the names of the parameters of such a fit, with the unit in which each is shown."""
-    import numpy as np
-
-    from ..calibration import BASES, Calibration, chain_transform_names
-    from ..cameras import Camera, lens_by_name
-    from ..geometry import host_transforms
-    from ..joint import displayed_values
-
     # Any camera of this lens: only the names are used.
-    template = camera or Camera(1e3, 1e3, 320.0, 240.0, lens_by_name(lens), (640, 480))
+    template = camera or sv.Camera(
+        1e3, 1e3, 320.0, 240.0, sv.cameras.lens_by_name(lens), (640, 480)
+    )
     # By NumPy: jaxlie's identity would be a program to compile.
-    anywhere = host_transforms(np.eye(4))
-    bases = anywhere if BASES in chain_transform_names(mount) else None
-    calibration = Calibration(template, anywhere, anywhere, mount, base_from_other_base=bases)
-    return {name: unit for name, (_, unit) in displayed_values(calibration).items()}
+    anywhere = sv.geometry.host_transforms(np.eye(4))
+    bases = (
+        anywhere if sv.calibration.BASES in sv.calibration.chain_transform_names(mount) else None
+    )
+    calibration = sv.Calibration(template, anywhere, anywhere, mount, base_from_other_base=bases)
+    return {name: unit for name, (_, unit) in sv.joint.displayed_values(calibration).items()}
 
 
 def _names_of(option: str, path: str, units: dict[str, str]) -> list[str]:
     """Return the names that a path selects, or raise a ValueError that suggests similar ones."""
-    from ..engine import parameter_mask
-
     with errors_at(option):
-        mask = parameter_mask(tuple(units), (path,))
+        mask = sv.engine.parameter_mask(tuple(units), (path,))
     return [name for name, selected in zip(units, mask, strict=True) if selected]
 
 
 def _prior_texts(texts: Sequence[str]) -> list[str]:
     """Return the priors as NAME=VALUE+-SIGMA, with each file replaced by its lines."""
-    from ..files import read_yaml
-
     lines = []
     for text in texts:
         if "=" in text:
@@ -189,10 +182,8 @@ def _prior_texts(texts: Sequence[str]) -> list[str]:
     return lines
 
 
-def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, Prior]":
+def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, sv.Prior]":
     """Return the path and the prior of NAME=VALUE+-SIGMA, in the library's units."""
-    from ..engine import Prior
-
     path, _, value = text.partition("=")
     shown = {units[name] for name in _names_of("--prior", path.strip(), units)}
     # A path such as camera_from_tool covers lengths and angles, which have no common unit.
@@ -212,7 +203,7 @@ def _parse_prior(text: str, units: dict[str, str]) -> "tuple[str, Prior]":
     if not float(std) > 0.0:
         raise ValueError(f"--prior {path}: expected a positive SIGMA, found {std}")
     scale = factors[unit]
-    return path.strip(), Prior(
+    return path.strip(), sv.Prior(
         std=scale * float(std), mean=None if mean is None else scale * float(mean)
     )
 
@@ -221,7 +212,7 @@ def _refuse_contradictions(
     camera_is_known: bool,
     fixed: tuple[str, ...],
     free: tuple[str, ...],
-    priors: "dict[str, Prior]",
+    priors: "dict[str, sv.Prior]",
     units: dict[str, str],
 ) -> None:
     """Raise a ValueError for options that contradict each other."""
@@ -246,16 +237,12 @@ def _refuse_contradictions(
             )
 
 
-def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, SE3] | None":
+def _parse_start(texts: Sequence[str], mount: str) -> "sv.Calibration | dict[str, SE3] | None":
     """Return the start of the joint fit: a file's calibration with the given transforms, or these.
 
     Raises:
         ValueError: two files, or a transform that the mount does not have.
     """
-    import dataclasses
-
-    from ..calibration import BASES, Calibration, chain_transform_names
-
     files = [text for text in texts if "=" not in text]
     if len(files) > 1:
         raise ValueError(f"--start: one calibration file, found {files[1]!r} too")
@@ -263,15 +250,15 @@ def _parse_start(texts: Sequence[str], mount: str) -> "Calibration | dict[str, S
     if not files:
         return transforms or None
     # Transforms of the options replace the file's, in whatever order they were given.
-    attributes = ("camera_from_mount", "holder_from_world", BASES)
-    parts = dict(zip(chain_transform_names(mount), attributes, strict=False))
+    attributes = ("camera_from_mount", "holder_from_world", sv.calibration.BASES)
+    parts = dict(zip(sv.calibration.chain_transform_names(mount), attributes, strict=False))
     changed = {parts[name]: pose for name, pose in transforms.items()}
-    return dataclasses.replace(Calibration.load(files[0]), **changed)
+    return dataclasses.replace(sv.Calibration.load(files[0]), **changed)
 
 
 def parse_rig_start(
     texts: Sequence[str], mounts: Mapping[str, str]
-) -> "dict[str, Calibration | dict[str, SE3]] | None":
+) -> "dict[str, sv.Calibration | dict[str, SE3]] | None":
     """Return the starts of a rig's cameras by name; None without any.
 
     Args:
@@ -312,17 +299,14 @@ def parse_transforms(texts: Sequence[str], mount: str) -> "dict[str, SE3]":
     Raises:
         ValueError: a text without a name, or a transform that the mount does not have.
     """
-    from ..calibration import chain_transform_names
-    from ..io import parse_rough_pose
-
-    names, transforms = chain_transform_names(mount), {}
+    names, transforms = sv.calibration.chain_transform_names(mount), {}
     for text in texts:
         name, _, pose = text.partition("=")
         # Drawings state either direction: camera_from_tool or its inverse, tool_from_camera.
         reverse = "_from_".join(reversed(name.split("_from_")))
         if name not in names and reverse not in names:
             raise ValueError(f"--start: expected {' or '.join(names)} before =, found {name!r}")
-        rough_pose = parse_rough_pose(f"--start {name}", pose)
+        rough_pose = sv.io.parse_rough_pose(f"--start {name}", pose)
         transforms[name if name in names else reverse] = (
             rough_pose if name in names else rough_pose.inverse()
         )

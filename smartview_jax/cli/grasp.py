@@ -2,19 +2,17 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+
+import smartview_jax as sv
 
 from . import options
 from .options import with_option_groups
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ..grasping import ToolCommands
 
 COMMAND_NAMES = ("approach", "grasp")
 """The names of the two commands, in the order in which the robot takes them."""
@@ -52,14 +50,12 @@ class GraspChoice:
         ),
     ] = "0,0,0,0,0,0"
 
-    def object_from_gripper(self) -> "np.ndarray":
+    def object_from_gripper(self) -> np.ndarray:
         """Return the pose of the options, or of the named or first grasp of the model.
 
         Raises:
             ValueError: neither or both are given, or the model has no such grasp.
         """
-        from ..io import load_object_model
-
         model, name = self.model, self.name
         if (self.grasp_pose is None) == (model is None):
             raise ValueError("grasp: give either --grasp-pose or --model")
@@ -67,7 +63,7 @@ class GraspChoice:
             if name is not None:
                 raise ValueError("--name selects a grasp of a model: give --model too")
             return _pose("--grasp-pose", str(self.grasp_pose))
-        grasps = load_object_model(model).grasps
+        grasps = sv.io.load_object_model(model).grasps
         if not grasps:
             raise ValueError(f"{model}: no grasps in it; place one with smartview model")
         chosen = [candidate for candidate in grasps if name in (None, candidate.name)]
@@ -101,14 +97,11 @@ def grasp(
     target's plane are refused, and no file is written.
     """
     with errors_reported(debug):
-        from ..grasping import TOOL_CHECKS, tool_commands
-        from ..joint import load_with_uncertainty
-
-        codec = robot.codec()
-        loaded_calibration, estimate = load_with_uncertainty(calibration)
+        robot.refuse_unusable()
+        loaded_calibration, estimate = sv.joint.load_with_uncertainty(calibration)
         world_from_gripper = _pose("--object-pose", object_pose) @ chosen.object_from_gripper()
         arm, readings = robot.arm_and_readings(loaded_calibration)
-        tool = tool_commands(
+        tool = sv.tool_commands(
             loaded_calibration,
             # H_Base^World is applied by the calibration; here is the rest of Eq. 20.
             _with_approach(world_from_gripper, 1e-3 * approach, _pose("--gripper", chosen.gripper)),
@@ -116,48 +109,34 @@ def grasp(
             arm=arm,
             near=readings,
         )
-        sheet = CommandSheet.of(
-            loaded_calibration,
-            COMMAND_NAMES,
-            tool.commands,
-            codec,
-            arm,
-            TOOL_CHECKS,
+        sheet = CommandSheet(
+            robot, loaded_calibration, COMMAND_NAMES, tool.commands, arm, sv.grasping.TOOL_CHECKS
         )
         sheet.give(
             "grasp",
-            robot.out,
-            robot.allow,
             json,
             lambda: typer.echo(_error_text(tool, calibration)),
             error=_error_document(tool),
         )
 
 
-def _pose(option: str, text: str) -> "np.ndarray":
+def _pose(option: str, text: str) -> np.ndarray:
     """Return the 4x4 transform of an option."""
-    from ..geometry import host_matrices
-    from ..io import parse_rough_pose
-
-    return host_matrices(parse_rough_pose(option, text))
+    return sv.geometry.host_matrices(sv.io.parse_rough_pose(option, text))
 
 
 def _with_approach(
-    world_from_gripper: "np.ndarray", distance: float, tool_from_gripper: "np.ndarray"
-) -> "np.ndarray":
+    world_from_gripper: np.ndarray, distance: float, tool_from_gripper: np.ndarray
+) -> np.ndarray:
     """Return `world_from_tool` before the grasp and at it, `(2, 4, 4)`."""
-    import numpy as np
-
     back = np.eye(4)
     back[2, 3] = -distance
     gripper_from_tool = np.linalg.inv(tool_from_gripper)
     return np.stack([world_from_gripper @ back, world_from_gripper]) @ gripper_from_tool
 
 
-def _error_document(tool: "ToolCommands") -> dict[str, Any] | None:
+def _error_document(tool: "sv.grasping.ToolCommands") -> dict[str, Any] | None:
     """Return the standard deviations of the tool's error at the grasp, m and rad."""
-    import numpy as np
-
     if tool.covariance is None:
         return None
     # The last pose is the grasp itself.
@@ -165,18 +144,14 @@ def _error_document(tool: "ToolCommands") -> dict[str, Any] | None:
     return {"axes": "of the tool, x y z", "std_m": std[:3], "std_rad": std[3:]}
 
 
-def _error_text(tool: "ToolCommands", path: Path) -> str:
+def _error_text(tool: "sv.grasping.ToolCommands", path: Path) -> str:
     """Return the tool's error in words: 95 % intervals in mm and degrees."""
-    import numpy as np
-
-    from ..geometry import vector_text
-
     errors = _error_document(tool)
     if errors is None:
         return f"{path} has no covariance: the tool's error is not known"
     # 1.96 standard deviations are 95 % of a Gaussian.
-    millimetres = vector_text(1.96e3 * errors["std_m"], 2)
-    degrees = vector_text(1.96 * np.rad2deg(errors["std_rad"]), 3)
+    millimetres = sv.geometry.vector_text(1.96e3 * errors["std_m"], 2)
+    degrees = sv.geometry.vector_text(1.96 * np.rad2deg(errors["std_rad"]), 3)
     return (
         f"error of the tool: within +- {millimetres} mm and +- {degrees} degrees (95 %) along and "
         "about its own x, y, z,\nfrom the calibration's uncertainty and the robot's noise; the "

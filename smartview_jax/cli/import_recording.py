@@ -3,16 +3,14 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import smartview_jax as sv
+
 from .options import DebugOption, parse_numbers, with_option_groups
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from ..recordings import BagSources, ImportedFolder, LeRobotSources, MomentChoice
-    from ..robots import SerialArm
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,39 +91,25 @@ class SourceOptions:
         ),
     ] = False
 
-    def sources(self) -> "BagSources":
+    def sources(self) -> "sv.BagSources":
         """Return the topics and frames, with the arm read from its file."""
-        from ..recordings import BagSources
-
         arm, names = self.arm_and_names()
-        return BagSources(
-            image=self.image,
-            camera_info=self.camera_info,
-            base=self.base,
-            tool=self.tool,
-            robot=self.robot,
-            joints=self.joints,
-            joint_names=names,
-            arm=arm,
-            tag=self.tag,
-            tag_id=self.tag_id,
-            camera=self.camera_frame,
-            received=self.received,
-        )
+        named = {key: value for key, value in vars(self).items() if key != "camera_frame"}
+        named |= {"arm": arm, "joint_names": names, "camera": self.camera_frame}
+        return sv.BagSources(**named)
 
-    def arm_and_names(self) -> "tuple[SerialArm | None, tuple[str, ...]]":
+    def arm_and_names(self) -> "tuple[sv.robots.SerialArm | None, tuple[str, ...]]":
         """Return the arm of the joint readings and the names of its joints."""
-        from ..io import load_urdf, urdf_joint_names
-        from ..robots import arm_by_name
-
         if self.arm is None:
             return None, ()
         names = tuple(self.joint_names.split(",")) if self.joint_names is not None else ()
         if not self.arm.endswith(".urdf"):
-            return arm_by_name(self.arm), names
+            return sv.robots.arm_by_name(self.arm), names
         # The links of a robot's file have the names of its frames in tf.
         links = {"base": self.base, "tip": self.tool}
-        return load_urdf(self.arm, **links), names or urdf_joint_names(self.arm, **links)
+        return sv.io.load_urdf(self.arm, **links), names or sv.io.urdf_joint_names(
+            self.arm, **links
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,10 +142,8 @@ class LeRobotOptions:
         typer.Option(help="LeRobot: numbers of the episodes used, such as 0,3; by default all."),
     ] = None
 
-    def sources(self, source: SourceOptions) -> "LeRobotSources":
+    def sources(self, source: SourceOptions) -> "sv.LeRobotSources":
         """Return the features and the robot's state."""
-        from ..recordings import LeRobotSources
-
         given = {f"--{name.replace('_', '-')}": getattr(source, name) for name in _OF_BAGS}
         if wrong := [name for name, value in given.items() if value]:
             raise ValueError(f"{wrong[0]}: not for a data set of LeRobot")
@@ -169,7 +151,7 @@ class LeRobotOptions:
         numbers = self.episodes.split(",") if self.episodes is not None else []
         if not all(number.strip().isdigit() for number in numbers):
             raise ValueError(f"--episodes: expected numbers such as 0,3; found {self.episodes}")
-        return LeRobotSources(
+        return sv.LeRobotSources(
             image=source.image,
             state=source.joints or source.robot or "observation.state",
             names=tuple(self.state_names.split(",")) if self.state_names is not None else (),
@@ -212,14 +194,14 @@ class MomentOptions:
         ),
     ] = "0.1,0.023"
 
-    def choice(self) -> "MomentChoice":
+    def choice(self) -> "sv.MomentChoice":
         """Return the rules, in the library's units."""
-        from ..recordings import MomentChoice
-
         millimetres, degrees = parse_numbers(
             "--still-within", self.still_within, 2, "mm and degrees"
         )
-        return MomentChoice(self.every, self.still_for, 1e-3 * millimetres, math.radians(degrees))
+        return sv.MomentChoice(
+            self.every, self.still_for, 1e-3 * millimetres, math.radians(degrees)
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -272,8 +254,6 @@ def import_(
     'smartview-jax[lerobot]'.
     """
     with errors_reported(debug):
-        from ..recordings import INFO_FILE, import_bag, import_lerobot
-
         if pictured.target is None and source.tag is None:
             raise ValueError(
                 "--target: expected the target in the pictures, such as charuco (or --tag for "
@@ -282,21 +262,21 @@ def import_(
         target, mount = pictured.target, pictured.mount
         choice = moments.choice()
         with progress_line() as progress:
-            if (recording / INFO_FILE).is_file():
+            if (recording / sv.recordings.INFO_FILE).is_file():
                 if target is None:
                     raise ValueError("--tag: not for a data set of LeRobot; it needs --target")
                 sources = lerobot.sources(source)
-                written = import_lerobot(
+                written = sv.import_lerobot(
                     recording, folder, sources, target, mount, choice, progress
                 )
             else:
-                written = import_bag(
+                written = sv.import_bag(
                     recording, folder, source.sources(), target, mount, choice, progress
                 )
         _print_summary(written)
 
 
-def _print_summary(written: "ImportedFolder") -> None:
+def _print_summary(written: "sv.recordings.ImportedFolder") -> None:
     """Print what was used, what was left out and why, and the next steps."""
     for note in written.notes:
         typer.echo(note)

@@ -1,14 +1,13 @@
-"""Load the data set, or the pictures of an object, that a subcommand works on."""
+"""Load the data set, or the pictures of an object with their calibration, for a subcommand."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Annotated, NamedTuple
 
 import typer
 
-if TYPE_CHECKING:
-    from ..dataset import Dataset
-    from ..robots import Command
+import smartview_jax as sv
 
 
 def load_named(
@@ -17,7 +16,7 @@ def load_named(
     progress: Callable[[str], None],
     base_from_world: str | None = None,
     tracked_poses: bool = False,
-) -> "tuple[Dataset, str]":
+) -> "tuple[sv.Dataset, str]":
     """Load a data set (the sample if none is named), and return it with its name.
 
     Args:
@@ -31,19 +30,18 @@ def load_named(
         ValueError: several cameras, or poses of a tracker where pictures are needed; and the
             errors of `load_dataset`.
     """
-    from ..dataset import PoseDataset
-    from ..io import load_dataset, parse_rough_pose, sample_folder
-
     rough_pose = None
     if base_from_world is not None:
-        rough_pose = parse_rough_pose("--base-from-world", base_from_world)
+        rough_pose = sv.io.parse_rough_pose("--base-from-world", base_from_world)
 
     if dataset is None:
         # The sample belongs to the installed package, and nothing is written to its folder.
         progress("no data set given: the sample of the package")
-        return load_dataset(sample_folder(), progress=progress, keep_detections=False), "the sample"
-    data = load_dataset(dataset, bad_views, progress=progress, holder_from_world=rough_pose)
-    if isinstance(data, PoseDataset) and not tracked_poses:
+        return sv.load_dataset(
+            sv.io.sample_folder(), progress=progress, keep_detections=False
+        ), "the sample"
+    data = sv.load_dataset(dataset, bad_views, progress=progress, holder_from_world=rough_pose)
+    if isinstance(data, sv.dataset.PoseDataset) and not tracked_poses:
         raise ValueError(
             f"{dataset}: has poses of a tracker or a depth sensor in place of pictures: only "
             "smartview calibrate takes it"
@@ -51,47 +49,41 @@ def load_named(
     return data, dataset.resolve().name
 
 
-def load_samples(file: Path, mount: str | None) -> "tuple[Dataset, str]":
+def load_samples(file: Path, mount: str | None) -> "tuple[sv.Dataset, str]":
     """Read a file of easy_handeye2's samples, and return them with their name.
 
     Raises:
         ValueError: the mount is not stated, which the file does not tell; or a wrong file.
     """
-    from ..dataset import PoseDataset
-    from ..io import DESCRIPTION_FILE, read_easy_handeye
-
-    if file.name == DESCRIPTION_FILE:
+    if file.name == sv.io.DESCRIPTION_FILE:
         raise ValueError(f"{file}: describes a data set: give its folder, {file.parent}")
     if mount is None:
         raise ValueError(
             f"{file}: the file does not tell where the camera is: give --mount eye_in_hand, or "
             "eye_to_hand for a fixed camera"
         )
-    samples = read_easy_handeye(file, mount)
-    data = PoseDataset.from_poses(samples.base_from_tool, samples.camera_from_world, mount)
+    samples = sv.io.read_easy_handeye(file, mount)
+    data = sv.dataset.PoseDataset.from_poses(
+        samples.base_from_tool, samples.camera_from_world, mount
+    )
     return data, file.stem
 
 
 def with_estimated_clock(
-    data: "Dataset", dataset: Path | None, lens: str, progress: Callable[[str], None]
-) -> "Dataset":
+    data: "sv.Dataset", dataset: Path | None, lens: str, progress: Callable[[str], None]
+) -> "sv.Dataset":
     """Return the data set with poses interpolated at the pictures' times, for the estimated clock.
 
     Raises:
         ValueError: the data set has a pose for each view instead of a robot's log.
     """
-    import dataclasses
-
-    from ..clocks import estimate_time_offset
-    from ..io import load_pose_log
-
-    log = None if dataset is None else load_pose_log(dataset)
+    log = None if dataset is None else sv.io.load_pose_log(dataset)
     if log is None:
         raise ValueError(
             "--time-offset: expected a data set whose robot logged its poses over time "
             "(poses.picture_times); this one has a pose for each view"
         )
-    estimate = estimate_time_offset(
+    estimate = sv.estimate_time_offset(
         data, log.trajectory, log.picture_times, lens, progress=progress
     )
     note = f"{estimate} (in dataset.yaml: poses.time_offset: {estimate.seconds:.6f})"
@@ -111,34 +103,26 @@ class NamedViews(NamedTuple):
 
     names: list[str]
     pictures: list[Path]
-    command: "Command | None"
+    command: "sv.robots.Command | None"
     cameras: tuple[str, ...] = ()
     states: tuple[str, ...] = ()
 
 
 def load_views(folder: Path) -> NamedViews:
     """Return the views in a folder."""
-    from ..io import (
-        OBJECT_VIEWS_FILE,
-        is_rig_object_views,
-        load_object_views,
-        load_rig_object_views,
-        load_view_pictures,
-    )
-
     # A data set of a board may keep the pictures of the object in a separate folder.
     for candidate in (folder, folder / "object"):
-        if is_rig_object_views(candidate):
-            seen = load_rig_object_views(candidate)
+        if sv.io.is_rig_object_views(candidate):
+            seen = sv.io.load_rig_object_views(candidate)
             _print_notes(seen.notes)
             names, files = list(seen.view_ids), list(seen.paths)
             return NamedViews(names, files, seen.command, seen.cameras, seen.states)
-        if (candidate / OBJECT_VIEWS_FILE).is_file():
-            object_views = load_object_views(candidate)
+        if (candidate / sv.io.OBJECT_VIEWS_FILE).is_file():
+            object_views = sv.io.load_object_views(candidate)
             _print_notes(object_views.notes)
             names, files = list(object_views.view_ids), list(object_views.paths)
             return NamedViews(names, files, object_views.command)
-    views = load_view_pictures(folder)
+    views = sv.io.load_view_pictures(folder)
     _print_notes(views.notes)
     return NamedViews(views.view_ids, views.pictures, views.command)
 
@@ -147,3 +131,69 @@ def _print_notes(notes: Sequence[str]) -> None:
     """Print notes to stderr, because they are not part of a command's result."""
     for note in notes:
         typer.echo(note, err=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class RigOptions:
+    """The options of a subcommand that may be given the calibration of a rig.
+
+    Attributes:
+        camera: the camera that took the views; None where the views say so.
+        frame: frame of the results.
+    """
+
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="With a rig's calibration and pictures of one camera: its name, such as left.",
+        ),
+    ] = None
+    frame: Annotated[
+        str,
+        typer.Option(
+            help="With a rig's calibration: frame of the results, such as base (of the robot, for "
+            "cameras on the hand and next to the arm) or world (of the target that all cameras "
+            "saw).",
+        ),
+    ] = "world"
+
+
+def load_calibrated_views(
+    path: Path, views: NamedViews, wanted: RigOptions
+) -> "tuple[sv.modeling.AnyCalibration, sv.joint.SavedEstimate | None, bool]":
+    """Return the calibration of views, its covariance, and whether it is taken as exact.
+
+    Args:
+        path: a calibration file, or the folder or file of a calibrated rig.
+        views: the views.
+        wanted: the camera that took them, and the frame of the results.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError: a wrong file, or a calibration that does not belong to the views.
+    """
+    camera, frame = wanted.camera, wanted.frame
+    if not sv.joint.is_rig(path):
+        if views.cameras:
+            raise ValueError(
+                f"{path}: the views are of cameras {', '.join(dict.fromkeys(views.cameras))}: give "
+                "the calibration of their rig, the folder that smartview calibrate wrote"
+            )
+        if camera is not None or frame != "world":
+            raise ValueError(f"{path}: --camera and --frame are for the calibration of a rig")
+        loaded, estimate = sv.joint.load_with_uncertainty(path)
+        return loaded, estimate, estimate is None
+    calibrations, joint = sv.joint.load_calibrated_rig(path)
+    names = views.cameras
+    if not names:
+        if camera is None:
+            raise ValueError(
+                f"{path}: a rig of {', '.join(calibrations)}, and pictures of one camera: name it "
+                "by --camera"
+            )
+        names = (camera,) * len(views.names)
+    elif camera is not None:
+        raise ValueError(f"--camera {camera}: the folder names the cameras of its pictures")
+    states = views.states or None
+    rig = calibrations if joint is None else joint
+    return sv.RigViews(rig, names, states, frame), None, joint is None

@@ -1,26 +1,21 @@
 """Define `smartview localize`, which finds known objects in calibrated pictures."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
+import smartview_jax as sv
+
 from ..argument_checks import errors_at
-from .calibrated_views import RigOptions, load_calibrated_views
-from .json_document import print_document, transform_document
-from .load import load_views
+from ..files import refuse_unwritable
+from .documents import print_document, transform_document
+from .load import RigOptions, load_calibrated_views, load_views
 from .options import DebugOption, JsonOption, parse_numbers, with_option_groups
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    import numpy as np
-
-    from ..cameras import Camera
-    from ..features import PictureEvidence
-    from ..localization import Localization, Localizations
 
 
 @dataclass(frozen=True)
@@ -48,32 +43,24 @@ class SearchOptions:
         ),
     ] = None
 
-    def corners(self) -> "np.ndarray | None":
+    def corners(self) -> np.ndarray | None:
         """Return two opposite corners of the workspace box.
 
         Raises:
             ValueError: not six finite numbers.
         """
-        import numpy as np
-
         if self.workspace is None:
             return None
         corners = parse_numbers("--workspace", self.workspace, 6, "x,y,z,x,y,z (m)")
         return np.array(corners).reshape(2, 3)
 
-    def triangles(self) -> "np.ndarray | None":
+    def triangles(self) -> np.ndarray | None:
         """Return the triangles of the obstacles in the world."""
-        import numpy as np
-
-        from ..io import read_mesh, to_trimesh
-
         if not self.occluder:
             return None
-        try:
-            triangles = [np.asarray(to_trimesh(read_mesh(p)).triangles) for p in self.occluder]
-        except ImportError as error:
-            # The user can install a missing extra: one line, no traceback.
-            raise ValueError(str(error)) from error
+        triangles = [
+            np.asarray(sv.io.to_trimesh(sv.io.read_mesh(p)).triangles) for p in self.occluder
+        ]
         return np.concatenate(triangles)
 
 
@@ -100,30 +87,24 @@ def localize(
     accepted. Use two views or more: from one view the distance to an object is uncertain.
     """
     with errors_reported(debug):
-        from .. import localization
-        from ..detection import read_picture
-        from ..files import refuse_unwritable
-        from ..io import load_object_model
-        from ..modeling import SeenViews
-        from ..report import localization_verdict, write_localization_page
-
         # Options are checked before the pictures are searched, which takes long.
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         corners, triangles = search.corners(), search.triangles()
         models = search.models
-        objects = [load_object_model(path) for path in models]
+        objects = [sv.io.load_object_model(path) for path in models]
         seen = load_views(views)
         names, paths, command = seen.names, seen.pictures, seen.command
         loaded, estimate, is_exact = load_calibrated_views(calibration, seen, rig)
-        cameras = SeenViews.of(loaded, command).cameras
+        cameras = sv.modeling.SeenViews.of(loaded, command).cameras
         with progress_line() as progress:
             pictures = [
-                read_picture(path, own.image_size) for path, own in zip(paths, cameras, strict=True)
+                sv.detection.read_picture(path, own.image_size)
+                for path, own in zip(paths, cameras, strict=True)
             ]
             evidence = _evidence(pictures, paths, cameras, progress)
             progress("searching")
-            localizations = localization.localize(
+            localizations = sv.localize(
                 evidence,
                 command,
                 loaded,
@@ -135,12 +116,12 @@ def localize(
         # The table comes before the page, which takes seconds to draw.
         if not json:
             _print(localizations)
-            typer.echo(localization_verdict(localizations))
+            typer.echo(sv.report.localization_verdict(localizations))
             if is_exact:
                 typer.echo(f"{calibration} has no covariance: taken as exact")
         if out is not None:
             title = f"{', '.join(path.stem for path in models)} in {views.resolve().name}"
-            write_localization_page(out, title, loaded, localizations, pictures, names)
+            sv.report.write_localization_page(out, title, loaded, localizations, pictures, names)
         if json:
             content = {
                 "views": names,
@@ -158,27 +139,23 @@ def localize(
 
 
 def _evidence(
-    pictures: "Sequence[np.ndarray]",
-    paths: "Sequence[Path]",
-    cameras: "Sequence[Camera]",
-    progress: "Callable[[str], None]",
-) -> "list[PictureEvidence]":
+    pictures: Sequence[np.ndarray],
+    paths: Sequence[Path],
+    cameras: "Sequence[sv.Camera]",
+    progress: Callable[[str], None],
+) -> "list[sv.features.PictureEvidence]":
     """Return the edges found in each picture; an error begins with the picture's name."""
-    from ..features import picture_evidence
-
     evidence = []
     for k, (picture, path, camera) in enumerate(zip(pictures, paths, cameras, strict=True)):
         progress(f"edges: picture {k + 1} of {len(paths)}")
         with errors_at(path):
-            evidence.append(picture_evidence(picture, camera))
+            evidence.append(sv.features.picture_evidence(picture, camera))
     return evidence
 
 
-def _print(localizations: "Localizations") -> None:
+def _print(localizations: "sv.localization.Localizations") -> None:
     """Print the table, and the messages about rejected objects."""
-    from ..report import LOCALIZATION_HEADINGS, localization_rows
-
-    rows = [list(LOCALIZATION_HEADINGS), *localization_rows(localizations)]
+    rows = [list(sv.report.LOCALIZATION_HEADINGS), *sv.report.localization_rows(localizations)]
     # Without any object the messages say so; a table of headings alone would not help.
     if len(rows) > 1:
         widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
@@ -189,17 +166,17 @@ def _print(localizations: "Localizations") -> None:
         typer.echo(text)
 
 
-def _document(localization: "Localization", models: "Sequence[Path]") -> dict[str, Any]:
+def _document(localization: "sv.Localization", models: Sequence[Path]) -> dict[str, Any]:
     """Return a localised object as values for programs."""
-    from ..geometry import host_transforms
-
     evidence = localization.verdict.evidence
     return {
         "model": models[localization.model_index],
         "name": localization.model.name,
         "verdict": localization.verdict.decision,
         "reasons": localization.verdict.reasons,
-        "world_from_object": transform_document(host_transforms(localization.world_from_object)),
+        "world_from_object": transform_document(
+            sv.geometry.host_transforms(localization.world_from_object)
+        ),
         # In the tangent space at the object, translation first.
         "covariance": localization.covariance,
         "equivalent_poses": len(localization.equivalent_poses),
@@ -212,7 +189,9 @@ def _document(localization: "Localization", models: "Sequence[Path]") -> dict[st
         "rivals": [
             {
                 "model": models[rival.model],
-                "world_from_object": transform_document(host_transforms(rival.world_from_object)),
+                "world_from_object": transform_document(
+                    sv.geometry.host_transforms(rival.world_from_object)
+                ),
                 "log_odds": rival.log_odds,
             }
             for rival in localization.rivals

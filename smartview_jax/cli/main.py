@@ -9,6 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+import smartview_jax as sv
+
 from .calibrate import calibrate
 from .capture import capture
 from .check import check
@@ -59,9 +61,7 @@ app = typer.Typer(
 def _version(requested: bool) -> bool:
     """Print the version and exit, if that was requested."""
     if requested:
-        from .. import __version__
-
-        typer.echo(f"smartview_jax {__version__}")
+        typer.echo(f"smartview_jax {sv.__version__}")
         raise typer.Exit
     return requested
 

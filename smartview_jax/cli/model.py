@@ -1,18 +1,15 @@
 """Define `smartview model`, which opens the editor of object models in a browser."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from .calibrated_views import RigOptions, load_calibrated_views
-from .load import NamedViews, load_views
+import smartview_jax as sv
+
+from .load import NamedViews, RigOptions, load_calibrated_views, load_views
 from .options import DebugOption, PageOptions, with_option_groups
 from .terminal import errors_reported
-
-if TYPE_CHECKING:
-    from ..joint import SavedEstimate
-    from ..modeling import AnyCalibration
 
 
 @with_option_groups
@@ -42,33 +39,25 @@ def model(
     the same command resumes where an earlier one ended.
     """
     with errors_reported(debug):
-        from ..editor import ModelSession, serve
-
         views = load_views(dataset)
         target = out or dataset / "object.json"
-        try:
-            estimate, covariance = load_calibration(dataset, calibration, views, wanted)
-            with ModelSession(
-                estimate, views.command, views.pictures, views.names, target, covariance=covariance
-            ) as session:
-                for note in session.notes:
-                    typer.echo(note)
-                announce = page.announcement(f"the editor of {target}", "all clicks are saved")
-                serve(session, page.port, announce)
-        except ImportError as error:
-            # The user can install a missing extra: one line, no traceback.
-            raise ValueError(str(error)) from error
+        estimate, covariance = load_calibration(dataset, calibration, views, wanted)
+        with sv.ModelSession(
+            estimate, views.command, views.pictures, views.names, target, covariance=covariance
+        ) as session:
+            for note in session.notes:
+                typer.echo(note)
+            announce = page.announcement(f"the editor of {target}", "all clicks are saved")
+            sv.editor.serve(session, page.port, announce)
 
 
 def load_calibration(
     dataset: Path, calibration: Path | None, views: NamedViews, wanted: RigOptions
-) -> "tuple[AnyCalibration, SavedEstimate | None]":
+) -> "tuple[sv.modeling.AnyCalibration, sv.joint.SavedEstimate | None]":
     """Return the calibration of the option or of the folder, with its covariance if it has one."""
-    from ..joint import RIG_FILE
-
     candidates = [
         place / file
-        for file in ("calibration.yaml", RIG_FILE)
+        for file in ("calibration.yaml", sv.joint.RIG_FILE)
         for place in (dataset, dataset / "calibration")
     ]
     path_found = calibration or next((path for path in candidates if path.is_file()), None)

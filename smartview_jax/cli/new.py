@@ -1,15 +1,14 @@
 """Define `smartview new`, which begins a data-set folder for a robot and a target."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+import smartview_jax as sv
+
 from .options import DebugOption
 from .terminal import errors_reported
-
-if TYPE_CHECKING:
-    from ..io import FoundPictures
 
 DEFAULT_SIZE = (1280, 1024)
 """Width and height in a new description, px; to be replaced by the real ones."""
@@ -55,14 +54,12 @@ def new(
     The next steps are printed; `smartview check` then checks what was filled in.
     """
     with errors_reported(debug):
-        from ..io import found_pictures, write_new_dataset
-
         mount = "eye_to_hand" if eye_to_hand else "eye_in_hand"
         names = [] if cameras is None else _camera_names(cameras)
         arm_of = None if arms is None else _arm_names(arms, names)
         images = folder / "images"
         places = {name: images / name for name in names} or {"": images}
-        pictures = {name: found_pictures(place) for name, place in places.items()}
+        pictures = {name: sv.io.found_pictures(place) for name, place in places.items()}
         sizes = {
             name: found.image_size if found else DEFAULT_SIZE for name, found in pictures.items()
         }
@@ -73,7 +70,7 @@ def new(
                 f"{', '.join(sorted(suffixes))}"
             )
         suffix = suffixes.pop() if suffixes else ".png"
-        path = write_new_dataset(
+        path = sv.io.write_new_dataset(
             folder, robot, target, mount, sizes if names else sizes[""], suffix, arm_of
         )
         for name, found in pictures.items():
@@ -98,15 +95,13 @@ def new(
 
 def _step_of_poses(folder: Path, several: bool, arm_of: dict[str, str] | None) -> str:
     """Return where the poses of the robot, or of each arm, are to be written."""
-    from ..io import new_pose_tables
-
-    tables = " and ".join(str(folder / table) for table in new_pose_tables(arm_of).values())
+    tables = " and ".join(str(folder / table) for table in sv.io.new_pose_tables(arm_of).values())
     what = "the robot's pose for each picture" if arm_of is None else "each arm's poses"
     each = ": one row for all cameras' pictures of the same name" if several else ""
     return f"write {what} into {tables}{each}"
 
 
-def _print_pictures(folder: Path, found: "FoundPictures") -> None:
+def _print_pictures(folder: Path, found: "sv.io.FoundPictures") -> None:
     """Print what kind of pictures a folder has already."""
     width, height = found.image_size
     typer.echo(

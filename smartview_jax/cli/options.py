@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import inspect
 import math
+import webbrowser
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -160,8 +161,6 @@ class PageOptions:
         """
 
         def announce(address: str) -> None:
-            import webbrowser
-
             typer.echo(f"{page} is at\n{address}\nCtrl-C stops it; {kept}")
             if self.browser:
                 webbrowser.open(address)

@@ -5,9 +5,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
+
+import smartview_jax as sv
 
 from ..argument_checks import errors_at
 from . import options
@@ -17,11 +20,6 @@ from .plan_rig import is_rig_plan, plan_rig
 from .plan_words import give_no_commands, new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import errors_reported, progress_line
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ..viewpoints import InformationModel, Situation, StopRule, ViewLimits
 
 
 @dataclass(frozen=True)
@@ -56,14 +54,12 @@ class EnoughViews:
         typer.Option(min=0.0, max=100.0, help="Stop when one more view gains less, %, such as 2."),
     ] = 5.0
 
-    def stop(self, first: bool) -> "StopRule":
+    def stop(self, first: bool) -> "sv.viewpoints.StopRule":
         """Return the rule in the library's units, for first or for next views."""
-        from ..viewpoints import StopRule
-
         goal = None if self.goal is None else 1e-3 * self.goal
         # All first views are needed; the least gain is a rule for additional ones.
         gain = 0.0 if first else 0.01 * self.gain
-        return StopRule(self.views or (15 if first else 10), goal, gain)
+        return sv.viewpoints.StopRule(self.views or (15 if first else 10), goal, gain)
 
 
 @dataclass(frozen=True)
@@ -88,17 +84,17 @@ class ViewSpan:
     ] = 90.0
     below: options.BelowOption = None
 
-    def limits(self) -> "ViewLimits":
+    def limits(self) -> "sv.viewpoints.ViewLimits":
         """Return the limits in the library's units."""
-        from ..viewpoints import ViewLimits
-
         distances = None
         if self.distance is not None:
             smallest, largest = parse_numbers(
                 "--distance", self.distance, 2, "smallest,largest (m)"
             )
             distances = smallest, largest
-        return ViewLimits(distances, math.radians(self.tilt), math.radians(self.roll), self.below)
+        return sv.viewpoints.ViewLimits(
+            distances, math.radians(self.tilt), math.radians(self.roll), self.below
+        )
 
 
 @with_option_groups
@@ -127,15 +123,7 @@ def plan(
     all.
     """
     with errors_reported(debug):
-        from ..geometry import host_transforms
-        from ..viewpoints import (
-            SAFETY_CHECKS,
-            ViewRequirements,
-            plan_views,
-            viewpoint_commands,
-        )
-
-        codec = robot.codec()
+        robot.refuse_unusable()
         limits, stop, start = span.limits(), enough.stop(bool(rough.start)), rough.start
         if is_rig_plan(paths, bool(start)):
             if rough.camera is not None:
@@ -150,11 +138,11 @@ def plan(
                 progress("reading the calibration and its data set")
                 situation, taken = next_views(paths, rough.camera, limits, robot, progress)
             arm, readings = robot.arm_and_readings(situation.calibration)
-            view_plan = plan_views(
+            view_plan = sv.viewpoints.plan_views(
                 _with_readings(situation.model, readings),
                 situation.views,
                 stop,
-                needs=ViewRequirements(situation.border_margin),
+                needs=sv.viewpoints.ViewRequirements(situation.border_margin),
                 arm=arm,
                 progress=progress,
             )
@@ -163,27 +151,22 @@ def plan(
         if len(view_plan.camera_from_world) == 0:
             give_no_commands({**plan_entries(view_plan), "words": words}, json)
             return
-        wanted = host_transforms(view_plan.camera_from_world)
-        commands = viewpoint_commands(
+        wanted = sv.geometry.host_transforms(view_plan.camera_from_world)
+        commands = sv.viewpoint_commands(
             situation.calibration, wanted, situation.points, arm, readings
         )
         names = new_names(taken, len(view_plan.camera_from_world))
-        sheet = CommandSheet.of(
-            situation.calibration,
-            names,
-            commands,
-            codec,
-            arm,
-            SAFETY_CHECKS,
+        sheet = CommandSheet(
+            robot, situation.calibration, names, commands, arm, sv.viewpoints.SAFETY_CHECKS
         )
         # After the table, where the result is seen last.
         say = partial(typer.echo, "\n".join(words))
-        sheet.give(
-            "plan", robot.out, robot.allow, json, say, **plan_entries(view_plan), words=words
-        )
+        sheet.give("plan", json, say, **plan_entries(view_plan), words=words)
 
 
-def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> "InformationModel":
+def _with_readings(
+    model: "sv.viewpoints.InformationModel", readings: np.ndarray | None
+) -> "sv.viewpoints.InformationModel":
     """Return the model with the joint readings near which inverse kinematics looks for views."""
     import equinox as eqx
 
@@ -199,10 +182,10 @@ def _with_readings(model: "InformationModel", readings: "np.ndarray | None") -> 
 def next_views(
     paths: list[Path],
     camera: Path | None,
-    limits: "ViewLimits",
+    limits: "sv.viewpoints.ViewLimits",
     robot: RobotOptions,
     progress: Callable[[str], None],
-) -> "tuple[Situation, tuple[str, ...]]":
+) -> "tuple[sv.viewpoints.Situation, tuple[str, ...]]":
     """Return the situation given a calibration and its data set, and the names of its views.
 
     Args:
@@ -212,50 +195,45 @@ def next_views(
         robot: the robot's arm and readings.
         progress: called with a line of text for each stage.
     """
-    import numpy as np
-
-    from ..io import load_dataset
-    from ..joint import load_estimate
-    from ..viewpoints import situation_of_estimate
-
     if camera is not None:
         raise ValueError("--camera: only with --start; the calibration contains its camera")
     if len(paths) != 2 or not paths[1].is_dir():
         raise ValueError(
             "expected calibration.yaml and its data-set folder; or, with --start, the folder alone"
         )
-    estimate = load_estimate(paths[0])
-    data = load_dataset(paths[1], "mask", progress=progress, keep_detections=False)
+    estimate = sv.load_estimate(paths[0])
+    data = sv.load_dataset(paths[1], "mask", progress=progress, keep_detections=False)
     # Without an arm there are no readings, and the robot is commanded by poses.
     _, readings = robot.arm_and_readings(estimate.calibration)
     progress("computing what the views so far tell")
     with errors_at(paths[0]):
-        found = situation_of_estimate(estimate, np.asarray(data.points[0]), limits, readings)
+        found = sv.viewpoints.situation_of_estimate(
+            estimate, np.asarray(data.points[0]), limits, readings
+        )
     return found, data.view_ids
 
 
 def first_views(
-    paths: list[Path], start: list[str], camera_file: Path | None, limits: "ViewLimits"
-) -> "Situation":
+    paths: list[Path],
+    start: list[str],
+    camera_file: Path | None,
+    limits: "sv.viewpoints.ViewLimits",
+) -> "sv.viewpoints.Situation":
     """Return the situation given rough transforms and the description of a folder."""
-    import numpy as np
-
-    from ..calibration import transform_names
-    from ..io import read_camera, read_folder_description
-    from ..viewpoints import situation_of_drawing
-
     if len(paths) != 1:
         raise ValueError("--start: expected the data-set folder alone (smartview new begins one)")
-    described = read_folder_description(paths[0])
+    described = sv.io.read_folder_description(paths[0])
     transforms = parse_transforms(start, described.mount)
     # dataset.yaml may state the target's pose; the option takes precedence.
     if described.holder_from_world is not None:
-        transforms.setdefault(transform_names(described.mount)[1], described.holder_from_world)
-    return situation_of_drawing(
+        transforms.setdefault(
+            sv.calibration.transform_names(described.mount)[1], described.holder_from_world
+        )
+    return sv.viewpoints.situation_of_drawing(
         transforms,
         described.mount,
         np.asarray(described.target.points),
         described.image_size,
-        None if camera_file is None else read_camera(camera_file),
+        None if camera_file is None else sv.io.read_camera(camera_file),
         limits,
     )

@@ -3,18 +3,14 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
+
+import smartview_jax as sv
 
 from .plan_words import give_no_commands, new_names, plan_entries, plan_words
 from .robot_commands import CommandSheet, RobotOptions
 from .terminal import progress_line
-
-if TYPE_CHECKING:
-    from ..dataset import Rig
-    from ..joint import RigEstimate
-    from ..viewpoints import StatePlan, StopRule, ViewLimits
 
 
 def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
@@ -28,27 +24,28 @@ def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
         ValueError: a folder with several cameras, but not what `calibrate` wrote for it, or for the
             first views.
     """
-    from ..io import is_rig_folder
-    from ..joint import JOINT_SUFFIX, RIG_FILE, is_rig
-
-    if not (paths[-1].is_dir() and is_rig_folder(paths[-1])):
+    if not (paths[-1].is_dir() and sv.io.is_rig_folder(paths[-1])):
         return False
     if first:
         raise ValueError(
             f"--start: {paths[-1]} has several cameras: plan the first views of one of them, in a "
             "folder with this camera alone (smartview new), and take them with all cameras"
         )
-    if len(paths) != 2 or not is_rig(paths[0]):
+    if len(paths) != 2 or not sv.joint.is_rig(paths[0]):
         raise ValueError(
             f"{paths[-1]} has several cameras: expected the folder that calibrate wrote for it, "
-            f"with {RIG_FILE}, and this folder; of several arms, the file of the arm to plan for, "
-            f"such as left{JOINT_SUFFIX}"
+            f"with {sv.joint.RIG_FILE}, and this folder; of several arms, the file of the arm to "
+            f"plan for, such as left{sv.joint.JOINT_SUFFIX}"
         )
     return True
 
 
 def plan_rig(
-    paths: Sequence[Path], limits: "ViewLimits", stop: "StopRule", robot: RobotOptions, json: bool
+    paths: Sequence[Path],
+    limits: "sv.viewpoints.ViewLimits",
+    stop: "sv.viewpoints.StopRule",
+    robot: RobotOptions,
+    json: bool,
 ) -> None:
     """Print commands of the states to take next, best first, and the error they lead to.
 
@@ -59,43 +56,41 @@ def plan_rig(
         robot: the robot's arm and readings.
         json: print a document instead of a table.
     """
-    from ..io import load_rig
-    from ..joint import load_estimate, load_rig_estimate
-    from ..viewpoints import SAFETY_CHECKS, RigInformationModel, plan_states
-
     folder = paths[0] if paths[0].is_dir() else paths[0].parent
     with progress_line() as progress:
         progress("reading the calibrations and their data set")
-        estimate = load_rig_estimate(paths[0])
-        rig = load_rig(paths[1], "mask", progress, keep_detections=False)
+        estimate = sv.load_rig_estimate(paths[0])
+        rig = sv.load_rig(paths[1], "mask", progress, keep_detections=False)
         rig = rig.of_arm(_arm_of(rig, estimate, paths))
-        sigmas = {n: load_estimate(folder / f"{n}.yaml").pixel_sigma for n in rig.cameras}
+        sigmas = {n: sv.load_estimate(folder / f"{n}.yaml").pixel_sigma for n in rig.cameras}
         calibration = next(iter(estimate.calibrations.values()))
         arm, readings = robot.arm_and_readings(calibration)
         progress("computing what the states so far tell")
-        found = plan_states(
-            RigInformationModel.from_estimate(estimate, rig, sigmas),
+        found = sv.viewpoints.plan_states(
+            sv.viewpoints.RigInformationModel.from_estimate(estimate, rig, sigmas),
             limits,
             stop,
             arm=arm,
             near=readings,
             progress=progress,
         )
-    plan, codec = found.plan, robot.codec()
+    plan = found.plan
     goal_mm = None if stop.goal is None else 1e3 * stop.goal
     names = new_names(rig.view_ids, len(found.view_of))
     words = plan_words(plan, stop.least_gain, goal_mm, first=False)
     views = _seen_words(found, names)
-    sheet = CommandSheet.of(calibration, names, found.commands, codec, arm, SAFETY_CHECKS)
+    sheet = CommandSheet(
+        robot, calibration, names, found.commands, arm, sv.viewpoints.SAFETY_CHECKS
+    )
     say = partial(typer.echo, "\n".join([*views, *words]))
     entries = {**plan_entries(plan), "words": words, "seen": found.seen}
     if names:
-        sheet.give("plan", robot.out, robot.allow, json, say, **entries)
+        sheet.give("plan", json, say, **entries)
     else:
         give_no_commands(entries, json)
 
 
-def _arm_of(rig: "Rig", estimate: "RigEstimate", paths: Sequence[Path]) -> str:
+def _arm_of(rig: "sv.Rig", estimate: "sv.joint.RigEstimate", paths: Sequence[Path]) -> str:
     """Return the arm of the calibrated cameras.
 
     Raises:
@@ -110,7 +105,7 @@ def _arm_of(rig: "Rig", estimate: "RigEstimate", paths: Sequence[Path]) -> str:
     )
 
 
-def _seen_words(found: "StatePlan", names: Sequence[str]) -> list[str]:
+def _seen_words(found: "sv.viewpoints.StatePlan", names: Sequence[str]) -> list[str]:
     """Return which cameras see their target in each state."""
     lines = []
     for row, (name, camera) in enumerate(zip(names, found.view_of, strict=True)):

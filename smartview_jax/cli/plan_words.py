@@ -1,20 +1,19 @@
 """Describe the gain of a view plan in words and as entries of a JSON document."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
-from .json_document import print_document
+import smartview_jax as sv
 
-if TYPE_CHECKING:
-    from ..viewpoints import ViewPlan
+from .documents import print_document
 
 _NUMBERS = "no one two three four five six seven eight nine ten eleven twelve".split()
 
 
 def plan_words(
-    plan: "ViewPlan", least_gain: float, goal_mm: float | None, first: bool
+    plan: "sv.viewpoints.ViewPlan", least_gain: float, goal_mm: float | None, first: bool
 ) -> list[str]:
     """Return sentences about the gain of the planned views and why the plan stops.
 
@@ -38,7 +37,7 @@ def plan_words(
     return [f"{_number(count)} more {noun} {verb} the error of {quantity} {error}{reason}"]
 
 
-def plan_entries(plan: "ViewPlan") -> dict[str, Any]:
+def plan_entries(plan: "sv.viewpoints.ViewPlan") -> dict[str, Any]:
     """Return the errors before and after each view, in mm (px where the hand-eye is held)."""
     unit, factor = ("mm", 1e3) if plan.unit == "m" else (plan.unit, 1.0)
     return {
@@ -64,7 +63,7 @@ def give_no_commands(entries: dict[str, Any], json: bool) -> None:
         typer.echo("\n".join(entries["words"]))
 
 
-def _quantity(plan: "ViewPlan") -> str:
+def _quantity(plan: "sv.viewpoints.ViewPlan") -> str:
     """Return the name of the quantity whose error the plan minimises."""
     if plan.unit == "m":
         camera = "each camera" if len(plan.cameras) > 1 else "the camera"
@@ -72,7 +71,9 @@ def _quantity(plan: "ViewPlan") -> str:
     return "predicted pixels"
 
 
-def _stopping_reason(plan: "ViewPlan", least_gain: float, goal_mm: float | None) -> str:
+def _stopping_reason(
+    plan: "sv.viewpoints.ViewPlan", least_gain: float, goal_mm: float | None
+) -> str:
     """Return why the plan stops, as the end of a sentence."""
     count = len(plan.camera_from_world)
     # A goal in mm does not apply to pixels.
@@ -85,7 +86,7 @@ def _stopping_reason(plan: "ViewPlan", least_gain: float, goal_mm: float | None)
     return f"; more views would still help: plan again after these{missed}"
 
 
-def _size(value: float, plan: "ViewPlan") -> str:
+def _size(value: float, plan: "sv.viewpoints.ViewPlan") -> str:
     """Return the criterion's value as text, in mm where it is a length."""
     factor, unit = (1e3, "mm") if plan.unit == "m" else (1.0, plan.unit)
     return f"{factor * value:.2g} {unit}"

@@ -2,23 +2,21 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import typer
+from rich import box
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+
+import smartview_jax as sv
 
 from ..files import refuse_unwritable
 from . import options
-from .json_document import print_document
+from .documents import print_document
 from .options import parse_numbers
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ..calibration import Calibration
-    from ..geometry import PoseCodec
-    from ..robots import SerialArm
-    from ..viewpoints import ViewpointCommands
 
 
 @dataclass(frozen=True)
@@ -31,84 +29,59 @@ class RobotOptions:
     pose_format: options.PoseFormatOption = "val_oat"
     allow: options.AllowOption = None
 
-    def codec(self) -> "PoseCodec":
-        """Return the pose format.
+    @property
+    def codec(self) -> "sv.geometry.PoseCodec":
+        """The pose format of the robot's manufacturer."""
+        return sv.geometry.pose_codec(self.pose_format)
 
-        Called first, so that a wrong option is reported before anything is computed.
+    def refuse_unusable(self) -> None:
+        """Refuse a wrong option before anything is computed.
 
         Raises:
-            ValueError: the format has no such name.
+            ValueError: no pose format has such a name.
             OSError: the file of `--out` could not be written.
         """
-        from ..geometry import pose_codec
-
         if self.out is not None:
             refuse_unwritable(self.out.parent, "--out")
-        return pose_codec(self.pose_format)
+        _ = self.codec
 
     def arm_and_readings(
-        self, calibration: "Calibration"
-    ) -> "tuple[SerialArm | None, np.ndarray | None]":
-        """Return the arm and its joint readings now (rad, m); None for both without an arm."""
-        arm = _arm(self.arm, calibration)
+        self, calibration: "sv.Calibration"
+    ) -> "tuple[sv.robots.SerialArm | None, np.ndarray | None]":
+        """Return the arm and its joint readings now (rad, m); None for both without an arm.
+
+        The arm is the named one; by default the one whose errors the calibration corrects.
+        """
+        text, arm = self.arm, sv.robot_errors.nominal_arm(calibration.field)
+        if text is not None:
+            arm = named_arm(text)
         return arm, _joint_readings(self.near, arm)
 
 
 class CommandSheet(NamedTuple):
-    """The commands of a subcommand, and how they are checked and written.
+    """The commands of a subcommand, which are printed, checked and written for the robot.
 
     Attributes:
+        robot: the robot's format, its file, and the checks that a person overrides.
+        calibration: with it the commands were computed.
         names: one name for each command.
         commands: poses, joint readings and checks.
-        codec: pose format of the robot's manufacturer.
         arm: the arm of the joint readings; None where none is known.
         refused_for: names of the checks that every command must pass.
-        unchecked: which safety checks could not be made, in words.
     """
 
+    robot: RobotOptions
+    calibration: "sv.Calibration"
     names: tuple[str, ...]
-    commands: "ViewpointCommands"
-    codec: "PoseCodec"
-    arm: "SerialArm | None"
+    commands: "sv.viewpoints.ViewpointCommands"
+    arm: "sv.robots.SerialArm | None"
     refused_for: tuple[str, ...]
-    unchecked: tuple[str, ...]
 
-    @classmethod
-    def of(
-        cls,
-        calibration: "Calibration",
-        names: tuple[str, ...],
-        commands: "ViewpointCommands",
-        codec: "PoseCodec",
-        arm: "SerialArm | None",
-        refused_for: tuple[str, ...],
-    ) -> "CommandSheet":
-        """Return the commands of a calibration, with the checks that it and the arm do not allow.
-
-        Args:
-            calibration: with it the commands were computed.
-            names, commands, codec, arm, refused_for: as the class's attributes.
-        """
-        from ..viewpoints import unchecked
-
-        could_not = unchecked(calibration, arm is not None)
-        return cls(names, commands, codec, arm, refused_for, could_not)
-
-    def give(
-        self,
-        subcommand: str,
-        out: Path | None,
-        allow: Sequence[str] | None,
-        json: bool,
-        say: Callable[[], None] | None = None,
-        **content: Any,
-    ) -> None:
+    def give(self, subcommand: str, json: bool, say: Callable[[], None], **content: Any) -> None:
         """Print the commands and write them for the robot; refuse unsafe ones.
 
         Args:
             subcommand: name of the subcommand.
-            out: the robot's file; None writes none.
-            allow: words of `ALLOWING_WORDS`, whose checks are overridden.
             json: print a document instead of a table.
             say: prints further text after the table.
             content: further entries of the document.
@@ -118,25 +91,32 @@ class CommandSheet(NamedTuple):
         """
         if not json:
             self.print()
-            if say is not None:
-                say()
-        self.refuse_unsafe(allow or ())
+            say()
+        self.refuse_unsafe()
+        out = self.robot.out
         if out is not None:
-            self.write(out)
-        if json:
-            print_document(
-                subcommand,
-                {"commands": self.document(), "unchecked": self.unchecked, **content, "file": out},
+            sv.io.write_viewpoints(
+                out,
+                self.commands.base_from_tool,
+                self.names,
+                self._joints(),
+                self.robot.pose_format,
             )
+        if json:
+            entries = {"commands": self.document(), "unchecked": self.unchecked}
+            print_document(subcommand, {**entries, **content, "file": out})
         elif out is not None:
             typer.echo(out)
 
+    @property
+    def unchecked(self) -> tuple[str, ...]:
+        """The safety checks that could not be made, in words."""
+        return sv.viewpoints.unchecked(self.calibration, self.arm is not None)
+
     def print(self) -> None:
         """Print poses, joint readings and the remarks of the checks."""
-        from .viewpoint_tables import print_joints, print_viewpoints
-
         # Before any refusal, which names views as the table does.
-        print_viewpoints(self.names, self.commands, self.codec)
+        print_viewpoints(self.names, self.commands, self.robot.codec)
         joints = self._joints()
         if self.arm is not None and joints is not None:
             print_joints(self.names, joints, self.arm)
@@ -148,18 +128,16 @@ class CommandSheet(NamedTuple):
 
     def document(self) -> list[dict[str, Any]]:
         """Return the commands as entries for programs: pose, joint readings (rad, m), reasons."""
-        from ..io import pose_columns
-
         # In the manufacturer's units, which the column names state.
-        rows = self.codec.encode(self.commands.base_from_tool, *self.codec.units)
-        columns, reasons = pose_columns(self.codec), self.commands.checks.reasons()
+        codec, reasons = self.robot.codec, self.commands.checks.reasons()
+        rows = codec.encode(self.commands.base_from_tool, *codec.units)
         refusals = self.commands.checks.reasons(self.refused_for)
         joints = self._joints()
         return [
             {
                 "name": name,
-                "format": self.codec.name,
-                "pose": dict(zip(columns, rows[k].tolist(), strict=True)),
+                "format": codec.name,
+                "pose": dict(zip(sv.io.pose_columns(codec), rows[k].tolist(), strict=True)),
                 "joints": None if joints is None else joints[k].tolist(),
                 "remarks": reasons[k],
                 "refused": bool(refusals[k]),
@@ -167,39 +145,24 @@ class CommandSheet(NamedTuple):
             for k, name in enumerate(self.names)
         ]
 
-    def refuse_unsafe(self, allow: Sequence[str] = ()) -> None:
-        """Raise a ValueError that names every unsafe command.
-
-        Args:
-            allow: words of `ALLOWING_WORDS`, whose checks are overridden.
-        """
-        from ..viewpoints import ALLOWING_WORDS
-
-        allowed = {name for word in allow for name in ALLOWING_WORDS[word]}
+    def refuse_unsafe(self) -> None:
+        """Raise a ValueError that names every unsafe command whose check is not overridden."""
+        words = sv.viewpoints.ALLOWING_WORDS
+        allowed = {name for word in self.robot.allow or () for name in words[word]}
         required = tuple(name for name in self.refused_for if name not in allowed)
         checks = self.commands.checks
         failed = checks.failed(required)
         if not failed:
             return
         violations = self._named(checks.reasons(required))
-        words = [word for word, names in ALLOWING_WORDS.items() if set(names) & set(failed)]
+        overriding = [f"--allow {word}" for word in words if set(words[word]) & set(failed)]
         raise ValueError(
             f"refused, nothing is written: {'; '.join(violations)}. To write the file anyway: "
-            + " ".join(f"--allow {word}" for word in words)
+            f"{' '.join(overriding)}"
         )
 
-    def write(self, path: Path) -> None:
-        """Write the commands for the robot: a .val, .csv or .json file."""
-        from ..io import write_viewpoints
-
-        write_viewpoints(
-            path, self.commands.base_from_tool, self.names, self._joints(), self.codec.name
-        )
-
-    def _joints(self) -> "np.ndarray | None":
+    def _joints(self) -> np.ndarray | None:
         """Return the joint readings on the host."""
-        import numpy as np
-
         return None if self.commands.joints is None else np.asarray(self.commands.joints)
 
     def _named(self, texts: Sequence[str]) -> list[str]:
@@ -212,25 +175,13 @@ def numbered_names(count: int) -> tuple[str, ...]:
     return tuple(f"v{1 + k}" for k in range(count))
 
 
-def _arm(text: str | None, calibration: "Calibration") -> "SerialArm | None":
-    """Return the named arm; by default the arm whose errors the calibration corrects, or None."""
-    from ..robot_errors import nominal_arm
-
-    return nominal_arm(calibration.field) if text is None else named_arm(text)
-
-
-def named_arm(text: str) -> "SerialArm":
+def named_arm(text: str) -> "sv.robots.SerialArm":
     """Return the arm of a name or of a .urdf file."""
-    from ..io import load_urdf
-    from ..robots import arm_by_name
-
-    return load_urdf(text) if text.endswith(".urdf") else arm_by_name(text)
+    return sv.io.load_urdf(text) if text.endswith(".urdf") else sv.robots.arm_by_name(text)
 
 
-def _joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | None":
+def _joint_readings(text: str | None, arm: "sv.robots.SerialArm | None") -> np.ndarray | None:
     """Return joint readings (rad, m) from text in degrees and metres; None without an arm."""
-    import numpy as np
-
     if arm is None:
         if text is not None:
             raise ValueError("--near: needs an arm; give --arm")
@@ -243,3 +194,69 @@ def _joint_readings(text: str | None, arm: "SerialArm | None") -> "np.ndarray | 
     form = "degrees (m for a sliding joint)"
     readings = np.array(parse_numbers("--near", text, arm.joint_count, form))
     return np.where(arm.prismatic, readings, np.deg2rad(readings))
+
+
+def print_viewpoints(
+    names: Sequence[str],
+    commands: "sv.viewpoints.ViewpointCommands",
+    codec: "sv.geometry.PoseCodec",
+) -> None:
+    """Print the commanded poses in a manufacturer's format.
+
+    Where a line is too narrow for a pose, it takes several lines of at most four numbers.
+    """
+    headings = [name.replace("_", " ") for name in sv.io.pose_columns(codec)]
+    rows = codec.encode(commands.base_from_tool, *codec.units)
+    numbers = [[_format_number(x, codec, n) for n, x in enumerate(row)] for row in rows]
+    console = Console()
+    table = _table(headings, names, numbers)
+    if Measurement.get(console, console.options.update(max_width=1000), table).maximum > (
+        console.width
+    ):
+        tall = [_columns(texts) for texts in numbers]
+        table = _table(_columns(headings), names, tall, end_section=True)
+    console.print(table)
+
+
+def _table(
+    headings: Sequence[str],
+    names: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    end_section: bool = False,
+) -> Table:
+    """Return a table of named rows of numbers."""
+    table = Table("view", box=box.SIMPLE)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, row in zip(names, rows, strict=True):
+        table.add_row(name, *row, end_section=end_section)
+    return table
+
+
+def _columns(texts: Sequence[str]) -> list[str]:
+    """Return the cells of four columns, of several lines each.
+
+    Lines are filled from the end: the position's three texts stand over a quaternion's four.
+    """
+    lines = -(-len(texts) // 4)
+    first = len(texts) - 4 * (lines - 1)
+    filled = [*texts[:first], *[""] * (4 - first), *texts[first:]]
+    return ["\n".join(filled[k::4]) for k in range(4)]
+
+
+def _format_number(value: float, codec: "sv.geometry.PoseCodec", column: int) -> str:
+    """Return a number of a pose as text: three decimals for mm and degrees, else six."""
+    millimetres = column in codec.length_columns and codec.units[0] == "mm"
+    degrees = column in codec.angle_columns and codec.units[1] == "deg"
+    return f"{value:.3f}" if millimetres or degrees else f"{value:.6f}"
+
+
+def print_joints(names: Sequence[str], joints: np.ndarray, arm: "sv.robots.SerialArm") -> None:
+    """Print joint readings, in degrees (mm for a prismatic joint)."""
+    units = ["mm" if is_prismatic else "deg" for is_prismatic in arm.prismatic]
+    columns = (f"q{1 + k} {unit}" for k, unit in enumerate(units))
+    table = Table("view", *columns, box=box.SIMPLE)
+    shown = joints * np.where(arm.prismatic, 1e3, 180.0 / np.pi)
+    for view, row in zip(names, shown, strict=True):
+        table.add_row(view, *(f"{value:.3f}" for value in row))
+    Console().print(table)

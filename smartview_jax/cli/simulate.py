@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+import smartview_jax as sv
+
 from .options import DebugOption, PoseFormatOption, with_option_groups
 from .terminal import errors_reported, progress_line
 
@@ -59,16 +61,11 @@ def simulate(
     truth.yaml.
     """
     with errors_reported(debug):
-        from ..geometry import pose_codec
-        from ..io import DESCRIPTION_FILE, save_dataset
-        from ..simulation import random_target_scene, write_pictures
-        from ..targets import Chessboard
-
-        if (folder / DESCRIPTION_FILE).exists():
-            raise FileExistsError(f"{folder / DESCRIPTION_FILE}: exists already")
-        pose_codec(pose_format)
-        board = Chessboard(9, 6, 0.004)
-        scene = random_target_scene(
+        if (folder / sv.io.DESCRIPTION_FILE).exists():
+            raise FileExistsError(f"{folder / sv.io.DESCRIPTION_FILE}: exists already")
+        sv.geometry.pose_codec(pose_format)
+        board = sv.targets.Chessboard(9, 6, 0.004)
+        scene = sv.simulation.random_target_scene(
             seed,
             views,
             board,
@@ -80,7 +77,7 @@ def simulate(
         with progress_line() as progress:
             if pictures:
                 progress(f"rendering {views} pictures")
-                write_pictures(
+                sv.simulation.write_pictures(
                     folder,
                     scene.calibration,
                     scene.base_from_tool,
@@ -89,6 +86,6 @@ def simulate(
                     pose_format=pose_format,
                 )
             else:
-                save_dataset(scene.data, folder, pose_format)
+                sv.save_dataset(scene.data, folder, pose_format)
         scene.calibration.save(folder / TRUTH_FILE, source="simulated")
         typer.echo(f"{folder}: {views} views; {folder / TRUTH_FILE}: the truth")

@@ -2,22 +2,22 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
+import smartview_jax as sv
+
+from ..files import read_yaml
 from . import options
 from .options import parse_numbers, with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
 from .viewpoint import LookOptions, requested_camera_poses
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from ..calibration import Calibration
-    from ..grasping import ToolCommands
-    from ..joint import SavedEstimate
 
 SURPRISING_P_VALUE = 0.01
 """P-value below which misses are reported as larger than the calibration predicts."""
@@ -64,16 +64,12 @@ class TouchOptions:
     ] = False
     below: options.BelowOption = None
 
-    def tip_position(self) -> "np.ndarray":
+    def tip_position(self) -> np.ndarray:
         """Return the tip in the tool's frame, m."""
-        import numpy as np
-
         return np.array(parse_numbers("--tip", self.tip, 3, "x,y,z (m)"))
 
-    def points(self) -> "list[np.ndarray]":
+    def points(self) -> list[np.ndarray]:
         """Return the points to touch in the world's frame, m."""
-        import numpy as np
-
         texts = self.at or ["0,0,0"]
         return [np.array(parse_numbers("--at", text, 3, "x,y,z (m)")) for text in texts]
 
@@ -127,22 +123,16 @@ def stylus(
     If they agree, --corrected writes the calibration that pictures and touches give together.
     """
     with errors_reported(debug):
-        import numpy as np
-
-        from ..grasping import TOOL_CHECKS, tip_error_factor, tool_commands
-        from ..io import read_misses
-        from ..joint import load_with_uncertainty
-
-        codec = robot.codec()
+        robot.refuse_unusable()
         tip_position, points = touch.tip_position(), touch.points()
         if missed.corrected is not None and missed.misses is None:
             raise ValueError("--corrected needs the measured misses: give --misses")
-        loaded_calibration, estimate = load_with_uncertainty(calibration)
+        loaded_calibration, estimate = sv.joint.load_with_uncertainty(calibration)
         arm, readings = robot.arm_and_readings(loaded_calibration)
         poses = np.concatenate(
             [_touching_poses(loaded_calibration, tip_position, point, touch) for point in points]
         )
-        touches = tool_commands(
+        touches = sv.tool_commands(
             loaded_calibration,
             poses,
             estimate=estimate,
@@ -150,20 +140,15 @@ def stylus(
             near=readings,
         )
         names = numbered_names(len(poses))
-        factor = tip_error_factor(touches, tip_position)
+        factor = sv.grasping.tip_error_factor(touches, tip_position)
         notes: list[str] = []
-        measured = missed.misses and read_misses(missed.misses, names, notes.append)
-        sheet = CommandSheet.of(
-            loaded_calibration,
-            names,
-            touches.commands,
-            codec,
-            arm,
-            TOOL_CHECKS,
+        measured = missed.misses and sv.io.read_misses(missed.misses, names, notes.append)
+        sheet = CommandSheet(
+            robot, loaded_calibration, names, touches.commands, arm, sv.grasping.TOOL_CHECKS
         )
         judged = _judgement(names, factor, measured) | {"notes": notes}
         if missed.corrected is not None:
-            sheet.refuse_unsafe(robot.allow or ())
+            sheet.refuse_unsafe()
             if estimate is None or measured is None:
                 raise ValueError(
                     f"{calibration} has no covariance, so that misses cannot correct it"
@@ -173,8 +158,6 @@ def stylus(
             )
         sheet.give(
             "stylus",
-            robot.out,
-            robot.allow,
             json,
             lambda: _print_judgement(judged, calibration),
             **judged,
@@ -182,31 +165,28 @@ def stylus(
 
 
 def _touching_poses(
-    calibration: "Calibration",
-    tip: "np.ndarray",
-    point: "np.ndarray",
+    calibration: "sv.Calibration",
+    tip: np.ndarray,
+    point: np.ndarray,
     touch: TouchOptions,
-) -> "np.ndarray":
+) -> np.ndarray:
     """Return `world_from_tool` with the tip at the gap before the point, `(n, 4, 4)`."""
-    from ..geometry import host_matrices, host_poses
-    from ..grasping import stylus_orientations
-
     # The stylus points as a camera would look, so that the same options apply.
     look = LookOptions(1.0, touch.tilt, touch.azimuth, touch.turn, touch.five, touch.below)
     views = requested_camera_poses(calibration, point, look)
-    world_from_stylus = host_matrices(views).reshape(-1, 4, 4)[:, :3, :3].swapaxes(1, 2)
-    rotations = stylus_orientations(tip, world_from_stylus)
+    world_from_stylus = sv.geometry.host_matrices(views).reshape(-1, 4, 4)[:, :3, :3].swapaxes(1, 2)
+    rotations = sv.grasping.stylus_orientations(tip, world_from_stylus)
     points = point - 1e-3 * touch.gap * world_from_stylus[:, :, 2]
     # By NumPy: the tip's place by `touching_pose` would compile a program for each operation.
-    return host_poses(rotations, points - rotations @ tip)
+    return sv.geometry.host_poses(rotations, points - rotations @ tip)
 
 
 def _write_corrected(
     path: Path,
-    estimate: "SavedEstimate",
-    touches: "ToolCommands",
-    tip: "np.ndarray",
-    misses: "np.ndarray",
+    estimate: "sv.joint.SavedEstimate",
+    touches: "sv.grasping.ToolCommands",
+    tip: np.ndarray,
+    misses: np.ndarray,
     judged: dict[str, Any],
     options: MissOptions,
 ) -> dict[str, Any]:
@@ -215,9 +195,6 @@ def _write_corrected(
     Raises:
         ValueError: the misses are larger than the calibration predicts.
     """
-    from ..files import read_yaml
-    from ..grasping import compare_misses, correct_by_touches, tip_error_factor, tool_commands
-
     assert options.corrected is not None
     if judged["comparison"]["p_value"] < SURPRISING_P_VALUE:
         raise ValueError(
@@ -225,7 +202,7 @@ def _write_corrected(
             f"{judged['comparison']['p_value']:.2g}), so they do not correct it; find the cause: "
             f"{LIKELY_CAUSES}"
         )
-    corrected = correct_by_touches(
+    corrected = sv.correct_by_touches(
         estimate,
         touches,
         tip,
@@ -241,28 +218,24 @@ def _write_corrected(
         warnings=first.get("warnings") or (),
         pictures=first.get("pictures") or (),
     )
-    touches = tool_commands(corrected.calibration, touches.world_from_tool, estimate=corrected)
-    factor = tip_error_factor(touches, tip)
+    touches = sv.tool_commands(corrected.calibration, touches.world_from_tool, estimate=corrected)
+    factor = sv.grasping.tip_error_factor(touches, tip)
     assert factor is not None
-    expected = compare_misses(factor, misses).expected_rms
+    expected = sv.grasping.compare_misses(factor, misses).expected_rms
     return {"corrected": options.corrected, "corrected_expected_rms_m": expected}
 
 
 def _judgement(
-    names: tuple[str, ...], factor: "np.ndarray | None", misses: "np.ndarray | None"
+    names: tuple[str, ...], factor: np.ndarray | None, misses: np.ndarray | None
 ) -> dict[str, Any]:
     """Return the predicted and the measured miss of every touch, m, and their comparison."""
-    import numpy as np
-
-    from ..grasping import compare_misses, ellipse_axes
-
     size = 3 if misses is None else misses.shape[1]
     touches = []
     for k, name in enumerate(names):
         entry: dict[str, Any] = {"name": name, "expected": None}
         if factor is not None:
             part = factor[k, :size]
-            axes, directions = ellipse_axes(part @ part.T)
+            axes, directions = sv.grasping.ellipse_axes(part @ part.T)
             # In the target's plane the direction of the longest axis is one angle.
             expected = {"std_m": np.sqrt(np.sum(part**2, axis=1)), "ellipse_half_axes_95_m": axes}
             entry["expected"] = expected | {"ellipse_directions": directions.T}
@@ -273,7 +246,7 @@ def _judgement(
     if misses is not None:
         content["rms_m"] = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
         if factor is not None:
-            comparison = compare_misses(factor, misses)
+            comparison = sv.grasping.compare_misses(factor, misses)
             # Every length in the document has its unit in its name.
             entries = comparison._asdict()
             entries["expected_rms_m"] = entries.pop("expected_rms")
@@ -285,10 +258,6 @@ def _judgement(
 
 def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     """Print the table of touches in mm, and the comparison in a sentence."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
     for note in judged["notes"]:
         typer.echo(f"note: {note}")
     measured = "rms_m" in judged
@@ -322,16 +291,14 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
         )
 
 
-def _semi(half_axes: "np.ndarray") -> str:
+def _semi(half_axes: np.ndarray) -> str:
     """Return half axes of an ellipse as text, mm."""
     return " x ".join(f"{1e3 * axis:.2f}" for axis in half_axes)
 
 
-def _millimetres(numbers: "np.ndarray") -> str:
+def _millimetres(numbers: np.ndarray) -> str:
     """Return lengths as text, mm."""
-    from ..geometry import vector_text
-
-    return vector_text(1e3 * numbers, 2)
+    return sv.geometry.vector_text(1e3 * numbers, 2)
 
 
 def _verdict(comparison: dict[str, Any]) -> str:

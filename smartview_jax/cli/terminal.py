@@ -1,24 +1,57 @@
-"""Report progress, errors and interrupts on the terminal."""
+"""Print lines and tables, and report progress, errors and interrupts on the terminal."""
 
 import logging
 import os
 import re
 import select
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TextIO
+from typing import Any, Literal, TextIO
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
 from ..extras import MissingExtraError
 from ..runtime.interrupts import INTERRUPT_EXIT_CODE, interrupt_listener, print_message_once
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress
-
 _log = logging.getLogger(__name__)
+
+
+def verbose() -> bool:
+    """Return whether the command was called with -v."""
+    return logging.getLogger(__package__).isEnabledFor(logging.INFO)
+
+
+def print_lines(*texts: str) -> None:
+    """Print texts as they are, one after the other, wrapped at the terminal's width."""
+    console = Console()
+    for text in texts:
+        console.print(text, highlight=False, markup=False)
+
+
+def print_table(
+    headings: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    justify: Literal["left", "right"] = "left",
+    **style: Any,
+) -> None:
+    """Print a table.
+
+    Args:
+        headings: of the columns.
+        rows: texts of each row.
+        justify: where in their columns all texts but those of the first column stand.
+        style: arguments of rich's `Table`.
+    """
+    table = Table(**style)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify=justify if number else "left")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
 
 
 @contextmanager
@@ -27,13 +60,10 @@ def progress_line() -> Iterator[Callable[[str], None]]:
 
     A text that counts, such as "fold 2 of 5", moves the bar; any other starts a bar without an end.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
-
     # On stderr, so that redirected results contain no progress.
     console = Console(stderr=True)
     # A moving bar would be torn apart by the lines of --verbose.
-    if logging.getLogger(__package__).isEnabledFor(logging.INFO):
+    if verbose():
         yield lambda text: _log.info("%s", text)
         return
     if not console.is_terminal:
@@ -52,7 +82,7 @@ def progress_line() -> Iterator[Callable[[str], None]]:
 class StageLines:
     """A function that prints the first line of every stage, for files and logs."""
 
-    def __init__(self, console: "Console"):
+    def __init__(self, console: Console):
         self._console = console
         self._stage = ""
 
@@ -78,7 +108,7 @@ def stage_of(text: str) -> str:
 class BarUpdate:
     """A function that shows a line of text next to a progress bar."""
 
-    def __init__(self, bar: "Progress"):
+    def __init__(self, bar: Progress):
         self._bar = bar
         self._stage, self._task = "", bar.add_task("starting", total=None)
 

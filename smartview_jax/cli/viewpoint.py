@@ -4,7 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
+
+import smartview_jax as sv
 
 from . import options
 from .options import parse_numbers, with_option_groups
@@ -12,10 +15,7 @@ from .robot_commands import CommandSheet, RobotOptions, numbered_names
 from .terminal import errors_reported
 
 if TYPE_CHECKING:
-    import numpy as np
     from jaxlie import SE3
-
-    from ..calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -63,18 +63,12 @@ def viewpoint(
     no file is written; --allow overrides a check.
     """
     with errors_reported(debug):
-        import numpy as np
-
-        from ..grasping import camera_covariance
-        from ..joint import load_with_uncertainty
-        from ..viewpoints import SAFETY_CHECKS, viewpoint_commands
-
-        codec = robot.codec()
-        loaded_calibration, estimate = load_with_uncertainty(calibration)
+        robot.refuse_unusable()
+        loaded_calibration, estimate = sv.joint.load_with_uncertainty(calibration)
         point = np.array(parse_numbers("--at", at, 3, "x,y,z (m)"))
         camera_from_world = requested_camera_poses(loaded_calibration, point, look)
         arm, readings = robot.arm_and_readings(loaded_calibration)
-        commands = viewpoint_commands(
+        commands = sv.viewpoint_commands(
             loaded_calibration,
             camera_from_world,
             point[None],
@@ -82,23 +76,16 @@ def viewpoint(
             readings,
         )
         names = numbered_names(len(commands.xyzoat))
-        sheet = CommandSheet.of(
-            loaded_calibration,
-            names,
-            commands,
-            codec,
-            arm,
-            SAFETY_CHECKS,
+        sheet = CommandSheet(
+            robot, loaded_calibration, names, commands, arm, sv.viewpoints.SAFETY_CHECKS
         )
         covariance = (
             None
             if estimate is None
-            else camera_covariance(loaded_calibration, estimate, commands.command)
+            else sv.grasping.camera_covariance(loaded_calibration, estimate, commands.command)
         )
         sheet.give(
             "viewpoint",
-            robot.out,
-            robot.allow,
             json,
             lambda: typer.echo(_error_text(names, covariance, calibration)),
             errors=_error_document(names, covariance),
@@ -106,11 +93,9 @@ def viewpoint(
 
 
 def _error_document(
-    names: tuple[str, ...], covariance: "np.ndarray | None"
+    names: tuple[str, ...], covariance: np.ndarray | None
 ) -> list[dict[str, Any]] | None:
     """Return the standard deviations of the camera's error at each view, m and rad."""
-    import numpy as np
-
     if covariance is None:
         return None
     std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -120,17 +105,15 @@ def _error_document(
     ]
 
 
-def _error_text(names: tuple[str, ...], covariance: "np.ndarray | None", path: Path) -> str:
+def _error_text(names: tuple[str, ...], covariance: np.ndarray | None, path: Path) -> str:
     """Return the camera's position error in words: 95 % intervals in mm."""
-    from ..geometry import vector_text
-
     errors = _error_document(names, covariance)
     if errors is None:
         return f"{path} has no covariance: the camera's error is not known"
     lines = []
     for entry in errors:
         # 1.96 standard deviations are 95 % of a Gaussian.
-        millimetres = vector_text(1.96e3 * entry["std_m"], 2)
+        millimetres = sv.geometry.vector_text(1.96e3 * entry["std_m"], 2)
         lines.append(f"{entry['name']}: error of the camera within +- {millimetres} mm (95 %)")
     return "\n".join([*lines, "along its own x, y, z, from the calibration and the robot's noise"])
 
@@ -143,13 +126,9 @@ It is used if the calibration has no region of viewpoints.
 
 
 def requested_camera_poses(
-    calibration: "Calibration", point: "np.ndarray", look: LookOptions
+    calibration: "sv.Calibration", point: np.ndarray, look: LookOptions
 ) -> "SE3":
     """Return the requested camera poses; the calibration gives the default distance and side."""
-    import numpy as np
-
-    from ..viewpoints import FIVE_VIEWPOINT_STEP, five_viewpoints, look_at, viewing_direction
-
     region, distance, below = calibration.region, look.distance, look.below
     if distance is None:
         distance = (
@@ -167,8 +146,8 @@ def requested_camera_poses(
         )
     tilt, azimuth, roll = np.deg2rad((look.tilt, look.azimuth, look.roll))
     if look.five:
-        return five_viewpoints(
-            point, distance, float(roll), float(tilt) or FIVE_VIEWPOINT_STEP, above
+        return sv.viewpoints.five_viewpoints(
+            point, distance, float(roll), float(tilt) or sv.viewpoints.FIVE_VIEWPOINT_STEP, above
         )
-    directions = viewing_direction(tilt, np.array([azimuth]), above)
-    return look_at(point, directions, distance, float(roll))
+    directions = sv.viewpoints.viewing_direction(tilt, np.array([azimuth]), above)
+    return sv.viewpoints.look_at(point, directions, distance, float(roll))

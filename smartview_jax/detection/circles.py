@@ -124,13 +124,7 @@ def candidate_blobs(
 
 
 def _detect_partial_grid(blobs: list[cv2.KeyPoint], target: CircleGrid, reason: str) -> Detection:
-    """Return the detected circles of a partly visible grid, or an empty detection with the reason.
-
-    Args:
-        blobs: the candidates for circles.
-        target: the grid.
-        reason: the reason why no whole grid was found, the beginning of a message.
-    """
+    """Return the circles of a partly visible grid, or an empty detection with a further reason."""
     count = target.rows * target.columns
     if target.asymmetric:
         return empty_detection(count, f"{reason}; an asymmetric grid must be visible completely")
@@ -145,14 +139,7 @@ def _detect_partial_grid(blobs: list[cv2.KeyPoint], target: CircleGrid, reason: 
 def _blob_parameters(
     min_area: float, min_circularity: float, target: CircleGrid, shape: tuple[int, ...]
 ) -> cv2.SimpleBlobDetector.Params:
-    """Return the settings of OpenCV's blob detector.
-
-    Args:
-        min_area: lower limit on a blob's area, px^2.
-        min_circularity: lower limit on a blob's circularity.
-        target: the grid.
-        shape: shape of the picture, height and width first, px.
-    """
+    """Return the settings of OpenCV's blob detector, for pictures of a shape."""
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.minThreshold, parameters.maxThreshold = 20, 220
     parameters.thresholdStep = 10

@@ -89,10 +89,7 @@ def _grow_lattices(centres: Float[np.ndarray, "blobs 2"]) -> list[Lattice]:
 def _grow_lattice(centres: Float[np.ndarray, "blobs 2"], tree: KDTree, seed: int) -> Lattice:
     """Return the lattice that contains a circle, with rows and columns oriented as in the picture.
 
-    Args:
-        centres: centres of all blobs, px.
-        tree: the same centres, for queries of the nearest one.
-        seed: index of the circle to start from.
+    The tree has the same centres as the array, px.
     """
     # Breadth first from the seed: the neighbour of a circle at c is expected at c +- step, and the
     # step to a found neighbour is its measured distance, so that steps follow the perspective.
@@ -167,12 +164,7 @@ def _homography_inliers(cells: Lattice, centres: Float[np.ndarray, "blobs 2"]) -
 def _rotate_cells(
     cells: Int[np.ndarray, "found 2"], quarter_rotations: int
 ) -> Int[np.ndarray, "found 2"]:
-    """Return rows and columns after rotations of the grid.
-
-    Args:
-        cells: rows and columns, counted from zero.
-        quarter_rotations: number of rotations by 90 degrees.
-    """
+    """Return rows and columns, from zero, after rotations of the grid by 90 degrees each."""
     # (row, column) -> (column, last row - row)
     for _ in range(quarter_rotations):
         cells = np.stack([cells[:, 1], cells[:, 0].max() - cells[:, 0]], axis=1)
@@ -192,14 +184,7 @@ def _select_by_mark(
     """Return the rotation of the cells whose first corner is the mark.
 
     If the mark is not seen, it is the rotation that spans the target with its first corner hidden.
-
-    Args:
-        rotated: the possible rotations of the cells.
-        diameters: diameter of each cell's circle, px.
-        target: the grid.
-
-    Returns:
-        A list of one rotation, or an empty list if there is none or more than one.
+    The list is empty if there is none or more than one.
     """
     marked, hidden = [], []
     for cells in rotated:

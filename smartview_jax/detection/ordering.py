@@ -10,6 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from ..geometry import host_nearest_rotation
 from ..targets import AbstractTarget
@@ -230,6 +231,5 @@ def _align(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def _rotation_vectors(rotations: np.ndarray) -> np.ndarray:
     """Return the rotation vectors of rotations `(..., 3, 3)`, rad."""
-    flat = rotations.reshape(-1, 3, 3)
-    vectors = np.array([cv2.Rodrigues(rotation)[0].ravel() for rotation in flat])
+    vectors = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec()
     return vectors.reshape(*rotations.shape[:-2], 3)

@@ -8,7 +8,7 @@ from ..argument_checks import errors_at
 from ..dataset import Dataset
 from ..detection import DetectionLimits, checked_pixels
 from ..geometry import pose_codec
-from .csv_tables import duplicates, parse_numbers, read_table, refuse_out_of_range
+from .csv_tables import parse_numbers, read_table, refuse_out_of_range
 from .view_names import with_names_of
 
 
@@ -42,13 +42,7 @@ def import_correspondences(
     poses_csv, corners_csv = Path(poses_csv), Path(corners_csv)
     codec = pose_codec("matrix")
     table = read_table(poses_csv, ("view", *codec.columns))
-    view_ids = [row["view"] for row in table.rows]
-    if duplicates(view_ids):
-        raise ValueError(
-            f"{poses_csv}: view {', '.join(duplicates(view_ids))} has more than one row"
-        )
-    if not view_ids:
-        raise ValueError(f"{poses_csv}: no poses")
+    view_ids = table.view_ids("poses")
     # NaN and infinity pass here: `Dataset.from_arrays` raises or masks the view, by `bad_views`.
     rows = [
         parse_numbers(poses_csv, row, codec.columns, row["view"], require_finite=False)

@@ -3,7 +3,7 @@
 import csv
 import dataclasses
 import io
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,22 @@ class Table:
     notes: tuple[str, ...]
     comments: tuple[str, ...]
     written_header: tuple[str, ...]
+
+    def view_ids(self, content: str = "") -> list[str]:
+        """Return the names of the views, one for each row.
+
+        Args:
+            content: what the rows have, for the error that there are none; empty accepts no rows.
+
+        Raises:
+            ValueError: a view has more than one row, or there are no rows.
+        """
+        views = [row[VIEW_COLUMN] for row in self.rows]
+        if repeated := duplicates(views):
+            raise ValueError(f"{self.path}: view {', '.join(repeated)} has more than one row")
+        if content and not views:
+            raise ValueError(f"{self.path}: no {content}")
+        return views
 
     def requiring(self, required: Sequence[str], units: Collection[str] = ("s",)) -> "Table":
         """Return the table with further required columns under their names, as `read_table` does.
@@ -149,7 +165,11 @@ def refuse_truncated(path: Path, rows: Sequence[object], stated_rows: int | None
 
 
 def parse_numbers(
-    path: Path, row: dict[str, str], columns: Sequence[str], view: str, require_finite: bool = True
+    path: Path,
+    row: Mapping[str, str],
+    columns: Sequence[str],
+    view: str,
+    require_finite: bool = True,
 ) -> np.ndarray:
     """Return some columns of a row as numbers.
 

@@ -16,8 +16,8 @@ Instead of poses, or in addition to them, the folder may have joint readings (se
 Pictures, poses and joint readings are matched by the view's name, never by their order; a name has
 up to 200 printable characters, does not begin with # and leads to no other folder. If the target's
 pattern looks the same when rotated, `base_from_world` (`tool_from_world` for a fixed camera) gives
-the target's approximate pose (see `rough_pose.py`). The schema of the file is in `schemas.dataset`;
-an unknown key is an error. A board printed by Kalibr can refer to Kalibr's own file:
+the target's approximate pose (see `folder_description.py`). The schema of the file is in
+`schemas.dataset`; an unknown key is an error. A board printed by Kalibr can refer to Kalibr's file:
 `target: {kind: aprilgrid, file: target.yaml}`. A folder of tracked poses instead of pictures is
 described in `tracked_poses.py`, one of a depth sensor in `depth_folder.py`, and depths at the
 points of pictures, from a camera whose lens is to be found, in `point_depths.py`.
@@ -44,36 +44,29 @@ from typing import Any
 import numpy as np
 from jaxlie import SE3
 
+from .. import schemas
 from ..argument_checks import errors_at
 from ..dataset import Dataset, PoseDataset, Rig
 from ..detection import checked_pixels
-from ..files import file_transaction, read_yaml
-from ..geometry import PoseLike, as_se3, host_matrices, pose_codec
+from ..files import file_transaction
+from ..geometry import PoseLike, as_se3, host_matrices
 from ..targets import AbstractTarget, ListedPoints, StackedTarget, target_to_dict
 from .depth_folder import read_depth_pictures, read_points_folder
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .folder_description import (
     DESCRIPTION_FILE,
+    DescribedFolder,
     FolderDescription,
     described_camera,
-    is_rig_description,
     marked_entries,
-    without_nulls,
 )
 from .folder_pictures import LoadOptions, picture_files, read_board_heights
-from .joints import joints_entry, refuse_unreadable_joints, write_joints
+from .joints import joints_entry, write_joints
 from .picture_detections import ShownTarget
 from .pictures import dataset_from_pictures
 from .point_depths import DEPTHS_FILE, with_folder_depths, write_depths
-from .poses import (
-    OTHER_POSES_FILE,
-    POSES_FILE,
-    poses_entry,
-    read_poses,
-    refuse_unreadable_poses,
-    write_poses,
-)
-from .robot_readings import RobotReadings, read_robot_readings, table_of_views
+from .poses import OTHER_POSES_FILE, POSES_FILE, RobotReadings, poses_entry, read_poses, write_poses
+from .robot_readings import read_robot_readings
 from .tracked_poses import read_tracked_folder, write_tracked_poses
 
 
@@ -81,26 +74,50 @@ def load_dataset_folder(
     folder: Path, options: LoadOptions, holder_from_world: PoseLike | None = None
 ) -> Dataset:
     """Read a data set from a folder with a `dataset.yaml`; see `load_dataset`."""
-    data = _load_one_arm(folder, options, holder_from_world)
-    content = read_yaml(folder / DESCRIPTION_FILE)
-    if content.get("mount") != "hand_to_hand":
+    described = DescribedFolder.of(folder)
+    if described.is_rig:
+        raise ValueError(
+            f"{described.path}: cameras: a folder with several cameras is read by load_rig; of "
+            "the commands only smartview check, calibrate, compare, evaluate and plan do"
+        )
+    described, description = described.validated(schemas.DATASET_SCHEMA)
+    if description.tracked_poses is not None:
+        return read_tracked_folder(described, options.bad_views)
+    if description.measured_points is not None:
+        return read_points_folder(described, options)
+    camera = described_camera(described, description)
+    if holder_from_world is not None:
+        camera = camera._replace(holder_from_world=as_se3(holder_from_world))
+    readings = read_robot_readings(described, options.bad_views)
+    if description.pictures is not None:
+        if description.mount == "hand_to_hand":
+            _require_one_numbering(camera.target, described.path)
+        files = camera_pictures(camera, readings, described, description.pictures.pattern)
+        data = camera_dataset(camera, readings, files, options, described.path)
+    elif camera.detections.is_file():
+        data = detected_dataset(camera, readings, options, described.path)
+    else:
+        raise ValueError(
+            f"{described.path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
+        )
+    depths = description.depth_pictures
+    if depths is not None and depths.camera is not None:
+        return read_depth_pictures(data, readings, described, options)
+    data = with_folder_depths(data, described, options)
+    if description.mount != "hand_to_hand":
         return data
-    return _between_hands(data, folder, content["other_poses"], options.bad_views)
+    return _between_hands(data, described, options.bad_views)
 
 
-def _between_hands(data: Dataset, folder: Path, entry: dict[str, Any], bad_views: str) -> Dataset:
+def _between_hands(data: Dataset, described: DescribedFolder, bad_views: str) -> Dataset:
     """Return the data set of a camera on a hand with the poses of the arm that carries the target.
-
-    Args:
-        data: the data set, with the poses of the camera's arm.
-        folder: of the data set.
-        entry: the entry `other_poses`.
-        bad_views: as for `load_dataset`.
 
     Raises:
         ValueError: a wrong value, or a view without a pose; the message names the file.
     """
-    other, path = read_poses(folder, entry, bad_views, "other_poses"), folder / entry["file"]
+    entry = described.content["other_poses"]
+    other = read_poses(described.folder, entry, bad_views, "other_poses")
+    path = described.folder / entry["file"]
     place = {view: k for k, view in enumerate(other.view_ids)}
     if missing := [view for view in data.view_ids if view not in place]:
         raise ValueError(f"{path}: no pose for the view {', '.join(missing[:5])}")
@@ -129,62 +146,19 @@ def _require_one_numbering(target: AbstractTarget, path: Path) -> None:
         )
 
 
-def _load_one_arm(
-    folder: Path, options: LoadOptions, holder_from_world: PoseLike | None
-) -> Dataset:
-    """Read a data set, of two arms without the poses of the second."""
-    # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import validate_content
-
-    description_path = folder / DESCRIPTION_FILE
-    raw_content = read_yaml(description_path)
-    if is_rig_description(raw_content):
-        raise ValueError(
-            f"{description_path}: cameras: a folder with several cameras is read by load_rig; of "
-            "the commands only smartview check, calibrate, compare, evaluate and plan do"
-        )
-    description = validate_content(raw_content, DATASET_SCHEMA, description_path)
-    content = without_nulls(raw_content)
-    if description.tracked_poses is not None:
-        return read_tracked_folder(folder, content, description_path, options.bad_views)
-    if description.measured_points is not None:
-        return read_points_folder(folder, content, description_path, options)
-    camera = described_camera(folder, content, description, description_path)
-    if holder_from_world is not None:
-        camera = camera._replace(holder_from_world=as_se3(holder_from_world))
-    readings = read_robot_readings(folder, content, description_path, options.bad_views)
-    if "pictures" in content:
-        if description.mount == "hand_to_hand":
-            _require_one_numbering(camera.target, description_path)
-        files = picture_files(
-            folder,
-            content["pictures"],
-            readings.view_ids,
-            camera.target,
-            table_of_views(folder, content),
-            description_path,
-            camera_board_heights(camera, readings),
-        )
-        data = camera_dataset(camera, readings, files, options, description_path)
-        if description.depth_pictures is None or description.depth_pictures.camera is None:
-            return with_folder_depths(data, folder, content, description_path, options)
-        return read_depth_pictures(data, readings, folder, content, description_path, options)
-    if not camera.detections.is_file():
-        raise ValueError(
-            f"{description_path}: entry 'pictures' is missing, and there is no {DETECTIONS_FILE}"
-        )
-    data = detected_dataset(camera, readings, options, description_path)
-    return with_folder_depths(data, folder, content, description_path, options)
-
-
-def camera_board_heights(
-    camera: FolderDescription, readings: RobotReadings
-) -> Mapping[str, int] | None:
+def _board_heights(camera: FolderDescription, readings: RobotReadings) -> Mapping[str, int] | None:
     """Return the height of the target in each view, if every picture has its own pose."""
     return read_board_heights(
         readings.table, camera.target, readings.view_ids, readings.name_suffix
     )
+
+
+def camera_pictures(
+    camera: FolderDescription, readings: RobotReadings, described: DescribedFolder, pattern: str
+) -> dict[str, list[Path]]:
+    """Return the files of a camera's pictures by view; see `picture_files`."""
+    heights = _board_heights(camera, readings)
+    return picture_files(described, pattern, readings.view_ids, camera.target, heights)
 
 
 def camera_dataset(
@@ -211,7 +185,7 @@ def camera_dataset(
             camera.mount,
             camera.image_size,
             camera.holder_from_world,
-            camera_board_heights(camera, readings),
+            _board_heights(camera, readings),
         ),
         options=options,
         masked_views=readings.masked_views,
@@ -228,7 +202,8 @@ def detected_dataset(
 ) -> Dataset:
     """Return the data set of one camera from its table of detected points.
 
-    The arguments are as for `camera_dataset`.
+    Args:
+        camera, readings, options, description_path: as for `camera_dataset`.
     """
     try:
         detected, table_notes = read_detections(
@@ -311,7 +286,6 @@ def save_dataset(data: Dataset, folder: str | Path, pose_format: str = "matrix")
 
 def _save_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> None:
     """Write a data set of tracked poses to a folder."""
-    refuse_unreadable_robot(folder, data, pose_format)
     entries = {
         "mount": data.mount,
         "poses": poses_entry(data.view_count, pose_format),
@@ -325,26 +299,20 @@ def _save_tracked_poses(data: PoseDataset, folder: Path, pose_format: str) -> No
 def _save_pictures(data: Dataset, folder: Path, pose_format: str) -> None:
     """Write a data set of detected points to a folder."""
     target = described_target(data, "save_dataset: the data set")
-    hands, of_other = data.hands, {}
-    if hands is not None:
-        data = dataclasses.replace(data, base_from_tool=hands.base_from_tool)
-        other = hands.other_base_from_other_tool
-        refuse_unreadable_poses(folder, data.view_ids, other, OTHER_POSES_FILE)
-        of_other = {"other_poses": poses_entry(data.view_count, pose_format, OTHER_POSES_FILE)}
-    refuse_unreadable_robot(folder, data, pose_format)
-    rows = write_visible_points(folder / DETECTIONS_FILE, data)
-    if hands is not None:
-        other = hands.other_base_from_other_tool
+    base_from_tool, of_other = data.base_from_tool, {}
+    if data.hands is not None:
+        base_from_tool, other = data.hands.base_from_tool, data.hands.other_base_from_other_tool
         write_poses(folder, data.view_ids, other, pose_format, OTHER_POSES_FILE)
+        of_other = {"other_poses": poses_entry(data.view_count, pose_format, OTHER_POSES_FILE)}
     write_dataset_folder(
         folder,
         data.view_ids,
-        data.base_from_tool,
+        base_from_tool,
         data.image_size,
         target,
         data.mount,
         {
-            "detections": {"rows": rows},
+            "detections": {"rows": write_visible_points(folder / DETECTIONS_FILE, data)},
             **write_depths(data, folder / DEPTHS_FILE),
             **written_joints(folder, data),
             **of_other,
@@ -387,14 +355,6 @@ def write_visible_points(path: Path, data: Dataset) -> int:
     """
     visible = np.asarray(data.visible)[..., None]
     return write_detections(path, data.view_ids, np.where(visible, data.pixels, np.nan))
-
-
-def refuse_unreadable_robot(folder: Path, data: Dataset | Rig, pose_format: str) -> None:
-    """Raise a ValueError for an unknown format, or what could not be read back of the robot."""
-    pose_codec(pose_format)
-    refuse_unreadable_poses(folder, data.view_ids, data.base_from_tool)
-    if data.arm is not None and data.joints is not None:
-        refuse_unreadable_joints(folder, data.view_ids, np.asarray(data.joints), data.arm)
 
 
 def written_joints(folder: Path, data: Dataset | Rig) -> dict[str, Any]:
@@ -459,14 +419,10 @@ def write_described_folder(
     Raises:
         ValueError: a name or a value with which the folder could not be read back.
     """
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.rig import RIG_SCHEMA
-    from ..schemas.validation import refuse_unreadable, write_validated
-
     description = marked_entries(entries)
-    schema = RIG_SCHEMA if is_rig_description(description) else DATASET_SCHEMA
-    refuse_unreadable(description, schema, folder / DESCRIPTION_FILE)
+    schema = schemas.RIG_SCHEMA if "cameras" in description else schemas.DATASET_SCHEMA
+    schemas.refuse_unreadable(description, schema, folder / DESCRIPTION_FILE)
     for file, (view_ids, base_from_tool) in poses.items():
         write_poses(folder, view_ids, base_from_tool, pose_format, file)
     # Written last: an interrupted run leaves a folder that is not a data set, not half of one.
-    write_validated(folder / DESCRIPTION_FILE, description, schema)
+    schemas.write_validated(folder / DESCRIPTION_FILE, description, schema)

@@ -28,7 +28,6 @@ target is detected:
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -40,10 +39,11 @@ from ..extras import import_extra
 from ..geometry import LENGTH_UNITS
 from ..targets import AbstractTarget, StackedTarget
 from .csv_tables import parse_numbers, read_table
+from .folder_description import DescribedFolder, read_target
 from .folder_pictures import LoadOptions, picture_files
 from .known_camera import read_camera
-from .robot_readings import RobotReadings, read_robot_readings, table_of_views
-from .target_file import read_target
+from .poses import RobotReadings
+from .robot_readings import read_robot_readings
 
 POINT_FORMATS = (".csv", ".npy", ".npz", ".ply")
 """Endings of the files of measured points."""
@@ -129,27 +129,23 @@ def _points_from_array(path: Path) -> np.ndarray:
         raise ValueError(f"{path}: no readable points: {error}") from error
 
 
-def read_points_folder(
-    folder: Path, content: dict[str, Any], description_path: Path, options: LoadOptions
-) -> PoseDataset:
+def read_points_folder(described: DescribedFolder, options: LoadOptions) -> PoseDataset:
     """Read a folder with the points of a target that a depth sensor measured.
 
     Args:
-        folder: of the data set.
-        content: content of its description, with an entry `measured_points`.
-        description_path: path of the description, for error messages.
-        options: how the folder is read.
+        described: a folder with an entry `measured_points`.
+        options: how it is read.
 
     Raises:
         ValueError: a wrong entry or file, or points that do not belong to the target.
         FileNotFoundError: a file is missing.
     """
-    with errors_at(description_path):
-        target = read_target(folder, content["target"])
-    readings = read_robot_readings(folder, content, description_path, options.bad_views)
-    entry, table = content["measured_points"], table_of_views(folder, content)
-    files = picture_files(folder, entry, readings.view_ids, target, table, description_path)
-    _refuse_heights(target, description_path)
+    content = described.content
+    with errors_at(described.path):
+        target = read_target(described.folder, content["target"])
+    readings, entry = read_robot_readings(described, options.bad_views), content["measured_points"]
+    files = picture_files(described, entry["pattern"], readings.view_ids, target)
+    _refuse_heights(target, described.path)
     count = len(target.points)
     points, reasons = _of_views(
         {view: paths[0] for view, paths in files.items()},
@@ -159,34 +155,29 @@ def read_points_folder(
         options.bad_views,
     )
     mount = content.get("mount", "eye_in_hand")
-    data = _measured(points, target, readings, mount, reasons, description_path)
+    data = _measured(points, target, readings, mount, reasons, described.path)
     return dataclasses.replace(data, notes=readings.notes, pose_format=readings.pose_format)
 
 
 def read_depth_pictures(
-    data: Dataset,
-    readings: RobotReadings,
-    folder: Path,
-    content: dict[str, Any],
-    description_path: Path,
-    options: LoadOptions,
+    data: Dataset, readings: RobotReadings, described: DescribedFolder, options: LoadOptions
 ) -> PoseDataset:
     """Read the depth pictures of a folder at the target's points, detected in its other pictures.
 
     Args:
         data: the detected points.
         readings: what the robot reported.
-        folder, description_path, options: as in `read_points_folder`.
-        content: content of the description, with an entry `depth_pictures`.
+        described: a folder with an entry `depth_pictures`.
+        options: how it is read.
 
     Raises:
         ValueError: a wrong picture, or depths that do not belong to the target.
         FileNotFoundError: a picture is missing.
     """
-    entry, table = content["depth_pictures"], table_of_views(folder, content)
-    files = picture_files(folder, entry, readings.view_ids, data.target, table, description_path)
-    camera = read_camera(folder / entry["camera"])
-    _refuse_heights(data.target, description_path)
+    entry = described.content["depth_pictures"]
+    files = picture_files(described, entry["pattern"], readings.view_ids, data.target)
+    camera = read_camera(described.folder / entry["camera"])
+    _refuse_heights(data.target, described.path)
     pixels = dict(zip(data.view_ids, np.asarray(data.pixels), strict=True))
 
     def points_of(view: str, path: Path) -> Float[np.ndarray, "points 3"]:
@@ -203,7 +194,7 @@ def read_depth_pictures(
         options.bad_views,
         options.progress,
     )
-    measured = _measured(points, data.target, readings, data.mount, reasons, description_path)
+    measured = _measured(points, data.target, readings, data.mount, reasons, described.path)
     return dataclasses.replace(
         measured, notes=data.notes, pose_format=data.pose_format, camera=camera
     )

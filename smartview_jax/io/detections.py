@@ -110,7 +110,8 @@ def read_detections(
     table = read_table(path, _COLUMNS, ())
     refuse_truncated(path, table.rows, stated_rows)
     rows, notes = with_names_of(table, view_ids)
-    return _pixels_from_table(path, rows, view_ids, point_count), (*table.notes, *notes)
+    pixels = values_of_points(path, rows, view_ids, point_count, _COLUMNS[2:])
+    return pixels, (*table.notes, *notes)
 
 
 def read_kept_detections(
@@ -149,7 +150,7 @@ def read_kept_detections(
         # A point beyond the target's means another target, and so another key.
         if any(row["point"].isdecimal() and int(row["point"]) >= point_count for row in view_rows):
             continue
-        pixels = _pixels_from_table(path, view_rows, [view], point_count)[0]
+        pixels = values_of_points(path, view_rows, [view], point_count, _COLUMNS[2:])[0]
         visible = np.asarray(np.isfinite(pixels).all(axis=1))
         reason, left_out = note.get("reason"), note.get("left_out")
         # A note about other pictures, or one that was edited, is ignored.
@@ -177,20 +178,39 @@ def _kept_notes(comments: Sequence[str]) -> dict[str, dict[str, Any]]:
     return notes
 
 
-def _pixels_from_table(
-    path: Path, table: list[dict[str, str]], view_ids: Sequence[str], point_count: int
-) -> Float[np.ndarray, "views points 2"]:
-    """Return the table's pixels, `(views, points, 2)`; NaN where a point has no row."""
+def values_of_points(
+    path: Path,
+    rows: Sequence[Mapping[str, str]],
+    view_ids: Sequence[str],
+    point_count: int,
+    columns: Sequence[str],
+) -> Float[np.ndarray, "views points columns"]:
+    """Return the numbers that a table has for points of the target, by view and point.
+
+    Args:
+        path: of the table, for messages.
+        rows: of the table, with the columns `view` and `point`.
+        view_ids: ids of all views.
+        point_count: number of points of the target.
+        columns: names of the columns of numbers.
+
+    Returns:
+        The numbers; NaN where a point has no row.
+
+    Raises:
+        ValueError: a view without a pose, a point that the target does not have or that a view has
+            twice, or a field that is not a number; the message names the file and the view.
+    """
     index = {view: k for k, view in enumerate(view_ids)}
-    pixels = np.full((len(view_ids), point_count, 2), np.nan)
-    for row in table:
+    values = np.full((len(view_ids), point_count, len(columns)), np.nan)
+    for row in rows:
         view = row["view"]
         if view not in index:
             raise ValueError(f"{path}: view {shortened_repr(view)} has no pose")
-        point, u, v = parse_numbers(path, row, _COLUMNS[1:], view)
-        if point != int(point) or not 0 <= point < point_count:
+        point, *numbers = parse_numbers(path, row, ("point", *columns), view)
+        if point not in range(point_count):
             raise ValueError(f"{path}: view {view}: the target has no point {point:g}")
-        if np.isfinite(pixels[index[view], int(point)]).any():
+        if np.isfinite(values[index[view], int(point)]).any():
             raise ValueError(f"{path}: view {view}: point {point:g} has more than one row")
-        pixels[index[view], int(point)] = u, v
-    return pixels
+        values[index[view], int(point)] = numbers
+    return values

@@ -4,20 +4,18 @@ A sample is a pair of a robot pose and the tracked pose of a marker.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
 
+from .. import schemas
 from ..argument_checks import errors_at
 from ..calibration import Calibration, mount_frames, mount_from_holder
 from ..export_text import easy_handeye_text
-from ..files import dump_yaml, read_yaml, write_atomically
+from ..files import dump_yaml, write_atomically
 from ..geometry import pose_codec
 from .export import mount_from_camera
-
-if TYPE_CHECKING:
-    from ..schemas.external_formats import TransformMessage
 
 _CODEC = pose_codec("quaternion_xyzw")
 _TRANSFORM_COMPONENTS = tuple(("translation", k) for k in "xyz") + tuple(
@@ -59,11 +57,8 @@ def read_easy_handeye(path: str | Path, mount: str = "eye_in_hand") -> PoseSampl
         FileNotFoundError: the file is missing.
         ValueError: no samples, or a sample without its transforms, named by its number from 0.
     """
-    from ..schemas.external_formats import SAMPLES_SCHEMA
-    from ..schemas.validation import validate_content
-
     mount_frames(mount)
-    samples = validate_content(read_yaml(path), SAMPLES_SCHEMA, path).samples
+    samples = schemas.read_validated(path, schemas.SAMPLES_SCHEMA).samples
     robot = _decode_transforms(path, "robot", [sample.robot for sample in samples])
     tracking = _decode_transforms(path, "tracking", [sample.tracking for sample in samples])
     # The file has holder_from_mount: base_from_tool for eye-in-hand, tool_from_base otherwise.
@@ -76,15 +71,12 @@ def write_easy_handeye(path: str | Path, samples: PoseSamples) -> None:
     Raises:
         ValueError: no samples, or a value with which the file could not be read back.
     """
-    from ..schemas.external_formats import SAMPLES_SCHEMA
-    from ..schemas.validation import refuse_unreadable
-
     robot = samples.mount_from_holder.inverse()
     pairs = zip(_CODEC.encode(robot), _CODEC.encode(samples.camera_from_world), strict=True)
     content = [
         {"robot": _transform_message(r), "tracking": _transform_message(t)} for r, t in pairs
     ]
-    refuse_unreadable({"samples": content}, SAMPLES_SCHEMA, path)
+    schemas.refuse_unreadable({"samples": content}, schemas.SAMPLES_SCHEMA, path)
     # Always YAML, whatever the file's ending, as easy_handeye writes it.
     write_atomically(path, dump_yaml({"samples": content}))
 
@@ -112,7 +104,9 @@ def easy_handeye_calibration(
     return easy_handeye_text(pose, calibration.mount, parent, child, name)
 
 
-def _decode_transforms(path: str | Path, entry: str, transforms: "list[TransformMessage]") -> SE3:
+def _decode_transforms(
+    path: str | Path, entry: str, transforms: "list[schemas.TransformMessage]"
+) -> SE3:
     """Return the messages as poses; an error names the file and the entry."""
     rows = [
         [getattr(getattr(transform, part), k) for part, k in _TRANSFORM_COMPONENTS]

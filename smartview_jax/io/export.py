@@ -1,4 +1,4 @@
-"""Export a calibration for other programs: ROS, URDF, OpenCV.
+"""Export a calibration for other programs: ROS, URDF, OpenCV, Kalibr, mrcal.
 
 Each function returns the text of a file. The camera frame is the optical frame (z forward, x to the
 right), as image processing expects; `optical=False` gives the body frame of ROS's REP 103
@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..calibration import Calibration
 from ..cameras import (
@@ -165,3 +166,29 @@ def kalibr_camchain(calibrations: Mapping[str, Calibration]) -> str:
             for name, calibration in calibrations.items()
         }
     )
+
+
+def mrcal_cameramodel(calibration: Calibration) -> str:
+    """Return a cameramodel file of mrcal with the camera and its pose on the mount.
+
+    The extrinsics are the hand-eye transform, `camera_from_tool` (`camera_from_base` for a fixed
+    camera): mrcal's reference frame is the mount.
+
+    Raises:
+        ValueError: a fisheye, which mrcal has no model of.
+    """
+    camera, lens = calibration.camera, opencv_coefficients(calibration.camera)
+    if lens.model == "equidistant":
+        raise ValueError(f"mrcal has no lens like {camera.lens!r}: calibrate with lens='opencv8'")
+    coefficients = [float(x) for x in lens.coefficients]
+    intrinsics = [float(x) for x in (camera.alpha_u, camera.alpha_v, camera.u0, camera.v0)]
+    matrix = host_matrices(calibration.camera_from_mount)
+    turn = Rotation.from_matrix(matrix[:3, :3]).as_rotvec()
+    entries = {
+        "lensmodel": f"LENSMODEL_OPENCV{len(coefficients)}",
+        "intrinsics": intrinsics + coefficients,
+        "extrinsics": [float(x) for x in (*turn, *matrix[:3, 3])],
+        "imagersize": list(camera.image_size),
+    }
+    lines = "".join(f"    {name!r}: {value!r},\n" for name, value in entries.items())
+    return f"{{\n{lines}}}\n"

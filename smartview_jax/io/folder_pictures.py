@@ -7,11 +7,12 @@ complete.
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict
+from typing import NamedTuple, TypedDict
 
 from ..detection import DetectionLimits
 from ..targets import AbstractTarget, StackedTarget
 from .csv_tables import Table
+from .folder_description import DescribedFolder
 
 PENDING_SUFFIX = ".pending"
 """The suffix of a picture that has no final name yet; its name also begins with a full stop."""
@@ -46,34 +47,30 @@ class LoadOptions(NamedTuple):
 
 
 def picture_files(
-    folder: Path,
-    content: dict[str, Any],
+    described: DescribedFolder,
+    pattern: str,
     view_ids: Sequence[str],
     target: AbstractTarget,
-    poses_path: Path,
-    description_path: Path,
     board_heights: Mapping[str, int] | None = None,
 ) -> dict[str, list[Path]]:
     """Return the picture files of each view: one, or one for each height of a `StackedTarget`.
 
     Args:
-        folder: of the data set.
-        content: the entry `pictures`, as `schemas.dataset` defines it.
+        described: the folder.
+        pattern: of the files' names, as `schemas.dataset` defines it.
         view_ids: ids of the views.
         target: the calibration target in the pictures.
-        poses_path: table of the poses, for error messages.
-        description_path: path of the description, for error messages.
         board_heights: index of the height in the only picture of a view; see `read_board_heights`.
 
     Raises:
         ValueError: a pattern without the height, or pictures without a pose.
     """
-    pattern = content["pattern"]
+    folder, table = described.folder, described.view_table
     heights = range(len(target.heights)) if isinstance(target, StackedTarget) else range(1)
     if board_heights is None and len(heights) > 1 and "{height}" not in pattern:
         raise ValueError(
-            f"{description_path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "
-            f"or a column height in {poses_path.name} if every picture has its own pose"
+            f"{described.path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "
+            f"or a column height in {table.name} if every picture has its own pose"
         )
     files = {
         view: [
@@ -84,14 +81,10 @@ def picture_files(
     }
     # A glob over the same names finds pictures without a pose. Adjacent placeholders become one
     # "*", because "**" has a meaning of its own in a glob.
-    glob_pattern = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", _escape_glob(pattern)))
-    refuse_unmatched_pictures(files, folder / glob_pattern, poses_path)
+    escaped = re.sub(r"([*?[])", r"[\1]", pattern)
+    glob_pattern = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", escaped))
+    refuse_unmatched_pictures(files, folder / glob_pattern, table)
     return files
-
-
-def _escape_glob(pattern: str) -> str:
-    """Return the pattern with `*`, `?` and `[` escaped, so that a glob takes them literally."""
-    return re.sub(r"([*?[])", r"[\1]", pattern)
 
 
 def numbered_pictures(

@@ -27,6 +27,7 @@ from .csv_tables import (
     refuse_truncated,
     write_table,
 )
+from .folder_description import DescribedFolder
 from .view_names import with_names_of
 
 JOINTS_FILE = "joints.csv"
@@ -54,23 +55,20 @@ class ReadJoints(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_joints(
-    folder: Path, content: dict[str, Any], description_path: Path, view_ids: Sequence[str] | None
-) -> ReadJoints:
+def read_joints(described: DescribedFolder, view_ids: Sequence[str] | None) -> ReadJoints:
     """Read view ids, joint readings (rad, m) and arm from the entry `joints` of a description.
 
     Args:
-        folder: of the data set.
-        content: the entry `joints`, as `schemas.dataset` defines it.
-        description_path: path of the description, for error messages.
+        described: a folder with an entry `joints`, as `schemas.dataset` defines it.
         view_ids: view ids in the order wanted; None keeps the order of the file.
 
     Raises:
         ValueError: naming the file and the entry or view that is wrong.
         FileNotFoundError: the table is missing.
     """
-    arm = _arm_from_entry(content.get("arm"), description_path)
-    path, columns = folder / content["file"], _joint_columns(arm)
+    content = described.content["joints"]
+    arm = _arm_from_entry(content.get("arm"), described.path)
+    path, columns = described.folder / content["file"], _joint_columns(arm)
     stated_units = (content["angle_unit"], content["length_unit"])
     joints_table = read_table(path, ("view", *columns), stated_units)
     rows, notes = (
@@ -107,22 +105,9 @@ def write_joints(
         ValueError: a name or a reading with which the file could not be read back.
     """
     columns = _joint_columns(arm)
-    refuse_unreadable_joints(folder, view_ids, joints, arm)
+    _refuse_impossible(folder / JOINTS_FILE, view_ids, joints, columns)
     rows = [(view, *map(float, row)) for view, row in zip(view_ids, joints, strict=True)]
     write_table(folder / JOINTS_FILE, ("view", *columns), rows)
-
-
-def refuse_unreadable_joints(
-    folder: Path,
-    view_ids: Sequence[str],
-    joints: Float[np.ndarray, "views joints"],
-    arm: SerialArm,
-) -> None:
-    """Raise a ValueError for readings with which `joints.csv` could not be read back.
-
-    Called before the first of several files is written.
-    """
-    _refuse_impossible(folder / JOINTS_FILE, view_ids, joints, _joint_columns(arm))
 
 
 def joints_entry(count: int, arm: SerialArm) -> dict[str, Any]:

@@ -1,15 +1,18 @@
-"""Read a known camera from a file in any format that is supported."""
+"""Read known cameras from files in any format that is supported."""
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import jax.numpy as jnp
+import numpy as np
+import yaml
+
+from .. import schemas
 from ..calibration import Calibration
-from ..cameras import Camera
-from ..files import read_text
-from .kalibr_camera import read_kalibr_cameras
-from .mrcal_camera import read_mrcal_camera
-from .opencv_camera import read_opencv_camera
+from ..cameras import AbstractLens, Camera, Fisheye, OpenCV4, OpenCV5, OpenCV8, Pinhole
+from ..files import StrictYamlLoader, parse_yaml, read_text
 from .visp import read_visp_camera
 
 
@@ -90,12 +93,7 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
 
 
 def _refuse_misnamed(others: Sequence[Path], lacking: Sequence[str]) -> None:
-    """Raise a ValueError that names a camera's file whose name is no camera of the rig.
-
-    Args:
-        others: files whose names are no camera's.
-        lacking: names of the cameras without a file.
-    """
+    """Raise a ValueError for a camera's file among others that are not called as a camera is."""
     for file in others:
         try:
             read_camera(file)
@@ -111,3 +109,120 @@ def _refuse_misnamed(others: Sequence[Path], lacking: Sequence[str]) -> None:
 def _is_camchain(text: str) -> bool:
     """Return whether a text is a camchain of Kalibr, by its entries cam0, cam1, ..."""
     return re.search(r"^cam\d+:", text, re.MULTILINE) is not None
+
+
+def read_kalibr_cameras(path: str | Path) -> dict[str, Camera]:
+    """Read the cameras in a camchain of Kalibr, by name (`cam0`, `cam1`, ...).
+
+    Kalibr's distortion models are OpenCV's: `radtan` has k1, k2, p1, p2, and `equidistant` is the
+    fisheye with k1, k2, k3, k4. The transforms between the cameras, and to
+    an IMU, are not read.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: a wrong or missing entry, or a model other than pinhole with radtan, equidistant
+            or no distortion; the message names it and the file.
+    """
+    cameras = {}
+    for name, entry in schemas.read_validated(path, schemas.KALIBR_CAMCHAIN_SCHEMA).items():
+        model = entry.distortion_model
+        lens = Pinhole() if model == "none" else _lens(entry.distortion_coeffs, model, path)
+        cameras[name] = _camera(entry.intrinsics, lens, entry.resolution, f"{path}: {name}")
+    return cameras
+
+
+def read_opencv_camera(path: str | Path) -> Camera:
+    """Read the camera in a file of `cv2.FileStorage`: camera matrix, distortion, picture size.
+
+    The camera_info files of ROS have the same entries, and the name of the lens model.
+
+    Raises:
+        ValueError: an entry is missing, or the number of coefficients fits no lens model.
+    """
+    # OpenCV's first line, %YAML:1.0, is not a valid YAML directive, which has a blank: %YAML 1.0.
+    text = re.sub(r"\A%YAML:1\.0\s*", "", read_text(path))
+    read = parse_yaml(text, Path(path), _OpenCVYamlLoader)
+    content = schemas.validate_content(read, schemas.OPENCV_CAMERA_SCHEMA, path)
+    K = _array(content.camera_matrix, "camera_matrix", path)
+    if K.shape != (3, 3) or K[1, 0] or K[0, 1] or K[2].tolist() != [0.0, 0.0, 1.0]:
+        raise ValueError(
+            f"{path}: camera_matrix: expected [fx 0 cx; 0 fy cy; 0 0 1], found {K.tolist()}"
+        )
+    coefficients = _array(content.distortion_coefficients, "distortion_coefficients", path)
+    lens = _lens(coefficients.ravel().tolist(), content.distortion_model, path)
+    size = (content.image_width, content.image_height)
+    return _camera((K[0, 0], K[1, 1], K[0, 2], K[1, 2]), lens, size, f"{path}: camera_matrix")
+
+
+def read_mrcal_camera(path: str | Path) -> Camera:
+    """Read the camera in a cameramodel file of mrcal.
+
+    Its content is a Python literal, which is YAML as well, apart from bytes. It is read as YAML,
+    whose reader refuses repeated keys and deep nesting.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: a wrong or missing entry, or a lens that is not OpenCV's, which
+            `mrcal-convert-lensmodel` converts; the message names it and the file.
+    """
+    # The data of the calibration, as bytes in base 85, are the only part that is not YAML.
+    text = re.sub(r"'optimization_inputs':\s*b'[^']*',?", "", read_text(path))
+    read = parse_yaml(text, Path(path))
+    content = schemas.validate_content(read, schemas.MRCAL_CAMERA_SCHEMA, path)
+    pinhole, coefficients = content.intrinsics[:4], content.intrinsics[4:]
+    lens = _lens(coefficients, None, path) if coefficients else Pinhole()
+    return _camera(pinhole, lens, content.imagersize, f"{path}: intrinsics")
+
+
+def _array(matrix: "schemas.OpenCVMatrix", name: str, path: str | Path) -> np.ndarray:
+    """Return a matrix of the file as an array; raise a ValueError if its size is wrong."""
+    if matrix.rows * matrix.cols != len(matrix.data):
+        raise ValueError(
+            f"{path}: {name}: {matrix.rows} x {matrix.cols}, but {len(matrix.data)} numbers"
+        )
+    return np.array(matrix.data).reshape(matrix.rows, matrix.cols)
+
+
+def _lens(coefficients: Sequence[float], model: str | None, path: str | Path) -> AbstractLens:
+    """Return the lens model with this number of coefficients (4, 5 or 8), or the named fisheye.
+
+    Raises:
+        ValueError: no lens has so many coefficients; the message names the file.
+    """
+    # `equidistant` is ROS's name of OpenCV's fisheye; its four coefficients differ from OpenCV4's.
+    fisheye, count = model == "equidistant", len(coefficients)
+    kinds = {4: Fisheye} if fisheye else {4: OpenCV4, 5: OpenCV5, 8: OpenCV8}
+    if count not in kinds:
+        expected = "4" if fisheye else "4, 5 or 8"
+        raise ValueError(f"{path}: distortion_coefficients: expected {expected}, found {count}")
+    return kinds[count](*map(jnp.asarray, coefficients))
+
+
+def _camera(
+    intrinsics: Sequence[float], lens: AbstractLens, size: Sequence[int], source: str
+) -> Camera:
+    """Return a camera with the same limits as in calibration.yaml: a plausible focus and centre.
+
+    Args:
+        intrinsics: alpha_u, alpha_v, u0, v0.
+        lens: lens model.
+        size: width and height of the pictures, px.
+        source: file and entry, for messages.
+    """
+    names = ("alpha_u", "alpha_v", "u0", "v0")
+    numbers = {name: float(x) for name, x in zip(names, intrinsics, strict=True)}
+    schemas.validate_content(numbers, schemas.PINHOLE_SCHEMA, source)
+    return Camera(**numbers, lens=lens, image_size=(size[0], size[1]))
+
+
+class _OpenCVYamlLoader(StrictYamlLoader):
+    """A plain YAML loader that also reads the tag `!!opencv-matrix`, as a mapping."""
+
+
+def _construct_matrix(loader: StrictYamlLoader, node: yaml.Node) -> dict[Any, Any]:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.YAMLError("an opencv-matrix is a mapping")
+    return loader.construct_mapping(node, deep=True)
+
+
+_OpenCVYamlLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _construct_matrix)

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
+from .. import schemas
 from ..dataset import Dataset
 from ..detection import DetectionLimits
-from ..files import read_yaml
 from ..geometry import PoseLike
 from .dataset_folder import load_dataset_folder
-from .folder_description import DESCRIPTION_FILE
+from .folder_description import DESCRIPTION_FILE, DescribedFolder
 from .folder_pictures import LoadOptions
 from .pose_log import PoseLog, read_pose_log
 from .robot_cal_tools import DATA_FILE, import_robot_cal_tools
@@ -94,18 +94,13 @@ def load_pose_log(folder: str | os.PathLike[str]) -> PoseLog | None:
         FileNotFoundError: a table is missing.
         ValueError: something is wrong in it; the message names the file and the row or view.
     """
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import validate_content
-
-    path = Path(folder) / DESCRIPTION_FILE
-    if not path.is_file():
+    if not (Path(folder) / DESCRIPTION_FILE).is_file():
         return None
-    content = read_yaml(path)
-    entry = validate_content(content, DATASET_SCHEMA, path).poses
-    if entry is None or entry.picture_times is None:
+    described, description = DescribedFolder.of(folder).validated(schemas.DATASET_SCHEMA)
+    if description.poses is None or description.poses.picture_times is None:
         return None
-    log = read_pose_log(Path(folder), content["poses"])
-    suffix = suffix_in_names(Path(folder), content, log.view_ids)
+    log = read_pose_log(described.folder, described.content["poses"])
+    suffix = suffix_in_names(described, log.view_ids)
     return log._replace(view_ids=tuple(view.removesuffix(suffix) for view in log.view_ids))
 
 

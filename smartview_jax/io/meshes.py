@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..argument_checks import nearest_name, require_one_of
+from ..argument_checks import errors_at, nearest_name, require_one_of
 from ..extras import import_extra
 from ..files import require_file, write_atomically
 from ..geometry import LENGTH_UNITS
@@ -70,10 +70,8 @@ def read_mesh(
     scale = 1.0 if kind in ("glb", "gltf") else LENGTH_UNITS[unit]
     # Names of files have fewer restrictions than names of objects.
     name = nearest_name(path.stem)
-    try:
+    with errors_at(path):
         return model_from_triangles(scale * vertices, triangles, sharp_angle, name, str(path))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def write_mesh(model: ObjectModel, path: str | os.PathLike[str]) -> Path:

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..files import read_yaml
+from .. import schemas
 from ..geometry import LENGTH_UNITS
-from .csv_tables import duplicates, parse_numbers, read_table
+from .csv_tables import parse_numbers, read_table
 
 MAX_MISS = 0.1
 """Largest component of a miss, m; a larger one must be in another unit."""
@@ -69,8 +69,7 @@ def _read_csv(path: Path, progress: Callable[[str], None] | None) -> dict[str, n
         for note in table.notes:
             progress(note)
     rows = table.rows
-    if repeated := duplicates([row["view"] for row in rows]):
-        raise ValueError(f"{path}: view {', '.join(repeated)} has more than one row")
+    _ = table.view_ids()
     header = rows[0] if rows else {}
     for unit in LENGTH_UNITS:
         columns = [f"{axis}_{unit}" for axis in "xyz" if f"{axis}_{unit}" in header]
@@ -84,12 +83,9 @@ def _read_csv(path: Path, progress: Callable[[str], None] | None) -> dict[str, n
 
 def _read_yaml(path: Path) -> dict[str, np.ndarray]:
     """Return the misses of a YAML file, m, by name."""
-    from ..schemas.misses import MISSES_SCHEMA
-    from ..schemas.validation import validate_content
-
     if path.suffix not in (".yaml", ".yml"):
         raise ValueError(f"{path}: expected a file ending in .csv, .yaml or .yml")
-    content = validate_content(read_yaml(path), MISSES_SCHEMA, path)
+    content = schemas.read_validated(path, schemas.MISSES_SCHEMA)
     return {
         name: LENGTH_UNITS[content.unit] * np.array(row) for name, row in content.misses.items()
     }

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from .. import schemas
 from ..argument_checks import require_one_of
 from ..dataset import ONE_ARM
 from ..detection import read_picture
@@ -186,10 +187,6 @@ def write_new_dataset(
             arms with cameras next to them, which see no target in common.
         FileExistsError: the folder has a description or a table already.
     """
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.rig import RIG_SCHEMA
-    from ..schemas.validation import refuse_unreadable
-
     require_one_of("robot", robot, ROBOTS)
     require_one_of("target", target, TARGETS)
     require_one_of("mount", mount, ("eye_in_hand", "eye_to_hand"))
@@ -214,8 +211,8 @@ def write_new_dataset(
         poses_file=POSES_FILE,
         pattern=f"images/{'{camera}/' if cameras else ''}{{view}}{suffix}",
     )
-    schema = RIG_SCHEMA if cameras else DATASET_SCHEMA
-    refuse_unreadable(parse_yaml(text, description), schema, description)
+    schema = schemas.RIG_SCHEMA if cameras else schemas.DATASET_SCHEMA
+    schemas.refuse_unreadable(parse_yaml(text, description), schema, description)
     for camera in cameras or ("",):
         (folder / "images" / camera).mkdir(parents=True, exist_ok=True)
     for table in tables.values():
@@ -291,9 +288,6 @@ def write_description(
         ValueError: an unknown format or mount, or a target that could not be read back.
         FileExistsError: the folder has a description or a table already.
     """
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import refuse_unreadable, write_validated
-
     codec = pose_codec(pose_format)
     description, table = folder / DESCRIPTION_FILE, folder / POSES_FILE
     for path in (description, table):
@@ -307,8 +301,8 @@ def write_description(
         "poses": poses_entry(None, pose_format),
         "pictures": {"pattern": f"images/{{view}}{suffix}"},
     }
-    refuse_unreadable(content, DATASET_SCHEMA, description)
+    schemas.refuse_unreadable(content, schemas.DATASET_SCHEMA, description)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     write_table(table, (VIEW_COLUMN, *codec.columns), [])
     # Written last, so that an interrupted run can be repeated.
-    write_validated(description, content, DATASET_SCHEMA)
+    schemas.write_validated(description, content, schemas.DATASET_SCHEMA)

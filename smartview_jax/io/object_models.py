@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .. import schemas
 from ..argument_checks import errors_at, require_readable_or_empty
 from ..files import parse_json, read_text, write_atomically
 from ..geometry import LENGTH_UNITS, host_poses
@@ -63,10 +64,8 @@ def load_object_model(path: str | os.PathLike[str]) -> ObjectModel:
             message names the file and the line or entry.
     """
     content = parse_json(read_text(path), path)
-    try:
+    with errors_at(path):
         return object_model_from_dict(content)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def object_model_to_dict(model: ObjectModel) -> dict[str, Any]:
@@ -107,11 +106,7 @@ def object_model_from_dict(content: Any) -> ObjectModel:
     Raises:
         ValueError: naming the entry that is missing or wrong.
     """
-    # Importing pydantic takes a tenth of a second, so it is imported only where files are read.
-    from ..schemas.object_model import OBJECT_MODEL_SCHEMA
-    from ..schemas.validation import validate_content
-
-    file = validate_content(content, OBJECT_MODEL_SCHEMA)
+    file = schemas.validate_content(content, schemas.OBJECT_MODEL_SCHEMA)
     scale = LENGTH_UNITS[file.unit]
     symmetry = file.symmetry
     factor = file.calibration_factor

@@ -125,13 +125,7 @@ def _detect_view(
 ) -> Detection:
     """Detect the target in a view's pictures; the heights of a stacked target are concatenated.
 
-    Args:
-        paths: a picture for each height, or the only one.
-        contents: of these files.
-        target: the target.
-        image_size: width and height that every picture must have, px.
-        height: index of the height in the only picture; the points of the others are not visible.
-        limits: limits of the check of detected points.
+    Of a picture at a single height the points at the others are not visible.
     """
     board = target.board if isinstance(target, StackedTarget) else target
     parts, reasons = [], []

@@ -17,19 +17,19 @@ common. What is not stated is estimated.
 """
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ..argument_checks import errors_at, shortened_repr
+from ..argument_checks import errors_at
 from ..dataset import Dataset, DepthNoise
 from ..depth import points_at_pixels, read_depth_picture
-from .csv_tables import parse_numbers, read_table, refuse_truncated, write_table
+from .csv_tables import read_table, refuse_truncated, write_table
+from .detections import values_of_points
+from .folder_description import DescribedFolder
 from .folder_pictures import LoadOptions, picture_files
-from .robot_readings import table_of_views
 from .view_names import with_names_of
 
 DEPTHS_FILE = "depths.csv"
@@ -39,55 +39,44 @@ _COLUMNS = ("view", "point", "depth_m")
 
 
 def with_folder_depths(
-    data: Dataset,
-    folder: Path,
-    content: Mapping[str, Any],
-    description_path: Path,
-    options: LoadOptions,
-    table: str = DEPTHS_FILE,
+    data: Dataset, described: DescribedFolder, options: LoadOptions, table: str = DEPTHS_FILE
 ) -> Dataset:
     """Return the data set of a folder with the depths at its points, if it has any.
 
     Args:
         data: the detected points.
-        folder: of the data set.
-        content: content of its description.
-        description_path: path of the description, for error messages.
-        options: how the folder is read.
+        described: the folder.
+        options: how it is read.
         table: name of the table of depths in the folder.
 
     Raises:
         ValueError: a wrong picture or table, or depths that do not belong to the target.
         FileNotFoundError: a file is missing.
     """
-    notes: tuple[str, ...] = ()
+    content, notes = described.content, ()
     if "depth_pictures" in content:
         entry = content["depth_pictures"]
-        depths, notes = _depths_of_pictures(data, folder, dict(content), description_path, options)
+        depths, notes = _depths_of_pictures(data, described, options)
     elif "depths" in content:
         entry = content["depths"]
-        depths = _read_depths(folder / table, data, entry.get("rows"))
+        depths = _read_depths(described.folder / table, data, entry.get("rows"))
     else:
         return data
     noise = entry.get("noise")
-    with errors_at(description_path):
+    with errors_at(described.path):
         data = data.with_depths(depths, None if noise is None else DepthNoise(**noise))
     return dataclasses.replace(data, notes=(*data.notes, *notes))
 
 
 def _depths_of_pictures(
-    data: Dataset,
-    folder: Path,
-    content: dict[str, Any],
-    description_path: Path,
-    options: LoadOptions,
+    data: Dataset, described: DescribedFolder, options: LoadOptions
 ) -> tuple[Float[np.ndarray, "views points"], tuple[str, ...]]:
     """Return the depths of pictures at the detected points, and notes on pictures left out.
 
     Depths are NaN where there is none.
     """
-    entry, table = content["depth_pictures"], table_of_views(folder, content)
-    files = picture_files(folder, entry, data.view_ids, data.target, table, description_path)
+    entry = described.content["depth_pictures"]
+    files = picture_files(described, entry["pattern"], data.view_ids, data.target)
     pixels, notes = np.asarray(data.pixels), []
     depths = np.full(pixels.shape[:2], np.nan)
     for number, view in enumerate(data.view_ids):
@@ -130,19 +119,7 @@ def _read_depths(
     table = read_table(path, _COLUMNS, ())
     refuse_truncated(path, table.rows, stated_rows)
     rows, _ = with_names_of(table, data.view_ids)
-    index = {view: k for k, view in enumerate(data.view_ids)}
-    depths = np.full(data.visible.shape, np.nan)
-    for row in rows:
-        if (view := row["view"]) not in index:
-            raise ValueError(f"{path}: view {shortened_repr(view)} has no pose")
-        point, depth = parse_numbers(path, row, _COLUMNS[1:], view)
-        if point not in range(depths.shape[1]):
-            raise ValueError(f"{path}: view {view}: the target has no point {point:g}")
-        place = index[view], int(point)
-        if np.isfinite(depths[place]):
-            raise ValueError(f"{path}: view {view}: point {point:g} has more than one row")
-        depths[place] = depth
-    return depths
+    return values_of_points(path, rows, data.view_ids, data.visible.shape[1], _COLUMNS[2:])[..., 0]
 
 
 def write_depths(data: Dataset, path: Path) -> dict[str, Any]:

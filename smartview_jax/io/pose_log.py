@@ -21,7 +21,6 @@ from ..geometry import LENGTH_UNITS, as_se3, pose_codec
 from ..robots import Trajectory, times_in_gaps
 from .csv_tables import (
     Table,
-    duplicates,
     parse_numbers,
     read_table,
     refuse_out_of_range,
@@ -29,6 +28,7 @@ from .csv_tables import (
     write_table,
 )
 from .pose_format import decoded_poses, table_format
+from .poses import RobotReadings
 
 LOG_FILE, TIMES_FILE = "log.csv", "times.csv"
 """The names of the files that `write_pose_log` writes."""
@@ -48,6 +48,7 @@ class PoseLog(NamedTuple):
         times_path: the table of the pictures' times, for messages.
         notes: sentences on what was recognised and repaired in the tables.
         table: the table of the pictures' times.
+        pose_format: name of the format of the logged poses.
     """
 
     trajectory: Trajectory
@@ -57,6 +58,16 @@ class PoseLog(NamedTuple):
     times_path: Path
     notes: tuple[str, ...] = ()
     table: Table | None = None
+    pose_format: str | None = None
+
+    def read_poses(self) -> RobotReadings:
+        """Return the poses at the pictures' times, without those in gaps of the log.
+
+        Raises:
+            ValueError: a picture was taken outside the logged times; the message names its view.
+        """
+        views, in_gaps = list(self.view_ids), self.views_in_gaps()
+        return RobotReadings(views, self.poses(), in_gaps, self.table, self.pose_format, self.notes)
 
     def poses(self) -> SE3:
         """Return the robot's poses when the pictures were taken.
@@ -124,15 +135,20 @@ def read_pose_log(folder: Path, content: Mapping[str, Any]) -> PoseLog:
         raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
     times_table = read_table(times_path, ("view", "time"))
     rows = times_table.rows
-    view_ids = tuple(row["view"] for row in rows)
-    if repeated := duplicates(view_ids):
-        raise ValueError(f"{times_path}: view {', '.join(repeated)} has more than one row")
-    if not rows:
-        raise ValueError(f"{times_path}: no times of pictures")
+    view_ids = tuple(times_table.view_ids("times of pictures"))
     times = [float(parse_numbers(times_path, row, ("time",), row["view"])[0]) for row in rows]
     offset = content.get("time_offset") or 0.0
     notes = (*table.notes, *times_table.notes, *notes)
-    return PoseLog(trajectory, view_ids, np.array(times), offset, times_path, notes, times_table)
+    return PoseLog(
+        trajectory,
+        view_ids,
+        np.array(times),
+        offset,
+        times_path,
+        notes,
+        times_table,
+        content.get("codec"),
+    )
 
 
 def write_pose_log(
@@ -182,11 +198,8 @@ def _in_order(
 ) -> tuple[Float[np.ndarray, "times columns"], tuple[str, ...]]:
     """Return the rows sorted by time, without duplicates, and notes on what was changed.
 
-    Recorders that merge several topics write rows late and repeat them.
-
-    Args:
-        path: of the log, for messages.
-        numbers: rows of numbers, the time first.
+    Recorders that merge several topics write rows late and repeat them. The time is the first
+    column.
 
     Raises:
         ValueError: two poses at one time.

@@ -15,12 +15,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxlie import SE3
+from jaxtyping import Float
 
 from ..argument_checks import require_readable
-from ..geometry import LENGTH_UNITS, pose_codec
+from ..dataset import Dataset
+from ..geometry import LENGTH_UNITS, host_matrices, host_transforms, pose_codec
+from ..robots import Command, SerialArm
+from ..runtime.array_namespace import to_device
 from .csv_tables import (
     Table,
-    duplicates,
     parse_numbers,
     read_table,
     refuse_out_of_range,
@@ -38,27 +41,55 @@ OTHER_POSES_FILE = "other_poses.csv"
 """The name of the file with the poses of a second arm, which carries the target."""
 
 
-class ReadPoses(NamedTuple):
-    """The poses of a file, by view.
+class RobotReadings(NamedTuple):
+    """The robot's reported poses by view, with joint readings if the folder has them.
 
     Attributes:
         view_ids: view ids.
         poses: reported `base_from_tool`, `(views)`.
         masked_views: reason by view id, for the views whose row is not a valid pose.
-        table: the file as a table; None for a file in JSON.
-        pose_format: name of the poses' format; None if it is not known.
+        table: the table that has a row for each view; None if the poses are in a file in JSON.
+        pose_format: name of the format of the reported poses; None if it is not known.
+        notes: sentences on what was recognised or repaired in the tables.
+        joints: joint readings, rad (m for a prismatic joint); None where the folder has none.
+        arm: the arm that the readings belong to; None where there are no readings.
+        name_suffix: suffix of the view names in the tables that `view_ids` do not have.
     """
 
-    view_ids: list[str]
+    view_ids: Sequence[str]
     poses: SE3
     masked_views: dict[str, str]
     table: Table | None = None
     pose_format: str | None = None
+    notes: tuple[str, ...] = ()
+    joints: Float[np.ndarray, "views joints"] | None = None
+    arm: SerialArm | None = None
+    name_suffix: str = ""
+
+    @property
+    def command(self) -> Command:
+        """The reported poses, with joint readings if they are known."""
+        return Command(self.poses, None if self.joints is None else to_device(self.joints))
+
+    def of_views(self, views: Sequence[str]) -> "RobotReadings":
+        """Return the readings of some of the views, by id."""
+        place = {view: k for k, view in enumerate(self.view_ids)}
+        index = np.array([place[view] for view in views], dtype=int)
+        return self._replace(
+            view_ids=list(views),
+            poses=host_transforms(host_matrices(self.poses)[index]),
+            masked_views={v: text for v, text in self.masked_views.items() if v in set(views)},
+            joints=None if self.joints is None else np.asarray(self.joints)[index],
+        )
+
+    def with_joints(self, data: Dataset) -> Dataset:
+        """Return the data set with the joint readings added, if there are any."""
+        return data if self.arm is None else data.with_joints(self.joints, self.arm)
 
 
 def read_poses(
     folder: Path, content: dict[str, Any], bad_views: str, entry: str = "poses"
-) -> ReadPoses:
+) -> RobotReadings:
     """Read view ids and poses, and the reasons of masked views by view id.
 
     Args:
@@ -76,11 +107,7 @@ def read_poses(
         return _read_commands(path, content)
     table = read_table(path, ("view",))
     refuse_truncated(path, table.rows, content.get("rows"))
-    view_ids = [row["view"] for row in table.rows]
-    if duplicates(view_ids):
-        raise ValueError(f"{path}: view {', '.join(duplicates(view_ids))} has more than one row")
-    if not view_ids:
-        raise ValueError(f"{path}: no poses")
+    view_ids = table.view_ids("poses")
     form = table_format(path, table.rows, content, entry)
     table, codec = table.requiring(("view", *form.columns), form.units), form.codec
     # NaN passes here: `bad_views` decides below.
@@ -100,7 +127,7 @@ def read_poses(
         np.array(is_valid)[:, None], rows, rows[is_valid.index(True) if any(is_valid) else 0]
     )
     poses = decoded_poses(path, form, rows, view_ids)
-    return ReadPoses(view_ids, poses, masked_views, table, codec.name)
+    return RobotReadings(view_ids, poses, masked_views, table, codec.name, table.notes)
 
 
 def write_poses(
@@ -123,26 +150,15 @@ def write_poses(
         ValueError: an unknown format, or a name or position with which the file could not be read
             back.
     """
-    codec = pose_codec(pose_format)
-    refuse_unreadable_poses(folder, view_ids, poses, file)
+    codec, path = pose_codec(pose_format), folder / file
+    require_readable(f"{path}: view", view_ids)
+    refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
     rows = codec.encode(poses, *codec.units)
     write_table(
-        folder / file,
+        path,
         ("view", *codec.columns),
         [(view, *map(float, row)) for view, row in zip(view_ids, rows, strict=True)],
     )
-
-
-def refuse_unreadable_poses(
-    folder: Path, view_ids: Sequence[str], poses: SE3, file: str = POSES_FILE
-) -> None:
-    """Raise a ValueError for names or positions with which a table could not be read back.
-
-    Called before the first of several files is written.
-    """
-    path = folder / file
-    require_readable(f"{path}: view", view_ids)
-    refuse_out_of_range(path, np.asarray(poses.translation()), view_ids)
 
 
 def poses_entry(
@@ -169,14 +185,14 @@ def poses_entry(
     }
 
 
-def _read_commands(path: Path, content: dict[str, Any]) -> ReadPoses:
+def _read_commands(path: Path, content: dict[str, Any]) -> RobotReadings:
     """Read view ids and poses from a JSON file of commands."""
     # `read_viewpoints` refuses invalid poses, so none is masked.
     commands = read_viewpoints(path)
     codec = pose_codec(commands.pose_format)
     stated_format(PoseFormat(codec, *codec.units, codec.columns), content, path)
     refuse_truncated(path, commands.names, content.get("rows"))
-    return ReadPoses(
+    return RobotReadings(
         list(commands.names), commands.base_from_tool, {}, pose_format=commands.pose_format
     )
 

@@ -46,42 +46,38 @@ one camera (`dataset_folder`).
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from .. import schemas
 from ..argument_checks import errors_at
 from ..dataset import ONE_ARM, Dataset, Rig
 from ..detection import DetectionLimits
-from ..files import file_transaction, read_yaml
+from ..files import file_transaction
 from ..targets import AbstractTarget, target_to_dict
 from .csv_tables import read_table
 from .dataset_folder import (
-    camera_board_heights,
     camera_dataset,
+    camera_pictures,
     described_target,
     detected_dataset,
-    refuse_unreadable_robot,
     write_described_folder,
     write_visible_points,
     written_joints,
 )
 from .folder_description import (
     DESCRIPTION_FILE,
+    DescribedFolder,
     FolderDescription,
-    is_rig_description,
-    without_nulls,
+    read_target,
+    rough_pose,
 )
-from .folder_pictures import LoadOptions, picture_files
+from .folder_pictures import LoadOptions
 from .point_depths import with_folder_depths, write_depths
-from .poses import poses_entry
-from .robot_readings import RobotReadings, read_robot_readings, table_of_views
-from .rough_pose import rough_pose_of
+from .poses import RobotReadings, poses_entry
+from .robot_readings import read_robot_readings
 from .table_text import VIEW_COLUMN
-from .target_file import read_target
-
-if TYPE_CHECKING:
-    from ..schemas.rig import RigFile
 
 DETECTIONS_FOLDER, DEPTHS_FOLDER = "detections", "depths"
 """The names of the folders with a table of detected points, or of depths, for each camera."""
@@ -89,8 +85,7 @@ DETECTIONS_FOLDER, DEPTHS_FOLDER = "detections", "depths"
 
 def is_rig_folder(folder: str | os.PathLike[str]) -> bool:
     """Return whether a folder's `dataset.yaml` has several cameras; false without the file."""
-    path = Path(folder) / DESCRIPTION_FILE
-    return path.is_file() and is_rig_description(read_yaml(path))
+    return (Path(folder) / DESCRIPTION_FILE).is_file() and DescribedFolder.of(folder).is_rig
 
 
 def load_rig(
@@ -126,64 +121,51 @@ def load_rig(
         ...     print(sv.load_rig(folder))
         <Rig: 3 robot states; views of cameras left (3), right (2)>
     """
-    from ..schemas.rig import RIG_SCHEMA
-    from ..schemas.validation import validate_content
-
-    folder = Path(folder)
-    path = folder / DESCRIPTION_FILE
-    raw_content = read_yaml(path)
-    if not is_rig_description(raw_content):
-        raise ValueError(f"{path}: entry 'cameras' is missing: load_dataset reads one camera")
-    description = validate_content(raw_content, RIG_SCHEMA, path)
-    content = without_nulls(raw_content)
-    cameras = _cameras(folder, description, content, path)
+    described = DescribedFolder.of(folder)
+    if not described.is_rig:
+        raise ValueError(
+            f"{described.path}: entry 'cameras' is missing: load_dataset reads one camera"
+        )
+    described, description = described.validated(schemas.RIG_SCHEMA)
+    cameras = _cameras(described, description)
     pattern = None if description.pictures is None else description.pictures.pattern
     patterns = {name: (pattern or "").replace("{camera}", name) for name in cameras}
     arms = {name: entry.arm or ONE_ARM for name, entry in description.cameras.items()}
-    robots = content.get("arms") or {ONE_ARM: content}
-    readings_of = {}
-    for arm, robot in robots.items():
+    robots, readings_of = {}, {}
+    for arm, content in (described.content.get("arms") or {ONE_ARM: described.content}).items():
         # A view's name in the table may end as the picture's does, which the arm's first camera's
         # tell.
         first = next(patterns[name] for name in cameras if arms[name] == arm)
-        named = {"pictures": {"pattern": first}} if pattern else {}
-        readings_of[arm] = read_robot_readings(folder, {**robot, **named}, path, bad_views)
-
-    def with_depths(name: str, data: Dataset, options: LoadOptions) -> Dataset:
-        """Return a camera's data set with the depths at its points, if it has any."""
-        entries = {**robots[arms[name]], **content["cameras"][name]}
-        table = f"{DEPTHS_FOLDER}/{name}.csv"
-        with errors_at(f"cameras.{name}"):
-            return with_folder_depths(data, folder, entries, path, options, table)
-
+        pictures = {"pictures": {"pattern": first}} if pattern else {}
+        robots[arm] = described._replace(content={**content, **pictures})
+        readings_of[arm] = read_robot_readings(robots[arm], bad_views)
     data = {}
     for name, camera in cameras.items():
-        readings, table = readings_of[arms[name]], table_of_views(folder, robots[arms[name]])
+        readings, robot = readings_of[arms[name]], robots[arms[name]]
         report = None if progress is None else _named(progress, name)
         options = LoadOptions(bad_views, report, keep_detections, detection_limits)
         if pattern is None:
-            seen = _detected_views(camera, readings)
-            data[name] = detected_dataset(camera, readings.of_views(seen), options, path)
-            data[name] = with_depths(name, data[name], options)
-            continue
-        files = picture_files(
-            folder,
-            {"pattern": patterns[name]},
-            readings.view_ids,
-            camera.target,
-            table,
-            path,
-            camera_board_heights(camera, readings),
-        )
-        seen = [view for view, paths in files.items() if any(p.exists() for p in paths)]
-        if not seen:
-            raise FileNotFoundError(f"{folder / patterns[name]}: camera {name} has no picture")
-        files = {view: files[view] for view in seen}
-        data[name] = camera_dataset(camera, readings.of_views(seen), files, options, path)
-        data[name] = with_depths(name, data[name], options)
+            readings = readings.of_views(_detected_views(camera, readings))
+            data[name] = detected_dataset(camera, readings, options, described.path)
+        else:
+            files = camera_pictures(camera, readings, robot, patterns[name])
+            files = {view: paths for view, paths in files.items() if any(p.exists() for p in paths)}
+            if not files:
+                path = described.folder / patterns[name]
+                raise FileNotFoundError(f"{path}: camera {name} has no picture")
+            readings = readings.of_views(list(files))
+            data[name] = camera_dataset(camera, readings, files, options, described.path)
+        entries = {**robot.content, **described.content["cameras"][name]}
+        with errors_at(f"cameras.{name}"):
+            data[name] = with_folder_depths(
+                data[name],
+                robot._replace(content=entries),
+                options,
+                f"{DEPTHS_FOLDER}/{name}.csv",
+            )
     for arm, robot in robots.items():
-        own = {name: seen for name, seen in data.items() if arms[name] == arm}
-        _refuse_unseen_states(readings_of[arm].view_ids, own, table_of_views(folder, robot))
+        seen = {name: views for name, views in data.items() if arms[name] == arm}
+        _refuse_unseen_states(readings_of[arm].view_ids, seen, robot.view_table)
     targets = {name: entry.target for name, entry in description.cameras.items()}
     known = {name: target for name, target in targets.items() if target is not None}
     return Rig(
@@ -194,16 +176,17 @@ def load_rig(
 
 
 def _cameras(
-    folder: Path, description: "RigFile", content: dict[str, Any], path: Path
+    described: DescribedFolder, description: "schemas.RigFile"
 ) -> dict[str, FolderDescription]:
     """Return the description of each camera."""
-    with errors_at(path):
+    folder, content = described.folder, described.content
+    with errors_at(described.path):
         named = content.get("targets") or {"": content["target"]}
         targets = {name: read_target(folder, entry) for name, entry in named.items()}
         rough = {
             arm: {
-                "eye_in_hand": rough_pose_of(robot.base_from_world),
-                "eye_to_hand": rough_pose_of(robot.tool_from_world),
+                "eye_in_hand": rough_pose(robot.base_from_world),
+                "eye_to_hand": rough_pose(robot.tool_from_world),
             }
             for arm, robot in (description.arms or {ONE_ARM: description}).items()
         }
@@ -284,7 +267,6 @@ def _save_rig(rig: Rig, folder: Path, pose_format: str) -> None:
     robots = {}
     for arm, place in places.items():
         part = rig.of_arm(arm)
-        refuse_unreadable_robot(folder / place, part, pose_format)
         poses = poses_entry(len(part.view_ids), pose_format)
         robots[arm] = {"poses": {**poses, "file": f"{place}{poses['file']}"}}
     one_mount = len({data.mount for data in rig.cameras.values()}) == 1

@@ -7,9 +7,10 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
+from .. import schemas
 from ..argument_checks import errors_at
 from ..dataset import Dataset
-from ..files import parse_yaml, read_text, read_yaml
+from ..files import parse_yaml, read_text
 from ..geometry import pose_codec
 from ..targets import AbstractTarget, CircleGrid
 from .csv_tables import duplicates
@@ -58,10 +59,9 @@ def import_robot_cal_tools(
 
 def _read_entries(path: Path) -> list[tuple[str, str]]:
     """Read the picture file and pose file of every view, in the order of the pictures' names."""
-    from ..schemas.external_formats import CAL_DATA_SCHEMA
-    from ..schemas.validation import validate_content
-
-    entries = validate_content(parse_yaml(read_text(path), path), CAL_DATA_SCHEMA, path)
+    entries = schemas.validate_content(
+        parse_yaml(read_text(path), path), schemas.CAL_DATA_SCHEMA, path
+    )
     views = duplicates([Path(entry.image).stem for entry in entries])
     if views:
         raise ValueError(f"{path}: view {', '.join(views)} has more than one entry")
@@ -74,19 +74,13 @@ def _read_entries(path: Path) -> list[tuple[str, str]]:
 
 def _read_pose(path: Path) -> np.ndarray:
     """Read a pose file as x, y, z (m) and the quaternion qx, qy, qz, qw."""
-    from ..schemas.external_formats import POSE_SCHEMA
-    from ..schemas.validation import validate_content
-
-    pose = validate_content(read_yaml(path), POSE_SCHEMA, path)
+    pose = schemas.read_validated(path, schemas.POSE_SCHEMA)
     return np.array([getattr(pose, key) for key in _POSE_KEYS])
 
 
 def _read_target(path: Path) -> AbstractTarget:
     """Read `target.yaml`; raise a ValueError unless it is a modified circle grid."""
-    from ..schemas.external_formats import TARGET_SCHEMA
-    from ..schemas.validation import validate_content
-
-    finder = validate_content(read_yaml(path), TARGET_SCHEMA, path).target_finder
+    finder = schemas.read_validated(path, schemas.TARGET_SCHEMA).target_finder
     if "ModifiedCircleGrid" not in finder.type:
         raise ValueError(f"{path}: expected a modified circle grid, found {finder.type!r}")
     # A modified circle grid has one larger circle, at the origin.
@@ -105,11 +99,8 @@ def read_robot_cal_kinematics(path: str | Path) -> tuple[Float[np.ndarray, "view
         ValueError: an entry lacks a number, or the camera has joints.
         FileNotFoundError: the file is missing.
     """
-    from ..schemas.external_formats import KINEMATIC_MEASUREMENTS_SCHEMA
-    from ..schemas.validation import validate_content
-
     path = Path(path)
-    measurements = validate_content(read_yaml(path), KINEMATIC_MEASUREMENTS_SCHEMA, path)
+    measurements = schemas.read_validated(path, schemas.KINEMATIC_MEASUREMENTS_SCHEMA)
     for name, entry in measurements.items():
         if entry.camera_joints:
             raise ValueError(f"{path}: entry {name}: the camera has joints; only the target may")

@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..files import read_yaml
+from .. import schemas
 from ..geometry import host_matrices
 from ..robots import Command
-from .folder_description import DESCRIPTION_FILE, without_nulls
-from .folder_pictures import picture_files, read_board_heights
-from .robot_readings import read_robot_readings, table_of_views
-from .target_file import read_target
+from .dataset_folder import camera_pictures
+from .folder_description import DescribedFolder, described_camera
+from .robot_readings import read_sound_readings
 
 
 class ViewPictures(NamedTuple):
@@ -46,27 +45,15 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
         FileNotFoundError: the folder or its description is missing.
         ValueError: the description is wrong or names no pictures, or a pose is not valid.
     """
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import validate_content
-
-    folder = Path(folder)
-    path = folder / DESCRIPTION_FILE
-    raw = read_yaml(path)
-    validate_content(raw, DATASET_SCHEMA, path)
-    content = without_nulls(raw)
-    if "pictures" not in content:
+    described, description = DescribedFolder.of(folder).validated(schemas.DATASET_SCHEMA)
+    if description.pictures is None:
         raise ValueError(
-            f"{path}: entry 'pictures' is missing: a model needs pictures of the object"
+            f"{described.path}: entry 'pictures' is missing: a model needs pictures of the object"
         )
-    readings = read_robot_readings(folder, content, path, "raise")
-    table = table_of_views(folder, content)
-    readings.refuse_masked(table)
-    target = read_target(folder, content["target"])
+    readings = read_sound_readings(described)
+    camera = described_camera(described, description)
     # A board at several heights has several pictures in a view; the first one is taken.
-    heights = read_board_heights(readings.table, target, readings.view_ids, readings.name_suffix)
-    files = picture_files(
-        folder, content["pictures"], readings.view_ids, target, table, path, heights
-    )
+    files = camera_pictures(camera, readings, described, description.pictures.pattern)
     return ViewPictures(
         list(readings.view_ids),
         [files[view][0] for view in readings.view_ids],

@@ -18,8 +18,9 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 
+from .. import schemas
 from ..argument_checks import errors_at, require_readable
-from ..files import read_yaml, write_atomically
+from ..files import write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..robots import MAX_TOOL_COORDINATE
 from .csv_tables import duplicates, parse_numbers, read_table, write_table
@@ -103,36 +104,28 @@ def write_viewpoints(
     path, codec = Path(path), pose_codec(pose_format)
     if path.suffix not in (".val", ".v2", ".csv", ".json"):
         raise ValueError(f"{path}: expected a file ending in .val, .v2, .csv or .json")
-    if path.suffix == ".csv":
-        viewpoints = _validated_viewpoints(base_from_tool, names, joints)
-        readings = (
-            np.zeros((len(viewpoints.names), 0)) if viewpoints.joints is None else viewpoints.joints
-        )
-        joint_columns = (f"joint_{1 + k}" for k in range(readings.shape[1]))
-        header = ["view", FORMAT_COLUMN, *pose_columns(codec), *joint_columns]
-        header += [] if hand is None else ["motion", "opening_m"]
-        rows = np.concatenate([_encoded_poses(viewpoints, codec), readings], axis=1).tolist()
-        steps = hand_columns(hand, len(rows))
-        write_table(
-            path,
-            header,
-            [
-                [name, codec.name, *row, *step]
-                for name, row, step in zip(viewpoints.names, rows, steps, strict=True)
-            ],
-        )
-    elif path.suffix == ".json":
-        from ..schemas.external_formats import VIEWPOINTS_SCHEMA
-        from ..schemas.validation import write_validated
-
-        viewpoints = _validated_viewpoints(base_from_tool, names, joints)
-        write_validated(path, _json_content(viewpoints, codec, hand), VIEWPOINTS_SCHEMA)
-    elif pose_format != VAL_CODEC:
-        raise ValueError(
-            f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: write .csv or .json"
-        )
-    else:
+    if path.suffix in (".val", ".v2"):
+        if pose_format != VAL_CODEC:
+            raise ValueError(
+                f"{path}: a VAL program has {VAL_CODEC} poses, not {pose_format}: write .csv or "
+                ".json"
+            )
         write_atomically(path, val_program(base_from_tool, names, hand))
+        return
+    viewpoints = _validated_viewpoints(base_from_tool, names, joints)
+    if path.suffix == ".json":
+        content = _json_content(viewpoints, codec, hand)
+        schemas.write_validated(path, content, schemas.VIEWPOINTS_SCHEMA)
+        return
+    count, readings = len(viewpoints.names), viewpoints.joints
+    numbers = _encoded_poses(viewpoints, codec)
+    header = ["view", FORMAT_COLUMN, *pose_columns(codec)]
+    if readings is not None:
+        numbers = np.concatenate([numbers, readings], axis=1)
+        header += [f"joint_{1 + k}" for k in range(readings.shape[1])]
+    header += [] if hand is None else ["motion", "opening_m"]
+    rows = zip(viewpoints.names, numbers.tolist(), hand_columns(hand, count), strict=True)
+    write_table(path, header, [[name, codec.name, *row, *step] for name, row, step in rows])
 
 
 def read_viewpoints(path: str | Path) -> Viewpoints:
@@ -243,23 +236,17 @@ def _json_content(
     viewpoints: Viewpoints, codec: PoseCodec, hand: HandSteps | None
 ) -> dict[str, Any]:
     """Return the commands as the content of a JSON file."""
-    entries = [
-        {
-            "name": name,
-            _pose_key(codec): row,
-            **({} if joints is None else {"joints": joints}),
-            **dict(zip(("motion", "opening_m"), step, strict=False)),
-        }
-        for name, row, joints, step in zip(
-            viewpoints.names,
-            _encoded_poses(viewpoints, codec).tolist(),
-            [None] * len(viewpoints.names)
-            if viewpoints.joints is None
-            else viewpoints.joints.tolist(),
-            hand_columns(hand, len(viewpoints.names)),
-            strict=True,
+    entries: list[dict[str, Any]] = [
+        {"name": name, _pose_key(codec): row}
+        for name, row in zip(
+            viewpoints.names, _encoded_poses(viewpoints, codec).tolist(), strict=True
         )
     ]
+    if viewpoints.joints is not None:
+        for entry, readings in zip(entries, viewpoints.joints.tolist(), strict=True):
+            entry["joints"] = readings
+    for entry, step in zip(entries, hand_columns(hand, len(entries)), strict=True):
+        entry |= dict(zip(("motion", "opening_m"), step, strict=False))
     return {
         "smartview_viewpoints": FORMAT_VERSION,
         "format": codec.name,
@@ -286,10 +273,7 @@ def _read_csv(path: Path) -> Viewpoints:
 
 def _read_json(path: Path) -> Viewpoints:
     """Read commands from a JSON file of `write_viewpoints`."""
-    from ..schemas.external_formats import VIEWPOINTS_SCHEMA
-    from ..schemas.validation import validate_content
-
-    content = validate_content(read_yaml(path), VIEWPOINTS_SCHEMA, path)
+    content = schemas.read_validated(path, schemas.VIEWPOINTS_SCHEMA)
     codec, entries = pose_codec(content.format), content.viewpoints
     if content.units != _units(codec):
         raise ValueError(f"{path}: units: expected {_units(codec)}, found {content.units}")

@@ -9,10 +9,11 @@ import jax
 import numpy as np
 from jaxlie import SE3
 
+from .. import schemas
 from ..argument_checks import errors_at
 from ..cameras import Camera, Pinhole
 from ..dataset import Dataset
-from ..files import parse_yaml, read_text, read_yaml, write_atomically
+from ..files import parse_yaml, read_text, write_atomically
 from ..geometry import pose_codec
 from ..targets import AbstractTarget
 from .folder_pictures import ImportOptions, LoadOptions, numbered_pictures
@@ -69,10 +70,7 @@ def read_visp_pose(path: str | Path) -> SE3:
         FileNotFoundError: the file is missing.
         ValueError: it does not hold six numbers, or angles that cannot be in rad.
     """
-    from ..schemas.external_formats import VISP_POSE_SCHEMA
-    from ..schemas.validation import validate_content
-
-    data = validate_content(read_yaml(path), VISP_POSE_SCHEMA, path).data
+    data = schemas.read_validated(path, schemas.VISP_POSE_SCHEMA).data
     numbers = np.array([row[0] if isinstance(row, list) else row for row in data])
     with errors_at(path):
         return pose_codec("rotation_vector").decode(numbers, labels=["0"])
@@ -84,12 +82,9 @@ def write_visp_pose(path: str | Path, pose: SE3) -> None:
     Raises:
         ValueError: a value with which the file could not be read back.
     """
-    from ..schemas.external_formats import VISP_POSE_SCHEMA
-    from ..schemas.validation import refuse_unreadable
-
     row = pose_codec("rotation_vector").encode(pose)
     data = [[float(number)] for number in row]
-    refuse_unreadable({"rows": 6, "cols": 1, "data": data}, VISP_POSE_SCHEMA, path)
+    schemas.refuse_unreadable({"rows": 6, "cols": 1, "data": data}, schemas.VISP_POSE_SCHEMA, path)
     lines = [f"  - {number!r}" for number in data]
     write_atomically(path, "\n".join(["rows: 6", "cols: 1", "data:", *lines]) + "\n")
 
@@ -101,9 +96,6 @@ def read_visp_camera(path: str | Path) -> Camera:
         FileNotFoundError: the file is missing.
         ValueError: an entry is missing, or the file declares entities, which are not expanded.
     """
-    from ..schemas.external_formats import VISP_CAMERA_SCHEMA, VispCameraEntry
-    from ..schemas.validation import validate_content
-
     path, text = Path(path), read_text(path)
     # Nested entities can expand a small file to one that fills the memory.
     if "<!ENTITY" in text:
@@ -113,13 +105,13 @@ def read_visp_camera(path: str | Path) -> Camera:
     except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"{path}: not readable as XML: {error}") from error
     values = {}
-    for name in VispCameraEntry.model_fields:
+    for name in schemas.VispCameraEntry.model_fields:
         entry = None if camera is None else camera.find(f".//{name}")
         if entry is not None and entry.text is not None:
             # XML values are text; they are read as YAML, so that numbers have one syntax in all
             # files.
             values[name] = parse_yaml(entry.text, f"{path}: entry {name}")
-    camera_entry = validate_content(values, VISP_CAMERA_SCHEMA, path)
+    camera_entry = schemas.validate_content(values, schemas.VISP_CAMERA_SCHEMA, path)
     size = (camera_entry.image_width, camera_entry.image_height)
     return Camera(
         camera_entry.px, camera_entry.py, camera_entry.u0, camera_entry.v0, Pinhole(), size

@@ -61,7 +61,7 @@ class RelativePose(NamedTuple):
             ValueError: a value with which the file could not be read back.
         """
         # The validation library is imported only where files are read or written.
-        from ..schemas.relative_pose import RELATIVE_POSE_SCHEMA
+        from ..schemas.calibrated_rig import RELATIVE_POSE_SCHEMA
         from ..schemas.validation import write_validated
 
         content = {
@@ -81,7 +81,7 @@ class RelativePose(NamedTuple):
             FileNotFoundError: the file is missing.
             ValueError: a wrong entry; the message names it and the file.
         """
-        from ..schemas.relative_pose import RELATIVE_POSE_SCHEMA
+        from ..schemas.calibrated_rig import RELATIVE_POSE_SCHEMA
         from ..schemas.validation import validate_content
 
         content = validate_content(read_yaml(path), RELATIVE_POSE_SCHEMA, path)

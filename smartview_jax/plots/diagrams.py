@@ -2,12 +2,11 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from mpl_toolkits.mplot3d import Axes3D
 
 from ..calibration import Calibration, mount_frames
 from ..dataset import Dataset
 from ..geometry import host_matrices
-from .figures import BLUE, GREEN, GREY, RED, PlotFigure
+from .figures import BLUE, GREEN, GREY, RED, PlotFigure, draw_frame, space_axes
 
 AXIS_LENGTH = 0.12
 """Length of the axes of a frame over the extent of all frames."""
@@ -46,24 +45,18 @@ def frames_diagram(data: Dataset, calibration: Calibration, view: int = 0) -> Pl
     links.append((base if eye_in_hand else "tool", "world (target)", holder, BLUE))
     links.append(("camera", "world (target)", "camera_from_world", RED))
     figure = PlotFigure(figsize=(7.0, 5.6), layout="constrained")
-    axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
+    axes = space_axes(figure, "mm", f"x of the {base.replace('_', ' ')}")
     origins = {name: 1e3 * frame[:3, 3] for name, frame in base_from_frame.items()}
     length = AXIS_LENGTH * float(np.ptp(np.array(list(origins.values())), axis=0).max())
     for name, frame in base_from_frame.items():
-        for axis, colour in zip(frame[:3, :3].T, (RED, GREEN, BLUE), strict=True):
-            end = origins[name] + length * axis
-            axes.plot(*np.stack([origins[name], end]).T, color=colour, linewidth=2)
-        x, y, z = (float(number) for number in origins[name])
+        draw_frame(axes, frame, length, 1e3)
+        x, y, z = map(float, origins[name])
         axes.text(x, y, z, f"  {name}", fontsize=10, weight="bold")
     for a, b, name, colour in links:
         axes.plot(*np.stack([origins[a], origins[b]]).T, "--", color=colour, linewidth=1)
-        middle = 0.5 * (origins[a] + origins[b])
-        x, y, z = (float(number) for number in middle)
+        x, y, z = map(float, 0.5 * (origins[a] + origins[b]))
         axes.text(x, y, z, name, fontsize=8, color=colour)
     axes.set_aspect("equal")
-    axes.set_xlabel(f"x of the {base.replace('_', ' ')} (mm)")
-    axes.set_ylabel("y (mm)")
-    axes.set_zlabel("z (mm)")
     return figure
 
 

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from mpl_toolkits.mplot3d import Axes3D
 
 from ..cameras import Camera
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled
-from .figures import BLUE, RED, PlotFigure
+from .figures import BLUE, RED, PlotFigure, space_axes
 
 if TYPE_CHECKING:
     from ..features import PictureEvidence
@@ -118,22 +117,15 @@ def _fixed(pixel: np.ndarray) -> tuple[int, int]:
     return int(u), int(v)
 
 
-if TYPE_CHECKING:
-    from ..modeling import ObjectModel
-
-
 def object_model_3d(model: "ObjectModel") -> PlotFigure:
     """Draw the edges of an object model and the places of its grasps, in its own frame, mm."""
     figure = PlotFigure(figsize=(5.0, 4.2), layout="constrained")
-    axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
+    axes = space_axes(figure, "mm")
     for edge in model.edges:
         axes.plot(*(1e3 * model.vertices[edge]).T, color=BLUE)
     for grasp in model.grasps:
         place = 1e3 * np.asarray(grasp.object_from_tool)[:3, 3]
         axes.scatter(*place, color=RED, label=grasp.name or "grasp")
-    axes.set_xlabel("x (mm)")
-    axes.set_ylabel("y (mm)")
-    axes.set_zlabel("z (mm)")
     axes.set_aspect("equal")
     if model.grasps:
         axes.legend(frameon=False)

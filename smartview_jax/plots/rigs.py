@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-from mpl_toolkits.mplot3d import Axes3D
 
 from ..evaluation import PoseUncertainty
 from ..geometry import host_matrices
 from ..joint import RigFit
 from .camera_scene import picture_corners
-from .figures import BLUE, GREEN, RED, PlotFigure, method_colour
+from .figures import PlotFigure, draw_frame, draw_pyramid, method_colour, space_axes
 
 MOUNTS = {"eye_in_hand": "tool", "eye_to_hand": "base"}
 """Frame in which cameras of each mount stand still."""
@@ -33,7 +32,6 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
     figure.subplots_adjust(0.03, 0.06, 0.93, 0.93)
     names = list(fit.calibrations)
     for column, mount in enumerate(mounts):
-        axes: Axes3D = figure.add_subplot(1, len(mounts), 1 + column, projection="3d")  # pyright: ignore[reportAssignmentType]
         cameras = {name: c for name, c in fit.calibrations.items() if c.mount == mount}
         poses = {
             name: np.linalg.inv(host_matrices(calibration.camera_from_mount))
@@ -41,37 +39,26 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
         }
         places = np.array([np.zeros(3), *(pose[:3, 3] for pose in poses.values())])
         unit, factor = ("m", 1.0) if mount == "eye_to_hand" else ("mm", 1e3)
+        axes = space_axes(figure, unit, place=(1, len(mounts), 1 + column))
         depth = PYRAMID_SHARE * max(float(np.ptp(places, axis=0).max()), 1e-2)
-        _draw_frame(axes, np.eye(4), factor * depth, factor)
+        draw_frame(axes, np.eye(4), factor * depth, factor)
         axes.text(0.0, 0.0, 0.0, f"  {MOUNTS[mount]}", fontsize=9)
         for name, calibration in cameras.items():
             colour = method_colour(name, names.index(name))
             mount_from_camera = poses[name]
-            _draw_frame(axes, mount_from_camera, 0.5 * factor * depth, factor)
+            draw_frame(axes, mount_from_camera, 0.5 * factor * depth, factor)
             corners = depth * picture_corners(calibration.camera)
             corners = factor * (corners @ mount_from_camera[:3, :3].T + mount_from_camera[:3, 3])
             centre = factor * mount_from_camera[:3, 3]
             path = f"{name}.{calibration.transform_names[0]}.translation"
             stds = [fit.std[f"{path}.{k}"] for k in "xyz" if f"{path}.{k}" in fit.std]
             label = f"{name}, +- {1e3 * np.hypot.reduce(stds):.2g} mm" if stds else f"{name}, held"
-            axes.plot(*corners[[0, 1, 2, 3, 0]].T, color=colour, linewidth=1.2, label=label)
-            for corner in corners:
-                axes.plot(*np.stack([centre, corner]).T, color=colour, linewidth=0.8)
+            draw_pyramid(axes, centre, corners, colour, 1.2, label)
         axes.legend(loc="upper left", frameon=False, fontsize=9)
         axes.set_aspect("equal")
         axes.set_title(f"in the frame of the {MOUNTS[mount]}", fontsize=10)
-        axes.set_xlabel(f"x ({unit})")
-        axes.set_ylabel(f"y ({unit})")
-        axes.set_zlabel(f"z ({unit})")
         axes.tick_params(labelsize=7)
     return figure
-
-
-def _draw_frame(axes: Axes3D, pose: np.ndarray, length: float, factor: float) -> None:
-    """Draw the three axes of a frame, whose pose is in metres, in another unit."""
-    origin = factor * pose[:3, 3]
-    for axis, colour in zip(pose[:3, :3].T, (RED, GREEN, BLUE), strict=True):
-        axes.plot(*np.stack([origin, origin + length * axis]).T, color=colour, linewidth=2)
 
 
 def pose_uncertainties(poses: Sequence[PoseUncertainty]) -> PlotFigure:

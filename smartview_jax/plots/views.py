@@ -1,13 +1,21 @@
 """Draw what cameras saw, and their poses."""
 
 import numpy as np
-from mpl_toolkits.mplot3d import Axes3D
 
 from ..calibration import Calibration
 from ..dataset import Dataset
 from ..targets import StackedTarget
 from .camera_scene import camera_scene
-from .figures import BLUE, GREEN, GREY, RED, PlotFigure, single_plot
+from .figures import (
+    BLUE,
+    GREY,
+    RED,
+    PlotFigure,
+    draw_frame,
+    draw_pyramid,
+    single_plot,
+    space_axes,
+)
 
 
 def prediction_overlay(
@@ -69,23 +77,15 @@ def camera_poses_3d(data: Dataset, calibration: Calibration) -> PlotFigure:
     """Draw the cameras and the target in the target's frame, m; cameras of unused views are red."""
     scene = camera_scene(data, calibration)
     figure = PlotFigure(figsize=(7.0, 6.0), layout="constrained")
-    axes: Axes3D = figure.add_subplot(projection="3d")  # pyright: ignore[reportAssignmentType]
+    axes = space_axes(figure, "m")
     axes.scatter(*scene.target.T, s=3, color=GREY, depthshade=False)
     for view, name in enumerate(scene.view_ids):
-        centre, corners = scene.centres[view], scene.corners[view]
         colour = BLUE if scene.used[view] else RED
-        # The picture's border, then a line from the camera's centre to each of its corners.
-        axes.plot(*corners[[0, 1, 2, 3, 0]].T, color=colour, linewidth=0.8)
-        for corner in corners:
-            axes.plot(*np.stack([centre, corner]).T, color=colour, linewidth=0.5)
-        x, y, z = (float(number) for number in centre)
+        draw_pyramid(axes, scene.centres[view], scene.corners[view], colour, 0.8)
+        x, y, z = map(float, scene.centres[view])
         axes.text(x, y, z, f" {name}", fontsize=7)
-    for axis, colour in zip(np.eye(3), (RED, GREEN, BLUE), strict=True):
-        axes.plot(*np.stack([np.zeros(3), scene.axis_length * axis]).T, color=colour, linewidth=2)
+    draw_frame(axes, np.eye(4), scene.axis_length)
     axes.set_aspect("equal")
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    axes.set_zlabel("z (m)")
     if scene.camera_side_is_below:
         axes.invert_zaxis()  # keeps the cameras on top
         axes.invert_yaxis()

@@ -36,7 +36,6 @@ from .bag_content import BagSources, read_content
 from .imported_folder import (
     POSE_FORMAT,
     ImportedFolder,
-    ImportRecord,
     TargetText,
     target_text,
     view_names,
@@ -162,20 +161,20 @@ class _Import:
             entries["poses"] = write_pose_log(
                 folder, logged, as_se3(poses), view_ids, wanted, POSE_FORMAT
             )
-        record = ImportRecord(self._bag.path.name, tuple(notes), chosen.left_out)
-        record.write(folder, view_ids, moments)
-        write_description(folder, entries, self._target)
         is_template = self._target is not None and self._target.is_template
         camera_file = None if camera is None else folder / CAMERA_FILE
         in_motion = robot.chain is not None and self._choice.every is not None
-        return ImportedFolder(
+        imported = ImportedFolder(
             folder, view_ids, chosen.left_out, tuple(notes), camera_file, in_motion, is_template
         )
+        imported.write_record(self._bag.path.name, moments)
+        write_description(folder, entries, self._target)
+        return imported
 
     def _write_pictures(
         self, folder: Path, topic: str, views: Mapping[int, str], until: int
     ) -> PictureFile:
-        """Write the chosen pictures one after the other, and return the first.
+        """Write the chosen pictures of a topic one after the other, and return the first.
 
         Args:
             folder: of the data set.

@@ -21,7 +21,6 @@ from ..targets import AbstractTarget
 from .imported_folder import (
     POSE_FORMAT,
     ImportedFolder,
-    ImportRecord,
     TargetText,
     target_text,
     view_names,
@@ -193,12 +192,12 @@ def _write(
     if sources.arm is not None:
         write_joints(folder, view_ids, readings[chosen.indices], sources.arm)
         entries["joints"] = joints_entry(len(view_ids), sources.arm)
-    record = ImportRecord(recording.path.resolve().name, tuple(notes), chosen.left_out)
-    record.write(folder, view_ids, frames.stamps[chosen.indices])
-    write_description(folder, entries, target)
-    return ImportedFolder(
+    imported = ImportedFolder(
         folder, view_ids, chosen.left_out, tuple(notes), None, False, target.is_template
     )
+    imported.write_record(recording.path.resolve().name, frames.stamps[chosen.indices])
+    write_description(folder, entries, target)
+    return imported
 
 
 def _columns_of_state(recording: LeRobotDataset, sources: LeRobotSources) -> list[int]:

@@ -1,12 +1,13 @@
 """Write what all imported data-set folders have: the description, and the record of the import."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Int
 
+from .. import schemas
 from ..argument_checks import errors_at
 from ..files import dump_yaml, parse_yaml, read_yaml, write_atomically
 from ..io import DESCRIPTION_FILE, TARGETS, marked_entries, read_april_grid, read_target
@@ -52,31 +53,20 @@ class ImportedFolder(NamedTuple):
     in_motion: bool
     target_is_template: bool
 
+    def write_record(self, recording: str, stamps: Int[np.ndarray, "views"]) -> None:
+        """Write the sources that were used, and the pictures that were left out, to the folder.
 
-class ImportRecord(NamedTuple):
-    """A record of the import: the sources that were used, and the pictures that were left out.
-
-    Attributes:
-        recording: name of the bag or of the data set.
-        notes: sentences on what was used and found.
-        left_out: number of pictures that are no views, by reason.
-    """
-
-    recording: str
-    notes: tuple[str, ...]
-    left_out: Mapping[str, int]
-
-    def write(
-        self, folder: Path, view_ids: Sequence[str], moments: Int[np.ndarray, "views"]
-    ) -> None:
-        """Write the record to a folder, with the stamp of every view, ns."""
+        Args:
+            recording: name of the bag or of the data set.
+            stamps: time of every view, ns.
+        """
         content = {
-            "recording": self.recording,
+            "recording": recording,
             "notes": list(self.notes),
-            "left_out": dict(self.left_out),
-            "stamps_ns": dict(zip(view_ids, moments.tolist(), strict=True)),
+            "left_out": self.left_out,
+            "stamps_ns": dict(zip(self.view_ids, stamps.tolist(), strict=True)),
         }
-        write_atomically(folder / RECORD_FILE, dump_yaml(content))
+        write_atomically(self.folder / RECORD_FILE, dump_yaml(content))
 
 
 def view_names(count: int) -> tuple[str, ...]:
@@ -87,13 +77,10 @@ def view_names(count: int) -> tuple[str, ...]:
 
 def write_description(folder: Path, entries: Mapping[str, Any], target: TargetText | None) -> None:
     """Write the description, with comments in the target's entry if it is to be filled in."""
-    from ..schemas.dataset import DATASET_SCHEMA
-    from ..schemas.validation import refuse_unreadable
-
     path = folder / DESCRIPTION_FILE
     *lines, end_mark = dump_yaml(marked_entries(entries)).splitlines(keepends=True)
     text = "".join([*lines, "" if target is None else target.text, end_mark])
-    refuse_unreadable(parse_yaml(text, path), DATASET_SCHEMA, path)
+    schemas.refuse_unreadable(parse_yaml(text, path), schemas.DATASET_SCHEMA, path)
     write_atomically(path, text)
 
 

@@ -49,6 +49,20 @@ class Origin(NamedTuple):
     given: str = ""
 
 
+def page_title(origin: Origin | None) -> str:
+    """Return the title of a calibration's page."""
+    return "Calibration" if origin is None else f"Calibration of {origin.source}"
+
+
+def origin_facts(origin: Origin | None) -> list[tuple[str, str]]:
+    """Return rows on the data set and the command, as far as they are known."""
+    if origin is None:
+        return []
+    names = ("data set", "command", "given", "run")
+    texts = (origin.source, origin.command, origin.given, origin.run)
+    return [(name, text) for name, text in zip(names, texts, strict=True) if text]
+
+
 class Judgement(NamedTuple):
     """The results of the checks of a calibration, for its page.
 
@@ -94,7 +108,7 @@ def write_page(
     other_notes = [note for note in notes if not note.startswith(WARNING)]
     report_progress("drawing the report")
     page = get_template("page.html").render(
-        title="Calibration" if origin is None else f"Calibration of {origin.source}",
+        title=page_title(origin),
         run_line=_run_line(origin),
         verdict=[hand_eye_sentence(fit.joint), tables.result_summary(rows, fit)],
         headline=tables.headline(rows, fit),
@@ -124,7 +138,7 @@ def write_page(
         ).html(),
         staged=fit.staged,
         joint=fit.joint,
-        facts=_origin_facts(origin, fit, data)
+        facts=origin_facts(origin)
         + _fit_facts(fit, data, held_out_reports)
         + tables.repeatability_rows(repeatability),
     )
@@ -135,28 +149,6 @@ def _run_line(origin: Origin | None) -> str:
     """Return the date and the version for the line under the page's title."""
     parts = [f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"smartview-jax {__version__}"]
     return " \u00b7 ".join(parts if origin is None or origin.run is None else [*parts, origin.run])
-
-
-def _origin_facts(
-    origin: Origin | None, fit: CalibrationFit, data: Dataset
-) -> list[tuple[str, str]]:
-    """Return rows on what was calibrated, from which data, and by which command."""
-    facts = []
-    if origin is not None:
-        facts = [
-            ("data set", origin.source),
-            ("command", origin.command),
-            ("given", origin.given),
-            ("run", origin.run),
-        ]
-    camera = fit.calibration.camera
-    width, height = camera.image_size
-    target = "points given as arrays" if data.target is None else type(data.target).__name__
-    facts += [
-        ("camera and lens", f"{width} x {height} px, {lens_name(camera.lens)}"),
-        ("target", f"{target}, {data.points.shape[-2]} points"),
-    ]
-    return [(name, text) for name, text in facts if text]
 
 
 def _figures(
@@ -243,7 +235,12 @@ def _fit_facts(
     """Return the facts of a fit as rows of name and text, for the table at the end of the page."""
     step3 = fit.staged.step3
     used = len(without_rejected_views(data, fit).usable_views())
+    camera = fit.calibration.camera
+    width, height = camera.image_size
+    target = "points given as arrays" if data.target is None else type(data.target).__name__
     facts = [
+        ("camera and lens", f"{width} x {height} px, {lens_name(camera.lens)}"),
+        ("target", f"{target}, {data.points.shape[-2]} points"),
         ("views", f"{used} used of {data.view_count}, {data.mount}"),
         ("observations", f"{data.observation_count} points seen"),
         (

@@ -10,7 +10,7 @@ from ..evaluation import HeldOutPoses
 from ..joint import PoseFit, estimate_groups, hand_eye_forms, pose_rms, tracked_pose_errors
 from ..plots import pose_errors
 from .next_steps import hand_eye_sentence
-from .page import Origin
+from .page import Origin, origin_facts, page_title
 from .story import Section, StoryFigure, write_story
 from .tables import rejections, robot_error_row
 
@@ -91,8 +91,9 @@ def write_pose_page(
         sections.append(Section("Pairs left out", header=("pair", "reason"), rows=left_out))
     sections += arm
     sections.append(Section("How this was computed", rows=_facts(fit, data, origin)))
-    title = "Calibration" if origin is None else f"Calibration of {origin.source}"
-    write_story(path, title, pose_fit_summary(fit, held_out), sections, hand_eye_forms(fit))
+    write_story(
+        path, page_title(origin), pose_fit_summary(fit, held_out), sections, hand_eye_forms(fit)
+    )
 
 
 def _measured_points(data: PoseDataset) -> Section:
@@ -113,8 +114,7 @@ def _measured_points(data: PoseDataset) -> Section:
 
 def _facts(fit: PoseFit, data: PoseDataset, origin: Origin | None) -> list[tuple[str, str]]:
     """Return rows of name and text on the data, the command and the fit."""
-    given = [] if origin is None else list(origin._asdict().items())
-    facts = [(name, text) for name, text in given if text]
+    facts = origin_facts(origin)
     facts += [
         ("pairs", f"{fit.used_views.sum()} used of {data.view_count}"),
         ("mount", data.mount),

@@ -18,7 +18,7 @@ from ..evaluation import (
 )
 from ..geometry import host_matrices, vector_text
 from ..joint import RelativePose, RigFit, calibration_forms
-from .page import Origin, prediction_overlays
+from .page import Origin, origin_facts, page_title, prediction_overlays
 from .story import Section, StoryFigure, write_story
 from .tables import ErrorSummary
 
@@ -252,8 +252,7 @@ def write_rig_page(
         for name, calibration in fit.calibrations.items()
         for title, texts in calibration_forms(calibration, formats[name])
     ]
-    title = "Calibration" if origin is None else f"Calibration of {origin.source}"
-    write_story(path, title, rig_summary(fit, held_out), sections, forms)
+    write_story(path, page_title(origin), rig_summary(fit, held_out), sections, forms)
 
 
 def _joint_section(fit: RigFit, used: Rig, poses: Sequence[PoseUncertainty]) -> Section:
@@ -345,8 +344,7 @@ def _camera_section(
 
 def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]]:
     """Return rows of name and text on the data, the command and the fit."""
-    given = [] if origin is None else list(origin._asdict().items())
-    facts = [(name, text) for name, text in given if text]
+    facts = origin_facts(origin)
     facts.append(("robot states", f"{len(fit.view_ids)}"))
     for target in dict.fromkeys(rig.targets.values()):
         seeing = ", ".join(name for name in rig.cameras if rig.targets[name] == target)

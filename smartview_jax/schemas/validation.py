@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 from pydantic import ValidationError
 
 from ..argument_checks import errors_at, shortened_repr, spelling_suggestion
-from ..files import dump_json, dump_yaml, write_atomically
+from ..files import dump_json, dump_yaml, read_yaml, write_atomically
 
 _MAX_REPORTED_ERRORS = 5
 """Largest number of wrong entries that an error message names."""
@@ -52,6 +52,16 @@ def validate_content(
             messages.append(f"and {len(errors) - _MAX_REPORTED_ERRORS} more")
         start = f"{source}: " if str(source) else ""
         raise ValueError(start + "; ".join(dict.fromkeys(messages))) from None
+
+
+def read_validated(path: str | os.PathLike[str], schema: Schema[Content]) -> Content:
+    """Read a mapping from a YAML (or JSON) file, and return it as the type of its schema.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: it is not readable, or its content does not fit; the message names the file.
+    """
+    return validate_content(read_yaml(path), schema, path)
 
 
 def refuse_unreadable(content: Any, schema: Schema[object], source: str | os.PathLike[str]) -> None:

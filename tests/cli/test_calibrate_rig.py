@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 
 from smartview_jax import (
     Rig,
-    calibration_pipeline,
     compare,
     load_dataset,
     load_estimate,
@@ -25,13 +24,7 @@ from smartview_jax import (
 )
 from smartview_jax.cli import app
 from smartview_jax.cli.calibrate_folder import CalibrateSettings
-from smartview_jax.cli.calibrate_rig import (
-    RigResult,
-    _calibrated_rig,
-    _document,
-    _loaded_rig,
-    _print_result,
-)
+from smartview_jax.cli.calibrate_rig import RigResult, fitted_rig, loaded_rig
 from smartview_jax.cli.check import _lonely_cameras
 from smartview_jax.cli.fit_options import FitKnowledge
 from smartview_jax.evaluation import RigMethod, error_budget
@@ -99,7 +92,7 @@ def test_a_calibration_for_each_camera_and_one_report(
         assert start is None
         return fit
 
-    monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
+    monkeypatch.setattr("smartview_jax.calibrate", known_fit)
     told = CliRunner().invoke(app, ["calibrate", folder, "--diagnose", "--json", "--out", str(out)])
     assert told.exit_code == 0, told.output
     document = json.loads(told.stdout)
@@ -148,7 +141,7 @@ def test_a_calibration_for_each_camera_and_one_report(
 
 
 def test_folders_of_the_cameras_are_one_rig(rig, folders):
-    loaded, name = _loaded_rig(list(map(Path, folders)), SETTINGS, lambda _: None)
+    loaded, name = loaded_rig(list(map(Path, folders)), SETTINGS, lambda _: None)
     assert name == "camera1, camera2"
     assert loaded.view_ids == rig.view_ids
 
@@ -163,10 +156,10 @@ def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
         starts.append(start)
         return fit
 
-    monkeypatch.setattr(calibration_pipeline, "calibrate", known_fit)
+    monkeypatch.setattr("smartview_jax.calibrate", known_fit)
     given = ["camera1.camera_from_tool=0,0,0.1,0,0,0"]
     settings = CalibrateSettings(known=FitKnowledge(camera=tmp_path, start=given))
-    result = _calibrated_rig(rig, "cell", settings, lambda _: None)
+    result = fitted_rig(rig, "cell", settings, lambda _: None)
     assert len(held) == 6
     assert all(set(start) == {"camera1"} for start in starts)
     assert "start given for camera1" in result.notes
@@ -270,7 +263,7 @@ def test_several_arms_are_named():
 
 def test_the_document_has_the_arms():
     fit, (rig, _) = arms_fit(), arms_scene(0, FOUR_CAMERAS, 4)
-    document = _document(RigResult(rig, "cell", fit, None, ()))
+    document = RigResult(rig, "cell", fit, None, ()).document("run", [])
     assert "robot" not in document
     right = document["arms"]["right"]
     assert right["cameras"] == ["right_table", "right_wall"]
@@ -282,7 +275,7 @@ def test_the_document_has_the_arms():
 
 @pytest.mark.usefixtures("judged_by_its_own_chain")
 def test_the_causes_of_the_errors_are_printed(rig, fit, capsys):
-    _print_result(RigResult(rig, "cell", fit, None, (), error_budget(rig, fit)))
+    RigResult(rig, "cell", fit, None, (), error_budget(rig, fit)).print()
     lines = capsys.readouterr().out.splitlines()
     (header,) = [line for line in lines if "error by cause (px)" in line]
     assert header.index("camera1") < header.index("camera2")

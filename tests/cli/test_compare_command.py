@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smartview_jax.cli.compare_tables import print_comparison
+from smartview_jax.cli.compare import print_comparison
 from smartview_jax.evaluation import HeldOutErrors, MethodResult, Rejection, ReprojectionErrors
 from smartview_jax.report import comparison_row
 

@@ -138,7 +138,7 @@ def short_work(monkeypatch):
         found = [Localization(models[0], 0, refined, verdict, ())]
         return Localizations(found[: models[0].name == "block"], (), (), command)
 
-    monkeypatch.setattr("smartview_jax.localization.localize", localize)
+    monkeypatch.setattr("smartview_jax.localize", localize)
     evaluation = sys.modules["smartview_jax.evaluation"]
     methods = {"staged": lambda part: fit_staged(part, "radial")}
     monkeypatch.setattr(evaluation, "standard_methods", lambda *_, **__: methods)

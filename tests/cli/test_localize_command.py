@@ -73,7 +73,7 @@ def search(folder, tmp_path_factory):
         return found[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(localization, "localize", spied)
+        patch.setattr("smartview_jax.localize", spied)
         done = run(*words(folder, "--out", page, "--occluder", folder / "far.stl"))
     return done, page.read_text(), found[0]
 
@@ -109,7 +109,7 @@ def test_a_program_reads_that_the_other_model_is_not_there(folder, search, monke
         messages = ("slab: too few edges",)
         return localization.Localizations((accepted, rejected), messages, found.pictures, command)
 
-    monkeypatch.setattr(localization, "localize", localize)
+    monkeypatch.setattr("smartview_jax.localize", localize)
     done = run(*words(folder, "--json", models=("slab.json", "block.json")))
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)

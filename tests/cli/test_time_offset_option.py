@@ -56,7 +56,7 @@ def test_the_offset_is_estimated_and_said(folder, tmp_path, monkeypatch):
         corrected = at_time_offset(data, trajectory, picture_times, OFFSET)
         return TimeOffset(OFFSET, 1e-3, corrected, Noise(0.15, 1e-4, 1e-4))
 
-    monkeypatch.setattr("smartview_jax.clocks.estimate_time_offset", known)
+    monkeypatch.setattr("smartview_jax.estimate_time_offset", known)
     ended = run("calibrate", folder, *LENS, "--time-offset", "--no-held-out", "--out", tmp_path)
     assert ended.exit_code == 0, ended.output
     ((log_times, picture_times, lens),) = asked

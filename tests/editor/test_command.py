@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from board_scene import calibrated_board, run
 
-from smartview_jax.cli.calibrated_views import RigOptions
-from smartview_jax.cli.load import load_views
+from smartview_jax.cli.load import RigOptions, load_views
 from smartview_jax.cli.model import load_calibration
 from smartview_jax.editor.owner_lock import OwnerLock
 from smartview_jax.io import object_sample_folder

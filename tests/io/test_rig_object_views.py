@@ -7,8 +7,7 @@ import yaml
 from rig_pair import BASE_FROM_WORLD, placed, stereo_pair
 
 import smartview_jax as sv
-from smartview_jax.cli.calibrated_views import RigOptions, load_calibrated_views
-from smartview_jax.cli.load import load_views
+from smartview_jax.cli.load import RigOptions, load_calibrated_views, load_views
 from smartview_jax.geometry import host_matrices
 from smartview_jax.io import is_rig_object_views, load_rig_object_views, write_object_views
 from smartview_jax.joint import RIG_FILE

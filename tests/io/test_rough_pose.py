@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from smartview_jax.cli import app
 from smartview_jax.io import load_dataset, parse_rough_pose, sample_folder
-from smartview_jax.io.rough_pose import rough_pose
+from smartview_jax.io.folder_description import rough_pose
 from smartview_jax.schemas.dataset import DATASET_SCHEMA, DatasetFile
 from smartview_jax.schemas.validation import validate_content
 from smartview_jax.targets import CircleGrid
@@ -73,13 +73,14 @@ def test_six_numbers_are_metres_and_degrees():
     )
     quaternion = {"translation": [0.4, 0.0, 0.1], "quaternion_wxyz": [0.0, 0.5**0.5, 0.5**0.5, 0.0]}
     for entry in (ROUGH, quaternion):
-        read = rough_pose(described({"base_from_world": entry}))
+        read = rough_pose(described({"base_from_world": entry}).base_from_world)
         assert read is not None
         np.testing.assert_allclose(read.as_matrix(), pose.as_matrix(), atol=1e-9)
-    held = rough_pose(described({"mount": "eye_to_hand", "tool_from_world": ROUGH}))
+    held = described({"mount": "eye_to_hand", "tool_from_world": ROUGH})
+    held = rough_pose(held.tool_from_world)
     assert held is not None
     np.testing.assert_allclose(held.as_matrix(), pose.as_matrix(), atol=1e-12)
-    assert rough_pose(described({"mount": "eye_to_hand"})) is None
+    assert rough_pose(described({"mount": "eye_to_hand"}).tool_from_world) is None
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ import smartview_jax as sv
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.io import import_correspondences, read_viewpoints, write_viewpoints
 from smartview_jax.io.csv_tables import parse_numbers, read_table, write_table
+from smartview_jax.io.folder_description import DescribedFolder
 from smartview_jax.io.poses import read_poses
+from smartview_jax.io.robot_readings import suffix_in_names
 from smartview_jax.io.table_text import named_unit
 from smartview_jax.robots import kuka_lwr4
 from smartview_jax.simulation import random_scene
@@ -64,9 +66,9 @@ WRITTEN = {
 def poses(path):
     """The views and poses of a table, and what was seen in it."""
     entry = {"file": path.name, **STATED}
-    views, found, masked, table, _ = read_poses(path.parent, entry, "raise")
-    assert not masked
-    return views, host_matrices(found), table.notes
+    read = read_poses(path.parent, entry, "raise")
+    assert not read.masked_views
+    return read.view_ids, host_matrices(read.poses), read.notes
 
 
 @pytest.mark.parametrize("form", WRITTEN)
@@ -174,15 +176,15 @@ def test_tables_of_a_data_set_are_named_once_in_its_notes(saved):
 
 
 def test_names_of_views_may_be_those_of_pictures(tmp_path):
-    from smartview_jax.io.robot_readings import suffix_in_names
-
-    content = {"pictures": {"pattern": "images/{view}.png"}}
-    assert suffix_in_names(tmp_path, content, ["00.png", "01.png"]) == ".png"
-    assert suffix_in_names(tmp_path, content, ["00.png", "01"]) == ""
-    assert suffix_in_names(tmp_path, {"pictures": {"pattern": "images/{view}"}}, ["00.png"]) == ""
+    pattern = {"pictures": {"pattern": "images/{view}.png"}}
+    folder = DescribedFolder(tmp_path, pattern, tmp_path / "dataset.yaml")
+    assert suffix_in_names(folder, ["00.png", "01.png"]) == ".png"
+    assert suffix_in_names(folder, ["00.png", "01"]) == ""
+    bare = folder._replace(content={"pictures": {"pattern": "images/{view}"}})
+    assert suffix_in_names(bare, ["00.png"]) == ""
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "00.png.png").touch()
-    assert suffix_in_names(tmp_path, content, ["00.png", "01.png"]) == ""
+    assert suffix_in_names(folder, ["00.png", "01.png"]) == ""
 
 
 @pytest.mark.parametrize("suffixed", ["poses.csv", "joints.csv", "detections.csv"])

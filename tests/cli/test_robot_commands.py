@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jaxlie import SE3
 
-from smartview_jax.cli.viewpoint_tables import print_viewpoints
+from smartview_jax.cli.robot_commands import print_viewpoints
 from smartview_jax.geometry import POSE_CODECS
 
 NAMES = ("before_grasp", "after")
