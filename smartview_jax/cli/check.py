@@ -373,12 +373,15 @@ def _agreement(data: "Dataset", reported: Collection[str], camera: "Camera | Non
     }
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     if not problems and not fit.conventions.change:
-        doubts += _doubts_of_motion(fit.conventions, camera is not None)
+        doubts += _doubts_of_motion(fit.conventions, camera is not None, data.joints is not None)
     return Agreement(problems, (*doubts, *fit.warnings), fit)
 
 
-def _doubts_of_motion(report: "ConventionReport", camera_is_known: bool) -> list[str]:
+def _doubts_of_motion(
+    report: "ConventionReport", camera_is_known: bool, by_joints: bool
+) -> list[str]:
     """Return what is doubtful about the motions of robot and camera, though they are alike."""
+    from ..data_checks import OTHER_ARM_TEXT
     from ..staged import mistaken_unit
 
     ratio, std = report.length_ratio, report.length_ratio_std
@@ -387,9 +390,10 @@ def _doubts_of_motion(report: "ConventionReport", camera_is_known: bool) -> list
         size = f"is the target {1.0 / ratio:.3g} times as large as stated? measure it"
         if camera_is_known:
             size = f"is the known camera's focal length {ratio:.3g} times the true one, or {size}"
+        cause = mistaken_unit(ratio) or size
         return [
-            f"the camera moves {ratio:.3g} times as far as the robot says: "
-            f"{mistaken_unit(ratio) or size}"
+            f"the camera moves {ratio:.3g} times as far as the robot says: {cause}"
+            + (f"; {OTHER_ARM_TEXT}" if by_joints else "")
         ]
     rotation, translation = report.closure_error
     if report.is_close:

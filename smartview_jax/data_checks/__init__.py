@@ -2,8 +2,9 @@
 
 `questions.py` says in which order: the poses (`usable_views.py`), the detections
 (`target_checks.py`), the camera by itself (`camera_checks.py`), then whether robot and camera move
-alike (`conventions.py`, with the usual mistakes in `mistakes.py`, `misread_angles.py` and
-`length_units.py`, judged by `rotation_angles.py` and by the closure of motions, `closure.py`) and
+alike (`conventions.py`, with the usual mistakes in `mistakes.py`, `misread_angles.py`,
+`length_units.py` and `joint_mistakes.py`, judged by `rotation_angles.py` and by the closure of
+motions, `closure.py`) and
 tell a wrong mount at all (`inverted_poses.py`), whether the set-up changed between two views
 (`changes.py`) or drifts (`set_up_drift.py`, beyond the errors of `smooth_errors.py`), the poses lag
 (`pose_lag.py`, by the fit in `lag_fit.py`) or the views agree in groups (`view_groups.py`;
@@ -29,6 +30,9 @@ from .faults_of_many_views import RobotAndCamera as RobotAndCamera
 from .faults_of_many_views import SharedFault as SharedFault
 from .faults_of_many_views import find_shared_fault as find_shared_fault
 from .given_poses import target_turns as target_turns
+from .joint_mistakes import OTHER_ARM_RATIO as OTHER_ARM_RATIO
+from .joint_mistakes import OTHER_ARM_TEXT as OTHER_ARM_TEXT
+from .joint_mistakes import joint_problem as joint_problem
 from .length_units import mistaken_unit as mistaken_unit
 from .pose_lag import PoseLag as PoseLag
 from .pose_lag import find_lag as find_lag

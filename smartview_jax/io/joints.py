@@ -8,6 +8,7 @@ the `convention`, which joints are `prismatic`, their `limits` (a pair for each 
 there is no limit), `flange_from_tool` and `base_from_first`.
 """
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -90,7 +91,8 @@ def read_joints(
         [unit_factors * parse_numbers(path, table[view], columns, view) for view in ordered_views]
     )
     _refuse_impossible(path, ordered_views, readings, columns)
-    return ReadJoints(ordered_views, readings, arm, joints_table, (*joints_table.notes, *notes))
+    notes = (*joints_table.notes, *notes, *_further_joints(joints_table, columns))
+    return ReadJoints(ordered_views, readings, arm, joints_table, notes)
 
 
 def write_joints(
@@ -148,8 +150,22 @@ def _refuse_impossible(
             k = int(np.argmax(wrong))
             raise ValueError(
                 f"{path}: view {view}: {columns[k]} is {row[k]:.6g} rad or m, "
-                f"more than {MAX_JOINT_READING:g}"
+                f"more than {MAX_JOINT_READING:g}: degrees (state angle_unit: deg), or counts of "
+                "an encoder?"
             )
+
+
+def _further_joints(table: Table, columns: Sequence[str]) -> tuple[str, ...]:
+    """Return a sentence about joints in the table that the arm does not have; empty if none."""
+    further = [
+        name for name in table.written_header if re.fullmatch(r"q\d+", name) and name not in columns
+    ]
+    if not further:
+        return ()
+    return (
+        f"{table.path.name} has {', '.join(further)} too, which the stated arm of {len(columns)} "
+        "joints has not: is it the right arm? They are not used",
+    )
 
 
 def _joint_columns(arm: SerialArm) -> tuple[str, ...]:

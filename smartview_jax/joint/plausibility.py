@@ -12,6 +12,7 @@ import numpy as np
 
 from ..calibration import BOW, PRINT, Calibration
 from ..cameras import Camera, lens_name
+from ..data_checks import OTHER_ARM_RATIO, OTHER_ARM_TEXT
 from ..dataset import (
     MINIMUM_RELIABLE_VIEWS,
     PoseObservations,
@@ -263,21 +264,27 @@ def _scale_warnings(fit: JointFit) -> list[str]:
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
         return []
     size = f"of its stated size (probability {scale.probability:.2f})"
+    by_joints = fit.problem.observations.joints is not None
     if scale.probability > MAX_SCALE_PROBABILITY:
         # The parameter is the logarithm: its standard deviation is relative.
         value = float(fit.calibration.target_scale)
         std = value * fit.std[TARGET_SCALE]
-        advice = _size_advice(value, std)
+        advice = _size_advice(value, std, by_joints)
         return [f"the target is {value:.4f} +- {std:.4f} {size}; this size is used: {advice}"]
-    advice = _size_advice(scale.scale, scale.std)
+    advice = _size_advice(scale.scale, scale.std, by_joints)
     text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: {advice}"
     return [text + _mount_by_size(fit, scale)]
 
 
-def _size_advice(scale: float, std: float) -> str:
-    """Return what to do about a target of another size than stated: a unit may be mistaken."""
+def _size_advice(scale: float, std: float, by_joints: bool) -> str:
+    """Return what to do about a target of another size than stated: a unit may be mistaken.
+
+    Where joints gave the poses, the arm's description may be of another one.
+    """
     # The camera's motion is measured in the target's size.
     unit = mistaken_unit(1.0 / scale, MAX_PRIOR_SIGMAS * std / scale)
+    if by_joints and not 1.0 / OTHER_ARM_RATIO < scale < OTHER_ARM_RATIO:
+        return f"measure it{f'; {unit}?' if unit else ''}; {OTHER_ARM_TEXT}"
     return f"measure it; {unit}?" if unit else "measure it"
 
 

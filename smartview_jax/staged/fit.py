@@ -24,6 +24,7 @@ from ..data_checks import (
     find_consistent_views,
     find_shared_fault,
     find_shifted_numbering,
+    joint_problem,
     mask_unusable_views,
     median_reprojection_errors,
     minimum_points,
@@ -205,6 +206,8 @@ def fit_staged(
         # The poses of a small target scatter by more than the check allows for.
         report = report._replace(problems=(), hypotheses=())
     if choice is None and not report.explained:
+        report = _with_mistake_in_joints(report, data, common_fit.camera_from_world, used)
+    if choice is None and not report.explained:
         report = _with_fault_of_many_views(report, data, common_fit.camera_from_world, used)
     camera_doubt = common_camera_doubt(
         observations,
@@ -294,6 +297,17 @@ def _calibration(
     """Return a calibration of the data's mount; of two arms with the bases where the data say."""
     ends = camera_from_mount, holder_from_world
     return Calibration(camera, *ends, data.mount, base_from_other_base=data.base_from_other_base)
+
+
+def _with_mistake_in_joints(
+    report: ConventionReport, data: Dataset, camera_from_world: SE3, used: np.ndarray
+) -> ConventionReport:
+    """Return the report with a mistake in the joint readings instead of an unexplained problem."""
+    if not report.problems or data.joints is None or data.arm is None:
+        return report
+    readings = np.asarray(data.joints)
+    text = joint_problem(readings, data.arm, camera_from_world, data.mount, used)
+    return report._replace(problems=(text,), explained=True) if text else report
 
 
 def _with_fault_of_many_views(

@@ -81,6 +81,7 @@ CASES = {
     "which": ("joints.csv", "q3", "q8", "joints.csv: .*missing q3"),
     "number": ("joints.csv", "\n1,", "\n1,x", "view 1: q1 is 'x.*not a number"),
     "view": ("joints.csv", "\n2,", "\n7,", "have different views: 2, 7"),
+    "degrees": ("joints.csv", "\n1,", "\n1,101", "q1 is 101.*more than 100: degrees .*unit: deg"),
     "twice": ("joints.csv", "\n2,", "\n1,", "view 1 has more than one row"),
     "arm": (
         "dataset.yaml",
@@ -107,3 +108,13 @@ def test_an_unknown_arm_is_named(folder):
     (folder / "dataset.yaml").write_text(kept + entry + "end: smartview_dataset\n")
     with pytest.raises(ValueError, match=r"joints\.arm: arm is one of kuka_lwr4, .*'robby'"):
         load_dataset(folder)
+
+
+def test_a_joint_that_the_arm_does_not_have_is_named(folder):
+    """The table of a seven-axis arm with a six-axis arm's parameters would be read by halves."""
+    lines = (folder / "joints.csv").read_text().splitlines()
+    (folder / "joints.csv").write_text(
+        "\n".join([f"{lines[0]},q8", *(f"{line},0.5" for line in lines[1:])]) + "\n"
+    )
+    (note,) = load_dataset(folder).notes
+    assert note.startswith("joints.csv has q8 too, which the stated arm of 7 joints has not")
