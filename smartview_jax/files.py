@@ -49,8 +49,11 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> Path
             # `mkstemp` makes a file that only its owner can read.
             os.chmod(name, 0o644)
             os.replace(name, path)
-        except BaseException:
+        except BaseException as error:
             os.unlink(name)
+            # A full disk is reported without the file.
+            if isinstance(error, OSError) and error.filename is None:
+                raise OSError(error.errno, error.strerror, str(path)) from error
             raise
     return path
 
@@ -109,6 +112,11 @@ def file_transaction(
                     (folder / name).unlink(missing_ok=True)
     except ValueError as error:
         raise ValueError(str(error).replace(str(temporary_folder), str(folder))) from error
+    except OSError as error:
+        if not str(error.filename or "").startswith(str(temporary_folder)):
+            raise
+        name = str(error.filename).replace(str(temporary_folder), str(folder))
+        raise OSError(error.errno, error.strerror, name) from error
     finally:
         shutil.rmtree(temporary_folder, ignore_errors=True)
         _temporary_folders.discard(temporary_folder)
@@ -270,6 +278,8 @@ def parse_yaml(
     # A scalar that does not fit its tag, such as `!!bool x`, may raise any exception.
     except Exception as error:
         message = " ".join(str(error).split())[:_MAX_MESSAGE_LENGTH]
+        if "\\t" in str(error) or re.search(r"^\t", text, re.MULTILINE):
+            message += ": a line begins with a tab; YAML wants spaces"
         raise ValueError(f"{path}: not readable as YAML: {message}") from error
 
 

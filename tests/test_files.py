@@ -49,6 +49,20 @@ def test_an_interrupted_write_leaves_the_old_file_and_no_other(tmp_path, monkeyp
     assert [p.name for p in tmp_path.iterdir()] == ["result.yaml"]
 
 
+def test_a_full_disk_is_reported_with_the_final_file(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*/results/a\.yaml'"):
+        write_atomically(tmp_path / "results" / "a.yaml", "new: 2\n")
+    with (
+        pytest.raises(OSError, match=r"No space left on device: '.*/results/b\.yaml'"),
+        file_transaction(tmp_path / "results") as temporary,
+    ):
+        write_atomically(temporary / "b.yaml", "new: 2\n")
+
+
 @pytest.mark.parametrize("exists", [False, True])
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path, exists):
     folder = tmp_path / "new" / "data"
@@ -86,6 +100,7 @@ def test_a_missing_file_is_named(tmp_path):
         ("a: &a [*a]\n", "not readable as YAML: an alias to a node that contains it"),
         ("a: !!bool maybe\n", "not readable as YAML"),
         ("a: !!int ''\n", "not readable as YAML"),
+        ("a: 1\n\tb: 2\n", "not readable as YAML: .* a line begins with a tab; YAML wants spaces"),
         ("a: " + 5000 * "1" + "\n", "not readable as YAML: Exceeds the limit"),
         ("a: \x00\n", "not readable as YAML"),
         ("a: {x: 0,5, y: 1}\n", "not readable as YAML: number 5 without a name .*decimal comma"),

@@ -47,7 +47,9 @@ class Table:
         if missing:
             raise ValueError(
                 f"{self.path}: expected the columns {', '.join(required)}; missing "
-                f"{', '.join(missing)}" + _other_units(self.written_header, missing)
+                f"{', '.join(missing)}"
+                + _other_units(self.written_header, missing)
+                + _no_header(self.written_header)
             )
         if repeated := duplicates(header):
             raise ValueError(f"{self.path}: column {', '.join(repeated)} comes twice")
@@ -118,6 +120,13 @@ def _named(
         else:
             missing.append(name)
     return named, missing
+
+
+def _no_header(header: Sequence[str]) -> str:
+    """Return a clause that the first row is no header; empty if it may be one."""
+    if sum(map(is_number, header)) <= 0.5 * len(header):
+        return ""
+    return f": its first row, {','.join(header[:3])}, ..., has numbers: write a header above it"
 
 
 def _other_units(header: Sequence[str], missing: Sequence[str]) -> str:

@@ -5,7 +5,7 @@ complete.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 
@@ -125,8 +125,17 @@ def refuse_unmatched_pictures(
     if unmatched:
         raise ValueError(
             f"{poses_path}: no pose for the picture {', '.join(unmatched[:5])} of {parent}: "
-            f"a missing row, or an extra picture"
+            f"a missing row, or an extra picture{_lost_zeros(matched, unmatched)}"
         )
+
+
+def _lost_zeros(wanted: Collection[Path], others: Sequence[str]) -> str:
+    """Return a clause if a missing picture is there with leading zeros; else nothing."""
+    missing = {path.stem.lstrip("0") for path in wanted if not path.exists()}
+    found = [name for name in others if Path(name).stem.lstrip("0") in missing]
+    if not found:
+        return ""
+    return f", or did a spreadsheet remove leading zeros from the names, such as {found[0]}?"
 
 
 def pending_path(path: Path) -> Path:

@@ -54,11 +54,11 @@ def dataset_from_pictures(
         if not detection.visible.any()
     }
     if len(undetected) == len(views):
-        instead = _shown_instead(pictures, target)
+        reason, instead = next(iter(undetected.values())), _shown_instead(pictures, target)
         raise ValueError(
             f"{next(iter(pictures.values()))[0].parent}: the target was found in none of "
-            f"{len(views)} views: {instead or f'is it really a {target!r}?'} "
-            f"({next(iter(undetected.values()))})"
+            f"{len(views)} views"
+            + (f": {instead} ({reason})" if instead else f" ({reason}): is it really a {target!r}?")
         )
     pixels = np.stack([detections[view].pixels for view in views])
     _refuse_undetected_rows(pixels, target, next(iter(pictures.values()))[0].parent)

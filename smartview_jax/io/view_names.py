@@ -1,7 +1,8 @@
 """Tell pictures by their names, and match the names of views in several tables of one folder.
 
 Some programs name a view by its picture file, `0001.png`, others by the file name without suffix.
-If two tables differ only by this, their views are matched, and the user gets a note.
+If two tables differ only by this, or by leading zeros, which a spreadsheet removes, their views are
+matched, and the user gets a note.
 """
 
 from collections.abc import Sequence
@@ -25,6 +26,12 @@ def without_picture_suffix(name: str) -> str:
     return stem if stem and f"{point}{suffix}".lower() in PICTURE_SUFFIXES else name
 
 
+def _common_name(name: str) -> str:
+    """Return a name without a picture's suffix, and a number without leading zeros."""
+    stem = without_picture_suffix(name)
+    return stem.lstrip("0") or "0" if stem.isdecimal() else stem
+
+
 def with_names_of(
     table: Table, view_ids: Sequence[str]
 ) -> tuple[list[dict[str, str]], tuple[str, ...]]:
@@ -33,13 +40,11 @@ def with_names_of(
     Args:
         table: a table with a column of views.
         view_ids: names in the other table. Unknown names are changed if each differs from one of
-            these only by a picture suffix.
+            these only by a picture suffix or leading zeros.
     """
     table_views = {row[VIEW_COLUMN] for row in table.rows}
-    stems = {without_picture_suffix(view): view for view in view_ids}
-    renamed = {
-        view: stems.get(without_picture_suffix(view)) for view in table_views - set(view_ids)
-    }
+    stems = {_common_name(view): view for view in view_ids}
+    renamed = {view: stems.get(_common_name(view)) for view in table_views - set(view_ids)}
     names = {view: name for view, name in renamed.items() if name is not None}
     # No change if two names would become equal, or if two views have the same stem.
     unambiguous = (
@@ -54,6 +59,6 @@ def with_names_of(
     ]
     old, new = min(names.items())
     return rows, (
-        f"{table.path.name}: view names differ from the other table by the picture suffix and were "
-        f"matched, such as {old} and {new}",
+        f"{table.path.name}: view names differ from the other table by the picture suffix or "
+        f"leading zeros and were matched, such as {old} and {new}",
     )

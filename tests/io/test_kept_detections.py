@@ -92,6 +92,13 @@ def test_a_wrong_description_is_known_at_the_first_picture(folder, bad_views, ol
     assert messages == []
 
 
+def test_zeros_that_a_spreadsheet_removed_from_pictures_names_are_named(folder):
+    for picture in (folder / "images").iterdir():
+        picture.rename(picture.with_name(f"0{picture.name}"))
+    with pytest.raises(ValueError, match=r"remove leading zeros from the names, such as 00"):
+        load_dataset(folder)
+
+
 def test_one_picture_of_another_size_is_its_own_fault(folder):
     cv2.imwrite(str(folder / "images/0.png"), np.zeros((48, 64), dtype=np.uint8))
     data = load_dataset(folder, bad_views="mask")

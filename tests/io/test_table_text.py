@@ -205,6 +205,21 @@ def test_tables_whose_names_differ_by_a_pictures_suffix_are_of_the_same_views(
         sv.load_dataset(saved_with_joints)
 
 
+@pytest.mark.parametrize("zeros", ["0", "00"])
+def test_zeros_that_a_spreadsheet_removes_from_names_are_no_other_views(saved, zeros):
+    expected = sv.load_dataset(saved)
+    header, *rows = (saved / "detections.csv").read_text().splitlines()
+    padded = "\n".join([header, *(zeros + row for row in rows)]) + "\n"
+    (saved / "detections.csv").write_text(padded)
+    data = sv.load_dataset(saved)
+    np.testing.assert_array_equal(data.pixels, expected.pixels)
+    assert "leading zeros and were matched" in data.notes[0]
+    header, *rows = (saved / "poses.csv").read_text().splitlines()
+    (saved / "poses.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(ValueError, match=r"its first row, .* has numbers: write a header above it"):
+        sv.load_dataset(saved)
+
+
 def test_correspondences_and_viewpoints_say_how_they_were_read(tmp_path):
     columns = [f"m{i}{j}" for i in range(4) for j in range(4)]
     write_table(tmp_path / "p.csv", ("view", *columns), [["0.jpg", *map(float, np.eye(4).ravel())]])
