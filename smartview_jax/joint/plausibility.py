@@ -24,6 +24,7 @@ from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
 from ..staged import mistaken_unit
 from ..variance import MIN_SHAPE_SIGMAS, TargetScaleEvidence
+from .camera_like_errors import camera_like_errors
 from .joint_fit import JointFit, half_width
 
 MAX_CORRECTION_TRANSLATION, MAX_CORRECTION_ROTATION = 5e-3, float(np.deg2rad(1.5))
@@ -319,11 +320,16 @@ def _robot_warnings(fit: JointFit) -> list[str]:
     medians, log_stds = prior.medians(field), prior.log_stds(field)
     # Log-normal prior: implausible is log(sigma / median) > MAX_PRIOR_SIGMAS log_std.
     implausible = np.log(sigmas / medians) > MAX_PRIOR_SIGMAS * log_stds
+    factors, units = [1e3, float(np.rad2deg(1.0))], [" mm", " degrees"]
+    factors += [1.0] * len(sigmas[2:])
+    units += [""] * len(sigmas[2:])
     warnings = [
-        f"implausibly large error of the robot: {names[k]} {sigmas[k]:.2g}, usually "
-        f"{medians[k]:.1g}"
+        f"implausibly large error of the robot: {names[k]} {factors[k] * sigmas[k]:.2g}{units[k]}, "
+        f"usually {factors[k] * medians[k]:.1g}{units[k]}"
         for k in np.flatnonzero(implausible)
     ]
+    if warnings:
+        warnings = camera_like_errors(fit) + warnings
     if fit.calibration.robot_error is not None:
         twists = np.asarray(fit.field_corrections)
         # The mean correction is removed, because it cannot be separated from the mount.

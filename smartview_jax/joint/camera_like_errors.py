@@ -1,0 +1,108 @@
+"""Tell whether errors that look like the robot's are rather a camera's that changes by itself.
+
+An autofocus that moves the lens between the pictures makes the target seem nearer or farther, and
+an image stabiliser shifts the picture, which looks like a turned camera. Within one view a free
+pose takes up nearly all of either, so that the robot seems to err. But a robot knows nothing of the
+optical axis: its errors are as large along it as across it. So the corrections of the poses are
+seen from the camera, and their variances along and across the axis compared by an F test.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import f as f_distribution
+
+from ..calibration import host_mount_from_holder, mount_frames
+from ..dataset import PoseObservations
+from ..geometry import host_adjoints, host_matrices
+from .joint_fit import JointFit
+
+MAX_CHANCE = 1e-4
+"""Largest probability with which a robot's errors would look like a camera's by chance."""
+
+MIN_VIEWS = 6
+"""Fewest views of which the variances are compared."""
+
+
+class SeenErrors(NamedTuple):
+    """The corrections of the poses as the camera sees them, one row for each view.
+
+    Attributes:
+        shifts: motion of the target's middle in the camera's frame, m.
+        turns: rotation vectors in the camera's frame, rad.
+    """
+
+    shifts: Float[np.ndarray, "views 3"]
+    turns: Float[np.ndarray, "views 3"]
+
+
+def camera_like_errors(fit: JointFit) -> list[str]:
+    """Return a sentence on errors of the robot that lie as a changing camera's would; or nothing.
+
+    Args:
+        fit: a joint fit whose robot seems to err more than robots do.
+    """
+    observations = fit.problem.observations
+    if isinstance(observations, PoseObservations) or fit.calibration.mount == "hand_to_hand":
+        return []
+    if len(fit.used_views) < MIN_VIEWS:
+        return []
+    seen = _seen_errors(fit)
+    across, along = (seen.shifts[:, :2], seen.shifts[:, 2:])
+    if _is_larger(along, across):
+        return [
+            "the errors that seem to be the robot's move the target along the optical axis, by "
+            f"{1e3 * _rms(along):.2g} mm and only {1e3 * _rms(across):.2g} mm across it: rather "
+            "did focus or zoom change between the pictures. Switch autofocus off, and take them "
+            "again"
+        ]
+    tilts, rolls = (seen.turns[:, :2], seen.turns[:, 2:])
+    if _is_larger(tilts, rolls):
+        return [
+            "the errors that seem to be the robot's tilt the camera, by "
+            f"{np.rad2deg(_rms(tilts)):.2g} degrees, but turn it by only "
+            f"{np.rad2deg(_rms(rolls)):.2g} degrees about its axis: rather did an image "
+            "stabiliser or a program shift the pictures. Switch it off, and take them again"
+        ]
+    return []
+
+
+def _seen_errors(fit: JointFit) -> SeenErrors:
+    """Return the corrections of the used views as seen by the camera, without their mean.
+
+    The mean cannot be separated from the hand-eye transform.
+    """
+    observations, calibration, views = fit.problem.seen_points, fit.calibration, fit.used_views
+    poses = host_matrices(observations.base_from_tool)[views]
+    twists = np.asarray(fit.pose_corrections)[views]
+    camera_from_tool = np.broadcast_to(host_matrices(calibration.camera_from_mount), poses.shape)
+    if mount_frames(calibration.mount)[0] == "base":
+        # tool_from_base = exp(twist) reported, and the camera sees its inverse.
+        camera_from_tool, twists = camera_from_tool @ poses, -twists
+    seen = np.einsum("vij,vj->vi", host_adjoints(camera_from_tool), twists)
+    seen = seen - seen.mean(axis=0)
+    visible = np.asarray(observations.visible)[views]
+    points = np.asarray(observations.points)[views]
+    middles = np.einsum("vpi,vp->vi", points, visible) / visible.sum(axis=1)[:, None]
+    mount_from_holder = host_mount_from_holder(calibration.mount, observations.base_from_tool)
+    # Without a correction by joints or field: it moves the target's middle by little.
+    camera_from_world = (
+        host_matrices(calibration.camera_from_mount)
+        @ host_matrices(mount_from_holder)[views]
+        @ host_matrices(calibration.holder_from_world)
+    )
+    middles = np.einsum("vij,vj->vi", camera_from_world[:, :3, :3], middles)
+    middles = middles + camera_from_world[:, :3, 3]
+    return SeenErrors(seen[:, :3] + np.cross(seen[:, 3:], middles), seen[:, 3:])
+
+
+def _rms(errors: np.ndarray) -> float:
+    """Return the root mean square of errors over views and axes."""
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def _is_larger(first: np.ndarray, second: np.ndarray) -> bool:
+    """Return whether errors have a larger variance than others, which chance does not explain."""
+    ratio = float(np.mean(first**2) / np.maximum(np.mean(second**2), 1e-300))
+    return bool(f_distribution.sf(ratio, first.size, second.size) < MAX_CHANCE)

@@ -1,0 +1,48 @@
+"""A camera that focuses or shifts its pictures by itself is not taken for a robot that errs."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fit_scenes import MANY_VIEWS, scene_of
+
+from smartview_jax import fit_joint, fit_staged
+
+ROBOT = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
+MIDDLE = np.array([320.0, 240.0])
+
+
+def warnings_of(scene, pixels):
+    data = dataclasses.replace(scene.data, pixels=jnp.asarray(pixels))
+    staged = fit_staged(data, "radial").calibration
+    return " ".join(fit_joint(data, staged, noise="estimated").warnings)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return scene_of(1, MANY_VIEWS, **ROBOT)
+
+
+def test_an_autofocus_is_named(scene):
+    """Each picture has a focal length of its own, which differs by a percent."""
+    zoom = 1.0 + np.random.default_rng(0).normal(0.0, 0.01, (MANY_VIEWS, 1, 1))
+    text = warnings_of(scene, MIDDLE + zoom * (np.asarray(scene.data.pixels) - MIDDLE))
+    assert "did focus or zoom change between the pictures" in text
+    assert "stabiliser" not in text
+
+
+def test_an_image_stabiliser_is_named(scene):
+    shift = np.random.default_rng(0).normal(0.0, 20.0, (MANY_VIEWS, 1, 2))
+    text = warnings_of(scene, np.asarray(scene.data.pixels) + shift)
+    assert "stabiliser or a program shift the pictures" in text
+    assert "focus" not in text
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_weak_robot_is_no_camera_that_changes(seed):
+    weak = scene_of(seed, MANY_VIEWS, translation_noise=3e-3, rotation_noise=np.deg2rad(0.5))
+    text = warnings_of(weak, np.asarray(weak.data.pixels))
+    assert "implausibly large error of the robot" in text
+    assert "focus" not in text
+    assert "stabiliser" not in text
