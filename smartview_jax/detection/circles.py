@@ -34,6 +34,10 @@ larger number indicates noise or texture.
 _MAX_DIAMETER_RATIO = 3.0
 """Largest expected ratio of circle diameters in one picture, due to perspective and a mark."""
 
+_MIN_MARK_RATIO = 1.15
+"""Ratio of two corner circles, both compared with their neighbours, from which the larger one is
+the mark: unmarked circles differ from their neighbours by a few hundredths."""
+
 _MAX_RATIO_BEYOND = 1.6
 """Largest ratio of a further circle's diameter to the grid's, due to perspective or a mark."""
 
@@ -70,6 +74,13 @@ def detect_circles(image: np.ndarray, target: CircleGrid) -> Detection:
             )
         if target.origin_mark:
             centres = _start_at_origin_mark(centres, blobs, target)
+            if centres is None:
+                return empty_detection(
+                    count,
+                    f"the larger circle is in a corner where a grid of {target.rows} x "
+                    f"{target.columns} does not begin: rows and columns were exchanged, or the "
+                    "picture is mirrored",
+                )
         return full_detection(centres)
     reason = (
         f"no whole circle grid of {target.rows} x {target.columns} found: "
@@ -228,8 +239,12 @@ def _goes_on(centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleG
 
 def _start_at_origin_mark(
     centres: np.ndarray, blobs: Sequence[cv2.KeyPoint], target: CircleGrid
-) -> np.ndarray:
-    """Return the centres rotated so that the larger corner circle is first, never mirrored."""
+) -> np.ndarray | None:
+    """Return the centres rotated so that the larger corner circle is first, never mirrored.
+
+    None if it is in a corner from which only a mirrored grid, or one of as many rows as this has
+    columns, goes on as far to both sides.
+    """
     # For every rotation that maps the grid to itself, the diameter of the first corner is compared
     # with the mean of its three neighbours.
     positions = np.array([blob.pt for blob in blobs])
@@ -239,10 +254,13 @@ def _start_at_origin_mark(
     grid = np.concatenate([centres, diameters[nearest][:, None]], axis=1)
     grid = grid.reshape(target.rows, target.columns, 3)
     quarter_rotations = range(4) if target.rows == target.columns else (0, 2)
-    best = max(
-        quarter_rotations,
-        key=lambda k: np.rot90(grid, k)[0, 0, 2] / _mean_neighbour_diameter(np.rot90(grid, k)),
-    )
+    sizes = [
+        float(np.rot90(grid, k)[0, 0, 2] / _mean_neighbour_diameter(np.rot90(grid, k)))
+        for k in range(4)
+    ]
+    best = max(quarter_rotations, key=lambda k: sizes[k])
+    if max(sizes) > _MIN_MARK_RATIO * sizes[best]:
+        return None
     return np.rot90(grid, best)[..., :2].reshape(-1, 2)
 
 

@@ -145,7 +145,12 @@ def _counted_otherwise(target: AbstractTarget) -> Iterator[_Board]:
         light = not target.light_on_dark
         colours = "light on a dark board" if light else "dark on a light board"
         changes = [
-            *_counts("rows and columns were exchanged", rows=target.columns, columns=target.rows),
+            *_counts(
+                "rows and columns were exchanged"
+                + (", or the pictures are mirrored" if target.origin_mark else ""),
+                rows=target.columns,
+                columns=target.rows,
+            ),
             (
                 f"the circles are {colours}: state light_on_dark: {str(light).lower()}",
                 {"light_on_dark": light},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.detection import charuco_board, detect, dictionary_by_name, shown_instead
-from smartview_jax.targets import Charuco, Chessboard, TagGrid
+from smartview_jax.targets import Charuco, Chessboard, CircleGrid, TagGrid
 
 BOARD = Charuco(8, 6, 0.03, 0.022)
 TAGS = TagGrid(3, 4, 0.03, gap=0.009)
@@ -76,6 +76,21 @@ def test_squares_stated_for_the_corners_of_a_chessboard_are_named():
     board = cv2.copyMakeBorder(board, *4 * (40,), cv2.BORDER_CONSTANT, value=255)
     text = shown_instead([seen_from_the_side(board)], Chessboard(7, 10, 0.025))
     assert text.endswith("state rows: 6, columns: 9")
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_circles_whose_mark_is_in_another_corner_are_named(mirrored):
+    """From the mark a mirrored grid goes on as one whose rows and columns were exchanged."""
+    shown = CircleGrid(5, 7, 0.02, origin_mark=True)
+    board = np.full((480, 640), 255, dtype=np.uint8)
+    for k, (x, y) in enumerate(60 + 60 * shown.points[:, :2] / shown.spacing):
+        cv2.circle(board, (int(x), int(y)), 21 if k == 0 else 15, 0, -1, cv2.LINE_AA)
+    picture = board[:, ::-1].copy() if mirrored else board
+    exchanged = dataclasses.replace(shown, rows=7, columns=5)
+    right, wrong = (exchanged, shown) if mirrored else (shown, exchanged)
+    assert detect(picture, right).visible.all()
+    assert "rows and columns were exchanged, or the picture is" in detect(picture, wrong).reason
+    assert f"state rows: {right.rows}, columns: {right.columns}" in shown_instead([picture], wrong)
 
 
 def test_exchanged_rows_and_other_gaps_of_tags_are_named():
