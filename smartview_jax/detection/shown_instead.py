@@ -13,8 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from ..targets import AbstractTarget, AprilGrid, Charuco, Chessboard, CircleGrid, TagGrid
-from ..targets.marker_dictionaries import MARKER_COUNTS
+from ..targets import (
+    MARKER_COUNTS,
+    AbstractTarget,
+    AprilGrid,
+    Charuco,
+    Chessboard,
+    CircleGrid,
+    TagGrid,
+)
 from .detect import detect
 from .markers import dictionary_by_name, find_tags, marker_detector
 

@@ -6,6 +6,7 @@ from .boards import Chessboard as Chessboard
 from .boards import CircleGrid as CircleGrid
 from .boards import TagGrid as TagGrid
 from .listed_points import ListedPoints as ListedPoints
+from .marker_dictionaries import MARKER_COUNTS as MARKER_COUNTS
 from .serialization import target_from_dict as target_from_dict
 from .serialization import target_to_dict as target_to_dict
 from .stacked import StackedTarget as StackedTarget
