@@ -8,6 +8,7 @@ or JSON, states its own format and units: `poses: {file: views.csv}` is then eno
 robot logged while it moved are read by `pose_log.py`.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +28,7 @@ from .csv_tables import (
     write_table,
 )
 from .pose_format import PoseFormat, decoded_poses, stated_format, table_format
+from .rounding import rounding_note
 from .viewpoints import read_viewpoints
 
 POSES_FILE = "poses.csv"
@@ -85,6 +87,8 @@ def read_poses(
     rows = np.stack(
         [parse_numbers(path, row, form.columns, row["view"], False) for row in table.rows]
     )
+    if note := rounding_note(path.name, rows, form):
+        table = dataclasses.replace(table, notes=(*table.notes, note))
     positions = rows[:, list(codec.length_columns)] * LENGTH_UNITS[form.length_unit]
     # Infinity is replaced by NaN, which passes, because a message about units would mislead.
     refuse_out_of_range(path, np.where(np.isfinite(positions), positions, np.nan), view_ids)
