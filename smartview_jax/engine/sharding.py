@@ -105,6 +105,7 @@ def _view_arrays(problem: JointProblem) -> tuple[Any, ...]:
     return (
         problem.observations,
         problem.prepared_poses,
+        problem.correction_roots,
         problem.per_view_free,
         problem.prior_mean.per_view,
         problem.prior_weight.per_view,
@@ -130,9 +131,9 @@ def pad_with_last(arrays: Any, copies: int) -> Any:
 
 def _pad_views(arrays: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
     """Repeat the last view; in the copies no point is visible and no parameter is free."""
-    observations, prepared_poses, per_view_free, *rest = pad_with_last(arrays, extra)
+    observations, prepared_poses, roots, per_view_free, *rest = pad_with_last(arrays, extra)
     views = len(observations.visible) - extra
     observations = eqx.tree_at(
         lambda o: o.visible, observations, observations.visible.at[views:].set(False)
     )
-    return observations, prepared_poses, per_view_free.at[views:].set(False), *rest
+    return observations, prepared_poses, roots, per_view_free.at[views:].set(False), *rest

@@ -203,6 +203,8 @@ def fit_joint(
         )
         if noise_estimate is not None and noise_estimate.noise_corrections is not None:
             built = built.with_noise_corrections(noise_estimate.noise_corrections)
+        if noise_estimate is not None and noise_estimate.directions is not None:
+            built = built.with_correction_roots(noise_estimate.directions.roots)
         parameter_count = len(built.shared_names) + len(built.per_view_names)
         report(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
 
@@ -340,7 +342,12 @@ def _assemble_fit(
         degrees_of_freedom = small_sample.degrees_of_freedom
         std = np.sqrt(std**2 + np.diagonal(added))
     # Corrections: diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the common covariance.
-    correction_std = per_view_std(reduced, common_covariance, factor)
+    correction_std = per_view_std(
+        reduced,
+        common_covariance,
+        factor,
+        None if problem.correction_roots is None else np.asarray(problem.correction_roots),
+    )
     correction_std = correction_std[np.asarray(problem.per_view_free)]
 
     # The robust variance widens the gate if residuals are larger than the noise model states.
