@@ -80,7 +80,7 @@ class JointProblem(AbstractProblem):
     scale: Step
     loss: AbstractLoss | None
     prepared_poses: PreparedPoses | None = None
-    correction_roots: Float[Array, "corrected 6 6"] | None = None
+    correction_roots: Float[AnyArray, "corrected 6 6"] | None = None
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     @property

@@ -182,7 +182,7 @@ def _held_names(
 
 
 class _Comparison(NamedTuple):
-    """What a comparison of models takes apart from the views.
+    """The models of a comparison, and their priors.
 
     Attributes:
         models: models to average over.

@@ -41,7 +41,7 @@ Matrices = Float[np.ndarray, "views 6 6"]
 
 @dataclasses.dataclass(frozen=True)
 class DirectionalPrior:
-    """What is known of the directions of a robot's errors before the views are seen.
+    """The prior of the directions of a robot's errors, before any view is seen.
 
     Attributes:
         geometric_std: exp of the standard deviation of the logarithm of an axis' standard deviation
