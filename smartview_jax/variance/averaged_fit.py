@@ -21,7 +21,12 @@ from ..engine import (
 from ..geometry import host_matrices
 from ..robot_errors import AbstractField, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
-from .directional_noise import DirectionalNoise, estimate_directions, in_own_axes
+from .directional_noise import (
+    DirectionalNoise,
+    DirectionalPrior,
+    estimate_directions,
+    in_own_axes,
+)
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
@@ -156,7 +161,9 @@ def average_over_models(
         first.views.select_groups(sigmas, views.group_names),
         comparison,
     )
-    views, average = _with_directions(views, average, comparison)
+    if prior.directional_probability:
+        of_directions = DirectionalPrior(prior.geometric_std, prior.directional_probability)
+        views, average = _with_directions(views, average, comparison, of_directions)
     return SecondPass(field_probabilities, fitted_field, built, views, average)
 
 
@@ -196,7 +203,10 @@ class _Comparison(NamedTuple):
 
 
 def _with_directions(
-    views: ViewStatistics, average: AveragedFit, comparison: _Comparison
+    views: ViewStatistics,
+    average: AveragedFit,
+    comparison: _Comparison,
+    prior: DirectionalPrior,
 ) -> tuple[ViewStatistics, AveragedFit]:
     """Return statistics and fit with errors of poses that differ by direction, if they do."""
     problem = views.problem
@@ -213,7 +223,7 @@ def _with_directions(
         linearised = average.views
         if average.directions is not None:
             linearised = in_own_axes(linearised, np.linalg.inv(average.directions.roots))
-        directions = estimate_directions(linearised, average.maximum.sigmas, tool_from_base)
+        directions = estimate_directions(linearised, average.maximum.sigmas, tool_from_base, prior)
         if directions is None:
             return equal
         twists = views.corrections(np.asarray(average.z.per_view))
