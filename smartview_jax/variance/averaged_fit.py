@@ -39,6 +39,7 @@ from .likelihood import (
 from .model_average import averaged_models
 from .model_comparison import ModelComparison, noise_from_sigmas
 from .model_selection import (
+    WHITE_NOISE,
     Candidate,
     FittedCandidate,
     ModelName,
@@ -161,7 +162,11 @@ def average_over_models(
         first.views.select_groups(sigmas, views.group_names),
         comparison,
     )
-    if prior.directional_probability:
+    # What a field leaves over is what it cannot describe, which follows the views and not the axes
+    # of the robot: on rct_circle10x10 an ellipsoid of it predicts unseen views a fifth worse.
+    fields = _by_field(average.probabilities)
+    is_white = bool(fields) and max(fields, key=lambda name: fields[name]) == WHITE_NOISE
+    if prior.directional_probability and is_white:
         of_directions = DirectionalPrior(prior.geometric_std, prior.directional_probability)
         views, average = _with_directions(views, average, comparison, of_directions)
     return SecondPass(field_probabilities, fitted_field, built, views, average)
