@@ -89,9 +89,9 @@ class RobotPrior:
         target_geometric_std: exp of the standard deviation of the logarithms of both.
         wrong_lens_probability: probability that the lens deviates from its model; zero skips this
             hypothesis. The covariance of the transforms includes the effect of such a lens.
-        directional_probability: probability that the robot's poses err more in some directions
-            than in others, if they have no smooth error; zero skips this hypothesis. The axes of such a robot differ as much as
-            the repeatability of robots does (`geometric_std`).
+        directional_probability: probability that poses without a smooth error err more in some
+            directions than in others; zero skips this hypothesis. The axes of such a robot differ
+            as much as the repeatability of robots does (`geometric_std`).
         model_odds: prior odds of the models of the robot error by name (`"white"` for noise of the
             poses alone, or a field's name), as known of a type of robot; by default, and for models
             that it does not name, the odds for any robot.
