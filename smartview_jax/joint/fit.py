@@ -168,7 +168,7 @@ def fit_joint(
     start = dataclasses.replace(start, target_shape=None)
 
     def fit_once(
-        data: Dataset, rejected_points: tuple[Rejection, ...]
+        data: Dataset, rejected_points: tuple[Rejection, ...], alike: bool = False
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
         open_motion, noise_estimate = undetermined_motion(data, start, choice), None
@@ -181,7 +181,7 @@ def fit_joint(
                 field=field,
                 **chosen._asdict(),
                 progress=progress,
-                robot_prior=robot_prior,
+                robot_prior=_alike(robot_prior) if alike else robot_prior,
             )
             initial, noise_model, error_field, unused = _embedded(noise_estimate)
             if noise_estimate.target_shape is not None:
@@ -239,23 +239,36 @@ def fit_joint(
     if has_pixels:
         used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
     accepted, matrix = fit_once(used_data, rejected_points)
+    first, first_data = accepted, used_data
+    estimate = accepted.noise_estimate
+    # A wrong pose looks like errors along its direction: views are judged by errors that are alike.
+    if alike := estimate is not None and estimate.directions is not None:
+        accepted, matrix = fit_once(used_data, rejected_points, alike)
     while True:
         # The view is left out, not down-weighted: a pose of another picture has no information.
         if (inconsistent := inconsistent_view(used_data, accepted, matrix)) is not None:
             used_data = without_views(used_data, dict([inconsistent]))
-            accepted, matrix = fit_once(used_data, rejected_points)
+            accepted, matrix = fit_once(used_data, rejected_points, alike)
         elif (suspect := suspect_view(used_data, accepted, matrix)) is not None:
             # One wrong pose inflates the pose standard deviations of all views, so that no view
             # fails the test. Compare the fits with and without the suspect instead.
             data_without_suspect = without_views(used_data, {suspect: ""})
-            refitted, matrix = fit_once(data_without_suspect, rejected_points)
+            refitted, matrix = fit_once(data_without_suspect, rejected_points, alike)
             if (reason := inflation_reason(accepted.noise, refitted.noise)) is None:
                 break
             used_data = without_views(used_data, {suspect: reason})
-            accepted, matrix = fit_once(used_data, rejected_points)
+            accepted, matrix = fit_once(used_data, rejected_points, alike)
         else:
             break
+    if alike:
+        kept_all = used_data is first_data
+        accepted = first if kept_all else fit_once(used_data, rejected_points)[0]
     return _finish_fit(accepted, used_data, all_data)
+
+
+def _alike(prior: RobotPrior | None) -> RobotPrior:
+    """Return the prior for robots whose poses err alike in all directions."""
+    return dataclasses.replace(prior or RobotPrior(), directional_probability=0.0)
 
 
 def _with_weighed_depths(
