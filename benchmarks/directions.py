@@ -49,8 +49,8 @@ class Errors(NamedTuple):
     """Standard deviations of errors along x, y, z of a frame: mm, and degrees about them."""
 
     frame: str
-    millimetres: tuple[float, float, float]
-    degrees: tuple[float, float, float]
+    millimetres: tuple[float, ...]
+    degrees: tuple[float, ...]
 
 
 class Joint(NamedTuple):
@@ -64,8 +64,8 @@ class Joint(NamedTuple):
     """
 
     frame: str
-    axis: tuple[float, float, float]
-    point: tuple[float, float, float]
+    axis: tuple[float, ...]
+    point: tuple[float, ...]
     degrees: float
     rest: Errors
 
@@ -207,7 +207,7 @@ def _drawn_error(errors: Errors | Joint, pose: np.ndarray, rng: np.random.Genera
     return motion @ _drawn_error(errors.rest, pose, rng)
 
 
-def _pose(rotation: np.ndarray, translation: Collection[float] | np.ndarray) -> np.ndarray:
+def _pose(rotation: np.ndarray, translation: list[float] | np.ndarray) -> np.ndarray:
     """Return a pose as a matrix."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, translation

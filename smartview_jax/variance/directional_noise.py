@@ -319,7 +319,7 @@ class _Search(NamedTuple):
 
     def at(self, x: Float[np.ndarray, "coordinates"]) -> _Point:
         """Evaluate the posterior."""
-        units = np.repeat([self.sigmas.translation, self.sigmas.rotation] * np.exp(x[:2]), 3)
+        units = np.repeat(_pose_sigmas(self.sigmas) * np.exp(x[:2]), 3)
         values, vectors = np.linalg.eigh(np.tensordot(x[2:], self.basis, axes=1))
         root = (vectors * np.exp(0.5 * values)) @ vectors.T
         inverse_root = (vectors * np.exp(-0.5 * values)) @ vectors.T
@@ -401,11 +401,16 @@ def _information(
     return 0.5 * (same_view + by_shared @ by_shared.T)
 
 
+def _pose_sigmas(sigmas: StandardDeviations) -> Float[np.ndarray, "2"]:
+    """Return the standard deviations of translation and rotation."""
+    return np.array([float(sigmas.translation), float(sigmas.rotation)])
+
+
 def effect_of_directions(
     noise: DirectionalNoise, sigmas: StandardDeviations
 ) -> Float[np.ndarray, "directions views 6 6"]:
     """Return the change of the views' prior precision in own axes by each uncertain entry."""
     inverse = np.linalg.inv(noise.roots)
-    precision = np.repeat([sigmas.translation**-2, sigmas.rotation**-2], 3)
+    precision = np.repeat(_pose_sigmas(sigmas) ** -2, 3)
     changes = inverse[None] @ noise.slopes @ inverse.swapaxes(1, 2)[None]
     return -precision[:, None] * changes * precision

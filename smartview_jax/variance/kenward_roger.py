@@ -228,7 +228,7 @@ def _derivatives_by_directions(
     pulled = (changes @ offset[None, :, :, None])[..., 0].reshape(len(changes), -1)
     rows = (changes @ covariance[None]).reshape(len(changes), -1, covariance.shape[2])
     columns = rows_of_views(covariance)
-    return pulled @ columns, -(columns.T[None] @ rows)
+    return np.asarray(pulled @ columns), np.asarray(-(columns.T[None] @ rows))
 
 
 def p_value(
