@@ -26,6 +26,7 @@ BENCHMARKS = {
     "regimes": "a map of simulated regimes: when the joint fit pays, and how near the bound it is",
     "few_views": "the default on few views against the best of simple fits, simulated and real",
     "weak_robots": "robots from exact to 20 mm of noise: the default against the best simple fit",
+    "directions": "robots that err along some axes or by one joint: mounts and intervals",
     "small_arm": "a hobby arm with zeros wrong by degrees: the default, and a prior of its own",
     "target_shape": "bowed boards, a lens of higher order: mounts and intervals, against OpenCV",
     "target_size": "intervals where data hardly tell the size of the target: do they agree",

@@ -157,20 +157,22 @@ def per_view_std(
     equations: ReducedEquations,
     shared_covariance: Float[np.ndarray, "n n"],
     variance_factor: float,
+    roots: Float[np.ndarray, "views 6 6"] | None = None,
 ) -> Float[np.ndarray, "views 6"]:
-    """Compute the standard deviations of each view's own parameters.
+    """Compute the standard deviations of each view's own parameters, or of their twists.
 
     Args:
         equations: the reduced normal equations.
         shared_covariance: covariance of the shared parameters, as `covariance` returns it.
         variance_factor: as in `covariance`.
+        roots: twists by the views' own parameters, if those are asked for.
     """
     # Cov(y_v) = f D^-1 + K C K^T for the view's own parameters y_v, with D their block, K = D^-1 B
     # the gain, C the covariance of the shared parameters and f the variance factor.
-    conditional_variance = variance_factor * np.diagonal(
-        equations.per_view_inverse, axis1=1, axis2=2
-    )
-    gain = equations.gain
+    inverse, gain = equations.per_view_inverse, equations.gain
+    if roots is not None:
+        inverse, gain = roots @ inverse @ roots.swapaxes(1, 2), roots @ gain
+    conditional_variance = variance_factor * np.diagonal(inverse, axis1=1, axis2=2)
     return np.sqrt(conditional_variance + np.sum((gain @ shared_covariance) * gain, axis=2))
 
 

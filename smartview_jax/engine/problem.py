@@ -66,6 +66,8 @@ class JointProblem(AbstractProblem):
         free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
         loss: robust loss; None is least squares.
         prepared_poses: precomputed quantities of the robot error field; None without a field.
+        correction_roots: the twist of each view's correction by its own six parameters, where the
+            errors of poses differ by direction; None if the parameters are the twist.
     """
 
     parameters: Parameters
@@ -78,6 +80,7 @@ class JointProblem(AbstractProblem):
     scale: Step
     loss: AbstractLoss | None
     prepared_poses: PreparedPoses | None = None
+    correction_roots: Float[AnyArray, "corrected 6 6"] | None = None
     mesh: Mesh | None = eqx.field(static=True, default=None)
 
     @property
@@ -101,6 +104,20 @@ class JointProblem(AbstractProblem):
         """Return the problem with the robot error field at poses corrected for noise."""
         error, command = self.parameters.start.robot_error, self.observations.command
         return with_fields(self, prepared_poses=prepare_poses(error, command, corrections))
+
+    def with_correction_roots(
+        self, roots: Float[np.ndarray, "corrected 6 6"] | None
+    ) -> "JointProblem":
+        """Return the problem with other axes of the views' own parameters; None for the twist."""
+        return with_fields(self, correction_roots=roots)
+
+    def host_corrections(
+        self, per_view: Float[np.ndarray, "corrected 6"]
+    ) -> Float[np.ndarray, "corrected 6"]:
+        """Return the twists of the views' corrections, given their own parameters."""
+        if self.correction_roots is None:
+            return per_view
+        return np.einsum("vij,vj->vi", np.asarray(self.correction_roots), per_view)
 
     @property
     def visible_count(self) -> int:
@@ -151,7 +168,14 @@ class JointProblem(AbstractProblem):
 
     def calibration(self, z: Step) -> tuple[Calibration, Float[Array, "corrected 6"]]:
         """Return the calibration and the pose corrections at a scaled step."""
-        return self.parameters.retract(self.unscaled_step(z))
+        return self.parameters.retract(self._twist_step(z))
+
+    def _twist_step(self, z: Step) -> Step:
+        """Return a scaled step in the parameters' own units, with corrections as twists."""
+        step = self.unscaled_step(z)
+        if self.correction_roots is None:
+            return step
+        return Step(step.shared, jnp.einsum("vij,vj->vi", self.correction_roots, step.per_view))
 
     def chain(self, z: Step) -> FittedChain:
         """Return the chain of every view at a scaled step."""
@@ -291,7 +315,7 @@ class JointProblem(AbstractProblem):
         """Return the pose of the camera in every view at a scaled step, with its derivatives."""
         return linearise_poses(
             self.parameters,
-            self.unscaled_step(z),
+            self._twist_step(z),
             self.observations.command,
             self.prepared_poses,
         )
@@ -429,7 +453,10 @@ class JointProblem(AbstractProblem):
         Columns of fixed parameters are zero.
         """
         free_scale = jnp.where(self.per_view_free, self.scale.per_view, 0.0)
-        return pose_jacobians.per_view_jacobian * free_scale[:, None, :]
+        jacobian = pose_jacobians.per_view_jacobian
+        if self.correction_roots is not None:
+            jacobian = jacobian @ self.correction_roots
+        return jacobian * free_scale[:, None, :]
 
     def gradients_by_view(self, z: Step) -> Float[Array, "views free"]:
         """Return every view's term of the shared parameters' gradient."""

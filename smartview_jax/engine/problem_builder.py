@@ -74,6 +74,10 @@ class BuiltProblem(AbstractBuiltProblem):
         """Return the problem with the robot error field at poses corrected for noise."""
         return with_fields(self, problem=self.problem.with_noise_corrections(corrections))
 
+    def with_correction_roots(self, roots: Float[np.ndarray, "views 6 6"]) -> "BuiltProblem":
+        """Return the problem with other axes of the views' own parameters."""
+        return dataclasses.replace(self, problem=self.problem.with_correction_roots(roots))
+
     @property
     def sigma_known(self) -> bool:
         """Whether the pixel sigma is taken as given; if not, it is estimated from the residuals."""

@@ -87,6 +87,7 @@ def _view_arrays(problem: JointProblem) -> tuple[Any, ...]:
     return (
         problem.observations,
         problem.prepared_poses,
+        problem.correction_roots,
         problem.per_view_free,
         problem.prior_mean.per_view,
         problem.prior_weight.per_view,
@@ -104,7 +105,7 @@ def _pad_views(arrays: tuple[Any, ...], extra: int) -> tuple[Any, ...]:
     """Repeat the last view; in the copies no point is visible and no parameter is free."""
     views = len(arrays[0].visible)
     padded = jax.tree.map(np.array, repeat_last(arrays, views + extra))
-    observations, _, per_view_free, *_ = padded
+    observations, _, _, per_view_free, *_ = padded
     observations.visible[views:] = False
     per_view_free[views:] = False
     return padded

@@ -12,7 +12,7 @@ import numpy as np
 import optimistix as optx
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ..runtime.compilation import compiled
 from ..runtime.modules import with_fields
@@ -153,6 +153,7 @@ def padded(problem: _Problem) -> _Problem:
         problem,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
+        correction_roots=_padded_roots(problem, more_views),
         free=free,
         per_view_free=with_zeros(problem.per_view_free),
         prior_mean=padded_as_prior(problem.prior_mean),
@@ -160,6 +161,16 @@ def padded(problem: _Problem) -> _Problem:
         scale=host_step(scale, np.concatenate([problem.scale.per_view, np.ones((more_views, 6))])),
         loss=loss,
     )
+
+
+def _padded_roots(problem: JointProblem, more_views: int) -> Float[np.ndarray, "corrected 6 6"]:
+    """Return the twists by the views' own parameters, for added views too."""
+    corrected = len(problem.per_view_free)
+    # Problems with and without axes of their own share a program.
+    roots = np.tile(np.eye(6), (corrected + more_views, 1, 1))
+    if problem.correction_roots is not None:
+        roots[:corrected] = problem.correction_roots
+    return roots
 
 
 def padded_step(step: Step, problem: AbstractProblem) -> Step:

@@ -172,7 +172,9 @@ def fit_joint(
     if has_pixels and not keeps_all:
         used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
 
-    def fit_once(data: Dataset) -> tuple[JointFit, BlockArrow]:
+    def fit_once(
+        data: Dataset, robot_prior: RobotPrior | None = robot_prior
+    ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
         open_motion, noise_estimate = undetermined_motion(data, start, choice), None
         chosen = choice.holding(*open_motion.held)
@@ -206,6 +208,8 @@ def fit_joint(
         )
         if noise_estimate is not None and noise_estimate.noise_corrections is not None:
             built = built.with_noise_corrections(noise_estimate.noise_corrections)
+        if noise_estimate is not None and noise_estimate.directions is not None:
+            built = built.with_correction_roots(noise_estimate.directions.roots)
         parameter_count = len(built.shared_names) + len(built.per_view_names)
         report(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
 
@@ -235,6 +239,13 @@ def fit_joint(
     # or, if all poses look poor, the view without which the pose standard deviations collapse.
     # After each view the noise is estimated again, since one wrong pose inflates it for all views.
     accepted, matrix = fit_once(used_data)
+    first, first_data, judging = accepted, used_data, robot_prior
+    estimate = accepted.noise_estimate
+    if not keeps_all and estimate is not None and estimate.directions is not None:
+        # A wrong pose looks like errors along its direction: views are judged by errors that are
+        # alike in all.
+        judging = _alike(robot_prior)
+        accepted, matrix = fit_once(used_data, judging)
     while not keeps_all:
         # The view is left out, not down-weighted: a pose of another picture has no information.
         if (inconsistent := inconsistent_view(used_data, accepted, matrix)) is not None:
@@ -242,15 +253,22 @@ def fit_joint(
         elif (suspect := suspect_view(used_data, accepted, matrix)) is not None:
             # One wrong pose inflates the pose standard deviations of all views, so that no view
             # fails the test. Compare the fits with and without the suspect instead.
-            refitted, _ = fit_once(without_views(used_data, {suspect: ""}))
+            refitted, _ = fit_once(without_views(used_data, {suspect: ""}), judging)
             if (reason := inflation_reason(accepted.noise, refitted.noise)) is None:
                 break
             wrong = {suspect: reason}
         else:
             break
         used_data = without_views(used_data, wrong)
-        accepted, matrix = fit_once(used_data)
+        accepted, matrix = fit_once(used_data, judging)
+    if judging is not robot_prior:
+        accepted = first if used_data is first_data else fit_once(used_data)[0]
     return _finish_fit(accepted, used_data, all_data)
+
+
+def _alike(prior: RobotPrior | None) -> RobotPrior:
+    """Return the prior for robots whose poses err alike in all directions."""
+    return dataclasses.replace(prior or RobotPrior(), directional_probability=0.0)
 
 
 def _embedded(
@@ -323,7 +341,12 @@ def _assemble_fit(
         degrees_of_freedom = small_sample.degrees_of_freedom
         std = np.sqrt(std**2 + np.diagonal(added))
     # Corrections: diag(f C_v^-1 + G_v P G_v^T), with G_v = C_v^-1 B_v and P the common covariance.
-    correction_std = per_view_std(reduced, common_covariance, factor)
+    correction_std = per_view_std(
+        reduced,
+        common_covariance,
+        factor,
+        None if problem.correction_roots is None else np.asarray(problem.correction_roots),
+    )
     correction_std = correction_std[np.asarray(problem.per_view_free)]
 
     # The robust variance widens the gate if residuals are larger than the noise model states.

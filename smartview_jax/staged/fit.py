@@ -39,6 +39,7 @@ from ..data_checks import (
 )
 from ..dataset import (
     Dataset,
+    Observations,
     chain_residuals,
     contradictory_views,
     repeated_pose_reason,
@@ -51,8 +52,15 @@ from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.compilation import refuse_traced
 from .given_start import known_bases, known_transforms
 from .kalman import kalman_filter
-from .picture_steps import camera_poses_of_views, common_camera_doubt, pixel_noise, run_step1
+from .picture_steps import (
+    Step1,
+    camera_poses_of_views,
+    common_camera_doubt,
+    pixel_noise,
+    run_step1,
+)
 from .staged_fit import CommonCameraFit, CommonCameraOptions, StagedFit, with_region
+from .stretched_target import fit_of_stretched_target
 from .two_hands import place_bases
 from .two_poses import choose_poses
 from .weng import calibrate_views
@@ -146,7 +154,9 @@ def fit_staged(
         start_inliers = observations.visible
     say("Step 2: one camera for all views")
 
-    def fit_camera(start: Camera, camera_from_world: SE3) -> CommonCameraFit:
+    def fit_camera(
+        observations: Observations, start: Camera, camera_from_world: SE3
+    ) -> CommonCameraFit:
         """Return the camera that fits all views, without the robot's poses."""
         return step2(
             observations,
@@ -157,7 +167,19 @@ def fit_staged(
             progress,
         )
 
-    common_fit = fit_camera(step1.camera, step1.camera_from_world)
+    common_fit = fit_camera(observations, step1.camera, step1.camera_from_world)
+    stretched = None
+    if camera is None:
+
+        def fit_again(of_stretched: Observations) -> tuple[Step1, CommonCameraFit]:
+            """Return Steps 1 and 2 for other points of the target."""
+            say("Steps 1 and 2 again: is the target stretched?")
+            again = run_step1(of_stretched, data.image_size, used, lens, camera)
+            return again, fit_camera(of_stretched, again.camera, again.camera_from_world)
+
+        stretched = fit_of_stretched_target(observations, used, common_fit, fit_again)
+    if stretched is not None:
+        observations, step1, common_fit = stretched[:3]
     robot = host_mount_from_holder(data.mount, data.base_from_tool)
     groups = contradictory_views(data.mask_views(list(unusable)))
     stale = {
@@ -176,7 +198,7 @@ def fit_staged(
     )
     if choice is not None and choice.exchanged:
         say(f"Step 2 again: {len(choice.exchanged)} views have their other pose")
-        common_fit = fit_camera(common_fit.camera, choice.camera_from_world)
+        common_fit = fit_camera(observations, common_fit.camera, choice.camera_from_world)
     renumbered = {}
     if choice is None:
         shifts = find_shifted_numbering(
@@ -216,6 +238,7 @@ def fit_staged(
         lens,
         camera is not None,
         lambda name: fit_camera(
+            observations,
             dataclasses.replace(step1.camera, lens=initial_lens(name, step1.camera.lens)),
             step1.camera_from_world,
         ),
@@ -228,6 +251,8 @@ def fit_staged(
         report.problems,
     )
     report = report._replace(problems=findings.problems)
+    if camera_doubt is None and stretched is not None:
+        camera_doubt, camera_doubts = stretched.doubt, (stretched.doubt.text,)
     if report.problems and conventions == "raise":
         raise ValueError("; ".join(report.problems))
     say("Step 3: hand-eye and world transforms")
@@ -263,6 +288,8 @@ def fit_staged(
     calibration = _calibration(
         data, common_fit.camera, step3.camera_from_mount, step3.holder_from_world
     )
+    if stretched is not None:
+        calibration = dataclasses.replace(calibration, target_shape=stretched.shape)
     # Views with an uncertain pose do not enter Step 3, but their points are good observations.
     trusted = consistent.copy()
     trusted[list(consistency.uncertain)] = True

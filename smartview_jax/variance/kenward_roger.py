@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 from scipy.special import chdtrc, fdtrc
 
+from .directional_noise import DirectionalNoise, effect_of_directions
 from .fisher_scoring import LikelihoodMaximum
 from .likelihood import (
     LinearisedViews,
@@ -68,7 +69,9 @@ class SmallSampleCorrection(NamedTuple):
 
 
 def small_sample_correction(
-    views: LinearisedViews, maximum: LikelihoodMaximum
+    views: LinearisedViews,
+    maximum: LikelihoodMaximum,
+    directions: DirectionalNoise | None = None,
 ) -> SmallSampleCorrection:
     """Propagate the uncertainty of the errors' standard deviations to the parameters.
 
@@ -81,6 +84,8 @@ def small_sample_correction(
     Args:
         views: the linearised views.
         maximum: the estimated standard deviations and their information matrix.
+        directions: the directions in which poses err most, along whose axes the views' own
+            parameters are; None if they err alike in all. They are as uncertain as the rest.
     """
     views, maximum = jax.tree.map(np.asarray, (views, maximum))
     sigma_vector = maximum.sigmas.vector
@@ -100,6 +105,15 @@ def small_sample_correction(
     )
     step_derivatives = log_sigma_by_log_excess[:, None] * step_derivatives
     covariance_derivatives = log_sigma_by_log_excess[:, None, None] * covariance_derivatives
+    if directions is not None:
+        by_step, by_covariance = _derivatives_by_directions(
+            views, marginal, effect_of_directions(directions, maximum.sigmas)
+        )
+        step_derivatives = np.concatenate([step_derivatives, by_step])
+        covariance_derivatives = np.concatenate([covariance_derivatives, by_covariance])
+        log_excess_covariance = np.asarray(
+            block_diag(log_excess_covariance, directions.uncertainty)
+        )
 
     degrees_of_freedom = _degrees_of_freedom(
         np.diagonal(marginal.shared_covariance), covariance_derivatives, log_excess_covariance
@@ -194,6 +208,27 @@ def _derivatives_by_log_sigma(
         2.0 * np.stack([pixel_step, *by_step[:-1]]),
         2.0 * np.stack([pixel_covariance, *by_covariance[:-1]]),
     )
+
+
+def _derivatives_by_directions(
+    views: LinearisedViews,
+    marginal: Marginalisation,
+    changes: Float[np.ndarray, "directions views 6 6"],
+) -> tuple[Float[np.ndarray, "directions shared"], Float[np.ndarray, "directions shared shared"]]:
+    """Differentiate the shared parameters and their covariance by the directions of the errors.
+
+    Args:
+        views: the linearised views.
+        marginal: result of `marginalise`.
+        changes: change of the prior precision of the views' own parameters.
+    """
+    # As above, ds = -C dW (o + s) and dC = -C dW C, with C_vs = -`gain_covariance`.
+    covariance = marginal.gain_covariance
+    offset = views.offset_from_prior.per_view + marginal.step.per_view
+    pulled = (changes @ offset[None, :, :, None])[..., 0].reshape(len(changes), -1)
+    rows = (changes @ covariance[None]).reshape(len(changes), -1, covariance.shape[2])
+    columns = rows_of_views(covariance)
+    return np.asarray(pulled @ columns), np.asarray(-(columns.T[None] @ rows))
 
 
 def p_value(

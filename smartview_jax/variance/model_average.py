@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..engine import is_size
+from .directional_noise import DirectionalNoise, in_own_axes
 from .likelihood import ROBOT_SIGMA_FLOOR, LinearisedViews, StandardDeviations, marginalise
 from .model_selection import FittedCandidate, ModelName, average_standard_deviations
 
@@ -78,6 +79,29 @@ def between_models_covariance(
     differences = differences - estimate
     weights = np.array(list(probabilities.values()))
     return differences.T @ (weights[:, None] * differences)
+
+
+def between_directions_covariance(
+    views: LinearisedViews, directions: DirectionalNoise, averaged: StandardDeviations
+) -> Float[np.ndarray, "shared shared"]:
+    """Return the covariance of the parameters between hypotheses on the directions of errors.
+
+    Args:
+        views: the linearised views, along the axes of the averaged directions.
+        directions: the hypotheses.
+        averaged: result of `averaged_models`.
+    """
+    estimate = marginalise(views, averaged).step.shared
+    one = np.array(1.0)
+    of_hypothesis = averaged._replace(translation=one, rotation=one)
+    to_own = np.linalg.inv(directions.roots)
+    result = np.zeros((len(estimate), len(estimate)))
+    for name, probability in directions.probabilities.items():
+        roots = to_own @ np.linalg.cholesky(directions.covariances[name])
+        whitened = in_own_axes(views, roots)
+        difference = marginalise(whitened, of_hypothesis).step.shared - estimate
+        result += probability * np.outer(difference, difference)
+    return result
 
 
 def _prior_std(fitted: Mapping[ModelName, FittedCandidate], group: int) -> float:

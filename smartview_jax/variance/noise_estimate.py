@@ -10,6 +10,7 @@ from jaxtyping import Float
 from ..calibration import SHAPE_NAMES, Calibration, TargetShape
 from ..engine import TARGET_SCALE, Noise, Prior
 from ..robot_errors import AbstractField, RobotPrior
+from .directional_noise import DirectionalNoise
 from .kenward_roger import SmallSampleCorrection
 from .lens_terms import LensEvidence
 from .model_selection import ModelName
@@ -130,6 +131,8 @@ class NoiseEstimate(NamedTuple):
             error field is evaluated at the corrected poses. None evaluates it at the reported ones.
         lens: evidence for distortion that the lens model does not describe.
         robot_evidence: what the views say about the sizes of the robot's errors.
+        directions: the directions in which the robot's poses err most; None if they err alike in
+            all. The standard deviations of poses in `noise` are then means over the axes.
     """
 
     name: str
@@ -151,6 +154,7 @@ class NoiseEstimate(NamedTuple):
     noise_corrections: Float[np.ndarray, "views 6"] | None = None
     lens: LensEvidence | None = None
     robot_evidence: RobotEvidence | None = None
+    directions: DirectionalNoise | None = None
 
     @property
     def free(self) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ from .likelihood import (
     marginalise,
     posterior_mode_step,
 )
-from .model_average import between_models_covariance
+from .model_average import between_directions_covariance, between_models_covariance
 from .model_comparison import (
     compare_models,
     target_scale_evidence,
@@ -105,7 +105,15 @@ def estimate_noise(
             **parameters,
         )
     error = chain.calibration.robot_error
-    correction = small_sample_correction(linearised, maximum)
+    directions = average.directions
+    correction = small_sample_correction(linearised, maximum, directions)
+    between_models = between_models_covariance(
+        linearised, average.fitted, average.probabilities, maximum.sigmas
+    )
+    if directions is not None:
+        between_models = between_models + between_directions_covariance(
+            linearised, directions, maximum.sigmas
+        )
     field_group_count = sum(name not in TARGET_GROUPS for name in views.group_names)
     parameter_names = (*built.shared_names, *views.shape_names)
     lens = lens_evidence(
@@ -151,13 +159,12 @@ def estimate_noise(
         tuple(map(float, correction.relative_std[: 3 + field_group_count])),
         parameter_names,
         correction,
-        between_models_covariance(
-            linearised, average.fitted, average.probabilities, maximum.sigmas
-        ),
+        between_models,
         prior,
         average.noise_corrections,
         lens,
         first.evidence,
+        directions,
     )
 
 

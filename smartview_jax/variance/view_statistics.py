@@ -120,6 +120,18 @@ class ViewStatistics:
         views.problem = self.problem.with_noise_corrections(corrections)
         return views
 
+    def with_correction_roots(self, roots: Float[np.ndarray, "views 6 6"]) -> "ViewStatistics":
+        """Return the statistics with other axes of the views' own parameters."""
+        views = copy.copy(self)
+        views.problem = self.one_camera.with_correction_roots(roots)
+        return views
+
+    def corrections(self, per_view: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 6"]:
+        """Return the twists at the tool, given each view's own parameters."""
+        if isinstance(self.problem, JointProblem):
+            return self.problem.host_corrections(per_view)
+        return per_view
+
     def _set_shape(self, shape: TargetShape) -> None:
         """Set the target's shape, and displace the points of the problem by it."""
         self.shape = shape

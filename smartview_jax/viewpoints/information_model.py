@@ -262,6 +262,7 @@ def _with_observations(problem: JointProblem, observations: Observations) -> Joi
     )
     return dataclasses.replace(
         problem.with_observations(observations),
+        correction_roots=None,
         per_view_free=repeat_first(problem.per_view_free),
         prior_mean=mean,
         prior_weight=weight,

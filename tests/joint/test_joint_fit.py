@@ -7,8 +7,9 @@ import jaxlie
 import numpy as np
 import optimistix as optx
 import pytest
-from fit_scenes import POINTS, VIEWS, scene_of
+from fit_scenes import MANY_VIEWS, POINTS, VIEWS, scene_of
 from jaxlie import SE3
+from scipy.spatial.transform import Rotation
 from scipy_optimum import scipy_optimum
 from shared_data import shared_pairs
 from starts import nudged, reference_start
@@ -18,6 +19,7 @@ from smartview_jax.engine import StructuredLM, optimum
 from smartview_jax.engine.problem_builder import build_problem
 from smartview_jax.evaluation import cramer_rao, reprojection_errors
 from smartview_jax.fit_result import FitCode
+from smartview_jax.geometry import as_se3, host_matrices
 
 
 def test_a_real_set_reaches_the_reference():
@@ -300,3 +302,32 @@ def test_a_robust_loss_has_its_scale_in_deviations_of_the_residuals():
         assert abs(off) < 4.0 * fit.std["camera.u0"]
         found.append(fit.std["camera.u0"] / share)
     assert found[0] == pytest.approx(found[1], rel=0.1)
+
+
+def test_a_robot_that_errs_along_its_tool_alone_is_taken_for_what_it_is():
+    scene = scene_of(3, MANY_VIEWS)
+    rng = np.random.default_rng(1)
+    drawn = rng.normal(size=(MANY_VIEWS, 6)) * np.array([2e-5, 2e-5, 1e-3, 5e-5, 5e-5, 5e-5])
+    poses = host_matrices(scene.data.base_from_tool)
+    reported = poses.copy()
+    reported[:, :3, 3] += np.einsum("vij,vj->vi", poses[:, :3, :3], drawn[:, :3])
+    reported[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_rotvec(drawn[:, 3:]).as_matrix()
+    data = dataclasses.replace(scene.data, base_from_tool=as_se3(reported))
+    fit = fit_joint(data, scene.calibration)
+    assert fit.noise_estimate is not None
+    assert fit.noise_estimate.directions is not None
+    assert fit.noise_estimate.directions.probabilities["tool axes"] > 0.5
+    # Equal errors of the same sizes take more of the rest for the robot's.
+    noise = Noise(fit.noise.pixel, fit.noise.translation, fit.noise.rotation)
+    equal = fit_joint(data, scene.calibration, noise=noise)
+    errors = [np.asarray(each.pose_corrections) - drawn for each in (fit, equal)]
+    across, across_of_equal = (np.sqrt(np.mean(each[:, :2] ** 2)) for each in errors)
+    assert across < 0.5 * across_of_equal
+    # Their standard deviations are those of twists.
+    stated = [
+        [fit.std[f"pose_corrections.{view}.translation.{axis}"] for axis in "xyz"]
+        for view in fit.view_ids
+    ]
+    misses = errors[0][:, :3] / np.array(stated)
+    assert (np.sqrt(np.mean(misses**2, axis=0)) > 0.3).all()
+    assert (np.sqrt(np.mean(misses**2, axis=0)) < 2.0).all()
