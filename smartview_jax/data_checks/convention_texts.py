@@ -40,8 +40,12 @@ def convention_problems(
     hypotheses: tuple[ConventionHypothesis, ...],
     mismatch: float,
     rotation_angles: tuple[float, float],
+    tracked: bool = False,
 ) -> tuple[str, ...]:
-    """Return the best explanation with its closure error, or nothing if the data are acceptable."""
+    """Return the best explanation with its closure error, or nothing if the data are acceptable.
+
+    Positions by a tracker, which may have a unit of its own or drift, are no mistake by themselves.
+    """
     best = hypotheses[0]
     as_given = f"robot and camera do not move alike as given ({closure_error_text(given_error)})"
     if not is_explained(given_error, hypotheses):
@@ -50,7 +54,9 @@ def convention_problems(
         if max(mismatch, given_error.rotation) > limit:
             text = _unexplained_text(best, given_error, mismatch, rotation_angles)
             return (f"{as_given}: {text}",)
-        return (f"{as_given}: {_POSITIONS_TEXT}",) if _only_positions_differ(given_error) else ()
+        if tracked or not _only_positions_differ(given_error):
+            return ()
+        return (f"{as_given}: {_POSITIONS_TEXT}",)
     # Mistakes with nearly the same closure error cannot be distinguished: report all of them.
     first_named = {hypothesis.name: hypothesis for hypothesis in hypotheses[::-1]}
     rivals = [

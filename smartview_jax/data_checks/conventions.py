@@ -161,9 +161,8 @@ def check_conventions(
             hypotheses = ()
     suspicious = suspicious_views(differences)
     if hypotheses:
-        problems = convention_problems(
-            given_error, hypotheses, mismatch, median_rotation_angles(robot, camera, compared)
-        )
+        angles = median_rotation_angles(robot, camera, compared)
+        problems = convention_problems(given_error, hypotheses, mismatch, angles, tracked)
     if problems and not is_explained(given_error, hypotheses):
         views = [view for view, _ in suspicious]
         rest = used & ~np.isin(np.arange(len(used)), views)

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Int
 
 from ..geometry import host_rotation_vectors, mean_matrix
 from .change_texts import moved_text
-from .closure import MAX_CLOSURE_SCORE, Poses
+from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .convention_hypotheses import listed_views
 from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
 from .misfit_evidence import error_variances, errors_of, evidence
@@ -188,7 +188,10 @@ def find_groups(
     if odds < 2.0 * np.log(options.min_odds):
         return None
     misfit, score = mean_misfit(corrected[members], distance)
-    given_misfit, _ = mean_misfit(given[members], distance)
+    given_misfit, given_score = mean_misfit(given[members], distance)
+    # The errors of a weak robot can be gathered, too, but remain in the groups.
+    if score > MAX_CORRECTED_SCORE_RATIO * given_score:
+        return None
     return ViewGroups(kind, tuple(groups), misfit, given_misfit, score)
 
 

@@ -90,8 +90,9 @@ class RobotPrior:
         wrong_lens_probability: probability that the lens deviates from its model; zero skips this
             hypothesis. The covariance of the transforms includes the effect of such a lens.
         directional_probability: probability that poses without a smooth error err more in some
-            directions than in others; zero skips this hypothesis. The axes of such a robot differ
-            as much as the repeatability of robots does (`geometric_std`).
+            directions than in others, such as those of a SCARA arm, a lift, or an arm with a worn
+            joint; zero skips this hypothesis. The axes of such a robot differ as much as the
+            repeatability of robots does (`geometric_std`).
         model_odds: prior odds of the models of the robot error by name (`"white"` for noise of the
             poses alone, or a field's name), as known of a type of robot; by default, and for models
             that it does not name, the odds for any robot.
@@ -115,7 +116,7 @@ class RobotPrior:
     target_print_median: float = 2e-4
     target_geometric_std: float = float(np.exp(1.2))
     wrong_lens_probability: float = 0.5
-    directional_probability: float = 0.5
+    directional_probability: float = 0.0
     model_odds: Mapping[str, float] = dataclasses.field(default_factory=dict)
     geometric_std_by_name: Mapping[str, float] = dataclasses.field(default_factory=dict)
 

@@ -258,7 +258,7 @@ class _Point(NamedTuple):
 
     @property
     def log_evidence(self) -> float:
-        """The logarithm of the evidence by Laplace's method; the prior of the levels is flat."""
+        """The logarithm of the evidence by Laplace's method; all hypotheses have two levels."""
         entries = len(self.x) - 2
         return float(
             -self.value
@@ -297,6 +297,11 @@ class _Search(NamedTuple):
     rotations: Matrices
     precision: float
     options: DirectionalPrior
+
+    @property
+    def level_precision(self) -> float:
+        """The prior precision of the logarithms of both levels, about where they are."""
+        return float(np.log(self.options.geometric_std) ** -2)
 
     @classmethod
     def of(
@@ -341,10 +346,12 @@ class _Search(NamedTuple):
         w = whitened.offset_from_prior.per_view + marginal.step.per_view
         excess = len(w) * np.eye(6) - w.T @ w - marginal.per_view_covariance.sum(axis=0)
         gradient = 0.5 * np.tensordot(by_entry, excess, axes=2)
-        gradient[2:] += self.precision * x[2:]
-        value = 0.5 * float(marginal.deviance) + 0.5 * self.precision * float(x[2:] @ x[2:])
+        # The levels have a prior too, or one that the views hardly tell would decide the evidence.
+        precisions = np.where(np.arange(len(x)) < 2, self.level_precision, self.precision)
+        gradient += precisions * x
+        value = 0.5 * float(marginal.deviance) + 0.5 * float(precisions @ x**2)
         information = _information(marginal, by_entry)
-        information[2:, 2:] += self.precision * np.eye(len(x) - 2)
+        information += np.diag(precisions)
         return _Point(self, x, value, gradient, information, by_entry, self.rotations @ own_root)
 
     def maximise(self, start: _Point) -> _Point:

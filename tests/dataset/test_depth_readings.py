@@ -103,10 +103,8 @@ def test_impossible_noise_is_named():
         DepthNoise(0.0, 0.0)
 
 
-def test_a_rig_and_a_batch_of_fits_say_that_they_take_none():
+def test_a_batch_of_fits_says_that_it_takes_none():
     scene = depth_scene(0)
     data = scene.data.with_depths(scene.depths)
-    with pytest.raises(ValueError, match="Rig: camera 'left': depths count in the fit of one"):
-        sv.Rig({"left": data, "right": scene.data})
     with pytest.raises(ValueError, match=r"data\[0\]: depths count in fit_joint"):
         sv.fit_many([data], scene.truth)
