@@ -159,9 +159,8 @@ class _Judging:
     def is_rejected_unrefined(self, candidate: Candidate) -> bool:
         """Return whether a pose is rejected without refinement, whatever its rivals."""
         entry, pose = self._prepared[candidate.model], candidate.pose
-        # With few samples the short edges of a small object are not measured.
-        lines = self.scene.lines(pose, entry.fine)
-        evidence = self.scene.evidence(lines, entry.fine, entry.middle_at(pose))
+        lines = self.scene.lines(pose, entry.coarse)
+        evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose))
         verdict = judge(evidence, self._tested, np.inf, options=self._options)
         return verdict.decision == "rejected"
 

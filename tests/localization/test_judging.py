@@ -3,14 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
-from drawn_edges import SAMPLES, TWO_DIRECTIONS, drawn, evidence, seen_views
-from placed_box import MIDDLE, MODEL, POSE
 
-from smartview_jax.localization import Localization, Wireframe, judging
-from smartview_jax.localization.candidates import Candidate, Prepared, Query
-from smartview_jax.localization.scene import Scene
+from smartview_jax.localization import Localization, judging
+from smartview_jax.localization.candidates import Candidate, Query
 from smartview_jax.localization.verdict import DEFAULT_OPTIONS
-from smartview_jax.modeling import CalibrationUncertainty
 
 
 class Recorded(judging._Judging):
@@ -49,19 +45,3 @@ def test_what_is_skipped_leaves_the_others_their_places():
     assert recorded.asked == [good] * most
     # The others are not forgotten without a word.
     assert judgement.left == [good] * 3
-
-
-def test_a_small_object_is_not_rejected_for_the_samples_of_its_edges():
-    """Its edges have 20 to 60 px; next to their ends no points are measured."""
-    views = seen_views(MIDDLE, TWO_DIRECTIONS[:1], distance=1.2)
-    prepared = Prepared(MODEL, Wireframe.of(MODEL), Wireframe.of(MODEL, SAMPLES))
-    query = Query([prepared], CalibrationUncertainty.none(views), DEFAULT_OPTIONS)
-    whole = Scene(views, evidence(drawn(MODEL, views, POSE, 0.05)), np.zeros((0, 3, 3)))
-    # Without two of those that few samples measure, these measure too few for any verdict.
-    hidden = np.flatnonzero(whole.lines(POSE, prepared.coarse).measured[0])[:2]
-    left = drawn(MODEL, views, POSE, 0.05, hidden=hidden.tolist())
-    scene = Scene(views, evidence(left), np.zeros((0, 3, 3)))
-    judging_ = judging._Judging(scene, query, 24)
-    few = scene.evidence(scene.lines(POSE, prepared.coarse), prepared.coarse, MIDDLE)
-    assert few.edges < DEFAULT_OPTIONS.min_edges
-    assert not judging_.is_rejected_unrefined(Candidate(0, POSE, 0.0, 0.0))
