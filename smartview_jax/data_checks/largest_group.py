@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..dataset import undetermined_twists
 from .closure import MAX_CLOSURE_SCORE, Poses
 from .transform_fit import fit_transforms, misfits
 
@@ -52,14 +53,21 @@ def largest_group(
     """
     count = len(robot)
     best = np.zeros(count, dtype=bool)
+    # Triples of one group soon lead to the same views.
+    tried = set[bytes]()
     for triple in _triples(count):
+        # Three views that turn about one axis do not tell the transforms, and agree with anything.
+        if len(undetermined_twists(robot[triple])):
+            continue
         agreeing = np.zeros(count, dtype=bool)
         agreeing[triple] = True
         for _ in range(_REFITS):
-            before = agreeing
+            if agreeing.tobytes() in tried:
+                break
+            tried.add(agreeing.tobytes())
             closure = fit_transforms(robot, camera, agreeing).closure
             agreeing = disagreements(closure, distance) < tolerance
-            if agreeing.sum() < MIN_GROUP or np.array_equal(agreeing, before):
+            if agreeing.sum() < MIN_GROUP:
                 break
         if agreeing.sum() > best.sum():
             best = agreeing
