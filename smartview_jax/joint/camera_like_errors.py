@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from ..calibration import host_mount_from_holder, mount_frames
 from ..dataset import PoseObservations
@@ -105,4 +105,4 @@ def _rms(errors: np.ndarray) -> float:
 def _is_larger(first: np.ndarray, second: np.ndarray) -> bool:
     """Return whether errors have a larger variance than others, which chance does not explain."""
     ratio = float(np.mean(first**2) / np.maximum(np.mean(second**2), 1e-300))
-    return bool(f_distribution.sf(ratio, first.size, second.size) < MAX_CHANCE)
+    return bool(fdtrc(first.size, second.size, ratio) < MAX_CHANCE)
