@@ -21,9 +21,9 @@ the target: half of what is accepted between two views of all."""
 MIN_GROUP = 3
 """Fewest views of a group: as many as determine the transforms."""
 
-MAX_TRIPLES = 300
-"""Largest number of triples of views that are tried. Where half of the views are good, an eighth of
-all triples are."""
+MAX_TRIPLES = 150
+"""Largest number of triples of views that are tried. Where only a third of the views are good, one
+triple in 27 is, and so many miss all of them with a probability of 0.003."""
 
 _REFITS = 3
 """Number of fits to the views that agree: three views alone leave the transforms uncertain."""
