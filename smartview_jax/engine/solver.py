@@ -163,14 +163,13 @@ def padded(problem: _Problem) -> _Problem:
     )
 
 
-def _padded_roots(problem: JointProblem, more_views: int) -> Float[np.ndarray, "corrected 6 6"]:
-    """Return the twists by the views' own parameters, for added views too."""
-    corrected = len(problem.per_view_free)
-    # Problems with and without axes of their own share a program.
-    roots = np.tile(np.eye(6), (corrected + more_views, 1, 1))
-    if problem.correction_roots is not None:
-        roots[:corrected] = problem.correction_roots
-    return roots
+def _padded_roots(
+    problem: JointProblem, more_views: int
+) -> Float[np.ndarray, "corrected 6 6"] | None:
+    """Return the twists by the views' own parameters, for added views too; None if they are it."""
+    if problem.correction_roots is None:
+        return None
+    return np.concatenate([problem.correction_roots, np.tile(np.eye(6), (more_views, 1, 1))])
 
 
 def padded_step(step: Step, problem: AbstractProblem) -> Step:
