@@ -30,6 +30,7 @@ from .observability import Direction as Direction
 from .observability import Observability as Observability
 from .observability import describe_direction as describe_direction
 from .observability import observability as observability
+from .parameters import DEPTH_BIAS as DEPTH_BIAS
 from .parameters import DEPTH_BIAS_NAMES as DEPTH_BIAS_NAMES
 from .parameters import POSE_CORRECTIONS as POSE_CORRECTIONS
 from .parameters import ROBOT_ERROR as ROBOT_ERROR

@@ -41,7 +41,10 @@ POSE_CORRECTIONS = "pose_corrections"
 TARGET_SCALE = "target_scale"
 """The name of the target's scale, both as a parameter and as a group of unknown size."""
 
-DEPTH_BIAS_NAMES = ("depth_bias.scale", "depth_bias.offset")
+DEPTH_BIAS = "depth_bias"
+"""First part of the names of the bias of the depths that a camera measures."""
+
+DEPTH_BIAS_NAMES = (f"{DEPTH_BIAS}.scale", f"{DEPTH_BIAS}.offset")
 """Names of the bias of the depths that a camera measures."""
 
 ROBOT_ERROR = "robot_error"

@@ -16,7 +16,7 @@ from ..runtime.padding import padded_counts, repeat_last
 from .abstract_problem import AbstractBuiltProblem
 from .noise import Noise
 from .parameters import (
-    DEPTH_BIAS_NAMES,
+    DEPTH_BIAS,
     ROBOT_ERROR,
     TARGET_SCALE,
     Parameters,
@@ -178,8 +178,7 @@ def require_starts(rig: Rig, starts: Mapping[str, Calibration]) -> None:
 
 def camera_mask(names: Sequence[str]) -> Bool[np.ndarray, "shared"]:
     """Return the mask of the parameters of cameras and of their depths, by their names."""
-    own = ("camera", DEPTH_BIAS_NAMES[0].split(".")[0])
-    return np.array([any(f".{part}." in name for part in own) for name in names])
+    return np.array([".camera." in name or f".{DEPTH_BIAS}." in name for name in names])
 
 
 def _require_one_robot_error(starts: Mapping[str, Calibration]) -> None:
@@ -212,7 +211,7 @@ def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str
         target = f"{rig.targets[camera]}." if several else ""
         prefixes = {
             "camera": f"{camera}.",
-            DEPTH_BIAS_NAMES[0].split(".")[0]: f"{camera}.",
+            DEPTH_BIAS: f"{camera}.",
             start.transform_names[0]: f"{camera}.",
             start.transform_names[1]: target,
             TARGET_SCALE: target,

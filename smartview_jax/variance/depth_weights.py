@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from ..calibration import Calibration, flat_shape
 from ..cameras import Camera
 from ..dataset import Dataset
-from ..engine import Noise, ParameterChoice, build_problem
+from ..engine import DEPTH_BIAS, Noise, ParameterChoice, build_problem
 from ..geometry import host_cross_matrices, host_transformed
 from ..robot_errors import FieldChoice
 from .free_poses import choice_for_free_poses, fit_free_poses
@@ -55,7 +55,7 @@ def with_weighed_depths(
     groups = () if basis is None else basis.groups
     # Without priors of the poses depths have no weight yet (see `build_problem`).
     free = Noise(1.0, np.inf, np.inf, field=(1.0,) * len(groups))
-    choice = choice_for_free_poses(choice.holding("depth_bias"), start, len(usable))
+    choice = choice_for_free_poses(choice.holding(DEPTH_BIAS), start, len(usable))
     built = build_problem(data, start, noise=free, field=basis, **choice._asdict())
     fit = fit_free_poses(built, usable, flat_shape(*map(np.asarray, (data.points, data.visible))))
     if pixel_sigma is None:
