@@ -19,7 +19,7 @@ from .documents import (
     summary_document,
 )
 from .fit_options import parse_fit_options
-from .terminal import print_lines, print_table, verbose
+from .terminal import print_lines, print_table, remark_lines, verbose
 
 RESULT_FILES = {
     "calibration.yaml": "the calibration",
@@ -69,7 +69,7 @@ class CalibrateResult(NamedTuple):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes and warnings as lines for people."""
-        return (*self.notes, *(f"warning: {text}" for text in self.warnings))
+        return remark_lines(self.notes, self.warnings)
 
     def print(self) -> None:
         """Print the calibration with its uncertainty, its errors and the error budget."""

@@ -13,7 +13,7 @@ from ..files import file_transaction
 from .calibrate_folder import CalibrateSettings, command_line, provenance
 from .documents import fit_entries, rejection_entries
 from .fit_options import FitOptions, parse_fit_options
-from .terminal import print_lines, print_table, verbose
+from .terminal import print_lines, print_table, remark_lines, verbose
 
 RESULT_FILES = {
     "calibration.yaml": "the calibration",
@@ -50,7 +50,7 @@ class PoseResult(NamedTuple):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes and warnings as lines for people."""
-        return (*self.notes, *(f"warning: {text}" for text in self.fit.warnings))
+        return remark_lines(self.notes, self.fit.warnings)
 
     def print(self) -> None:
         """Print the hand-eye transform, notes and warnings, errors and the pairs left out."""

@@ -11,7 +11,7 @@ from ..files import file_transaction
 from .calibrate_folder import CalibrateSettings, command_line, loaded_folder
 from .documents import budget_document, transform_document
 from .fit_options import parse_rig_start
-from .terminal import print_lines, print_table
+from .terminal import print_lines, print_table, remark_lines
 
 _Known = TypeVar("_Known")
 
@@ -43,7 +43,7 @@ class RigResult(NamedTuple):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Notes and warnings as lines for people."""
-        return (*self.notes, *(f"warning: {text}" for text in self.fit.warnings))
+        return remark_lines(self.notes, self.fit.warnings)
 
     def print(self) -> None:
         """Print notes and warnings, a row for each camera and each pair, and what was left out."""

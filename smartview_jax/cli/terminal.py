@@ -32,6 +32,11 @@ def print_lines(*texts: str) -> None:
         console.print(text, highlight=False, markup=False)
 
 
+def remark_lines(notes: Iterable[str], warnings: Iterable[str]) -> tuple[str, ...]:
+    """Return the notes and warnings on a result as lines for people."""
+    return (*notes, *(f"warning: {text}" for text in warnings))
+
+
 def print_table(
     headings: Iterable[str],
     rows: Iterable[Iterable[str]],
@@ -43,7 +48,7 @@ def print_table(
     Args:
         headings: of the columns.
         rows: texts of each row.
-        justify: where in their columns all texts but those of the first column stand.
+        justify: where texts stand in their columns; in the first column they stand left.
         style: arguments of rich's `Table`.
     """
     table = Table(**style)
