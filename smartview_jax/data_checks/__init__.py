@@ -10,7 +10,7 @@ tell a wrong mount at all (`inverted_poses.py`), whether the set-up changed betw
 (`pose_lag.py`, by the fit in `lag_fit.py`) or the views agree in groups (`view_groups.py`;
 `faults_of_many_views.py` asks all four, in the words of `change_texts.py`), and which single views
 are numbered wrongly (`shifted_numbering.py`) or contradict the others (`view_consistency.py`); all
-judge by transforms of their own (`transform_fit.py`), some by those of the views that agree
+judge by transforms of their own (`transform_fit.py`), some by transforms of the views that agree
 (`largest_group.py`) or by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
 compares the cameras of a rig.
 """

@@ -24,9 +24,9 @@ Pictures that are paired with wrong poses leave about as much as the views are t
 """
 
 MAX_POSITION_ERROR, MAX_ARM_LENGTH = 0.1, 10.0
-"""Closure error of the positions, over the distance to the target, that is looked at, and its ratio
-to that of the rotations, m, which no arm exceeds: joints that move a tool by an angle's error move
-it by this angle times their distance from it. So a robot whose rotations fit has no such error."""
+"""Closure error of the positions, over the distance to the target, from which it is looked at, and
+the largest ratio, m, of an arm's errors of position and rotation: a joint that is off by an angle
+moves the tool by this angle times its distance. A robot whose rotations fit has no such error."""
 
 _POSITIONS_TEXT = (
     "they turn alike, but the positions do not fit, and no mistake that is known explains it. Are "

@@ -33,7 +33,7 @@ MAX_NAMED = 3
 
 OTHER_ARM_RATIO = 1.05
 """Ratio of the motions of camera and arm, either way, from which the arm may be another one: the
-links of one type are alike to a thousandth, those of two types of a maker differ by more."""
+links of one type are alike to a thousandth, links of two types of a maker differ by more."""
 
 OTHER_ARM_TEXT = (
     "or is the arm of another type than described, whose links are longer or shorter by as much?"
@@ -56,7 +56,7 @@ class JointMistake(NamedTuple):
 
 
 def joint_mistakes(readings: Readings, arm: SerialArm) -> Iterator[JointMistake]:
-    """Yield every mistake that is known, those of one joint first.
+    """Yield every mistake that is known, mistakes of single joints first.
 
     The zeros of the first and of the last joint are left out: base and mount turn with them.
     """

@@ -16,7 +16,7 @@ from .transform_fit import fit_transforms, misfits
 
 MAX_DISAGREEMENT = 0.5 * MAX_CLOSURE_SCORE
 """Largest disagreement of a view of a group, rotation (rad) plus translation over the distance to
-the target: half of what is accepted between two views of all."""
+the target: half the limit for the closure of all views."""
 
 MIN_GROUP = 3
 """Fewest views of a group: as many as determine the transforms."""

@@ -72,7 +72,7 @@ def shown_instead(pictures: Sequence[Grey], target: AbstractTarget) -> str:
 
 
 def _boards(pictures: Sequence[Grey], target: AbstractTarget) -> Iterator[_Board]:
-    """Yield the boards to look for, those of a single mistake first."""
+    """Yield the boards to look for, boards with a single mistake first."""
     if isinstance(target, Charuco | TagGrid | AprilGrid):
         yield from _boards_of_markers(pictures, target)
     else:

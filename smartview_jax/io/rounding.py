@@ -49,7 +49,7 @@ def rounding_note(name: str, rows: Float[np.ndarray, "views numbers"], form: Pos
 
 
 def _step(numbers: Float[np.ndarray, "views numbers"]) -> float:
-    """Return the largest power of ten of which all numbers are multiples; 0 if too few tell."""
+    """Return the largest power of ten that divides all numbers; 0 if there are too few of them."""
     values = numbers[np.isfinite(numbers) & (np.abs(numbers) > 1e-12)]
     # Ones of a matrix, and a coordinate that never changes, tell nothing.
     if len(np.unique(np.abs(values))) < MIN_NUMBERS:

@@ -22,7 +22,7 @@ MAX_CHANCE = 1e-4
 """Largest probability with which a robot's errors would look like a camera's by chance."""
 
 MIN_VIEWS = 6
-"""Fewest views of which the variances are compared."""
+"""Fewest views whose variances are compared."""
 
 
 class SeenErrors(NamedTuple):

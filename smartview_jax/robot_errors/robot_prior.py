@@ -90,8 +90,8 @@ class RobotPrior:
         wrong_lens_probability: probability that the lens deviates from its model; zero skips this
             hypothesis. The covariance of the transforms includes the effect of such a lens.
         directional_probability: probability that poses without a smooth error err more in some
-            directions than in others, such as those of a SCARA arm, a lift, or an arm with a worn
-            joint; zero skips this hypothesis. The axes of such a robot differ as much as the
+            directions than in others, as a SCARA arm, a lift, or an arm with a worn joint does;
+            zero skips this hypothesis. The axes of such a robot differ as much as the
             repeatability of robots does (`geometric_std`).
         model_odds: prior odds of the models of the robot error by name (`"white"` for noise of the
             poses alone, or a field's name), as known of a type of robot; by default, and for models

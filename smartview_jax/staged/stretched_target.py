@@ -2,8 +2,8 @@
 
 A target that is printed wider than high moves the pose of every view, and then robot and camera do
 not move alike although both are right. The pictures alone tell: with the columns h1, h2 of a view's
-homography from the stated plane and E the stretch, the columns of [h1 h2] E^-1 are those of two
-perpendicular unit vectors as seen by the camera,
+homography from the stated plane and E the stretch, the columns of [h1 h2] E^-1 are perpendicular
+unit vectors as seen by the camera,
 
     g1^T w g2 = 0,    g1^T w g1 = g2^T w g2,    w = K^-T K^-1
 
@@ -80,7 +80,7 @@ def fit_of_stretched_target(
         fit_again: function from observations to Steps 1 and 2.
 
     Returns:
-        None, too, if the pictures of no stretched target are those of one camera.
+        None, too, if one camera fits the pictures for no stretch of the target.
     """
     misfit = camera_misfit(observations, used, common_fit.camera, common_fit.camera_from_world)
     shape = None if misfit is None else likeliest_stretch(observations, used)

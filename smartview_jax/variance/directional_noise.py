@@ -12,7 +12,7 @@ with a symmetric H, whose traces are zero for translation and for rotation; H = 
 errs alike in all directions. The hypotheses are H = 0, and a diagonal or a full H in either frame.
 The entries of H maximise the same restricted likelihood as the standard deviations, times a normal
 prior; Laplace's method gives the evidence of each hypothesis, and the covariances are averaged by
-their probabilities, as those of all models of the robot's error are.
+their probabilities, like all models of the robot's error.
 
 Reference: Leonard and Hsu, Bayesian inference for a covariance matrix, 1992 (the normal prior of
 the logarithm of a covariance matrix).
@@ -218,7 +218,7 @@ def _averaged(
 
 
 def in_own_axes(views: LinearisedViews, roots: Matrices) -> LinearisedViews:
-    """Return the views with other own parameters, of which the present ones are `roots` times."""
+    """Return the views with other own parameters, given the present ones as `roots` times these."""
     matrix, transposed = views.matrix, roots.swapaxes(1, 2)
     offset = views.offset_from_prior
     return views._replace(
