@@ -61,13 +61,17 @@ def python_text(file: Path) -> str:
 
 
 def files_of(module: str) -> Iterator[Path]:
-    """The file of a module in this repository, and the `__init__` of the packages around it."""
+    """The file of a module in this repository, and the faces of the packages around it.
+
+    What a package shows is imported when it is used: the stub lists its files.
+    """
     parts = module.split(".")
     bases = [ROOT, ROOT / "tests"]
     for base in bases:
         for count in range(1, len(parts) + 1):
             place = base.joinpath(*parts[:count])
-            for file in (place / "__init__.py", place.with_suffix(".py")):
+            faces = place / "__init__.py", place / "__init__.pyi"
+            for file in (*faces, place.with_suffix(".py")):
                 if file.is_file() and (count > 1 or file.parent != PACKAGE):
                     yield file
 

@@ -22,8 +22,9 @@ import numpy as np
 from jaxlie import SE3
 
 import smartview_jax as sv
+from smartview_jax.hand_eye import solve_hand_eye
 from smartview_jax.simulation import Scene, paper_calibration, random_scene
-from smartview_jax.staged import calibrate_views, kalman_filter, solve_hand_eye
+from smartview_jax.staged import calibrate_views, kalman_filter
 
 from .engine import measured
 

@@ -56,7 +56,6 @@ from .geometry import look_at as look_at
 from .geometry import se3_from_xyzoat as se3_from_xyzoat
 from .geometry import xyzoat as xyzoat
 from .grasping import GraspScene as GraspScene
-from .grasping import Gripper as Gripper
 from .grasping import correct_by_touches as correct_by_touches
 from .grasping import grasps_for as grasps_for
 from .grasping import tool_commands as tool_commands
@@ -86,6 +85,7 @@ from .recordings import LeRobotSources as LeRobotSources
 from .recordings import MomentChoice as MomentChoice
 from .recordings import import_bag as import_bag
 from .recordings import import_lerobot as import_lerobot
+from .robots import Gripper as Gripper
 from .runtime import compilation as compilation
 from .runtime import compilation_cache as compilation_cache
 from .staged import StagedFit as StagedFit

@@ -12,6 +12,7 @@ import numpy as np
 from .argument_checks import require_instance, require_one_of
 from .calibration import Calibration, transform_names
 from .cameras import AbstractLens, Camera
+from .data_checks import views_to_use
 from .dataset import Dataset, PoseDataset, Rig, chain_residuals, given_places, repetition_warnings
 from .engine import ROBOT_ERROR, Noise, Prior, parameter_names
 from .fit_result import Rejection
@@ -39,7 +40,6 @@ from .staged import (
     kalman_filter,
     merged_start,
     require_picture_size,
-    views_to_use,
     with_start_doubts,
 )
 

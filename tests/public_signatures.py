@@ -1,8 +1,8 @@
 """Check types and shapes at run time wherever one room of the package is called by another.
 
-Checked are the functions and classes that a package shows in its `__init__`, and their public
-methods. Inner functions are the type checker's business: checking them too takes a sixth of the
-tests' time.
+Checked are the functions and classes that a package shows in its `__init__` or lists in its stub,
+and their public methods. Inner functions are the type checker's business: checking them too takes a
+sixth of the tests' time.
 """
 
 import ast
@@ -69,9 +69,9 @@ def _kind(argument: object) -> object:
 
 
 def shown_names(package: Path = PACKAGE) -> dict[str, set[str]]:
-    """Names that any `__init__` shows, by the full name of the module that it takes them from."""
+    """Names that any package shows, by the full name of the module that it takes them from."""
     shown = defaultdict(set)
-    for file in package.rglob("__init__.py"):
+    for file in package.rglob("__init__.py*"):
         folder = file.parent.relative_to(package.parent).parts
         for node in ast.parse(file.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ImportFrom) and node.level:

@@ -266,9 +266,9 @@ def test_version():
 
 
 def test_a_viewpoint_is_printed_and_written(tmp_path):
+    from smartview_jax.geometry import five_viewpoints, look_at
     from smartview_jax.io import read_viewpoints
     from smartview_jax.simulation import paper_calibration
-    from smartview_jax.viewpoints import five_viewpoints, look_at
 
     paper_calibration().save(tmp_path / "calibration.yaml")
     given = ["viewpoint", str(tmp_path / "calibration.yaml"), "--at", "0.018,0.015,0.01"]
@@ -348,7 +348,7 @@ def test_a_viewpoint_in_another_makers_words(tmp_path):
     """KUKA's angles by scipy."""
     from scipy.spatial.transform import Rotation
 
-    from smartview_jax.viewpoints import look_at
+    from smartview_jax.geometry import look_at
 
     paper_calibration().save(tmp_path / "calibration.yaml")
     out = tmp_path / "v.csv"
@@ -370,11 +370,11 @@ def test_a_viewpoint_in_another_makers_words(tmp_path):
 
 def test_a_viewpoint_in_an_arms_joints(tmp_path):
     """An arm by its name, and one whose zeros were fitted: its readings make up for them."""
+    from smartview_jax.geometry import look_at
     from smartview_jax.io import read_viewpoints
     from smartview_jax.robot_errors import JointOffsets, RobotError
     from smartview_jax.robots import joints_for_pose, puma_560
     from smartview_jax.simulation import paper_calibration
-    from smartview_jax.viewpoints import look_at
 
     arm, path, out = puma_560(), tmp_path / "calibration.yaml", tmp_path / "v.json"
     wanted = look_at(np.zeros(3), np.array([[0.0, 0.0, -1.0]]), 0.2)

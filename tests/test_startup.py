@@ -1,9 +1,11 @@
 """What is imported, and when: the command and the package start without JAX."""
 
+import ast
 import dataclasses
 import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from main_job import main_job, user_environment
@@ -11,6 +13,8 @@ from main_job import main_job, user_environment
 import smartview_jax as sv
 from smartview_jax.cameras import lens_by_name
 from smartview_jax.simulation import paper_calibration
+
+PACKAGE = Path(sv.__file__).parent
 
 SLOW = {"jax", "matplotlib", "cv2", "scipy"}
 """Packages that take a tenth of a second or more to import; typer itself may import pydantic."""
@@ -73,6 +77,37 @@ def test_every_public_name_is_listed_and_there():
         assert getattr(sv, name) is not None
     with pytest.raises(AttributeError, match="never"):
         _ = sv.never
+
+
+FACES = {
+    ".".join(stub.parent.relative_to(PACKAGE.parent).parts): ast.parse(stub.read_text()).body
+    for stub in sorted(PACKAGE.rglob("__init__.pyi"))
+}
+"""What the stub of every package lists, by the package's name."""
+
+
+@pytest.mark.parametrize("package", FACES)
+def test_every_name_in_a_stub_is_there_and_no_submodule_hides_it(package):
+    face = importlib.import_module(package)
+    # Modules whose names are functions' names too, such as `localize`, come before the functions.
+    for imported in FACES[package]:
+        if imported.module:
+            importlib.import_module(f"{package}.{imported.module}")
+    for imported in FACES[package]:
+        for alias in imported.names:
+            place = f"{package}.{imported.module or alias.name}"
+            module = importlib.import_module(place)
+            expected = getattr(module, alias.name) if imported.module else module
+            assert getattr(face, alias.name) is expected, (place, alias.name)
+
+
+def test_packages_load_none_of_their_files_until_a_name_is_used():
+    loaded = (
+        f"import {', '.join(FACES)}, sys\n"
+        "print([name for name, module in sys.modules.items() "
+        "if name.startswith('smartview_jax.') and not hasattr(module, '__path__')])"
+    )
+    assert run(loaded).stdout == "['smartview_jax.runtime.double_precision']\n"
 
 
 def test_a_public_name_is_that_of_its_room():

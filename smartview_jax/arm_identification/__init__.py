@@ -1,4 +1,6 @@
 """Identify an arm's joint axes and gear ratios from poses measured at known joint readings."""
 
-from .kinematics import KinematicFit as KinematicFit
-from .kinematics import fit_kinematics as fit_kinematics
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -1,33 +1,6 @@
 """Capture calibration views live: camera, robot, settle test, storing, fitting, next view."""
 
-from .cameras import OpenCVCamera as OpenCVCamera
-from .cameras import PictureFolder as PictureFolder
-from .cameras import VideoFile as VideoFile
-from .coverage import Coverage as Coverage
-from .coverage import coverage as coverage
-from .estimation import MIN_FITTED_VIEWS as MIN_FITTED_VIEWS
-from .estimation import CaptureOptions as CaptureOptions
-from .estimation import Estimate as Estimate
-from .estimation import Proposal as Proposal
-from .motion import MotionLimits as MotionLimits
-from .motion import straight_steps as straight_steps
-from .server import serve_capture as serve_capture
-from .session import CaptureSession as CaptureSession
-from .session import Look as Look
-from .session import NotTakenError as NotTakenError
-from .settling import SettleTest as SettleTest
-from .settling import settle_test as settle_test
-from .simulated import SimulatedSources as SimulatedSources
-from .sources import Camera as Camera
-from .sources import MoveRefusedError as MoveRefusedError
-from .sources import MovingRobot as MovingRobot
-from .sources import Reopened as Reopened
-from .sources import Robot as Robot
-from .sources import SourceLostError as SourceLostError
-from .tcp_robot import TcpRobot as TcpRobot
-from .tcp_robot import controller_program as controller_program
-from .typed_robot import TypedRobot as TypedRobot
-from .typed_robot import parse_pose as parse_pose
-from .unattended import CaptureOutcome as CaptureOutcome
-from .unattended import capture_unattended as capture_unattended
-from .universal_robot import UniversalRobot as UniversalRobot
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -344,7 +344,7 @@ def _doubts_of_motion(
         size = f"is the target {1.0 / ratio:.3g} times as large as stated? measure it"
         if camera_is_known:
             size = f"is the known camera's focal length {ratio:.3g} times the true one, or {size}"
-        cause = sv.staged.mistaken_unit(ratio) or size
+        cause = sv.data_checks.mistaken_unit(ratio) or size
         return [
             f"the camera moves {ratio:.3g} times as far as the robot says: {cause}"
             + (f"; {sv.data_checks.OTHER_ARM_TEXT}" if by_joints else "")

@@ -146,8 +146,8 @@ def requested_camera_poses(
         )
     tilt, azimuth, roll = np.deg2rad((look.tilt, look.azimuth, look.roll))
     if look.five:
-        return sv.viewpoints.five_viewpoints(
-            point, distance, float(roll), float(tilt) or sv.viewpoints.FIVE_VIEWPOINT_STEP, above
+        return sv.geometry.five_viewpoints(
+            point, distance, float(roll), float(tilt) or sv.geometry.FIVE_VIEWPOINT_STEP, above
         )
-    directions = sv.viewpoints.viewing_direction(tilt, np.array([azimuth]), above)
-    return sv.viewpoints.look_at(point, directions, distance, float(roll))
+    directions = sv.geometry.viewing_direction(tilt, np.array([azimuth]), above)
+    return sv.geometry.look_at(point, directions, distance, float(roll))

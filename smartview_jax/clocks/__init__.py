@@ -1,5 +1,6 @@
 """Estimate the offset between the clocks of robot and camera, or of robot and tracker."""
 
-from .time_offset import TimeOffset as TimeOffset
-from .time_offset import at_time_offset as at_time_offset
-from .time_offset import estimate_time_offset as estimate_time_offset
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

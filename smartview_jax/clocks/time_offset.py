@@ -20,12 +20,13 @@ from scipy.optimize import minimize_scalar
 
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import AbstractLens
+from ..data_checks import closure_error, relative_motions, views_to_use
 from ..dataset import Dataset, PoseDataset
 from ..engine import Noise, squared_residuals
 from ..geometry import as_se3, host_matrices
 from ..joint import JointFit, fit_joint, start_from_poses
 from ..robots import Trajectory, smoothed_log
-from ..staged import closure_error, fit_staged, relative_motions, views_to_use
+from ..staged import fit_staged
 from .timed_poses import TimedChain, fit_timed_poses, long_run_variance
 
 COARSE_STEPS = 80

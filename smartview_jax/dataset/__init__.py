@@ -1,43 +1,6 @@
 """Provide data sets: the points of a target in pictures from several robot poses."""
 
-from .dataset import MINIMUM_RELIABLE_VIEWS as MINIMUM_RELIABLE_VIEWS
-from .dataset import Dataset as Dataset
-from .depth_readings import MAD_TO_SIGMA as MAD_TO_SIGMA
-from .depth_readings import DepthNoise as DepthNoise
-from .depth_readings import DepthReadings as DepthReadings
-from .depth_sensor import TYPICAL_OFFSET_STD as TYPICAL_OFFSET_STD
-from .depth_sensor import TYPICAL_SCALE_STD as TYPICAL_SCALE_STD
-from .depth_sensor import DepthSensor as DepthSensor
-from .input_checks import FORWARD_KINEMATICS_TOLERANCE as FORWARD_KINEMATICS_TOLERANCE
-from .input_checks import checked_view_ids as checked_view_ids
-from .observations import AnyObservations as AnyObservations
-from .observations import Observations as Observations
-from .observations import chain_residuals as chain_residuals
-from .observations import medians_by_view as medians_by_view
-from .observations import view_residuals as view_residuals
-from .picture_digests import digests_to_keep as digests_to_keep
-from .picture_digests import picture_digests as picture_digests
-from .point_extents import coplanar as coplanar
-from .point_extents import extents as extents
-from .point_extents import mean_point as mean_point
-from .point_extents import scatter as scatter
-from .pose_dataset import UNIT_ROTATION as UNIT_ROTATION
-from .pose_dataset import UNIT_TRANSLATION as UNIT_TRANSLATION
-from .pose_dataset import PoseDataset as PoseDataset
-from .pose_observations import PoseObservations as PoseObservations
-from .rig import ONE_ARM as ONE_ARM
-from .rig import ONE_TARGET as ONE_TARGET
-from .rig import SAME_POSE_TOLERANCE as SAME_POSE_TOLERANCE
-from .rig import Rig as Rig
-from .robot_motion import contradictory_views as contradictory_views
-from .robot_motion import distinct_poses as distinct_poses
-from .robot_motion import given_places as given_places
-from .robot_motion import never_turns as never_turns
-from .robot_motion import repeated_pose_reason as repeated_pose_reason
-from .robot_motion import repeated_views as repeated_views
-from .robot_motion import repetition_warnings as repetition_warnings
-from .robot_motion import require_motion as require_motion
-from .robot_motion import stale_poses as stale_poses
-from .robot_motion import turns_about_one_axis as turns_about_one_axis
-from .robot_motion import turns_about_one_point as turns_about_one_point
-from .robot_motion import undetermined_twists as undetermined_twists
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,6 @@
 """Use depth sensors: points of a target measured in three dimensions, and the target's poses."""
 
-from ..dataset import DepthNoise as DepthNoise
-from .depth_pictures import cloud_from_depth as cloud_from_depth
-from .depth_pictures import points_at_pixels as points_at_pixels
-from .depth_pictures import read_depth_picture as read_depth_picture
-from .measured_poses import MeasuredPoses as MeasuredPoses
-from .measured_poses import poses_from_points as poses_from_points
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,6 @@
 """Calibrate many robots: in worker processes, and with what robots of one type have in common."""
 
-from .empirical_bayes import FleetPrior as FleetPrior
-from .empirical_bayes import fleet_prior as fleet_prior
-from .execution import Outcome as Outcome
-from .execution import outcomes as outcomes
-from .many import ManyOutcome as ManyOutcome
-from .many import calibrate_many as calibrate_many
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

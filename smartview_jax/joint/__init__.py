@@ -1,45 +1,6 @@
 """Fit camera, hand-eye transform, target pose and robot error to all pixels at once."""
 
-from .camera_fit import CameraFit as CameraFit
-from .camera_fit import batch_least_squares as batch_least_squares
-from .camera_fit import fit_camera as fit_camera
-from .fit import fit_joint as fit_joint
-from .fit_text import calibration_forms as calibration_forms
-from .fit_text import estimate_groups as estimate_groups
-from .fit_text import fit_html as fit_html
-from .fit_text import fit_text as fit_text
-from .fit_text import hand_eye_forms as hand_eye_forms
-from .fit_text import outcome as outcome
-from .gross_errors import remove_gross_errors as remove_gross_errors
-from .influence import Influence as Influence
-from .joint_fit import JointFit as JointFit
-from .joint_fit import view_influence as view_influence
-from .many import ManyFits as ManyFits
-from .many import fit_many as fit_many
-from .options import JointOptions as JointOptions
-from .parameter_estimates import ParameterEstimate as ParameterEstimate
-from .parameter_estimates import displayed_values as displayed_values
-from .parameter_estimates import parameter_estimates as parameter_estimates
-from .plausibility import MAX_ROTATION_HALF_WIDTH as MAX_ROTATION_HALF_WIDTH
-from .plausibility import MAX_TRANSLATION_HALF_WIDTH as MAX_TRANSLATION_HALF_WIDTH
-from .pose_fit import PoseFit as PoseFit
-from .pose_fit import fit_poses as fit_poses
-from .pose_fit import pose_rms as pose_rms
-from .pose_fit import tracked_pose_errors as tracked_pose_errors
-from .pose_start import start_from_poses as start_from_poses
-from .precompile import needs_precompiling as needs_precompiling
-from .precompile import precompile as precompile
-from .relative_pose import RelativePose as RelativePose
-from .relative_pose import relative_pose as relative_pose
-from .rig_estimate import JOINT_SUFFIX as JOINT_SUFFIX
-from .rig_estimate import RIG_FILE as RIG_FILE
-from .rig_estimate import RigEstimate as RigEstimate
-from .rig_estimate import is_rig as is_rig
-from .rig_estimate import load_calibrated_rig as load_calibrated_rig
-from .rig_estimate import load_rig_estimate as load_rig_estimate
-from .rig_fit import RigFit as RigFit
-from .rig_fitting import fit_rig as fit_rig
-from .saved_estimate import SavedEstimate as SavedEstimate
-from .saved_estimate import load_estimate as load_estimate
-from .saved_estimate import load_with_uncertainty as load_with_uncertainty
-from .tracker_noise import TrackerPrior as TrackerPrior
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

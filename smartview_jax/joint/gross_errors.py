@@ -15,6 +15,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..calibration import Calibration, host_mount_from_holder
+from ..data_checks import find_consistent_views, median_reprojection_errors
 from ..dataset import Dataset, Observations, medians_by_view, view_residuals
 from ..engine import (
     Cauchy,
@@ -36,12 +37,7 @@ from ..geometry import host_matrices, host_transforms
 from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.modules import with_fields
-from ..staged import (
-    MAX_UNCHECKED_POINTS,
-    estimate_view_poses,
-    find_consistent_views,
-    median_reprojection_errors,
-)
+from ..staged import MAX_UNCHECKED_POINTS, estimate_view_poses
 from ..variance import encompassing_field
 
 _Data = TypeVar("_Data", bound=Dataset)

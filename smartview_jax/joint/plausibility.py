@@ -12,7 +12,7 @@ import numpy as np
 
 from ..calibration import BOW, PRINT, Calibration
 from ..cameras import Camera, lens_name
-from ..data_checks import OTHER_ARM_RATIO, OTHER_ARM_TEXT
+from ..data_checks import OTHER_ARM_RATIO, OTHER_ARM_TEXT, mistaken_unit
 from ..dataset import (
     MINIMUM_RELIABLE_VIEWS,
     PoseObservations,
@@ -22,7 +22,6 @@ from ..dataset import (
 from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction, step_names
 from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
-from ..staged import mistaken_unit
 from ..variance import MIN_SHAPE_SIGMAS, TargetScaleEvidence
 from .camera_like_errors import camera_like_errors
 from .joint_fit import JointFit, half_width

@@ -1,37 +1,6 @@
 """Find known objects in calibrated pictures: hypotheses, verification and the next view."""
 
-from .circle_poses import RoundOptions as RoundOptions
-from .distinct_poses import distinct_poses as distinct_poses
-from .distinct_poses import pose_distances as pose_distances
-from .edge_lines import EdgeLines as EdgeLines
-from .edge_lookup import EdgeLookup as EdgeLookup
-from .evidence import Evidence as Evidence
-from .evidence import evidence_of as evidence_of
-from .hypotheses import Hypothesis as Hypothesis
-from .hypotheses import find_hypotheses as find_hypotheses
-from .localization import EdgeMatch as EdgeMatch
-from .localization import Localization as Localization
-from .localization import Localizations as Localizations
-from .localization import Rival as Rival
-from .localize import localize as localize
-from .next_view import NextView as NextView
-from .next_view import Reachable as Reachable
-from .next_view import next_view as next_view
-from .polishing import polished_poses as polished_poses
-from .pose_convergence import converged_poses as converged_poses
-from .prediction import PredictedView as PredictedView
-from .prediction import hidden_samples as hidden_samples
-from .prediction import hidden_vertices as hidden_vertices
-from .prediction import pose_jacobians as pose_jacobians
-from .prediction import predict_view as predict_view
-from .refinement import FIT_SAMPLES as FIT_SAMPLES
-from .refinement import RefinedPose as RefinedPose
-from .refinement import refine_pose as refine_pose
-from .scoring import PoseScores as PoseScores
-from .scoring import SceneMaps as SceneMaps
-from .scoring import score_poses as score_poses
-from .verdict import Verdict as Verdict
-from .verdict import VerdictOptions as VerdictOptions
-from .verdict import judge as judge
-from .wireframe import EDGE_SAMPLES as EDGE_SAMPLES
-from .wireframe import Wireframe as Wireframe
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -1,38 +1,6 @@
 """Provide robot arms and grippers: kinematics both ways, joint limits, and robot commands."""
 
-from .command import MAX_TOOL_COORDINATE as MAX_TOOL_COORDINATE
-from .command import Command as Command
-from .command import CommandLike as CommandLike
-from .command import HandPoses as HandPoses
-from .command import JointsLike as JointsLike
-from .command import as_command as as_command
-from .general_inverse_kinematics import joints_for_pose as joints_for_pose
-from .general_inverse_kinematics import solve_joints_iteratively as solve_joints_iteratively
-from .gripper import BOX_CORNERS as BOX_CORNERS
-from .gripper import BOX_TRIANGLES as BOX_TRIANGLES
-from .gripper import Gripper as Gripper
-from .gripper import GripperBox as GripperBox
-from .joint_axes import arm_from_axes as arm_from_axes
-from .joint_axes import axis_frames_at_zero as axis_frames_at_zero
-from .joint_solution import FAILURE_FLAGS as FAILURE_FLAGS
-from .joint_solution import LIMIT_TOLERANCE as LIMIT_TOLERANCE
-from .joint_solution import JointSolution as JointSolution
-from .joint_solution import SolutionStatus as SolutionStatus
-from .log_smoothing import smoothed_log as smoothed_log
-from .models import ARMS as ARMS
-from .models import arm_by_name as arm_by_name
-from .models import arm_from_dict as arm_from_dict
-from .models import arm_to_dict as arm_to_dict
-from .models import kuka_lwr4 as kuka_lwr4
-from .models import puma_560 as puma_560
-from .models import puma_560_lee as puma_560_lee
-from .models import six_axes as six_axes
-from .positioner import arm_with_positioner as arm_with_positioner
-from .puma_inverse_kinematics import branch_joints as branch_joints
-from .puma_inverse_kinematics import is_puma_like as is_puma_like
-from .puma_inverse_kinematics import nearest_puma_joints as nearest_puma_joints
-from .puma_inverse_kinematics import puma_joints as puma_joints
-from .serial_arm import SerialArm as SerialArm
-from .serial_arm import dh_jacobian as dh_jacobian
-from .trajectory import Trajectory as Trajectory
-from .trajectory import times_in_gaps as times_in_gaps
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

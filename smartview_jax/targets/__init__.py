@@ -1,14 +1,6 @@
 """Describe calibration targets by their points in metres, without using OpenCV."""
 
-from .boards import MARKER_COUNTS as MARKER_COUNTS
-from .boards import AprilGrid as AprilGrid
-from .boards import Charuco as Charuco
-from .boards import Chessboard as Chessboard
-from .boards import CircleGrid as CircleGrid
-from .boards import TagGrid as TagGrid
-from .listed_points import ListedPoints as ListedPoints
-from .serialization import target_from_dict as target_from_dict
-from .serialization import target_to_dict as target_to_dict
-from .stacked import StackedTarget as StackedTarget
-from .target import AbstractTarget as AbstractTarget
-from .target import grid_symmetries as grid_symmetries
+import lazy_loader as _lazy_loader
+
+# `__init__.pyi` lists the names and their modules.
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from smartview_jax.cli.compare import print_comparison
-from smartview_jax.evaluation import HeldOutErrors, MethodResult, Rejection, ReprojectionErrors
+from smartview_jax.evaluation import HeldOutErrors, MethodResult, ReprojectionErrors
+from smartview_jax.fit_result import Rejection
 from smartview_jax.report import comparison_row
 
 LONGEST = "joint, errors estimated, without correction"

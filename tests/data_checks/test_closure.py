@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from smartview_jax.data_checks import closure_error, relative_motions
 from smartview_jax.data_checks.closure import RelativeMotions, closure_errors
-from smartview_jax.staged import closure_error, relative_motions
 
 EXPLANATIONS, VIEWS = 3, 9
 

@@ -8,7 +8,7 @@ from robot_motions import CAMERA_FROM_MOUNT, HOLDER_FROM_WORLD, transform
 from scipy.spatial.transform import Rotation
 from shared_data import shared_pairs
 
-from smartview_jax.data_checks import target_turns
+from smartview_jax.data_checks import check_conventions, mistaken_unit, target_turns
 from smartview_jax.geometry import (
     EULER_CODECS,
     EULER_CONVENTIONS,
@@ -18,7 +18,6 @@ from smartview_jax.geometry import (
     pose_codec,
 )
 from smartview_jax.simulation import random_scene
-from smartview_jax.staged import check_conventions, mistaken_unit
 from smartview_jax.targets import Chessboard
 
 VIEWS = 12

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from smartview_jax.data_checks import check_conventions
 from smartview_jax.geometry import host_transforms
-from smartview_jax.staged import check_conventions
 
 
 def pose(rotation_vector, translation):

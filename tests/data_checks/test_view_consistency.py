@@ -9,9 +9,10 @@ from shared_data import shared_pairs
 
 from smartview_jax import Dataset
 from smartview_jax.calibration import mount_from_holder
+from smartview_jax.data_checks import find_consistent_views
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.simulation import paper_calibration, random_scene
-from smartview_jax.staged import find_consistent_views, fit_staged
+from smartview_jax.staged import fit_staged
 from smartview_jax.targets import Chessboard
 
 VIEWS = 12

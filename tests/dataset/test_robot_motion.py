@@ -8,6 +8,7 @@ from fit_scenes import MANY_VIEWS, scene_of
 from jaxlie import SE3
 
 from smartview_jax import calibrate, fit_joint
+from smartview_jax.data_checks import views_to_use
 from smartview_jax.dataset import (
     Dataset,
     never_turns,
@@ -17,7 +18,8 @@ from smartview_jax.dataset import (
     undetermined_twists,
 )
 from smartview_jax.geometry import host_exponentials, host_matrices
-from smartview_jax.staged import fit_staged, solve_hand_eye, views_to_use
+from smartview_jax.hand_eye import solve_hand_eye
+from smartview_jax.staged import fit_staged
 
 
 @pytest.fixture(scope="module")

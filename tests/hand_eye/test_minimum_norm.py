@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smartview_jax.geometry import host_exponentials, host_transforms
-from smartview_jax.staged import solve_hand_eye
+from smartview_jax.hand_eye import solve_hand_eye
 
 HAND = host_exponentials(np.array([0.03, 0.06, 0.1, 0.2, -1.5, 1.0]))
 WORLD = host_exponentials(np.array([0.5, 0.1, 0.02, 2.0, 0.5, -1.0]))

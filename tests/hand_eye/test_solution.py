@@ -7,10 +7,10 @@ from host_poses import motion_between
 from jaxlie import SE3
 
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
+from smartview_jax.hand_eye import CLOSED_FORMS, solve_hand_eye
 from smartview_jax.hand_eye.frobenius import frobenius_factor
 from smartview_jax.hand_eye.solution import PAPER_START
 from smartview_jax.simulation import random_scene
-from smartview_jax.staged import CLOSED_FORMS, solve_hand_eye
 
 VIEWS = 9
 

@@ -9,11 +9,11 @@ import pytest
 from jaxlie import SE3
 
 import smartview_jax as sv
+from smartview_jax.geometry import five_viewpoints
 from smartview_jax.io.csv_tables import read_table, write_table
 from smartview_jax.io.dataset_folder import write_dataset_folder
 from smartview_jax.simulation import paper_calibration
 from smartview_jax.targets import CircleGrid, StackedTarget
-from smartview_jax.viewpoints import five_viewpoints
 
 TARGET = StackedTarget(CircleGrid(5, 6, 0.006, origin_mark=True), (0.0, 0.012))
 POINTS = len(TARGET.board.points)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import yaml
 
+from smartview_jax.hand_eye import solve_hand_eye
 from smartview_jax.io import PoseSamples, read_easy_handeye, write_easy_handeye
 from smartview_jax.simulation import random_scene
-from smartview_jax.staged import solve_hand_eye
 
 # As `message_to_yaml` of ROS 2 writes a list of two.
 TWO = """\

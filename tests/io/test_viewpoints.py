@@ -6,10 +6,9 @@ import pytest
 from jaxlie import SE3
 
 from smartview_jax import se3_from_xyzoat
-from smartview_jax.geometry import POSE_CODECS
+from smartview_jax.geometry import POSE_CODECS, five_viewpoints, look_at
 from smartview_jax.io import HandSteps, read_viewpoints, val_program, write_viewpoints
 from smartview_jax.simulation import paper_calibration
-from smartview_jax.viewpoints import five_viewpoints, look_at
 
 POSES = paper_calibration().command_for(
     five_viewpoints(np.zeros(3), 0.2, roll=np.linspace(-1.0, 2.0, 5))

@@ -14,10 +14,10 @@ from smartview_jax.evaluation import (
     HeldOutReport,
     MethodResult,
     PredictedError,
-    Rejection,
     ReprojectionErrors,
     reprojection_errors,
 )
+from smartview_jax.fit_result import Rejection
 from smartview_jax.report import (
     COMPARISON_HEADINGS,
     ErrorSummary,

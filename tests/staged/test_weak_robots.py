@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from jaxlie import SE3
 
+from smartview_jax.data_checks import check_conventions
 from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
 from smartview_jax.simulation import paper_calibration, random_scene
 from smartview_jax.simulation.scenes import random_viewpoints
-from smartview_jax.staged import check_conventions
 
 
 @pytest.mark.parametrize("seed", [108, 251, 274])

@@ -12,9 +12,9 @@ from jaxlie import SE3
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.geometry import ViewedRegion
+from smartview_jax.geometry import ViewedRegion, look_at
 from smartview_jax.robots import Command
-from smartview_jax.viewpoints import SAFETY_CHECKS, ClearancePlane, Limits, look_at
+from smartview_jax.viewpoints import SAFETY_CHECKS, ClearancePlane, Limits
 from smartview_jax.viewpoints.checks import check_views
 
 CAMERA = Camera(1000.0, 1000.0, 320.0, 240.0, Pinhole(), (640, 480))

@@ -8,18 +8,11 @@ from jaxlie import SE3
 from programs import programs_added
 
 from smartview_jax import Calibration
-from smartview_jax.geometry import se3_from_xyzoat
+from smartview_jax.geometry import five_viewpoints, look_at, se3_from_xyzoat
 from smartview_jax.robot_errors import JointOffsets, LinearInPose, RobotError
 from smartview_jax.robots import six_axes
 from smartview_jax.simulation import paper_calibration, paper_points, random_viewpoints
-from smartview_jax.viewpoints import (
-    ClearancePlane,
-    Limits,
-    five_viewpoints,
-    look_at,
-    predict,
-    viewpoint_commands,
-)
+from smartview_jax.viewpoints import ClearancePlane, Limits, predict, viewpoint_commands
 
 POINTS = paper_points((0.0, 0.02))[::5]
 CENTRE = POINTS.mean(axis=0)

@@ -1,0 +1,12 @@
+from .closed_form import CLOSED_FORMS as CLOSED_FORMS
+from .closed_form import daniilidis as daniilidis
+from .closed_form import mean_camera_from_mount as mean_camera_from_mount
+from .closed_form import mean_holder_from_world as mean_holder_from_world
+from .closed_form import motion_pairs as motion_pairs
+from .closed_form import park_martin as park_martin
+from .closed_form import shah as shah
+from .closed_form import tsai_lenz as tsai_lenz
+from .minimum_norm import determined_steps as determined_steps
+from .minimum_norm import minimum_norm_transforms as minimum_norm_transforms
+from .solution import HandEyeResult as HandEyeResult
+from .solution import solve_hand_eye as solve_hand_eye
