@@ -3,7 +3,7 @@
 The paper's camera and a second one, 1 cm away, see the paper's points on two planes in 16 common
 states of a robot with 0.1 mm and 0.2 mrad of noise (pixels 0.15 px). The first camera's depths are
 2 % and 1 mm too small, with a standard deviation of 0.2 mm nearby and 2 mm at 1 m; a tenth of the
-points has none. Printed are the errors of both hand-eye transforms, with their NEES (6 is ideal), of
+points has none. Printed are the errors of the hand-eye transforms, with their NEES (6 is ideal), of
 the relative translation, and what is left of the sensor's scale error, with the NEES of scale and
 offset (2 is ideal). `benchmarks.rigs` runs it.
 """

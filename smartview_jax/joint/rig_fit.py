@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..dataset import DepthSensor
+from ..dataset import DepthSensor, arms_of
 from ..engine import (
     BuiltArms,
     BuiltRig,
@@ -41,7 +41,8 @@ class RigFit(eqx.Module):
         parameter_names: names of these parameters (see `build_rig`).
         std: standard deviation of each free parameter, by name; of the states' corrections too.
         degrees_of_freedom: degrees of freedom of the common parameters' standard deviations.
-        noises: standard deviations of pixels, reported poses and robot errors, by the arm's name.
+        noises: standard deviations of pixels, reported poses and robot errors, by the arm's name;
+            of a pair of arms, as `left+right`, the poses of one hand in the other's frame.
         pixel_sigmas: standard deviation of u and of v of each camera, px.
         noise_estimates: the estimate of the noise of each arm; empty if the noise was given.
         residuals: measured minus predicted pixels of each camera through the chain without
@@ -56,7 +57,7 @@ class RigFit(eqx.Module):
             determine a parameter.
         result: whether the fit converged.
         bases: transform from each arm's base to the base of the first; empty for one arm.
-        arms: name of the arm of each camera.
+        arms: name of the arm of each camera, or of its pair of arms.
         warnings: reasons to doubt the result, a sentence each.
         sensors: depth sensor of each camera that has one, by the camera's name.
         picture_digests: digests of each camera's pictures, by its name, by which
@@ -230,10 +231,12 @@ class RigFit(eqx.Module):
         Raises:
             ValueError: no such camera, or cameras that a robot moves against each other.
         """
-        if self.arms[self._checked(first)] != self.arms[self._checked(second)]:
+        arms = [self.arms[self._checked(name)] for name in (first, second)]
+        mounts = [arms_of(arm)[0] for arm in arms]
+        if mounts[0] != mounts[1]:
             raise ValueError(
-                f"relative: camera {first!r} is on arm {self.arms[first]!r} and {second!r} on "
-                f"{self.arms[second]!r}: their relative pose changes with the robots'; use `base` "
+                f"relative: camera {first!r} is on arm {mounts[0]!r} and {second!r} on "
+                f"{mounts[1]!r}: their relative pose changes with the robots'; use `base` "
                 "and their `camera_from_world`"
             )
         return relative_pose(

@@ -6,6 +6,7 @@ from typing import TypeVar, Unpack
 
 import jax
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Float
 
 from ..argument_checks import listed, require_instance
@@ -34,7 +35,7 @@ from ..engine import (
     with_depth_bias,
 )
 from ..fit_result import Rejection
-from ..geometry import host_matrices
+from ..geometry import host_matrices, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
@@ -73,7 +74,8 @@ def fit_rig(
     Args:
         rig: data sets of the cameras.
         starts: calibration of each camera near the solution, with the lens to fit. Cameras on one
-            arm that see the same target must agree on its pose (`calibrate` takes care of it).
+            arm that see the same target must agree on its pose, and so must all that see a target
+            on a hand (`calibrate` takes care of it).
         noise: `"estimated"`, or a `Noise` that states the standard deviations; of several arms, one
             for all or one for each by its name.
         field: robot error field, as in `fit_joint`; of several arms, one for all or one for each.
@@ -212,10 +214,19 @@ def _assembled(
         solution=solution,
         smallest_singular_value=float(jacobian.singular_values[-1]),
         result=solver_result(solution),
-        bases={} if joined is None else joined.bases,
+        bases=_bases_of_pair(rig, calibrations) if joined is None else joined.bases,
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
         sensors=sensors,
     )
+
+
+def _bases_of_pair(rig: Rig, calibrations: Mapping[str, Calibration]) -> dict[str, SE3]:
+    """Return the bases of the only pair of arms in the base of the first; empty for one arm."""
+    base = next(iter(calibrations.values())).base_from_other_base
+    if base is None:
+        return {}
+    first, other = rig.robot_names
+    return {first: host_transforms(np.eye(4)), other: base}
 
 
 def _added_by_estimation(

@@ -12,7 +12,7 @@ from jaxlie import SE3
 from jaxtyping import Float
 from scipy.special import chdtrc
 
-from ..dataset import Rig
+from ..dataset import Rig, arms_of
 from ..engine import (
     BuiltArms,
     NormalEquations,
@@ -42,22 +42,30 @@ class JoinedArms(NamedTuple):
         solution: the solution.
         equations: the normal equations at the solution.
         disagreement: what the arms say differently about their common targets; empty if nothing.
+        robots: names of the arms, the first of which has the base that is the reference.
     """
 
     built: BuiltArms
     solution: Solution
     equations: NormalEquations
     disagreement: tuple[str, ...]
+    robots: tuple[str, ...]
 
     @property
     def bases(self) -> dict[str, SE3]:
         """The transform from each arm's base to the base of the first."""
-        shared = _all_parameters(self.built, self.solution)
+        # The base of the first arm has indices after the last parameter.
+        shared = np.append(_all_parameters(self.built, self.solution), np.zeros(6))
         result = {}
         for name, arm in zip(self.built.arms, self.built.problem.arms, strict=True):
-            step = np.zeros(6) if arm.is_first else shared[np.asarray(arm.base_index)]
-            result[name] = host_retract_transform(arm.first_base_from_base, step)
-        return result
+            first, *others = arms_of(name)
+            step = shared[np.asarray(arm.base_index)]
+            result[first] = host_retract_transform(arm.first_base_from_base, step)
+            for other, rows in zip(others, np.asarray(arm.linked_poses), strict=False):
+                start = SE3(arm.first_base_from_linked.wxyz_xyz[0])
+                step = shared[np.asarray(arm.parameter_index)[rows]]
+                result[other] = host_retract_transform(start, step)
+        return {arm: result[arm] for arm in self.robots}
 
 
 def join_arms(
@@ -69,13 +77,14 @@ def join_arms(
 
     Args:
         rig: data sets of all arms.
-        arms: fit of each arm alone.
+        arms: fit of each arm and pair of arms alone.
         priors: as for `build_arms`.
     """
     solved = {name: (arm.built, arm.solution.z) for name, arm in arms.items()}
     built, start = build_arms(rig, solved, priors)
     solution, equations = solve(built.problem, start=start)
-    return JoinedArms(built, solution, equations, _disagreement(built, solution, arms))
+    disagreement = _disagreement(built, solution, arms)
+    return JoinedArms(built, solution, equations, disagreement, rig.robot_names)
 
 
 def _disagreement(
