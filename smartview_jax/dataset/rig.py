@@ -19,7 +19,7 @@ from .rig_arms import (
     arms_of,
     checked_arms,
     is_pair,
-    reports,
+    reported_poses,
     require_connected_arms,
     require_each_camera,
     with_equal_bases,
@@ -275,7 +275,7 @@ class Rig:
         if len(self.robot_names) == 1:
             return
         for name, data in self.cameras.items():
-            for arm, poses in zip(arms_of(self.arms[name]), reports(data), strict=True):
+            for arm, poses in zip(arms_of(self.arms[name]), reported_poses(data), strict=True):
                 for view, pose in zip(data.view_ids, poses, strict=True):
                     other, known = first.setdefault((arm, view), (name, pose))
                     difference = float(np.abs(known - pose).max())
