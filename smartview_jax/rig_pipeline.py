@@ -42,7 +42,7 @@ RigStart = Mapping[str, Calibration | Mapping[str, PoseLike]]
 SAME_PLACE = 1e-6
 """Largest difference, m or no unit, of two poses that are meant to be one target's."""
 
-RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior")
+RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior", "devices")
 """The options of `fit_joint` that `fit_rig` has too."""
 
 

@@ -73,6 +73,7 @@ from .rig_builder import require_starts as require_starts
 from .rig_builder import rig_parameter_names as rig_parameter_names
 from .rig_problem import CameraGroup as CameraGroup
 from .rig_problem import RigProblem as RigProblem
+from .rig_sharding import solve_rig_on as solve_rig_on
 from .schur import BlockArrow as BlockArrow
 from .schur import Elimination as Elimination
 from .schur import SchurCholesky as SchurCholesky

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar, Unpack
+from typing import Any, TypeVar, Unpack
 
 import jax
 import numpy as np
@@ -64,6 +64,7 @@ def fit_rig(
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
     rejected: Sequence[tuple[str, Rejection]] = (),
+    devices: Sequence[Any] | None = None,
     **parameters: Unpack[ParameterOptions],
 ) -> RigFit:
     """Fit all cameras of a rig, their targets and the robots' errors to all pixels at once.
@@ -82,6 +83,8 @@ def fit_rig(
         progress: called with a line of text for each stage.
         robot_prior: prior on the sizes of the robot's errors.
         rejected: what was left out before, for the result.
+        devices: devices over which the views of the fits are distributed, as in `fit_joint`; the
+            noise is estimated on the default device.
         parameters: `fixed`, paths of parameters that keep the start's value, such as `left.camera`
             or `base_from_world` (see `build_rig`, and `build_arms` for several arms); `free`, paths
             to free that are held by default: `target_scale`; `priors`, a `Prior` by path.
@@ -112,10 +115,10 @@ def fit_rig(
         arms[arm] = fit_arm(
             rig.of_arm(arm),
             {name: start for name, start in starts.items() if rig.arms.get(name, arm) == arm},
-            ArmOptions(own_noise, own_field, choices[arm], prior),
+            ArmOptions(own_noise, own_field, choices[arm], prior, devices),
             _named(progress, arm) if several else progress,
         )
-    joined = join_arms(rig, arms, choice.priors) if several else None
+    joined = join_arms(rig, arms, choice.priors, devices) if several else None
     fit = _assembled(rig, arms, joined, tuple(rejected))
     disagreement = () if joined is None else joined.disagreement
     held = [text for arm in arms.values() for text in held_camera_warnings(arm)]

@@ -4,8 +4,8 @@ The sizes of an arm's errors are told by its own states, and a state that contra
 the states of its own arm. Arms have only the targets in common.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxlie import SE3
@@ -21,7 +21,7 @@ from ..engine import (
     build_arms,
     host_retract_transform,
     reduced_equations,
-    solve,
+    solve_rig_on,
 )
 from ..variance import joined_corrections
 from .arm_fit import SolvedArm
@@ -72,6 +72,7 @@ def join_arms(
     rig: Rig,
     arms: Mapping[str, SolvedArm],
     priors: Mapping[str, Prior] | None = None,
+    devices: Sequence[Any] | None = None,
 ) -> JoinedArms:
     """Fit several arms together.
 
@@ -79,10 +80,11 @@ def join_arms(
         rig: data sets of all arms.
         arms: fit of each arm and pair of arms alone.
         priors: as for `build_arms`.
+        devices: devices over which the views are distributed; None for the default one.
     """
     solved = {name: (arm.built, arm.solution.z) for name, arm in arms.items()}
     built, start = build_arms(rig, solved, priors)
-    solution, equations = solve(built.problem, start=start)
+    solution, equations = solve_rig_on(devices, built.problem, start)
     disagreement = _disagreement(built, solution, arms)
     return JoinedArms(built, solution, equations, disagreement, rig.robot_names)
 
