@@ -221,6 +221,22 @@ class RigFit(eqx.Module):
             np.where(is_open, np.inf, np.sqrt(np.diagonal(own))),
         )
 
+    def on_one_mount(self, first: str, second: str) -> bool:
+        """Return whether two cameras are on the hand of the same arm, or both next to it.
+
+        Args:
+            first: name of a camera.
+            second: name of a camera.
+
+        Raises:
+            ValueError: there is no such camera.
+        """
+        mounts = [
+            (self.calibrations[name].transform_names[0], arms_of(self.arms[name])[0])
+            for name in map(self._checked, (first, second))
+        ]
+        return mounts[0] == mounts[1]
+
     def relative(self, first: str, second: str) -> RelativePose:
         """Return the pose of the second camera in the frame of the first, with its covariance.
 
@@ -231,13 +247,12 @@ class RigFit(eqx.Module):
         Raises:
             ValueError: no such camera, or cameras that a robot moves against each other.
         """
-        arms = [self.arms[self._checked(name)] for name in (first, second)]
-        mounts = [arms_of(arm)[0] for arm in arms]
-        if mounts[0] != mounts[1]:
+        if not self.on_one_mount(first, second):
+            a, b = (self.arms[name] for name in (first, second))
             raise ValueError(
-                f"relative: camera {first!r} is on arm {mounts[0]!r} and {second!r} on "
-                f"{mounts[1]!r}: their relative pose changes with the robots'; use `base` "
-                "and their `camera_from_world`"
+                f"relative: camera {first!r} of arm {a} and {second!r} of arm {b} are on different "
+                "mounts: their relative pose changes with the robots'; use `base` and their "
+                "`camera_from_world`"
             )
         return relative_pose(
             self.calibrations, self.parameter_names, self.covariance, first, second

@@ -96,11 +96,7 @@ def relative_pose_rows(fit: RigFit) -> list[tuple[str, ...]]:
     """
     rows = []
     for first, second in combinations(fit.calibrations, 2):
-        frames = [
-            (fit.calibrations[name].transform_names[0], arms_of(fit.arms[name])[0])
-            for name in (first, second)
-        ]
-        if frames[0] == frames[1]:
+        if fit.on_one_mount(first, second):
             rows.append(_relative_row(first, second, fit.relative(first, second)))
     return rows
 
