@@ -5,6 +5,7 @@
   error of the hand-eye translation against single fits, NEES of all cameras and of their relative
   poses (6 is ideal), and how many 95 % intervals hold the truth.
 - The same with errors in the first and last link too: NEES and intervals.
+- A camera that measures depths next to one that does not: what both gain (`rigs_with_depths`).
 - A stereo head in twenty common states: its errors compared with OpenCV's stereoCalibrate and
   vision-calibration's rig, and the error of its relative pose over the stated one.
 - metric_workcell, four cameras next to an arm: distance from the true places of two of them, with
@@ -33,6 +34,7 @@ from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.engine import build_rig, solve
 from smartview_jax.simulation import paper_calibration, random_scene, six_axis_rig_scene
 
+from . import rigs_with_depths
 from .peers.hand_eye import HAS_VISION_CALIBRATION, opencv_stereo, vision_calibration_rig
 from .real_sets import SHARED
 
@@ -59,12 +61,13 @@ def run(smoke: bool = False) -> bool:
     same = _one_camera(repeats=2 if smoke else 50)
     gains = _simulated(1 if smoke else SEEDS, cameras=2 if smoke else 4)
     stereo = _stereo(1 if smoke else SEEDS)
+    depths = rigs_with_depths.run(smoke)
     if smoke:
-        return same
+        return same and depths
     _all_links(2 * SEEDS)
     _two_arms(2 * SEEDS)
     workcell = _workcell(DRAWS)
-    return all((same, gains, stereo, workcell, _growth()))
+    return all((same, gains, stereo, depths, workcell, _growth()))
 
 
 def _one_camera(repeats: int) -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Unpack
 
 import numpy as np
+from jaxlie import SE3
 
 from .argument_checks import errors_at, require_instance
 from .calibration import Calibration, host_mount_from_holder, transform_names
@@ -16,7 +17,7 @@ from .data_checks import (
     target_findings,
     unusable_views,
 )
-from .dataset import Dataset, Rig, digests_to_keep
+from .dataset import Dataset, Rig, arms_of, digests_to_keep, is_pair
 from .engine import with_lens
 from .geometry import PoseLike, host_matrices, host_transforms, mean_pose
 from .joint import JointOptions, RigFit, fit_rig, remove_gross_errors
@@ -41,7 +42,7 @@ RigStart = Mapping[str, Calibration | Mapping[str, PoseLike]]
 SAME_PLACE = 1e-6
 """Largest difference, m or no unit, of two poses that are meant to be one target's."""
 
-RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior")
+RIG_OPTIONS = ("noise", "field", "fixed", "free", "priors", "robot_prior", "devices")
 """The options of `fit_joint` that `fit_rig` has too."""
 
 
@@ -99,6 +100,7 @@ def calibrate_rig(
         counts = usable_view_counts(part, known)
         few = {name: count for name, count in counts.items() if count < 3}
         _require_known(few, known)
+        _refuse_few_of_pair(few, arm)
         many = [name for name in part.cameras if name not in few]
         of_arm = _staged_fits(part, many, lens, known, given, report)
         for name in of_arm:
@@ -117,6 +119,9 @@ def calibrate_rig(
             name: _with_given_mount(placed.calibration, given[name])
             for name, placed in of_few.items()
         }
+    # In the order of the rig, as are the names of the parameters.
+    starts = {name: starts[name] for name in rig.cameras}
+    starts = _with_common_pairs(rig, staged, starts, given)
     findings = shared_target_findings(rig, staged)
     if findings.problems:
         raise ValueError("; ".join(findings.problems))
@@ -125,8 +130,6 @@ def calibrate_rig(
         inliers = data.with_visible(np.asarray(data.visible) & np.asarray(staged[name].inliers))
         used[name], outliers = remove_gross_errors(inliers, starts[name])
         rejected += [(name, entry) for entry in (*staged[name].rejected, *outliers)]
-    # In the order of the rig, as are the names of the parameters.
-    starts = {name: starts[name] for name in rig.cameras}
     staged = {name: staged[name] for name in rig.cameras}
     fixed = (*joint_options.get("fixed", ()), *(f"{name}.camera" for name in known))
     fit = fit_rig(
@@ -180,6 +183,16 @@ def _require_known(few: Mapping[str, int], known: Mapping[str, Camera]) -> None:
                 f"camera {name!r}: {count} usable views do not tell its lens: take 3 or more, or "
                 f"give the known camera (camera={{{name!r}: ...}}, or --camera FOLDER with a file "
                 f"{name}.yaml)"
+            )
+
+
+def _refuse_few_of_pair(few: Mapping[str, int], arm: str) -> None:
+    """Raise a ValueError that names a camera of a pair of arms with few usable views."""
+    for name, count in few.items():
+        if is_pair(arm):
+            raise ValueError(
+                f"camera {name!r}: {count} usable views do not tell where the bases of "
+                f"{' and '.join(arms_of(arm))} are: take 3 or more"
             )
 
 
@@ -302,6 +315,50 @@ def _consistent_starts(
     return starts
 
 
+def _with_common_pairs(
+    rig: Rig,
+    staged: Mapping[str, StagedFit | FewViewsStart],
+    starts: Mapping[str, Calibration],
+    given: Mapping[str, AnyStart],
+) -> dict[str, Calibration]:
+    """Return the starts with one pose for each target on a hand, and for the bases of each pair.
+
+    A target is where cameras next to its arm see it, if there are any; otherwise, as the bases of a
+    pair are, where the pair's camera with the most views puts it.
+
+    Args:
+        rig: data sets of the cameras.
+        staged: the cameras' staged fits.
+        starts: start of each camera, with one pose for each target of one arm.
+        given: start of each camera that the user gave, None without one.
+    """
+    common = dict(starts)
+    poses: dict[str, SE3] = {}
+    bases: dict[str, SE3] = {}
+    for name in sorted(starts, key=lambda camera: -_used_views(staged[camera])):
+        if starts[name].mount == "eye_to_hand":
+            poses.setdefault(rig.targets[name], starts[name].holder_from_world)
+    pairs = [name for name in starts if is_pair(rig.arms[name])]
+    for name in sorted(pairs, key=lambda camera: -_used_views(staged[camera])):
+        start, fit = starts[name], staged[name]
+        assert isinstance(fit, StagedFit)
+        assert start.base_from_other_base is not None
+        pose = poses.setdefault(rig.targets[name], start.holder_from_world)
+        base = bases.setdefault(rig.arms[name], start.base_from_other_base)
+        if pose is start.holder_from_world and base is start.base_from_other_base:
+            continue
+        placed = dataclasses.replace(start, holder_from_world=pose, base_from_other_base=base)
+        moved = _with_target_at(placed, rig.cameras[name].with_bases(base), fit)
+        placed = dataclasses.replace(placed, camera_from_mount=moved.camera_from_mount)
+        common[name] = _with_given_mount(placed, given[name])
+    return common
+
+
+def _used_views(staged: StagedFit | FewViewsStart) -> int:
+    """Return the number of views that a start comes from."""
+    return len(staged.views) if isinstance(staged, StagedFit) else 0
+
+
 def _placing_camera(
     rig: Rig, camera: str, staged: Mapping[str, StagedFit], starts: Mapping[str, AnyStart]
 ) -> str | None:
@@ -371,6 +428,7 @@ def _checked_starts(
                 camera_start.camera_from_mount,
                 camera_start.holder_from_world,
                 camera_start.mount,
+                base_from_other_base=camera_start.base_from_other_base,
             )
             given[name] = with_lens(bare, lens)
     return {name: given.get(name) for name in rig.cameras}

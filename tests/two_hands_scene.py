@@ -1,14 +1,15 @@
 """A camera on the hand of one arm and a board on the hand of another: scenes of both."""
 
+import dataclasses
 import functools
 import math
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from smartview_jax import Noise
-from smartview_jax.geometry import host_matrices
-from smartview_jax.simulation import random_two_hand_scene
+from smartview_jax import Calibration, Noise, Rig
+from smartview_jax.geometry import host_exponentials, host_matrices
+from smartview_jax.simulation import random_target_scene, random_two_hand_scene
 from smartview_jax.targets import Chessboard
 
 BOARD = Chessboard(4, 3, 0.0125)
@@ -35,3 +36,27 @@ def transform_error(found, truth):
     a, b = host_matrices(found), host_matrices(truth)
     turn = Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).as_rotvec()
     return np.concatenate([a[:3, 3] - b[:3, 3], turn])
+
+
+FIXED_CAMERA = host_exponentials(np.array([0.05, -0.1, 0.9, 0.3, -0.2, 0.1]))
+"""Base of the right arm in the frame of a camera next to it."""
+
+
+@functools.cache
+def hands_rig(seed, views=8, fixed_views=6):
+    """A camera on the left hand and one next to the right arm, which see the target on its hand.
+
+    Returns:
+        The rig, and the true calibrations.
+    """
+    scene = two_hands(seed, views)
+    truth = scene.calibration
+    fixed = Calibration.eye_to_hand(truth.camera, FIXED_CAMERA, truth.other_tool_from_world)
+    noise = {"translation_noise": TRANSLATION, "rotation_noise": ROTATION}
+    seen = random_target_scene(1000 + seed, fixed_views, BOARD, fixed, **noise).data
+    seen = dataclasses.replace(seen, view_ids=tuple(f"fixed{k}" for k in range(fixed_views)))
+    rig = Rig(
+        {"wrist": scene.data, "fixed": seen},
+        arms={"wrist": ("left", "right"), "fixed": "right"},
+    )
+    return rig, {"wrist": truth, "fixed": fixed}

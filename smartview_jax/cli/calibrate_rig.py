@@ -103,10 +103,12 @@ class RigResult(NamedTuple):
             name: {"translation": noise.translation, "rotation": noise.rotation}
             for name, noise in fit.noises.items()
         }
-        arms = {name: {**robots[name], **_base_document(fit, name)} for name in fit.bases}
+        arms = {name: {**robots.pop(name, {}), **_base_document(fit, name)} for name in fit.bases}
         return {
             "cameras": cameras,
             **({"arms": arms} if arms else {"robot": next(iter(robots.values()))}),
+            # Of pairs, whose poses are of one hand in the other's frame.
+            **({"pairs": robots} if arms and robots else {}),
             "states": len(fit.view_ids),
             "converged": fit.result.converged,
             "budget": None if self.budget is None else _budget_document(self.budget),
@@ -239,7 +241,7 @@ def _base_document(fit: "sv.RigFit", arm: str) -> dict[str, Any]:
     first = next(iter(fit.bases))
     base = fit.base(first, arm)
     return {
-        "cameras": [name for name, own in fit.arms.items() if own == arm],
+        "cameras": [name for name, own in fit.arms.items() if arm in sv.dataset.arms_of(own)],
         f"base_{first}_from_base": transform_document(base.transform),
         "std": {"translation": base.std[:3].tolist(), "rotation": base.std[3:].tolist()},
     }

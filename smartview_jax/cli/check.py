@@ -167,7 +167,8 @@ def _checked_rig(rig: "sv.Rig", name: str, known: "Mapping[str, sv.Camera]") -> 
     staged = {name: each.staged for name, each in cameras.items() if each.staged is not None}
     together = shared_target_findings(rig, staged)
     problems, doubts = list(together.problems), [*together.doubts, *_lonely_cameras(rig)]
-    robots = "the robot" if len(rig.arm_names) == 1 else f"the arms {', '.join(rig.arm_names)}"
+    arms = rig.robot_names
+    robots = "the robot" if len(arms) == 1 else f"the arms {', '.join(arms)}"
     line = (
         f"{name}: {len(cameras)} cameras, {rig.view_count} states of {robots}, {shared} of them "
         "seen by several cameras"

@@ -44,7 +44,8 @@ def new(
         str | None,
         typer.Option(
             help="With --cameras: the arm that carries each of them, in their order, such as "
-            "a,a,b; by default there is one."
+            "a,a,b; a+b for a camera on the hand of a that sees a target on the hand of b. By "
+            "default there is one."
         ),
     ] = None,
     debug: DebugOption = False,
@@ -133,7 +134,8 @@ def _arm_names(text: str, cameras: list[str]) -> dict[str, str]:
         ValueError: another number of arms than of cameras, an empty name, or a camera's name.
     """
     names = [name.strip() for name in text.split(",")]
-    if len(names) != len(cameras) or "" in names or set(names) & set(cameras):
+    parts = [arm for name in names for arm in sv.dataset.arms_of(name)]
+    if len(names) != len(cameras) or "" in parts or set(parts) & set(cameras):
         raise ValueError(
             f"--arms: expected an arm for each camera of --cameras, such as a,a,b for three, with "
             f"names that no camera has; found {text!r} for {','.join(cameras) or 'no --cameras'}"

@@ -23,10 +23,13 @@ from .pose_dataset import UNIT_ROTATION as UNIT_ROTATION
 from .pose_dataset import UNIT_TRANSLATION as UNIT_TRANSLATION
 from .pose_dataset import PoseDataset as PoseDataset
 from .pose_observations import PoseObservations as PoseObservations
-from .rig import ONE_ARM as ONE_ARM
 from .rig import ONE_TARGET as ONE_TARGET
 from .rig import SAME_POSE_TOLERANCE as SAME_POSE_TOLERANCE
 from .rig import Rig as Rig
+from .rig_arms import ONE_ARM as ONE_ARM
+from .rig_arms import arms_of as arms_of
+from .rig_arms import is_pair as is_pair
+from .rig_arms import reported_poses as reported_poses
 from .robot_motion import contradictory_views as contradictory_views
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import given_places as given_places

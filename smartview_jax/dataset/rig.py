@@ -1,6 +1,5 @@
 """Hold the data sets of several cameras that watched one robot move, or several robots."""
 
-import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -15,15 +14,26 @@ from ..robots import Command, SerialArm
 from ..runtime.array_namespace import to_device
 from .dataset import Dataset
 from .pose_dataset import PoseDataset
+from .rig_arms import (
+    NAME,
+    arms_of,
+    checked_arms,
+    is_pair,
+    reported_poses,
+    require_connected_arms,
+    require_each_camera,
+    with_equal_bases,
+)
 
 ONE_TARGET = "target"
 """Name of the target if all cameras of a rig see the same one."""
 
-ONE_ARM = "arm"
-"""Name of the arm if a rig has only one."""
-
-NAME = re.compile(r"[\w-]+")
-"""The names of cameras, targets and arms, which are parts of parameters' names."""
+_TARGET_MOUNT = {
+    "eye_in_hand": "eye_in_hand",
+    "eye_to_hand": "eye_to_hand",
+    "hand_to_hand": "eye_to_hand",
+}
+"""The mount of a camera of one arm whose target is where the target of each mount is."""
 
 SIZE_TOLERANCE = 1e-6
 """Relative difference of two stated sizes, and of the points so scaled, that is rounding."""
@@ -38,14 +48,16 @@ class Rig:
     Every camera has a data set of its own, with its own pictures, mount, picture size and target.
     Views with the same id were taken in the same state of the robot: they must have the same pose.
 
-    Several arms each have states, joints and errors of their own. Cameras on their hands must see a
-    target in common, which tells where the bases are to each other (`RigFit.base`). A camera on one
-    hand that looks at a target on another has a data set of its own (`Dataset.between_hands`).
+    Several arms each have states, joints and errors of their own. What tells where their bases are
+    to each other (`RigFit.base`) is a target that cameras on several hands see, or a camera on one
+    hand that sees a target on another (`Dataset.between_hands`). Such a camera belongs to a pair of
+    arms, whose views have an error of their own: of one hand's pose in the other's frame.
 
     Attributes:
         cameras: data set of each camera, by its name.
         targets: name of the target that each camera sees, by the camera's name.
-        arms: name of the arm that moved each camera or its target, by the camera's name.
+        arms: name of the arm that moved each camera or its target, by the camera's name; of a
+            camera on one hand and a target on another both, as in `left+right`.
         view_ids: names of the states of the robot in which any camera saw its target; with several
             arms, one after the other, the arm's name and the view's, such as `left/3`.
         base_from_tool: pose that the robot reported in each state.
@@ -65,13 +77,19 @@ class Rig:
         >>> rig = sv.Rig({"one": data, "two": data}, arms={"one": "left", "two": "right"})
         >>> print(rig.arm_names, rig.view_ids[0], rig.of_arm("right").view_ids[0])
         ('left', 'right') left/0 0
+
+    With a camera on the left hand that sees a target on the right one:
+
+        >>> rig = sv.Rig({"eye": data.between_hands(np.eye(4))}, arms={"eye": ("left", "right")})
+        >>> print(rig.arms["eye"], rig.robot_names)
+        left+right ('left', 'right')
     """
 
     def __init__(
         self,
         cameras: Mapping[str, Dataset],
         targets: Mapping[str, str] | None = None,
-        arms: Mapping[str, str] | None = None,
+        arms: Mapping[str, str | tuple[str, str]] | None = None,
     ):
         """Combine data sets.
 
@@ -82,7 +100,9 @@ class Rig:
                 arms, one on the hand of each. A target is on the table for cameras on the hand, and
                 on the hand for cameras next to the arm.
             arms: name of the arm that moved each camera or, if the camera stands next to the arm,
-                its target; by the camera's name. By default there is one arm.
+                its target; by the camera's name. By default there is one arm. Of a camera on one
+                hand that sees a target on another it is two names: of the camera's arm and of the
+                target's.
 
         Raises:
             TypeError: a data set of another type.
@@ -96,17 +116,13 @@ class Rig:
             require_instance(f"Rig: camera {name!r}", data, Dataset)
             if isinstance(data, PoseDataset):
                 raise TypeError(f"Rig: camera {name!r}: tracked poses have no pixels")
-            if data.hands is not None:
-                raise ValueError(
-                    f"Rig: camera {name!r}: a camera on one arm's hand that sees a target on "
-                    "another's is calibrated alone, by calibrate(data)"
-                )
             if not NAME.fullmatch(name):
                 raise ValueError(
                     f"Rig: a camera's name has letters, digits, '_' and '-'; found {name!r}"
                 )
-        self.cameras: Mapping[str, Dataset] = MappingProxyType(dict(cameras))
-        self.arms: Mapping[str, str] = MappingProxyType(_checked_arms(cameras, arms))
+        self.arms: Mapping[str, str] = MappingProxyType(checked_arms(cameras, arms))
+        cameras = with_equal_bases(cameras, self.arms)
+        self.cameras: Mapping[str, Dataset] = MappingProxyType(cameras)
         self.targets: Mapping[str, str] = MappingProxyType(
             _checked_targets(cameras, targets, self.arms)
         )
@@ -129,6 +145,7 @@ class Rig:
             name: np.array([place[state] for state in own]) for name, own in ids.items()
         }
         self.base_from_tool: SE3 = host_transforms(self._state_poses())
+        self._require_equal_reports()
         one_arm = len(self.arm_names) == 1
         self.arm: SerialArm | None = _common_arm(cameras) if one_arm else None
         self.joints: Float[np.ndarray, "states joints"] | None = (
@@ -149,8 +166,16 @@ class Rig:
 
     @property
     def arm_names(self) -> tuple[str, ...]:
-        """The names of the arms, in the order of their first cameras."""
-        return tuple(dict.fromkeys(self.arms.values()))
+        """The names of the arms and pairs of arms that moved cameras or targets.
+
+        They are in the order of their first cameras, pairs after single arms.
+        """
+        return tuple(sorted(dict.fromkeys(self.arms.values()), key=is_pair))
+
+    @property
+    def robot_names(self) -> tuple[str, ...]:
+        """The names of all arms, each once; the base of the first is the reference of a fit."""
+        return tuple(dict.fromkeys(arm for name in self.arm_names for arm in arms_of(name)))
 
     def require_one_arm(self, function: str) -> None:
         """Raise a ValueError if there are several arms, for a function that takes one."""
@@ -244,6 +269,23 @@ class Rig:
                     )
         return poses
 
+    def _require_equal_reports(self) -> None:
+        """Raise a ValueError if an arm alone and in a pair has two poses for one state."""
+        first: dict[tuple[str, str], tuple[str, np.ndarray]] = {}
+        if len(self.robot_names) == 1:
+            return
+        for name, data in self.cameras.items():
+            for arm, poses in zip(arms_of(self.arms[name]), reported_poses(data), strict=True):
+                for view, pose in zip(data.view_ids, poses, strict=True):
+                    other, known = first.setdefault((arm, view), (name, pose))
+                    difference = float(np.abs(known - pose).max())
+                    if difference > SAME_POSE_TOLERANCE:
+                        raise ValueError(
+                            f"Rig: view {view!r} is one state of the arm {arm}, but its pose in "
+                            f"{name!r} differs from {other!r}'s by {difference:.2g}; give views of "
+                            "different states different ids"
+                        )
+
     def _state_joints(self) -> Float[np.ndarray, "states joints"] | None:
         """Return the joint readings of each state; None unless all cameras have them."""
         known = [data.joints for data in self.cameras.values() if data.joints is not None]
@@ -253,35 +295,6 @@ class Rig:
         for (name, _), own in zip(self.cameras.items(), known, strict=True):
             joints[self.state_index[name]] = np.asarray(own)
         return joints
-
-
-def _checked_arms(cameras: Mapping[str, Dataset], arms: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the name of each camera's arm.
-
-    Raises:
-        ValueError: a camera without an arm or the reverse, or an unusable name.
-    """
-    if arms is None:
-        return dict.fromkeys(cameras, ONE_ARM)
-    _require_each_camera("arms", cameras, arms)
-    several = len(set(arms.values())) > 1
-    for arm in arms.values():
-        if not NAME.fullmatch(arm) or (several and arm in cameras):
-            raise ValueError(
-                f"Rig: an arm's name has letters, digits, '_' and '-', and is no camera's name; "
-                f"found {arm!r}"
-            )
-    return {name: arms[name] for name in cameras}
-
-
-def _require_each_camera(
-    argument: str, cameras: Mapping[str, Dataset], given: Mapping[str, str]
-) -> None:
-    """Raise a ValueError unless a name is given for each camera and for nothing else."""
-    if set(given) != set(cameras):
-        raise ValueError(
-            f"Rig: {argument}: expected the cameras {', '.join(cameras)}, found {', '.join(given)}"
-        )
 
 
 def _checked_targets(
@@ -297,12 +310,14 @@ def _checked_targets(
     """
     if targets is None:
         targets = _default_targets(cameras, arms)
-    _require_each_camera("targets", cameras, targets)
+    require_each_camera("targets", cameras, targets)
     mount_of: dict[str, str] = {}
     hand_of: dict[str, str] = {}
-    names = {*cameras, *(arms.values() if len(set(arms.values())) > 1 else ())}
+    robots = {arm for own in arms.values() for arm in arms_of(own)}
+    names = {*cameras, *(robots if len(robots) > 1 else ())}
     for name, target in targets.items():
-        mount = cameras[name].mount
+        # A target on a hand is one for cameras next to this arm and on another hand.
+        mount, hand = _TARGET_MOUNT[cameras[name].mount], arms_of(arms[name])[-1]
         if not NAME.fullmatch(target) or target in names:
             raise ValueError(
                 f"Rig: a target's name has letters, digits, '_' and '-', and is no camera's name "
@@ -313,12 +328,12 @@ def _checked_targets(
                 f"Rig: target {target!r} is on the table for cameras on the hand, and on the hand "
                 f"for cameras next to the arm; camera {name!r} says otherwise than the others"
             )
-        if mount == "eye_to_hand" and hand_of.setdefault(target, arms[name]) != arms[name]:
+        if mount == "eye_to_hand" and hand_of.setdefault(target, hand) != hand:
             raise ValueError(
                 f"Rig: target {target!r} is on the hand of {hand_of[target]!r} and, for camera "
-                f"{name!r}, on the hand of {arms[name]!r}"
+                f"{name!r}, on the hand of {hand!r}"
             )
-    _require_connected_arms(targets, arms)
+    require_connected_arms(targets, arms)
     return dict(targets)
 
 
@@ -348,36 +363,19 @@ def _stated_points(data: Dataset) -> Float[np.ndarray, "points 3"] | None:
 
 def _default_targets(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) -> dict[str, str]:
     """Return one target for all cameras on hands, and one on the hand of each arm."""
-    several_mounts = len({data.mount for data in cameras.values()}) > 1
-    several_arms = len(set(arms.values())) > 1
+    mounts = {name: _TARGET_MOUNT[data.mount] for name, data in cameras.items()}
+    several_mounts = len(set(mounts.values())) > 1
+    several_arms = len({arm for own in arms.values() for arm in arms_of(own)}) > 1
     return {
         name: "_".join(
             [
                 ONE_TARGET,
-                *([data.mount] if several_mounts else []),
-                *([arms[name]] if several_arms and data.mount == "eye_to_hand" else []),
+                *([mount] if several_mounts else []),
+                *([arms_of(arms[name])[-1]] if several_arms and mount == "eye_to_hand" else []),
             ]
         )
-        for name, data in cameras.items()
+        for name, mount in mounts.items()
     }
-
-
-def _require_connected_arms(targets: Mapping[str, str], arms: Mapping[str, str]) -> None:
-    """Raise a ValueError that names the arms which no common target connects to the first."""
-    names = list(dict.fromkeys(arms.values()))
-    connected, seen = {names[0]}, set()
-    while True:
-        seen |= {targets[camera] for camera, arm in arms.items() if arm in connected}
-        more = {arm for camera, arm in arms.items() if targets[camera] in seen}
-        if more == connected:
-            break
-        connected = more
-    if apart := [name for name in names if name not in connected]:
-        raise ValueError(
-            f"Rig: no target tells where {', '.join(apart)} and {', '.join(sorted(connected))} are "
-            "to each other: cameras on the hands of different arms must see the same target "
-            "(targets=); or make a rig of each arm"
-        )
 
 
 def _common_arm(cameras: Mapping[str, Dataset]) -> SerialArm | None:

@@ -2,7 +2,6 @@ from .abstract_problem import AbstractBuiltProblem as AbstractBuiltProblem
 from .abstract_problem import AbstractProblem as AbstractProblem
 from .abstract_problem import NormalEquations as NormalEquations
 from .arms_builder import BuiltArms as BuiltArms
-from .arms_builder import base_path as base_path
 from .arms_builder import build_arms as build_arms
 from .arms_builder import choices_of_arms as choices_of_arms
 from .arms_problem import ArmInRig as ArmInRig
@@ -66,11 +65,13 @@ from .problem_builder import with_field as with_field
 from .problem_builder import with_free_camera_poses as with_free_camera_poses
 from .problem_builder import with_lens as with_lens
 from .rig_builder import BuiltRig as BuiltRig
+from .rig_builder import base_path as base_path
 from .rig_builder import build_rig as build_rig
 from .rig_builder import require_starts as require_starts
 from .rig_builder import rig_parameter_names as rig_parameter_names
 from .rig_problem import CameraGroup as CameraGroup
 from .rig_problem import RigProblem as RigProblem
+from .rig_sharding import solve_rig_on as solve_rig_on
 from .schur import BlockArrow as BlockArrow
 from .schur import Elimination as Elimination
 from .schur import SchurCholesky as SchurCholesky

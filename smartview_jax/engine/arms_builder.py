@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float, Int
 
 from ..calibration import Calibration
-from ..dataset import Rig
+from ..dataset import Rig, arms_of, is_pair
 from ..geometry import host_matrices, host_transforms
 from ..runtime.array_namespace import to_device
 from ..runtime.modules import with_fields
@@ -23,8 +23,8 @@ from .parameters import (
     step_names,
 )
 from .priors import ParameterChoice, Prior
-from .problem_builder import prior_means_and_weights
-from .rig_builder import BuiltRig, camera_mask, rig_parameter_names
+from .problem_builder import equal_on_host, prior_means_and_weights
+from .rig_builder import BuiltRig, base_path, camera_mask, rig_parameter_names
 from .rig_problem import RigProblem
 
 BASE_FROM_WORLD = "base_from_world"
@@ -38,18 +38,13 @@ class BuiltArms(AbstractBuiltProblem):
         problem: the problem, in the parameters' own units.
         shared_names: names of the free shared parameters.
         per_view_names: names of the free parameters of single states, in order.
-        arms: the problem of each arm alone, by its name; the first arm's base is the reference.
+        arms: the problem of each arm or pair of arms alone, by its name.
     """
 
     problem: ArmsProblem
     shared_names: tuple[str, ...] = eqx.field(static=True)
     per_view_names: tuple[str, ...] = eqx.field(static=True)
     arms: dict[str, BuiltRig]
-
-
-def base_path(first: str, other: str) -> str:
-    """Return the name of the transform from another arm's base to the first arm's."""
-    return f"base_{first}_from_base_{other}"
 
 
 def choices_of_arms(
@@ -73,10 +68,10 @@ def choices_of_arms(
     if len(rig.arm_names) == 1:
         return {rig.arm_names[0]: choice}
     names = {arm: _names_of_arm(rig, arm, starts) for arm in rig.arm_names}
-    for arm in rig.arm_names[1:]:
-        moved = {name for own in _common_poses(rig, arm, starts).values() for name in own}
+    for arm in rig.arm_names:
+        moved = {name for own in _moved_poses(rig, arm, starts).values() for name in own}
         names[arm] = {own: name for own, name in names[arm].items() if own not in moved}
-    bases = [base_path(rig.arm_names[0], arm) for arm in rig.arm_names[1:]]
+    bases = [base_path(rig.robot_names[0], arm) for arm in rig.robot_names[1:]]
     of_bases = step_names(*bases)
     for path in choice.fixed:
         if path.partition(".")[0] in bases:
@@ -114,12 +109,12 @@ def build_arms(
 
     The parameters of cameras and targets have the names of `build_rig`; a target that several arms
     see has its pose in the base of the first arm. An arm's errors are called `left.robot_error...`
-    and `pose_corrections.left/<view>...`, with `left` the arm's name, and the base of every other
-    arm is called base_left_from_base_right.translation.x.
+    and `pose_corrections.left/<view>...`, with `left` the arm's name (`left+right` of a pair), and
+    the base of every other arm is called base_left_from_base_right.translation.x.
 
     Args:
         rig: data sets of all arms.
-        arms: problem of each arm, with its noise as priors, and its solution.
+        arms: problem of each arm and pair of arms, with its noise as priors, and its solution.
         priors: priors by path; only priors on bases are used, since the arms' problems have the
             others.
 
@@ -127,15 +122,17 @@ def build_arms(
         The problem, and a step near its solution.
     """
     starts = {name: start for built, _ in arms.values() for name, start in built.starts.items()}
+    _require_one_pose_on_hands(rig, starts)
     parts = [_Part.of(rig, arm, starts, *arms[arm]) for arm in rig.arm_names]
-    bases = {part.arm: step_names(base_path(parts[0].arm, part.arm)) for part in parts[1:]}
-    of_arms = (name for part in parts for name in part.names.values())
+    first, *others = rig.robot_names
+    bases = {arm: step_names(base_path(first, arm)) for arm in others}
+    of_arms = (name for part in parts for name in part.names_of_all)
     of_bases = [name for own in bases.values() for name in own]
     names = tuple(dict.fromkeys((*of_arms, *of_bases)))
     place = {name: k for k, name in enumerate(names)}
 
     shared = _shared_parameters(parts, place)
-    mean, weight = _with_priors_of_bases(names, shared, list(bases), parts[0].arm, priors or {})
+    mean, weight = _with_priors_of_bases(names, shared, others, first, priors or {})
 
     problems = [part.built.problem for part in parts]
     per_view_free = np.concatenate([np.asarray(p.per_view_free) for p in problems])
@@ -144,7 +141,7 @@ def build_arms(
         for of_arms in ([p.prior_mean for p in problems], [p.prior_weight for p in problems])
     )
     problem = ArmsProblem(
-        arms=_placed(parts, place, bases),
+        arms=_placed(parts, place, bases, rig.robot_names),
         camera_mask=to_device(camera_mask(names)),
         pixel_sigma=to_device(np.array(1.0)),
         free=to_device(np.flatnonzero(shared.free)),
@@ -165,6 +162,23 @@ def build_arms(
         {part.arm: part.built for part in parts},
     )
     return built, Step(to_device(shared.step[shared.free]), to_device(corrections))
+
+
+def _require_one_pose_on_hands(rig: Rig, starts: Mapping[str, Calibration]) -> None:
+    """Raise a ValueError unless all cameras that see a target on a hand start from one pose of it.
+
+    Raises:
+        ValueError: the message names two cameras.
+    """
+    first: dict[str, str] = {}
+    for camera, start in starts.items():
+        if start.mount != "eye_in_hand":
+            other = first.setdefault(rig.targets[camera], camera)
+            if not equal_on_host(start.holder_from_world, starts[other].holder_from_world):
+                raise ValueError(
+                    f"starts: the target {rig.targets[camera]!r} on a hand is elsewhere in "
+                    f"{camera!r} than in {other!r}"
+                )
 
 
 class _Shared(NamedTuple):
@@ -190,14 +204,15 @@ def _shared_parameters(parts: Sequence["_Part"], place: Mapping[str, int]) -> _S
     step, mean, weight = np.zeros(size), np.full(size, np.nan), np.zeros(size)
     for part in parts:
         kept = ~part.is_moved
-        index = np.array([place[name] for name in part.names.values()])[kept]
+        of_all = np.array(list(part.names.values()))[kept]
+        index = np.array([place[name] for name in of_all])
         own_free, own_step = part.is_free[kept], part.step[kept]
         own_mean, own_weight = (
             np.asarray(values.shared)[kept]
             for values in (part.built.problem.prior_mean, part.built.problem.prior_weight)
         )
-        # Only the size of a common target belongs to several arms. It has the weakest of their
-        # priors, since the pixels of all are in the fit.
+        # Only the size of a common target, and its pose on a hand, belong to several parts. They
+        # have the weakest of their priors, since the pixels of all are in the fit.
         weaker = own_free & (~free[index] | (own_weight < weight[index]))
         taken = weaker | ~known[index]
         for values, own in ((step, own_step), (mean, own_mean), (weight, own_weight)):
@@ -223,16 +238,19 @@ def _with_priors_of_bases(
 
 
 class _Part(NamedTuple):
-    """An arm with its solved problem and the names of its parameters.
+    """An arm or a pair of arms with its solved problem and the names of its parameters.
+
+    Its *linked poses* connect it with other parts: the poses in the arm's base of targets on the
+    table that another arm sees too; of a pair, the base of the target's arm in the camera's.
 
     Attributes:
-        arm: name of the arm.
+        arm: name of the arm, or of the pair.
         built: its problem alone.
         step: solution of this problem for all shared parameters, zero for held ones.
         names: name among the parameters of all arms of each of the arm's.
-        starts: pose of each common target in the arm's base, from which the steps are taken.
-        poses: the arm's own names of these poses.
-        moved: the same where the pose is a parameter in the base of the first arm.
+        starts: linked poses from which the steps are taken, by the target or the target's arm.
+        poses: the arm's own names of the linked poses.
+        moved: those that are no parameters of all arms, but follow from poses in the first base.
     """
 
     arm: str
@@ -247,20 +265,25 @@ class _Part(NamedTuple):
     def of(
         cls, rig: Rig, arm: str, starts: Mapping[str, Calibration], built: BuiltRig, z: Step
     ) -> "_Part":
-        """Return an arm of a rig."""
+        """Return an arm of a rig, or a pair of arms."""
         names = _names_of_arm(rig, arm, starts)
         step = np.zeros(len(names))
         step[np.asarray(built.problem.free)] = np.asarray(z.shared)
-        poses = _common_poses(rig, arm, starts)
-        targets = {rig.targets[camera]: camera for camera, own in rig.arms.items() if own == arm}
+        poses, own_starts = _linked_poses(rig, arm, starts), {}
+        for camera in rig.of_arm(arm).cameras:
+            bases = starts[camera].base_from_other_base
+            if bases is None:
+                own_starts[rig.targets[camera]] = starts[camera].holder_from_world
+            else:
+                own_starts[arms_of(arm)[1]] = bases
         return cls(
             arm,
             built,
             step,
             names,
-            {target: starts[targets[target]].holder_from_world for target in poses},
+            {name: own_starts[name] for name in poses},
             poses,
-            {} if arm == rig.arm_names[0] else poses,
+            _moved_poses(rig, arm, starts),
         )
 
     @property
@@ -270,18 +293,24 @@ class _Part(NamedTuple):
 
     @property
     def is_moved(self) -> Bool[np.ndarray, "own"]:
-        """Mask of the poses of targets that are parameters in the base of the first arm."""
+        """Mask of the linked poses that are no parameters of all arms."""
         return np.isin(list(self.names), [name for own in self.moved.values() for name in own])
 
-    def indices(self, target: str) -> Int[np.ndarray, "6"]:
-        """Return the indices of the pose of a common target among the arm's own parameters."""
-        own = list(self.names)
-        return np.array([own.index(name) for name in self.poses[target]])
+    @property
+    def names_of_all(self) -> list[str]:
+        """The names of parameters of all arms: without a pair's bases, which other parts name."""
+        is_kept = ~self.is_moved if is_pair(self.arm) else np.ones(len(self.names), dtype=bool)
+        return [name for name, kept in zip(self.names.values(), is_kept, strict=True) if kept]
 
-    def solved_pose(self, target: str) -> Float[np.ndarray, "4 4"]:
-        """Return the pose of a common target in the arm's base by the arm's own solution."""
+    def indices(self, linked: str) -> Int[np.ndarray, "6"]:
+        """Return the indices of a linked pose among the arm's own parameters."""
+        own = list(self.names)
+        return np.array([own.index(name) for name in self.poses[linked]])
+
+    def solved_pose(self, linked: str) -> Float[np.ndarray, "4 4"]:
+        """Return a linked pose by the arm's own solution."""
         return host_matrices(
-            host_retract_transform(self.starts[target], self.step[self.indices(target)])
+            host_retract_transform(self.starts[linked], self.step[self.indices(linked)])
         )
 
 
@@ -296,57 +325,96 @@ def _names_of_arm(rig: Rig, arm: str, starts: Mapping[str, Calibration]) -> dict
     }
 
 
-def _common_poses(
+def _linked_poses(
     rig: Rig, arm: str, starts: Mapping[str, Calibration]
 ) -> dict[str, tuple[str, ...]]:
-    """Return an arm's own names of the pose of each target that another arm sees too."""
+    """Return an arm's own names of each linked pose: by its target, or a pair's other arm."""
+    if is_pair(arm):
+        first, other = arms_of(arm)
+        return {other: step_names(base_path(first, other))}
     others = {rig.targets[camera] for camera, own in rig.arms.items() if own != arm}
     part = rig.of_arm(arm)
     own = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
     return {
         target: tuple(name for name in own[camera] if BASE_FROM_WORLD in name.split("."))
         for camera, target in part.targets.items()
-        if target in others
+        if target in others and part.cameras[camera].mount == "eye_in_hand"
     }
 
 
+def _moved_poses(
+    rig: Rig, arm: str, starts: Mapping[str, Calibration]
+) -> dict[str, tuple[str, ...]]:
+    """Return the linked poses of an arm that are not in the base of the first arm."""
+    return {} if arm == rig.robot_names[0] else _linked_poses(rig, arm, starts)
+
+
+def _poses_in_first_base(
+    parts: Sequence[_Part], robots: Sequence[str]
+) -> tuple[dict[str, Float[np.ndarray, "4 4"]], dict[str, Float[np.ndarray, "4 4"]]]:
+    """Return the base of each arm and the pose of each common target in the base of the first arm.
+
+    They follow from the arms' own solutions, one arm after the other.
+    """
+    bases: dict[str, Float[np.ndarray, "4 4"]] = {robots[0]: np.eye(4)}
+    targets: dict[str, Float[np.ndarray, "4 4"]] = {}
+    # The arms are connected: each pass places one of the missing bases, and the last one targets.
+    for part in [*parts] * len(robots):
+        first, *others = arms_of(part.arm)
+        if others:
+            (other,), between = others, part.solved_pose(others[0])
+            if first in bases:
+                bases.setdefault(other, bases[first] @ between)
+            elif other in bases:
+                bases[first] = bases[other] @ np.linalg.inv(between)
+            continue
+        known = [target for target in part.poses if target in targets]
+        if first not in bases and known:
+            bases[first] = targets[known[0]] @ np.linalg.inv(part.solved_pose(known[0]))
+        if first in bases:
+            for target in part.poses:
+                targets.setdefault(target, bases[first] @ part.solved_pose(target))
+    return bases, targets
+
+
 def _placed(
-    parts: Sequence[_Part], place: Mapping[str, int], bases: Mapping[str, tuple[str, ...]]
+    parts: Sequence[_Part],
+    place: Mapping[str, int],
+    names_of_bases: Mapping[str, tuple[str, ...]],
+    robots: Sequence[str],
 ) -> tuple[ArmInRig, ...]:
     """Return the arms with the bases and the common targets where the arms' solutions are.
 
     A target that the first arm sees begins where its own start is.
     """
-    worlds = {target: parts[0].solved_pose(target) for target in parts[0].poses}
-    begins = {target: host_matrices(start) for target, start in parts[0].starts.items()}
-    poses = {parts[0].arm: np.eye(4)}
-    while len(poses) < len(parts):
-        for part in parts:
-            known = [target for target in part.poses if target in worlds]
-            if part.arm in poses or not known:
-                continue
-            poses[part.arm] = worlds[known[0]] @ np.linalg.inv(part.solved_pose(known[0]))
-            for target in part.poses:
-                worlds.setdefault(target, poses[part.arm] @ part.solved_pose(target))
-                begins.setdefault(target, worlds[target])
+    bases, targets = _poses_in_first_base(parts, robots)
+    # The first base is no parameter: its indices are after the last one.
+    columns = {robots[0]: np.arange(len(place), len(place) + 6)} | {
+        arm: np.array([place[name] for name in names]) for arm, names in names_of_bases.items()
+    }
+    if parts[0].arm == robots[0]:
+        targets |= {target: host_matrices(start) for target, start in parts[0].starts.items()}
     members = []
     for part in parts:
-        index = [place[name] for name in part.names.values()]
-        # The first arm has no such parameters.
-        base_index = [place[name] for name in bases[part.arm]] if part.arm in bases else [0] * 6
         moved = list(part.moved)
-        of_targets = np.array([part.indices(target) for target in moved], dtype=int).reshape(-1, 6)
-        firsts = np.array([begins[target] for target in moved]).reshape(-1, 4, 4)
-        owns = np.array([host_matrices(part.starts[t]) for t in moved]).reshape(-1, 4, 4)
+        rows = np.array([part.indices(name) for name in moved], dtype=int).reshape(-1, 6)
+        index = np.array([place.get(name, -1) for name in part.names.values()])
+        if is_pair(part.arm):
+            index[rows] = [columns[other] for other in moved]
+        firsts = bases if is_pair(part.arm) else targets
         members.append(
             ArmInRig(
                 problem=_with_all_free(part.built.problem),
-                parameter_index=to_device(np.array(index)),
-                base_index=to_device(np.array(base_index, dtype=int)),
-                common_targets=to_device(of_targets),
-                first_base_from_base=host_transforms(poses[part.arm]),
-                first_base_from_world=host_transforms(firsts),
-                base_from_world=host_transforms(owns),
+                parameter_index=to_device(index),
+                base_index=to_device(columns[arms_of(part.arm)[0]]),
+                linked_poses=to_device(rows),
+                first_base_from_base=host_transforms(bases[arms_of(part.arm)[0]]),
+                first_base_from_linked=host_transforms(
+                    np.array([firsts[name] for name in moved]).reshape(-1, 4, 4)
+                ),
+                base_from_linked=host_transforms(
+                    np.array([host_matrices(part.starts[n]) for n in moved]).reshape(-1, 4, 4)
+                ),
             )
         )
     return tuple(members)

@@ -1,10 +1,12 @@
 """The joint fit of several arms that see targets in common, as a least-squares problem.
 
-Each arm is a rig of its own (`rig_problem.py`). The pose of a target that several arms see is a
+Each arm is a rig of its own (`rig_problem.py`), and so is each pair of arms of which one carries
+a camera and the other one its target. The pose of a target on the table that several arms see is a
 parameter in the base of the first arm, and so is the base of every other arm. The pose of the
-target in another arm's base follows from both,
+target in another arm's base follows from both, and so does the base of a pair's other arm,
 
     base_from_world = first_base_from_base^-1 first_base_from_world
+    base_from_other_base = first_base_from_base^-1 first_base_from_other_base
 
 and the arms' equations are added up by this chain rule.
 """
@@ -37,75 +39,75 @@ from .schur import BlockArrow
 
 
 class ArmInRig(eqx.Module):
-    """An arm of several: its problem alone, and the places of its parameters among all.
+    """An arm of several, or a pair: its problem alone, and where its parameters are among all.
+
+    Its linked poses are the poses in its base of targets that other arms see, or of a pair the base
+    of the target's arm. They follow from poses in the base of the first arm.
 
     Attributes:
         problem: the problem of the arm alone; all shared parameters are free.
-        parameter_index: index among the parameters of all arms of each of the arm's; for the pose
-            of a common target, of its pose in the base of the first arm.
-        base_index: index of the six parameters of the arm's base, in the base of the first arm;
-            zeros for the first arm.
-        common_targets: the arm's own indices of the pose of each common target in its base; none
-            for the first arm.
+        parameter_index: index among the parameters of all arms of each of the arm's; for a linked
+            pose, of the pose in the base of the first arm. The base of the first arm itself has
+            indices after the last parameter.
+        base_index: index of the six parameters of the arm's base, in the base of the first arm.
+        linked_poses: the arm's own indices of each linked pose; none for the first arm.
         first_base_from_base: base of the arm in the base of the first, at the start.
-        first_base_from_world: pose of each common target in the base of the first arm, at the
-            start.
-        base_from_world: pose of each common target in the arm's base, at its own start.
+        first_base_from_linked: target or base of each linked pose in the base of the first arm, at
+            the start.
+        base_from_linked: each linked pose, at its own start.
     """
 
     problem: RigProblem
     parameter_index: Int[Array, "own"]
     base_index: Int[Array, "6"]
-    common_targets: Int[Array, "targets 6"]
+    linked_poses: Int[Array, "linked 6"]
     first_base_from_base: SE3
-    first_base_from_world: SE3
-    base_from_world: SE3
-
-    @property
-    def is_first(self) -> bool:
-        """Whether the arm's base is the reference."""
-        return not len(self.common_targets)
+    first_base_from_linked: SE3
+    base_from_linked: SE3
 
     def own_step(self, shared: Float[Array, "shared"]) -> Float[Array, "own"]:
         """Return the step of the arm's own parameters at a step of all arms' parameters."""
-        own = shared[self.parameter_index]
-        if self.is_first:
+        with_first_base = jnp.append(shared, jnp.zeros(6))
+        own = with_first_base[self.parameter_index]
+        if not len(self.linked_poses):
             return own
-        base = retract_transform(self.first_base_from_base, shared[self.base_index])
+        base = retract_transform(self.first_base_from_base, with_first_base[self.base_index])
 
-        def of_target(step: Float[Array, "6"], first: SE3, start: SE3) -> Float[Array, "6"]:
-            """Return the step of a target's pose in the base of the arm."""
+        def of_linked(step: Float[Array, "6"], first: SE3, start: SE3) -> Float[Array, "6"]:
+            """Return the step of a linked pose in the base of the arm."""
             pose = base.inverse() @ retract_transform(first, step)
             turn = rotation_vector_between(start, pose)
             return jnp.append(pose.translation() - start.translation(), turn)
 
-        steps = jax.vmap(of_target)(
-            own[self.common_targets], self.first_base_from_world, self.base_from_world
+        steps = jax.vmap(of_linked)(
+            own[self.linked_poses], self.first_base_from_linked, self.base_from_linked
         )
-        return own.at[self.common_targets].set(steps)
+        return own.at[self.linked_poses].set(steps)
 
     def host_jacobian(self, shared: Float[np.ndarray, "shared"]) -> Float[np.ndarray, "own shared"]:
         """Return the derivative of `own_step`, computed with NumPy."""
         index, base_index = np.asarray(self.parameter_index), np.asarray(self.base_index)
+        count, shared = len(shared), np.append(shared, np.zeros(6))
         jacobian = np.zeros((len(index), len(shared)))
         jacobian[np.arange(len(index)), index] = 1.0
-        for k, rows in enumerate(np.asarray(self.common_targets)):
-            columns, of_base, of_world = index[rows], shared[base_index], shared[index[rows]]
+        for k, rows in enumerate(np.asarray(self.linked_poses)):
+            columns, of_base, of_linked = index[rows], shared[base_index], shared[index[rows]]
             first, start = (
-                SE3(pose.wxyz_xyz[k]) for pose in (self.first_base_from_world, self.base_from_world)
+                SE3(pose.wxyz_xyz[k])
+                for pose in (self.first_base_from_linked, self.base_from_linked)
             )
             base = host_matrices(host_retract_transform(self.first_base_from_base, of_base))
-            world = host_matrices(host_retract_transform(first, of_world))
-            # A small motion of the target moves its pose B^-1 W in the arm's base by Ad(B^-1), and
-            # one of the base by as much the other way.
+            linked = host_matrices(host_retract_transform(first, of_linked))
+            # A small motion of a pose W in the first base moves the pose B^-1 W in the arm's base
+            # by Ad(B^-1), and one of the arm's base by as much the other way.
             inverse = np.linalg.inv(base)
-            pose = inverse @ world
+            pose = inverse @ linked
             turned = host_logarithms(pose @ np.linalg.inv(host_matrices(start)))[3:]
             by_motion = np.linalg.solve(twist_by_step(pose, turned), host_adjoints(inverse))
             jacobian[rows] = 0.0
-            jacobian[np.ix_(rows, columns)] = by_motion @ twist_by_step(world, of_world[3:])
+            jacobian[np.ix_(rows, columns)] = by_motion @ twist_by_step(linked, of_linked[3:])
             jacobian[np.ix_(rows, base_index)] = -by_motion @ twist_by_step(base, of_base[3:])
-        return jacobian
+        return jacobian[:, :count]
 
 
 class ArmsProblem(AbstractRigProblem):
@@ -114,7 +116,7 @@ class ArmsProblem(AbstractRigProblem):
     The views' own parameters are the corrections of all arms' states, one arm after the other.
 
     Attributes:
-        arms: the arms; the first one's base is the reference.
+        arms: the arms and pairs of arms; the base of the first arm is the reference.
         pixel_sigma: one; every arm's problem has its own.
         camera_mask: as in `AbstractRigProblem`.
         free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
@@ -142,30 +144,27 @@ class ArmsProblem(AbstractRigProblem):
 
     def start_values(self) -> Float[Array, "shared"]:
         """Return the values of the shared parameters at the start."""
-        values = jnp.zeros(self.parameter_count)
+        values = jnp.zeros(self.parameter_count + 6)
         for arm in self.arms:
             own = arm.problem.start_values()
-            own = own.at[arm.common_targets].set(_values_of(arm.first_base_from_world))
+            own = own.at[arm.linked_poses].set(_values_of(arm.first_base_from_linked))
             values = values.at[arm.parameter_index].set(own)
-            if not arm.is_first:
-                base = _values_of(arm.first_base_from_base)
-                values = values.at[arm.base_index].set(base)
-        return values
+            values = values.at[arm.base_index].set(_values_of(arm.first_base_from_base))
+        return values[:-6]
 
     def host_start_values(self) -> Float[np.ndarray, "shared"]:
         """Return `start_values`, computed with NumPy."""
-        values = np.zeros(self.parameter_count)
+        values = np.zeros(self.parameter_count + 6)
         for arm in self.arms:
-            own, common = arm.problem.host_start_values(), np.asarray(arm.common_targets)
+            own, linked = arm.problem.host_start_values(), np.asarray(arm.linked_poses)
             for index, pose in zip(
-                common, np.asarray(arm.first_base_from_world.wxyz_xyz), strict=True
+                linked, np.asarray(arm.first_base_from_linked.wxyz_xyz), strict=True
             ):
                 own[index] = [*pose[4:], 0.0, 0.0, 0.0]
             values[np.asarray(arm.parameter_index)] = own
-            if not arm.is_first:
-                place = np.asarray(arm.first_base_from_base.wxyz_xyz)[4:]
-                values[np.asarray(arm.base_index)] = [*place, 0.0, 0.0, 0.0]
-        return values
+            place = np.asarray(arm.first_base_from_base.wxyz_xyz)[4:]
+            values[np.asarray(arm.base_index)] = [*place, 0.0, 0.0, 0.0]
+        return values[:-6]
 
     def with_noise_corrections(self, corrections: Float[np.ndarray, "states 6"]) -> "ArmsProblem":
         """Return the problem with the robots' error fields at poses corrected for noise."""

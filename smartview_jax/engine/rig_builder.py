@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool
 
-from ..calibration import Calibration
-from ..dataset import Rig
+from ..calibration import BASES, Calibration, transform_names
+from ..dataset import Rig, arms_of, is_pair
 from ..robot_errors import FieldChoice, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import padded_counts, repeat_last
@@ -40,6 +40,9 @@ from .problem_builder import (
     with_known_depth_noise,
 )
 from .rig_problem import CameraGroup, RigProblem
+
+TOOL_FROM_WORLD = transform_names("eye_to_hand")[1]
+"""Name of the pose of a target on a hand, after the target's own name."""
 
 
 class BuiltRig(AbstractBuiltProblem):
@@ -88,7 +91,8 @@ def build_rig(
 
     A camera's parameters are called `left.camera.u0` or `left.camera_from_tool.rotation.x`, with
     `left` the camera's name. A target's are called `base_from_world.translation.x` and
-    `target_scale`, after the target's name and a point if there are several targets.
+    `target_scale`, after the target's name and a point if there are several targets. Of a pair of
+    arms the base of the target's arm is called base_left_from_base_right.translation.x.
 
     Args:
         rig: data sets of the cameras.
@@ -112,6 +116,7 @@ def build_rig(
         name: with_depth_bias(with_field(start, field), rig.cameras[name])
         for name, start in starts.items()
     }
+    rig = _with_bases_of(rig, starts)
     camera_names = rig_parameter_names(rig, starts)
     names = tuple(dict.fromkeys(name for own in camera_names.values() for name in own))
     error = next(iter(starts.values())).robot_error
@@ -168,6 +173,33 @@ def build_rig(
     )
 
 
+def base_path(first: str, other: str) -> str:
+    """Return the name of the transform from another arm's base to the first arm's."""
+    return f"base_{first}_from_base_{other}"
+
+
+def _with_bases_of(rig: Rig, starts: Mapping[str, Calibration]) -> Rig:
+    """Return a rig with the bases of a pair of arms where the starts of its cameras have them.
+
+    Raises:
+        ValueError: starts of two cameras have them at different places.
+    """
+    if not is_pair(rig.arm_names[0]):
+        return rig
+    require_starts(rig, starts)
+    bases = {name: starts[name].base_from_other_base for name in rig.cameras}
+    first, *others = bases
+    assert bases[first] is not None
+    for name in others:
+        if not equal_on_host(bases[first], bases[name]):
+            raise ValueError(
+                f"starts: the base of {' in the base of '.join(arms_of(rig.arms[name])[::-1])} is "
+                f"elsewhere in {name!r} than in {first!r}"
+            )
+    placed = {name: data.with_bases(bases[first]) for name, data in rig.cameras.items()}
+    return rig.with_cameras(placed)
+
+
 def require_starts(rig: Rig, starts: Mapping[str, Calibration]) -> None:
     """Raise a ValueError unless there is one start for each camera of a rig."""
     if set(starts) != set(rig.cameras):
@@ -209,16 +241,22 @@ def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str
                 f"starts: camera {camera!r} is {rig.cameras[camera].mount}, its start {start.mount}"
             )
         target = f"{rig.targets[camera]}." if several else ""
-        prefixes = {
-            "camera": f"{camera}.",
-            DEPTH_BIAS: f"{camera}.",
-            start.transform_names[0]: f"{camera}.",
-            start.transform_names[1]: target,
-            TARGET_SCALE: target,
-            ROBOT_ERROR: f"{rig.arms[camera]}." if several_arms else "",
+        arm = rig.arms[camera]
+        mount, holder = start.transform_names
+        # Of several arms, the hand that a camera of a pair sees is one that others see too.
+        on_hand = is_pair(arm) and several_arms
+        renamed = {
+            "camera": f"{camera}.camera",
+            DEPTH_BIAS: f"{camera}.{DEPTH_BIAS}",
+            mount: f"{camera}.{mount}",
+            holder: f"{target}{TOOL_FROM_WORLD if on_hand else holder}",
+            TARGET_SCALE: f"{target}{TARGET_SCALE}",
+            ROBOT_ERROR: f"{arm}.{ROBOT_ERROR}" if several_arms else ROBOT_ERROR,
+            BASES: base_path(*arms_of(arm)) if is_pair(arm) else BASES,
         }
         of_cameras[camera] = tuple(
-            prefixes[name.split(".")[0]] + name for name in parameter_names(start)
+            ".".join([renamed[first], *rest])
+            for first, *rest in (name.split(".") for name in parameter_names(start))
         )
     return of_cameras
 

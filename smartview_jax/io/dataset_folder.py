@@ -49,8 +49,8 @@ from ..argument_checks import errors_at
 from ..dataset import Dataset, PoseDataset, Rig
 from ..detection import checked_pixels
 from ..files import file_transaction
-from ..geometry import PoseLike, as_se3, host_matrices
-from ..targets import AbstractTarget, ListedPoints, StackedTarget, target_to_dict
+from ..geometry import PoseLike, as_se3
+from ..targets import AbstractTarget, ListedPoints, target_to_dict
 from .depth_folder import read_depth_pictures, read_points_folder
 from .detections import DETECTIONS_FILE, read_detections, write_detections
 from .folder_description import (
@@ -68,6 +68,7 @@ from .point_depths import DEPTHS_FILE, with_folder_depths, write_depths
 from .poses import OTHER_POSES_FILE, POSES_FILE, RobotReadings, poses_entry, read_poses, write_poses
 from .robot_readings import read_robot_readings
 from .tracked_poses import read_tracked_folder, write_tracked_poses
+from .two_hands_folder import require_one_numbering, with_other_hand
 
 
 def load_dataset_folder(
@@ -91,7 +92,7 @@ def load_dataset_folder(
     readings = read_robot_readings(described, options.bad_views)
     if description.pictures is not None:
         if description.mount == "hand_to_hand":
-            _require_one_numbering(camera.target, described.path)
+            require_one_numbering(camera.target, described.path)
         files = camera_pictures(camera, readings, described, description.pictures.pattern)
         data = camera_dataset(camera, readings, files, options, described.path)
     elif camera.detections.is_file():
@@ -106,44 +107,9 @@ def load_dataset_folder(
     data = with_folder_depths(data, described, options)
     if description.mount != "hand_to_hand":
         return data
-    return _between_hands(data, described, options.bad_views)
-
-
-def _between_hands(data: Dataset, described: DescribedFolder, bad_views: str) -> Dataset:
-    """Return the data set of a camera on a hand with the poses of the arm that carries the target.
-
-    Raises:
-        ValueError: a wrong value, or a view without a pose; the message names the file.
-    """
     entry = described.content["other_poses"]
-    other = read_poses(described.folder, entry, bad_views, "other_poses")
-    path = described.folder / entry["file"]
-    place = {view: k for k, view in enumerate(other.view_ids)}
-    if missing := [view for view in data.view_ids if view not in place]:
-        raise ValueError(f"{path}: no pose for the view {', '.join(missing[:5])}")
-    index = [place[view] for view in data.view_ids]
-    wrong = [k for k, view in enumerate(data.view_ids) if view in other.masked_views]
-    masked = [(data.view_ids[k], other.masked_views[data.view_ids[k]]) for k in wrong]
-    known = {view for view, _ in data.masked_views}
-    new = tuple(entry for entry in masked if entry[0] not in known)
-    data = dataclasses.replace(data.mask_views(wrong), masked_views=(*data.masked_views, *new))
-    with errors_at(path):
-        return data.between_hands(host_matrices(other.poses)[index])
-
-
-def _require_one_numbering(target: AbstractTarget, path: Path) -> None:
-    """Raise a ValueError for a target whose points have several numberings.
-
-    The motion of one arm tells which numberings agree; the motions of two do not, as long as it is
-    not known where their bases are.
-    """
-    board = target.board if isinstance(target, StackedTarget) else target
-    if len(board.symmetries) > 1:
-        raise ValueError(
-            f"{path}: target: a target on another hand must not look the same when turned, as this "
-            f"{type(board).__name__} does: take a ChArUco board or an AprilGrid, or a chessboard "
-            "with an odd and an even number of squares"
-        )
+    other = read_poses(described.folder, entry, options.bad_views, "other_poses")
+    return with_other_hand(data, other, described.folder / entry["file"])
 
 
 def _board_heights(camera: FolderDescription, readings: RobotReadings) -> Mapping[str, int] | None:

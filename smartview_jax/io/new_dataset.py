@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from .. import schemas
 from ..argument_checks import require_one_of
-from ..dataset import ONE_ARM
+from ..dataset import ONE_ARM, arms_of, is_pair
 from ..detection import read_picture
 from ..files import parse_yaml, write_atomically
 from ..geometry import PoseCodec, pose_codec
@@ -135,7 +135,8 @@ def new_pose_tables(arms: Mapping[str, str] | None) -> dict[str, str]:
     Args:
         arms: as in `write_new_dataset`.
     """
-    tables = {arm: f"{arm}/{POSES_FILE}" for arm in (arms or {}).values()}
+    names = dict.fromkeys(arm for own in (arms or {}).values() for arm in arms_of(own))
+    tables = {arm: f"{arm}/{POSES_FILE}" for arm in names}
     return tables or {ONE_ARM: POSES_FILE}
 
 
@@ -176,8 +177,9 @@ def write_new_dataset(
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_sizes: width and height of the pictures, px; of several cameras by their names.
         suffix: of the pictures' names, with its dot.
-        arms: name of the arm that moves each of several cameras, by the camera's name; None for
-            one arm.
+        arms: name of the arm that moves each of several cameras or, of a camera next to the arm,
+            its target, by the camera's name; `left+right` for a camera on the hand of left that
+            sees a target on the hand of right. None for one arm.
 
     Returns:
         The path of the description.
@@ -190,7 +192,7 @@ def write_new_dataset(
     require_one_of("robot", robot, ROBOTS)
     require_one_of("target", target, TARGETS)
     require_one_of("mount", mount, ("eye_in_hand", "eye_to_hand"))
-    if arms and mount == "eye_to_hand":
+    if arms and mount == "eye_to_hand" and not any(map(is_pair, arms.values())):
         raise ValueError(
             "arms: cameras next to several arms see no target in common, which would tell where "
             "the arms are to each other; begin a data set for each arm"
@@ -233,14 +235,27 @@ def _cameras_text(
         return f"camera: {size}  # width and height of the pictures, px"
     rows = []
     for name, (width, height) in image_sizes.items():
-        arm = f", arm: {arms[name]}" if arms else ""
+        arm = ""
+        if arms:
+            own, *other = arms_of(arms[name])
+            arm = f", mount: hand_to_hand, arm: {own}, target_arm: {other[0]}" if other else ""
+            arm = arm or f", arm: {own}"
         rows.append(f"  {name}: {{image_size: [{width}, {height}]{arm}}}")
     return "\n".join(
         [
             "# {camera} below stands for a name here; width and height of its pictures, px.",
             "# A camera may have a mount of its own; see the example for several targets in",
             "# smartview_jax.io.rig_folder.",
-            *(["# arm: the arm on whose hand the camera is."] if arms else []),
+            *(
+                ["# arm: the arm that moves the camera, or its target if it is fixed."]
+                if arms
+                else []
+            ),
+            *(
+                ["# hand_to_hand: the camera is on the hand of arm, its target on target_arm's."]
+                if any(map(is_pair, arms.values()))
+                else []
+            ),
             "cameras:",
             *rows,
         ]
@@ -256,8 +271,9 @@ def _poses_text(file: str, codec: PoseCodec) -> str:
 def _arms_text(tables: Mapping[str, str], codec: PoseCodec) -> str:
     """Return the entry that describes several arms, each with its table of poses."""
     rows = [
-        "# Poses of each arm in its own base. The cameras on the hands must see one target,",
-        "# which tells where the bases are. An arm may have a codec of its own.",
+        "# Poses of each arm in its own base. Where the bases are is told by one target that",
+        "# cameras on several hands see, or by a camera on one hand that sees a target on another.",
+        "# An arm may have a codec of its own.",
         "arms:",
     ]
     for arm, table in tables.items():

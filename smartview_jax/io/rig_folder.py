@@ -32,6 +32,13 @@ Of several arms, each has its own tables, and a camera states which arm moved it
       right: {poses: {file: right/poses.csv, codec: fanuc_wpr, length_unit: mm, angle_unit: deg,
                       direction: base_from_tool}}
 
+A camera on one hand that sees a target on another states both arms; the views of a state have one
+name in both tables. Cameras next to an arm may see the same target on its hand:
+
+    cameras:
+      wrist: {image_size: [640, 480], mount: hand_to_hand, arm: left, target_arm: right}
+      fixed: {image_size: [1280, 1024], mount: eye_to_hand, arm: right}
+
 A camera that measures depths too has the entry `depth_pictures` or `depths` of `point_depths`; the
 table of the latter is `depths/<camera>.csv`:
 
@@ -49,12 +56,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from .. import schemas
 from ..argument_checks import errors_at
-from ..dataset import ONE_ARM, Dataset, Rig
+from ..dataset import ONE_ARM, Dataset, Rig, arms_of, reported_poses
 from ..detection import DetectionLimits
 from ..files import file_transaction
+from ..geometry import host_transforms
 from ..targets import AbstractTarget, target_to_dict
 from .csv_tables import read_table
 from .dataset_folder import (
@@ -78,6 +87,7 @@ from .point_depths import with_folder_depths, write_depths
 from .poses import RobotReadings, poses_entry
 from .robot_readings import read_robot_readings
 from .table_text import VIEW_COLUMN
+from .two_hands_folder import require_one_numbering, with_other_hand
 
 DETECTIONS_FOLDER, DEPTHS_FOLDER = "detections", "depths"
 """The names of the folders with a table of detected points, or of depths, for each camera."""
@@ -131,17 +141,22 @@ def load_rig(
     pattern = None if description.pictures is None else description.pictures.pattern
     patterns = {name: (pattern or "").replace("{camera}", name) for name in cameras}
     arms = {name: entry.arm or ONE_ARM for name, entry in description.cameras.items()}
+    others = {name: entry.target_arm for name, entry in description.cameras.items()}
     robots, readings_of = {}, {}
     for arm, content in (described.content.get("arms") or {ONE_ARM: described.content}).items():
         # A view's name in the table may end as the picture's does, which the arm's first camera's
         # tell.
-        first = next(patterns[name] for name in cameras if arms[name] == arm)
+        first = next(patterns[name] for name in cameras if arm in (arms[name], others[name]))
         pictures = {"pictures": {"pattern": first}} if pattern else {}
         robots[arm] = described._replace(content={**content, **pictures})
         readings_of[arm] = read_robot_readings(robots[arm], bad_views)
     data = {}
     for name, camera in cameras.items():
         readings, robot = readings_of[arms[name]], robots[arms[name]]
+        if (other := others[name]) is not None:
+            require_one_numbering(camera.target, described.path)
+            # The joints of one arm do not tell the pose of one hand in the other's frame.
+            readings = readings._replace(joints=None, arm=None)
         report = None if progress is None else _named(progress, name)
         options = LoadOptions(bad_views, report, keep_detections, detection_limits)
         if pattern is None:
@@ -163,15 +178,23 @@ def load_rig(
                 options,
                 f"{DEPTHS_FOLDER}/{name}.csv",
             )
+        if other is not None:
+            table = robots[other].view_table
+            data[name] = with_other_hand(data[name], readings_of[other], table)
     for arm, robot in robots.items():
-        seen = {name: views for name, views in data.items() if arms[name] == arm}
+        seen = {name: own for name, own in data.items() if arm in (arms[name], others[name])}
         _refuse_unseen_states(readings_of[arm].view_ids, seen, robot.view_table)
     targets = {name: entry.target for name, entry in description.cameras.items()}
     known = {name: target for name, target in targets.items() if target is not None}
     return Rig(
         data,
         None if description.targets is None else known,
-        None if description.arms is None else arms,
+        None
+        if description.arms is None
+        else {
+            name: arm if (other := others[name]) is None else (arm, other)
+            for name, arm in arms.items()
+        },
     )
 
 
@@ -192,13 +215,15 @@ def _cameras(
         }
     cameras = {}
     for name, entry in description.cameras.items():
-        mount = entry.mount or description.mount
+        # Pictures of a target on another hand are read as by a camera on a hand.
+        is_pair = entry.mount == "hand_to_hand"
+        mount = "eye_in_hand" if is_pair else entry.mount or description.mount
         width, height = entry.image_size
         cameras[name] = FolderDescription(
             targets[entry.target or ""],
             mount,
             (width, height),
-            rough[entry.arm or ONE_ARM][mount],
+            None if is_pair else rough[entry.arm or ONE_ARM][mount],
             folder / DETECTIONS_FOLDER / f"{name}.csv",
             None if entry.detections is None else entry.detections.rows,
         )
@@ -262,40 +287,57 @@ def save_rig(rig: Rig, folder: str | os.PathLike[str], pose_format: str = "matri
 def _save_rig(rig: Rig, folder: Path, pose_format: str) -> None:
     """Write a rig to a folder."""
     targets = _described_targets(rig)
-    several = len(rig.arm_names) > 1
-    places = {arm: f"{arm}/" if several else "" for arm in rig.arm_names}
+    several = len(rig.robot_names) > 1
+    places = {arm: f"{arm}/" if several else "" for arm in rig.robot_names}
     robots = {}
+    states = {arm: _states(rig, arm) for arm in places}
     for arm, place in places.items():
-        part = rig.of_arm(arm)
-        poses = poses_entry(len(part.view_ids), pose_format)
+        poses = poses_entry(len(states[arm]), pose_format)
         robots[arm] = {"poses": {**poses, "file": f"{place}{poses['file']}"}}
-    one_mount = len({data.mount for data in rig.cameras.values()}) == 1
+    mounts = {data.mount for data in rig.cameras.values()}
+    one_mount = len(mounts) == 1 and "hand_to_hand" not in mounts
     one_target = len(targets) == 1
     cameras = {}
     for name, data in rig.cameras.items():
         path = folder / DETECTIONS_FOLDER / f"{name}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         rows = write_visible_points(path, data)
+        arm, *other = arms_of(rig.arms[name])
         cameras[name] = {
             "image_size": [int(size) for size in data.image_size],
             **({} if one_mount else {"mount": data.mount}),
             **({} if one_target else {"target": rig.targets[name]}),
-            **({"arm": rig.arms[name]} if several else {}),
+            **({"arm": arm} if several else {}),
+            **({"target_arm": other[0]} if other else {}),
             "detections": {"rows": rows},
             **write_depths(data, folder / DEPTHS_FOLDER / f"{name}.csv"),
         }
     described = {name: target_to_dict(target) for name, target in targets.items()}
     entries: dict[str, Any] = {"cameras": cameras}
     entries |= {"target": next(iter(described.values()))} if one_target else {"targets": described}
-    entries |= {"mount": next(iter(rig.cameras.values())).mount} if one_mount else {}
+    entries |= {"mount": mounts.pop()} if one_mount else {}
     tables = {}
     for arm, place in places.items():
-        part, poses = rig.of_arm(arm), robots[arm]["poses"]
-        tables[poses["file"]] = (part.view_ids, part.base_from_tool)
-        for name, entry in written_joints(folder / place, part).items():
-            robots[arm][name] = {**entry, "file": f"{place}{entry['file']}"}
-    entries |= {"arms": robots} if several else robots[rig.arm_names[0]]
+        poses = host_transforms(np.array(list(states[arm].values())))
+        tables[robots[arm]["poses"]["file"]] = (tuple(states[arm]), poses)
+        alone = [name for name, own in rig.arms.items() if own == arm]
+        if set(states[arm]) == {view for name in alone for view in rig.cameras[name].view_ids}:
+            # The joints of states that only a camera of a pair saw are not known.
+            for name, entry in written_joints(folder / place, rig.of_arm(arm)).items():
+                robots[arm][name] = {**entry, "file": f"{place}{entry['file']}"}
+    entries |= {"arms": robots} if several else robots[rig.robot_names[0]]
     write_described_folder(folder, tables, entries, pose_format)
+
+
+def _states(rig: Rig, arm: str) -> dict[str, Float[np.ndarray, "4 4"]]:
+    """Return the pose that an arm reported in each of its states, by the view's name."""
+    states: dict[str, Float[np.ndarray, "4 4"]] = {}
+    for name, data in rig.cameras.items():
+        for own, poses in zip(arms_of(rig.arms[name]), reported_poses(data), strict=True):
+            if own == arm:
+                for view, pose in zip(data.view_ids, poses, strict=True):
+                    states.setdefault(view, pose)
+    return states
 
 
 def _described_targets(rig: Rig) -> dict[str, AbstractTarget]:

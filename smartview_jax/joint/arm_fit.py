@@ -1,7 +1,7 @@
 """Fit the cameras of one arm of a rig, and leave out the states that contradict the others."""
 
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..engine import (
     Solution,
     Step,
     build_rig,
-    solve,
+    solve_rig_on,
 )
 from ..fit_result import Rejection
 from ..robot_errors import FieldChoice, RobotPrior
@@ -60,12 +60,14 @@ class ArmOptions(NamedTuple):
         field: robot error field.
         choice: parameters to hold and to free, and priors.
         robot_prior: prior on the sizes of the robot's errors.
+        devices: devices over which the views are distributed; None for the default one.
     """
 
     noise: str | Noise
     field: FieldChoice
     choice: ParameterChoice
     robot_prior: RobotPrior
+    devices: Sequence[Any] | None = None
 
 
 def fit_arm(
@@ -93,9 +95,10 @@ def fit_arm(
             count = sum(int(np.asarray(data.visible).sum()) for data in rig.cameras.values())
             shared = len(built.shared_names)
             progress(f"joint fit of the rig: {shared} shared parameters, {count} points")
-        return SolvedArm(rig, built, estimate, *solve(built.problem, start=start))
+        solved = solve_rig_on(options.devices, built.problem, start)
+        return SolvedArm(rig, built, estimate, *solved)
 
-    noise, field, choice, _ = options
+    noise, field, choice, *_ = options
     weighed = {
         name: weighed_depths(data, starts[name], choice.of_camera(name), noise, field)
         for name, data in rig.cameras.items()
@@ -130,7 +133,7 @@ def _built(
     progress: Callable[[str], None] | None,
 ) -> tuple[BuiltRig, Step, RigNoiseEstimate | None]:
     """Build the problem, with estimated noise unless it is given; return the first step too."""
-    noise, field, choice, robot_prior = options
+    noise, field, choice, robot_prior, _ = options
     if isinstance(noise, Noise):
         built = build_rig(rig, starts, noise=noise, field=field, **choice._asdict())
         return built, built.problem.zero_step(), None

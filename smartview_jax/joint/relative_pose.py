@@ -109,7 +109,7 @@ def relative_pose(
         ValueError: no such camera, or cameras that the robot moves against each other.
     """
     a, b = _both("a camera", calibrations, first, second)
-    if a.mount != b.mount:
+    if a.transform_names[0] != b.transform_names[0]:
         raise ValueError(
             f"relative: camera {first!r} is {a.mount} and {second!r} {b.mount}: their relative "
             "pose changes with the robot's; use their `camera_from_world`"

@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
-from ..dataset import DepthSensor
+from ..dataset import DepthSensor, arms_of
 from ..engine import (
     BuiltArms,
     BuiltRig,
@@ -41,7 +41,8 @@ class RigFit(eqx.Module):
         parameter_names: names of these parameters (see `build_rig`).
         std: standard deviation of each free parameter, by name; of the states' corrections too.
         degrees_of_freedom: degrees of freedom of the common parameters' standard deviations.
-        noises: standard deviations of pixels, reported poses and robot errors, by the arm's name.
+        noises: standard deviations of pixels, reported poses and robot errors, by the arm's name;
+            of a pair of arms, as `left+right`, the poses of one hand in the other's frame.
         pixel_sigmas: standard deviation of u and of v of each camera, px.
         noise_estimates: the estimate of the noise of each arm; empty if the noise was given.
         residuals: measured minus predicted pixels of each camera through the chain without
@@ -56,7 +57,7 @@ class RigFit(eqx.Module):
             determine a parameter.
         result: whether the fit converged.
         bases: transform from each arm's base to the base of the first; empty for one arm.
-        arms: name of the arm of each camera.
+        arms: name of the arm of each camera, or of its pair of arms.
         warnings: reasons to doubt the result, a sentence each.
         sensors: depth sensor of each camera that has one, by the camera's name.
         picture_digests: digests of each camera's pictures, by its name, by which
@@ -220,6 +221,22 @@ class RigFit(eqx.Module):
             np.where(is_open, np.inf, np.sqrt(np.diagonal(own))),
         )
 
+    def on_one_mount(self, first: str, second: str) -> bool:
+        """Return whether two cameras are on the hand of the same arm, or both next to it.
+
+        Args:
+            first: name of a camera.
+            second: name of a camera.
+
+        Raises:
+            ValueError: there is no such camera.
+        """
+        mounts = [
+            (self.calibrations[name].transform_names[0], arms_of(self.arms[name])[0])
+            for name in map(self._checked, (first, second))
+        ]
+        return mounts[0] == mounts[1]
+
     def relative(self, first: str, second: str) -> RelativePose:
         """Return the pose of the second camera in the frame of the first, with its covariance.
 
@@ -230,11 +247,12 @@ class RigFit(eqx.Module):
         Raises:
             ValueError: no such camera, or cameras that a robot moves against each other.
         """
-        if self.arms[self._checked(first)] != self.arms[self._checked(second)]:
+        if not self.on_one_mount(first, second):
+            a, b = (self.arms[name] for name in (first, second))
             raise ValueError(
-                f"relative: camera {first!r} is on arm {self.arms[first]!r} and {second!r} on "
-                f"{self.arms[second]!r}: their relative pose changes with the robots'; use `base` "
-                "and their `camera_from_world`"
+                f"relative: camera {first!r} of arm {a} and {second!r} of arm {b} are on different "
+                "mounts: their relative pose changes with the robots'; use `base` and their "
+                "`camera_from_world`"
             )
         return relative_pose(
             self.calibrations, self.parameter_names, self.covariance, first, second

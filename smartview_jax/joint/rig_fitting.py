@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar, Unpack
+from typing import Any, TypeVar, Unpack
 
 import jax
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Float
 
 from ..argument_checks import listed, require_instance
@@ -34,7 +35,7 @@ from ..engine import (
     with_depth_bias,
 )
 from ..fit_result import Rejection
-from ..geometry import host_matrices
+from ..geometry import host_matrices, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
@@ -63,6 +64,7 @@ def fit_rig(
     progress: Callable[[str], None] | None = None,
     robot_prior: RobotPrior | None = None,
     rejected: Sequence[tuple[str, Rejection]] = (),
+    devices: Sequence[Any] | None = None,
     **parameters: Unpack[ParameterOptions],
 ) -> RigFit:
     """Fit all cameras of a rig, their targets and the robots' errors to all pixels at once.
@@ -73,13 +75,16 @@ def fit_rig(
     Args:
         rig: data sets of the cameras.
         starts: calibration of each camera near the solution, with the lens to fit. Cameras on one
-            arm that see the same target must agree on its pose (`calibrate` takes care of it).
+            arm that see the same target must agree on its pose, and so must all that see a target
+            on a hand (`calibrate` takes care of it).
         noise: `"estimated"`, or a `Noise` that states the standard deviations; of several arms, one
             for all or one for each by its name.
         field: robot error field, as in `fit_joint`; of several arms, one for all or one for each.
         progress: called with a line of text for each stage.
         robot_prior: prior on the sizes of the robot's errors.
         rejected: what was left out before, for the result.
+        devices: devices over which the views of the fits are distributed, as in `fit_joint`; the
+            noise is estimated on the default device.
         parameters: `fixed`, paths of parameters that keep the start's value, such as `left.camera`
             or `base_from_world` (see `build_rig`, and `build_arms` for several arms); `free`, paths
             to free that are held by default: `target_scale`; `priors`, a `Prior` by path.
@@ -110,10 +115,10 @@ def fit_rig(
         arms[arm] = fit_arm(
             rig.of_arm(arm),
             {name: start for name, start in starts.items() if rig.arms.get(name, arm) == arm},
-            ArmOptions(own_noise, own_field, choices[arm], prior),
+            ArmOptions(own_noise, own_field, choices[arm], prior, devices),
             _named(progress, arm) if several else progress,
         )
-    joined = join_arms(rig, arms, choice.priors) if several else None
+    joined = join_arms(rig, arms, choice.priors, devices) if several else None
     fit = _assembled(rig, arms, joined, tuple(rejected))
     disagreement = () if joined is None else joined.disagreement
     held = [text for arm in arms.values() for text in held_camera_warnings(arm)]
@@ -212,10 +217,19 @@ def _assembled(
         solution=solution,
         smallest_singular_value=float(jacobian.singular_values[-1]),
         result=solver_result(solution),
-        bases={} if joined is None else joined.bases,
+        bases=_bases_of_pair(rig, calibrations) if joined is None else joined.bases,
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
         sensors=sensors,
     )
+
+
+def _bases_of_pair(rig: Rig, calibrations: Mapping[str, Calibration]) -> dict[str, SE3]:
+    """Return the bases of the only pair of arms in the base of the first; empty for one arm."""
+    base = next(iter(calibrations.values())).base_from_other_base
+    if base is None:
+        return {}
+    first, other = rig.robot_names
+    return {first: host_transforms(np.eye(4)), other: base}
 
 
 def _added_by_estimation(

@@ -4,15 +4,15 @@ The sizes of an arm's errors are told by its own states, and a state that contra
 the states of its own arm. Arms have only the targets in common.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
 from scipy.special import chdtrc
 
-from ..dataset import Rig
+from ..dataset import Rig, arms_of
 from ..engine import (
     BuiltArms,
     NormalEquations,
@@ -21,7 +21,7 @@ from ..engine import (
     build_arms,
     host_retract_transform,
     reduced_equations,
-    solve,
+    solve_rig_on,
 )
 from ..variance import joined_corrections
 from .arm_fit import SolvedArm
@@ -42,40 +42,51 @@ class JoinedArms(NamedTuple):
         solution: the solution.
         equations: the normal equations at the solution.
         disagreement: what the arms say differently about their common targets; empty if nothing.
+        robots: names of the arms, the first of which has the base that is the reference.
     """
 
     built: BuiltArms
     solution: Solution
     equations: NormalEquations
     disagreement: tuple[str, ...]
+    robots: tuple[str, ...]
 
     @property
     def bases(self) -> dict[str, SE3]:
         """The transform from each arm's base to the base of the first."""
-        shared = _all_parameters(self.built, self.solution)
+        # The base of the first arm has indices after the last parameter.
+        shared = np.append(_all_parameters(self.built, self.solution), np.zeros(6))
         result = {}
         for name, arm in zip(self.built.arms, self.built.problem.arms, strict=True):
-            step = np.zeros(6) if arm.is_first else shared[np.asarray(arm.base_index)]
-            result[name] = host_retract_transform(arm.first_base_from_base, step)
-        return result
+            first, *others = arms_of(name)
+            step = shared[np.asarray(arm.base_index)]
+            result[first] = host_retract_transform(arm.first_base_from_base, step)
+            for other, rows in zip(others, np.asarray(arm.linked_poses), strict=False):
+                start = SE3(arm.first_base_from_linked.wxyz_xyz[0])
+                step = shared[np.asarray(arm.parameter_index)[rows]]
+                result[other] = host_retract_transform(start, step)
+        return {arm: result[arm] for arm in self.robots}
 
 
 def join_arms(
     rig: Rig,
     arms: Mapping[str, SolvedArm],
     priors: Mapping[str, Prior] | None = None,
+    devices: Sequence[Any] | None = None,
 ) -> JoinedArms:
     """Fit several arms together.
 
     Args:
         rig: data sets of all arms.
-        arms: fit of each arm alone.
+        arms: fit of each arm and pair of arms alone.
         priors: as for `build_arms`.
+        devices: devices over which the views are distributed; None for the default one.
     """
     solved = {name: (arm.built, arm.solution.z) for name, arm in arms.items()}
     built, start = build_arms(rig, solved, priors)
-    solution, equations = solve(built.problem, start=start)
-    return JoinedArms(built, solution, equations, _disagreement(built, solution, arms))
+    solution, equations = solve_rig_on(devices, built.problem, start)
+    disagreement = _disagreement(built, solution, arms)
+    return JoinedArms(built, solution, equations, disagreement, rig.robot_names)
 
 
 def _disagreement(

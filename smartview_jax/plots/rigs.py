@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..dataset import arms_of
 from ..evaluation import PoseUncertainty
 from ..geometry import host_matrices
 from ..joint import RigFit
@@ -26,23 +27,25 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
     Args:
         fit: joint fit of a rig.
     """
-    mounts = list(dict.fromkeys(c.mount for c in fit.calibrations.values()))
-    figure = PlotFigure(figsize=(6.4 if len(mounts) == 1 else 9.6, 4.6))
+    frame_of = {name: _mount_frame(fit, name) for name in fit.calibrations}
+    mounts = list(dict.fromkeys(frame_of.values()))
+    figure = PlotFigure(figsize=(6.4 if len(mounts) == 1 else 4.8 * len(mounts), 4.6))
     # The automatic layouts cut the labels of axes in space.
     figure.subplots_adjust(0.03, 0.06, 0.93, 0.93)
     names = list(fit.calibrations)
     for column, mount in enumerate(mounts):
-        cameras = {name: c for name, c in fit.calibrations.items() if c.mount == mount}
+        cameras = {name: c for name, c in fit.calibrations.items() if frame_of[name] == mount}
         poses = {
             name: np.linalg.inv(host_matrices(calibration.camera_from_mount))
             for name, calibration in cameras.items()
         }
         places = np.array([np.zeros(3), *(pose[:3, 3] for pose in poses.values())])
-        unit, factor = ("m", 1.0) if mount == "eye_to_hand" else ("mm", 1e3)
+        is_fixed = any(c.mount == "eye_to_hand" for c in cameras.values())
+        unit, factor = ("m", 1.0) if is_fixed else ("mm", 1e3)
         axes = space_axes(figure, unit, place=(1, len(mounts), 1 + column))
         depth = PYRAMID_SHARE * max(float(np.ptp(places, axis=0).max()), 1e-2)
         draw_frame(axes, np.eye(4), factor * depth, factor)
-        axes.text(0.0, 0.0, 0.0, f"  {MOUNTS[mount]}", fontsize=9)
+        axes.text(0.0, 0.0, 0.0, f"  {mount}", fontsize=9)
         for name, calibration in cameras.items():
             colour = method_colour(name, names.index(name))
             mount_from_camera = poses[name]
@@ -56,9 +59,16 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
             draw_pyramid(axes, centre, corners, colour, 1.2, label)
         axes.legend(loc="upper left", frameon=False, fontsize=9)
         axes.set_aspect("equal")
-        axes.set_title(f"in the frame of the {MOUNTS[mount]}", fontsize=10)
+        axes.set_title(f"in the frame of the {mount}", fontsize=10)
         axes.tick_params(labelsize=7)
     return figure
+
+
+def _mount_frame(fit: RigFit, camera: str) -> str:
+    """Return the name of the frame that a camera is mounted in; of several arms, with the arm's."""
+    fixed = fit.calibrations[camera].mount == "eye_to_hand"
+    frame = MOUNTS["eye_to_hand" if fixed else "eye_in_hand"]
+    return f"{frame} of {arms_of(fit.arms[camera])[0]}" if fit.bases else frame
 
 
 def pose_uncertainties(poses: Sequence[PoseUncertainty]) -> PlotFigure:

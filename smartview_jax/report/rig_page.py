@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import plots
-from ..dataset import Rig
+from ..dataset import Rig, arms_of, is_pair
 from ..evaluation import (
     HeldOutErrors,
     PoseUncertainty,
@@ -91,14 +91,12 @@ def _half_width(fit: RigFit, name: str) -> float:
 def relative_pose_rows(fit: RigFit) -> list[tuple[str, ...]]:
     """Return a row for each pair of cameras on one mount: the second's pose in the first's frame.
 
-    They are cameras of one arm.
-
-    The standard deviations are along the least known axis.
+    They are cameras on one hand, or next to one arm. The standard deviations are along the least
+    known axis.
     """
     rows = []
     for first, second in combinations(fit.calibrations, 2):
-        one_mount = fit.calibrations[first].mount == fit.calibrations[second].mount
-        if one_mount and fit.arms[first] == fit.arms[second]:
+        if fit.on_one_mount(first, second):
             rows.append(_relative_row(first, second, fit.relative(first, second)))
     return rows
 
@@ -169,10 +167,10 @@ def rig_summary(fit: RigFit, held_out: Mapping[str, HeldOutErrors] | None = None
     }
     count = len(fit.calibrations)
     if fit.bases:
-        each = ", ".join(f"{text} ({name})" for name, text in noises.items())
+        each = ", ".join(f"{text} ({_described_arm(name)})" for name, text in noises.items())
         text = (
-            f"{count} cameras and {len(noises)} arms were calibrated together. The arms' reported "
-            f"poses have noise of {each} per axis."
+            f"{count} cameras and {len(fit.bases)} arms were calibrated together. The arms' "
+            f"reported poses have noise of {each} per axis."
         )
     else:
         (noise,) = noises.values()
@@ -189,6 +187,11 @@ def rig_summary(fit: RigFit, held_out: Mapping[str, HeldOutErrors] | None = None
             f"RMS or better (camera {worst})."
         )
     return text
+
+
+def _described_arm(name: str) -> str:
+    """Return the name of an arm, or what the reported poses of a pair of arms are."""
+    return f"{name}, of one hand in the other's frame" if is_pair(name) else name
 
 
 def write_rig_page(
@@ -230,7 +233,10 @@ def write_rig_page(
         text = "Poses of cameras on one mount in the frame of another, by their joint covariance."
         sections.append(Section("Between the cameras", text, header=RELATIVE_HEADINGS, rows=pairs))
     if arms := base_rows(fit):
-        text = "Bases of the arms in the base of another, by the targets that several arms see."
+        text = (
+            "Bases of the arms in the base of another, by targets that several arms see, or that "
+            "one arm carries and another sees."
+        )
         sections.append(Section("Between the arms", text, header=RELATIVE_HEADINGS, rows=arms))
     used = without_rejected_rig_views(rig, fit)
     poses = pose_uncertainties(fit) if budget is None else budget.poses
@@ -350,7 +356,7 @@ def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]
         seeing = ", ".join(name for name in rig.cameras if rig.targets[name] == target)
         facts.append((f"target {target}", f"seen by {seeing}"))
     for arm in fit.bases:
-        moved = ", ".join(name for name in fit.calibrations if fit.arms[name] == arm)
+        moved = ", ".join(name for name, own in fit.arms.items() if arm in arms_of(own))
         facts.append((f"arm {arm}", f"of the cameras {moved}"))
     facts += [(f"depth sensor of {name}", own.described) for name, own in fit.sensors.items()]
     facts.append(("joint fit", fit.result.message))

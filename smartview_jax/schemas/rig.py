@@ -22,6 +22,7 @@ from .entry import Entry, Expected, PrintableText
 from .target import TargetEntry
 
 _Mount = Literal["eye_in_hand", "eye_to_hand"]
+_CameraMount = Literal["eye_in_hand", "eye_to_hand", "hand_to_hand"]
 CameraName = Annotated[
     str,
     Field(pattern=r"^[A-Za-z0-9_-]{1,100}$"),
@@ -44,15 +45,30 @@ class RigPicturesEntry(Entry):
 
 
 class RigCameraEntry(Entry):
-    """A camera: the size of its pictures, its mount, its target and arm by name, its depths."""
+    """A camera: the size of its pictures, its mount, its target and arm by name, its depths.
+
+    Of a camera on one hand that sees a target on another, `target_arm` carries the target.
+    """
 
     image_size: ImageSize
-    mount: _Mount | None = None
+    mount: _CameraMount | None = None
     target: PrintableText | None = None
     arm: PrintableText | None = None
+    target_arm: PrintableText | None = None
     detections: DetectionsEntry | None = None
     depth_pictures: DepthPicturesEntry | None = None
     depths: DepthsEntry | None = None
+
+    @model_validator(mode="after")
+    def _check_arms(self) -> "RigCameraEntry":
+        if (self.mount == "hand_to_hand") != (self.target_arm is not None):
+            raise ValueError(
+                "target_arm: expected the arm that carries the target for mount hand_to_hand, and "
+                "none for other mounts"
+            )
+        if self.target_arm is not None and self.target_arm == self.arm:
+            raise ValueError("target_arm: expected another arm than the camera's")
+        return self
 
     @model_validator(mode="after")
     def _check_depths(self) -> "RigCameraEntry":
@@ -119,21 +135,29 @@ class RigFile(RobotEntries):
         mounts = {name: camera.mount or self.mount for name, camera in self.cameras.items()}
         if self.arms is None:
             for name, camera in self.cameras.items():
-                if camera.arm is not None:
-                    raise ValueError(f"cameras.{name}.arm: the file has no 'arms'")
+                if camera.arm is not None or camera.target_arm is not None:
+                    entry = "arm" if camera.target_arm is None else "target_arm"
+                    raise ValueError(f"cameras.{name}.{entry}: the file has no 'arms'")
             self.check_robot(set(mounts.values()))
             return
         for name in RobotEntries.model_fields:
             if getattr(self, name) is not None:
                 raise ValueError(f"{name}: with several arms it is an entry of each of the 'arms'")
         for name, camera in self.cameras.items():
-            if camera.arm not in self.arms:
-                raise ValueError(
-                    f"cameras.{name}.arm: expected one of {', '.join(self.arms)}, "
-                    f"found {camera.arm!r}"
-                )
+            entries = {"arm": camera.arm}
+            entries |= {} if camera.target_arm is None else {"target_arm": camera.target_arm}
+            for entry, arm in entries.items():
+                if arm not in self.arms:
+                    raise ValueError(
+                        f"cameras.{name}.{entry}: expected one of {', '.join(self.arms)}, "
+                        f"found {arm!r}"
+                    )
         for arm, entries in self.arms.items():
-            own = {mounts[name] for name, camera in self.cameras.items() if camera.arm == arm}
+            own = {
+                mounts[name]
+                for name, camera in self.cameras.items()
+                if arm in (camera.arm, camera.target_arm)
+            }
             with errors_at(f"arms.{arm}"):
                 entries.check_robot(own)
             if not own:

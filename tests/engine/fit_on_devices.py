@@ -11,7 +11,14 @@ import jax
 address, count, number = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 jax.distributed.initialize(address, num_processes=count, process_id=number)
 
-from fits_to_compare import described, many, one_fit, problem_without_corrections  # noqa: E402
+from fits_to_compare import (  # noqa: E402
+    described,
+    described_rig,
+    many,
+    one_fit,
+    problem_without_corrections,
+    rig_fit,
+)
 
 from smartview_jax.engine.sharding import shard  # noqa: E402
 
@@ -26,6 +33,7 @@ def views_on_each(problem, devices):
 answer = {
     "devices": jax.device_count(),
     "fit": described(fit),
+    "rig": described_rig(rig_fit(jax.devices())),
     "views_here": views_on_each(fit.problem, jax.devices()),
     # Without corrections there are no other arrays by views.
     "uncorrected_views_here": views_on_each(problem_without_corrections(), jax.local_devices()),

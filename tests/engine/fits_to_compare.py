@@ -1,6 +1,8 @@
 """Fits that are made on one device by the tests, and on several by `fit_on_devices`."""
 
 import numpy as np
+from arms_scene import NOISE as ARMS_NOISE
+from arms_scene import arms_scene
 from starts import nudged
 
 import smartview_jax as sv
@@ -51,3 +53,23 @@ def sets():
 def many(devices):
     fits = sv.fit_many(sets(), start(), noise=NOISE, devices=devices)
     return np.asarray(fits.calibrations.camera.alpha_u).tolist()
+
+
+def rig_fit(devices):
+    """A camera on each of two arms in seven states, which see one target."""
+    rig, truths = arms_scene(0, views=7)
+    fixed = tuple(f"{camera}.camera" for camera in truths)
+    return sv.fit_rig(rig, truths, noise=ARMS_NOISE, field=None, fixed=fixed, devices=devices)
+
+
+def described_rig(fit):
+    """What is compared of the fit of a rig, as plain numbers."""
+    base = fit.base("left", "right")
+    hands = [fit.calibrations[name].camera_from_tool for name in fit.calibrations]
+    return {
+        "found": [np.asarray(pose.translation()).tolist() for pose in (base.transform, *hands)],
+        "std": base.std.tolist(),
+        "corrections": np.asarray(fit.pose_corrections).tolist(),
+        "cost": fit.solution.costs[-1],
+        "converged": fit.result.converged,
+    }

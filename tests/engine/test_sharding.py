@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fits_to_compare import NOISE, described, one_fit, sets, start
+from fits_to_compare import NOISE, described, described_rig, one_fit, rig_fit, sets, start
 
 from smartview_jax import fit_joint
 
@@ -57,7 +57,7 @@ def run(processes, devices_each):
 
 def test_two_processes_find_what_one_device_finds():
     """Each of two devices."""
-    alone = described(one_fit(None))
+    alone, rig = described(one_fit(None)), described_rig(rig_fit(None))
     assert alone["converged"]
     answers = run(processes=2, devices_each=2)
     for answer in answers:
@@ -73,6 +73,12 @@ def test_two_processes_find_what_one_device_finds():
         assert gap.max() < 1e-3
         np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
         np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
+        of_rig = answer["rig"]
+        assert of_rig["converged"]
+        assert of_rig["cost"] == pytest.approx(rig["cost"], rel=1e-11)
+        np.testing.assert_allclose(of_rig["found"], rig["found"], atol=1e-9)
+        np.testing.assert_allclose(of_rig["corrections"], rig["corrections"], atol=1e-7)
+        np.testing.assert_allclose(of_rig["std"], rig["std"], rtol=1e-5)
     for found, data in zip(answers[0]["many"], sets(), strict=True):
         one = fit_joint(data, start(), noise=NOISE)
         # Another solver's last step: nothing next to the noise.

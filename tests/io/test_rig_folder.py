@@ -149,7 +149,7 @@ def test_depth_pictures_of_a_camera_are_read(pictured, tmp_path):
         ),
         (
             lambda f: edit(f / "dataset.yaml", "right: {", "right: {mount: ceiling, "),
-            "cameras.right.mount is one of eye_in_hand, eye_to_hand; found 'ceiling'",
+            "cameras.right.mount is one of eye_in_hand, eye_to_hand, hand_to_hand; found 'ceiling'",
         ),
         (
             lambda f: shutil.copy(f / "images/left/0.png", f / "images/left/7.png"),

@@ -2,12 +2,17 @@
 
 import numpy as np
 import pytest
+import yaml
 from text_files import edit
-from two_hands_scene import two_hands
+from two_hands_scene import hands_rig, two_hands
 
-from smartview_jax import Calibration, load_dataset, save_dataset
+from smartview_jax import Calibration, load_dataset, load_rig, save_dataset, save_rig
 from smartview_jax.geometry import host_matrices
+from smartview_jax.io import write_new_dataset
 from smartview_jax.io.folder_description import read_folder_description
+
+SIZES = {"eye": (640, 480)}
+"""Of the pictures of one camera."""
 
 
 @pytest.fixture
@@ -96,3 +101,58 @@ def test_a_calibration_file_has_three_transforms(tmp_path):
     edit(tmp_path / "calibration.yaml", "base_from_other_base", "other_base")
     with pytest.raises(ValueError, match="base_from_other_base"):
         Calibration.load(tmp_path / "calibration.yaml")
+
+
+def test_a_rig_with_a_camera_on_one_hand_is_read_again(tmp_path):
+    """The poses of one hand are in one table, whether one camera or another saw its target."""
+    rig, _ = hands_rig(0)
+    save_rig(rig, tmp_path, "ur")
+    assert sorted(path.parent.name for path in tmp_path.glob("*/poses.csv")) == ["left", "right"]
+    loaded = load_rig(tmp_path)
+    assert dict(loaded.arms) == {"wrist": "left+right", "fixed": "right"}
+    assert loaded.targets["wrist"] == loaded.targets["fixed"]
+    for name in ("base_from_tool", "other_base_from_other_tool"):
+        read, written = (
+            host_matrices(getattr(own.cameras["wrist"].hands, name)) for own in (loaded, rig)
+        )
+        np.testing.assert_allclose(read, written, atol=1e-12)
+    fixed = loaded.cameras["fixed"]
+    assert (fixed.mount, fixed.view_ids) == ("eye_to_hand", rig.cameras["fixed"].view_ids)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (", target_arm: right", "", "target_arm: expected the arm that carries the target for mo"),
+        ("target_arm: right", "target_arm: left", "target_arm: expected another arm than the cam"),
+        ("target_arm: right", "target_arm: third", "target_arm: expected one of left, right, fou"),
+        ("mount: hand_to_hand", "mount: eye_in_hand", "target_arm: expected the arm that carries"),
+    ],
+)
+def test_a_wrong_arm_of_the_target_is_named(tmp_path, old, new, message):
+    path = write_new_dataset(
+        tmp_path, "ur", "chessboard", "eye_to_hand", SIZES, arms={"eye": "left+right"}
+    )
+    edit(path, old, new)
+    with pytest.raises(ValueError, match=message):
+        load_rig(tmp_path)
+
+
+def test_a_rig_with_a_camera_on_one_hand_is_begun(tmp_path):
+    arms = {"wrist": "left+right", "fixed": "right"}
+    sizes = dict.fromkeys(arms, (640, 480))
+    path = write_new_dataset(tmp_path, "kuka", "charuco", "eye_to_hand", sizes, arms=arms)
+    cameras = yaml.safe_load(path.read_text())["cameras"]
+    assert cameras["wrist"] == {
+        "image_size": [640, 480],
+        "mount": "hand_to_hand",
+        "arm": "left",
+        "target_arm": "right",
+    }
+    assert cameras["fixed"] == {"image_size": [640, 480], "arm": "right"}
+    assert (tmp_path / "left/poses.csv").is_file()
+    # Without a camera on a hand nothing would tell where the arms are.
+    with pytest.raises(ValueError, match="cameras next to several arms see no target in common"):
+        write_new_dataset(
+            tmp_path, "kuka", "charuco", "eye_to_hand", sizes, arms={"wrist": "a", "fixed": "b"}
+        )

@@ -166,7 +166,7 @@ def test_what_two_arms_do_not_have_is_said():
     data, truth = scene.data, scene.calibration
     with pytest.raises(ValueError, match="command_for: expected a calibration of one arm, found h"):
         truth.command_for(np.eye(4))
-    with pytest.raises(ValueError, match="Rig: camera 'a': a camera on one arm's hand"):
+    with pytest.raises(ValueError, match="Rig: camera 'a' is on one arm's hand and sees"):
         sv.Rig({"a": data})
     with pytest.raises(ValueError, match="two arms are fitted by fit_joint"):
         sv.fit_many([data], truth, noise=NOISE)

@@ -8,7 +8,15 @@ import numpy as np
 from jaxtyping import Float
 
 from ...dataset import Rig
-from ...engine import is_size, reduced_equations, solve, step_names
+from ...engine import (
+    ROBOT_ERROR,
+    ScaledJacobian,
+    covariance,
+    is_size,
+    reduced_equations,
+    solve,
+    step_names,
+)
 from ...geometry import host_matrices, host_transforms
 from ...joint import RigFit, fit_rig, relative_pose
 from ...robot_errors import LinearInPose
@@ -135,7 +143,7 @@ def pose_uncertainties(fit: RigFit) -> tuple[PoseUncertainty, ...]:
         }
         found.append(_pose_uncertainty(path, variances))
     for first, second in combinations(calibrations, 2):
-        if calibrations[first].mount == calibrations[second].mount:
+        if fit.on_one_mount(first, second):
             covariances = {
                 cause: relative_pose(calibrations, names, matrix, first, second).covariance
                 for cause, matrix in by_cause.items()
@@ -154,17 +162,16 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     problem, names = fit.built.problem, fit.parameter_names
     # The program of the fit gives the equations at its solution, so that nothing is compiled.
     _, equations = solve(problem, start=fit.solution.z)
-    gain = reduced_equations(equations.matrix).gain
-    covariance = np.asarray(fit.covariance)
-    if fit.noise_estimate is not None:
-        added = fit.noise_estimate.small_sample_correction.added_covariance
-        covariance = covariance - added - fit.noise_estimate.between_models_covariance
+    reduced = reduced_equations(equations.matrix)
+    gain, norms = reduced.gain, np.sqrt(np.diagonal(np.asarray(equations.matrix.shared)))
+    # As in the fit, before what estimated sizes of the errors add.
+    known, _ = covariance(ScaledJacobian(reduced.schur_complement, norms), 1.0)
     # The estimate's error is P (J^T e)_shared - P sum_s K_s^T (J^T e)_s, with K_s the gain of a
     # state's own parameters. A prior's whitened error has the covariance 1:
     #     of shared parameters P W^2 P, with W its weights; of states P sum_s K_s^T W_s^2 K_s P.
     weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
     own = np.where(problem.per_view_free, np.asarray(problem.prior_weight.per_view), 0.0)
-    is_field = np.array([name.startswith("robot_error.") for name in names], dtype=bool)
+    is_field = np.array([ROBOT_ERROR in name.split(".") for name in names], dtype=bool)
     of_size = np.array([is_size(name) for name in names], dtype=bool)
     precisions = {
         ROBOT_NOISE: np.einsum("ski,sk,skj->ij", gain, own**2, gain),
@@ -172,10 +179,11 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
         TARGET_SIZE: np.diag(np.where(of_size, weight, 0.0) ** 2),
         OTHER_PRIORS: np.diag(np.where(is_field | of_size, 0.0, weight) ** 2),
     }
-    parts = {cause: covariance @ inner @ covariance for cause, inner in precisions.items()}
+    parts = {cause: known @ inner @ known for cause, inner in precisions.items()}
     # The pixels' part is what remains of P, as P is the inverse of the sum of all precisions.
-    parts[PIXEL_NOISE] = covariance - np.sum(list(parts.values()), axis=0)
-    parts[SIZES_OF_ERRORS] = np.asarray(fit.covariance) - covariance
+    parts[PIXEL_NOISE] = known - np.sum(list(parts.values()), axis=0)
+    if fit.noise_estimates:
+        parts[SIZES_OF_ERRORS] = np.asarray(fit.covariance) - known
     return {cause: part for cause, part in parts.items() if part.any()}
 
 
