@@ -86,7 +86,7 @@ class TrackerDrift(NamedTuple):
 
 
 class LikeliestDrift(NamedTuple):
-    """What is likelier for a tracked chain, that its tracker drifts or that it does not.
+    """The likelier answer to whether the tracker of a chain drifts.
 
     Attributes:
         chain: the pairs, and what is known of them.

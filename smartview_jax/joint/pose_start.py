@@ -85,7 +85,7 @@ def start_of_poses(
 
 
 class _Agreement(NamedTuple):
-    """What robot and tracker agree on.
+    """The unit and the pairs in which robot and tracker agree.
 
     Attributes:
         factor: metres in the tracker's unit; one where it is stated.
@@ -97,7 +97,7 @@ class _Agreement(NamedTuple):
 
 
 def _agreement(data: PoseDataset, scale: bool) -> _Agreement:
-    """Return what robot and tracker agree on, with the tracker's unit as stated or unknown."""
+    """Return where robot and tracker agree, with the tracker's unit as stated or unknown."""
     mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     return _Agreement(*robust_hand_eye(mount_from_holder, data.tracked_matrices, data.seen, scale))
 
@@ -224,7 +224,7 @@ def blank_calibration(data: PoseDataset, camera: Camera | None) -> Calibration:
 
 
 def _likelier_unit(given: TrackedChain, scaled: TrackedChain) -> LikeliestDrift | None:
-    """Return what is likelier of pairs in metres and in a unit of the tracker's own.
+    """Return the drift of the tracker in metres or in a unit of its own, whichever is likelier.
 
     Returns:
         The drift in the likelier unit; None where this is not asked for.
