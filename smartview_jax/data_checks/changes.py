@@ -13,6 +13,7 @@ than all else together: by a size s half-way, it leaves s / 2 in every view of a
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +51,8 @@ class ChangeOptions:
             the views as well.
         min_score: smallest score without a change with which one is looked for; the default is 1 mm
             at half a metre.
-        max_tried_places: largest number of places where a change is looked for at first; then
-            around the best of them.
+        max_tried_places: largest number of places where a change is looked for at first; then of
+            places around the best of them, until none is left between.
     """
 
     min_odds: float = 20.0
@@ -59,6 +60,13 @@ class ChangeOptions:
     max_rival_ratio: float = 2.0
     min_score: float = 2e-3
     max_tried_places: int = 8
+
+    def __post_init__(self) -> None:
+        if self.max_tried_places < 3:
+            raise ValueError(
+                "ChangeOptions.max_tried_places: expected at least three, which narrow a search, "
+                f"found {self.max_tried_places}"
+            )
 
 
 class Change(NamedTuple):
@@ -166,16 +174,18 @@ def find_change(
     misfit, score = mean_misfit(search.fit.closure, search.distance)
     if score < options.min_score:
         return None
-    count = options.max_tried_places
-    coarse = places[np.unique(np.linspace(0, len(places) - 1, count).astype(int))]
-    tried = [change for place in coarse for change in search.changes(place)]
-    step = int(np.ceil(len(places) / count))
-    if step > 1:
-        best = min(tried, key=lambda change: change.score).first_view
-        near = np.setdiff1d(places[np.abs(places - best) < step], coarse)
-        tried += [change for place in near for change in search.changes(place)]
+    tried: dict[int, list[Change]] = {}
+    near, step = places, 0
+    while step != 1:
+        step = int(np.ceil(len(near) / options.max_tried_places))
+        spread = np.linspace(0, len(near) - 1, options.max_tried_places)
+        for place in near[np.unique(spread.astype(int))].tolist():
+            if place not in tried:
+                tried[place] = list(search.changes(place))
+        best = min(tried, key=lambda place: min(change.score for change in tried[place]))
+        near = places[np.abs(places - best) < step]
     best_of_kind: dict[str, Change] = {}
-    for change in sorted(tried, key=lambda change: change.score):
+    for change in sorted(chain.from_iterable(tried.values()), key=lambda change: change.score):
         best_of_kind.setdefault(change.kind, change)
     named = [
         change

@@ -36,6 +36,10 @@ MAX_CLOSURE_SCORE = 0.03
 MAX_CORRECTED_SCORE_RATIO = 0.3
 """Ratio of corrected to given closure score below which a mistake counts as an explanation."""
 
+MIN_EIGENVALUE = 1e-12
+"""Smallest eigenvalue of normal equations, over the largest, that the motions determine: the square
+of a part in a million, and far above rounding errors."""
+
 CLOSURE_SCORE_FLOOR = 1e-4
 """Closure score treated as zero: 0.05 mm at half a metre, less than any robot's error."""
 
@@ -102,8 +106,9 @@ def relative_motions(mount_from_holder: Poses, camera_from_world: Poses) -> Rela
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     # The smaller ratio: where the robot turns about one axis only, all rotation of the camera about
     # a second one is noise, and a single bad view has much of it.
-    singular_values = np.linalg.svd(np.stack([a, b]), compute_uv=False)
-    ratios = singular_values[..., 1] / np.maximum(singular_values[..., 0], 1e-12)
+    vectors = np.stack([a, b])
+    squares = np.maximum(np.linalg.eigvalsh(vectors.swapaxes(-1, -2) @ vectors), 0.0)
+    ratios = np.sqrt(squares[..., 1]) / np.maximum(np.sqrt(squares[..., 2]), 1e-12)
     return RelativeMotions(
         A[..., :3, :3] - np.eye(3),
         B[..., :3, 3] @ R.swapaxes(-1, -2),
@@ -201,10 +206,12 @@ def _translation_residual(
     Pairs count with the weights `used`, `(... pairs)`.
     """
     *batch, pairs = used.shape
-    # A row of zeros changes neither the solution nor the singular values.
+    # A row of zeros changes neither the solution nor the rank.
     rows = (used[..., None, None] * matrix).reshape(*batch, 3 * pairs, 3)
     values = right_hand_side.reshape(*batch, 3 * pairs, 1)
-    translation = np.linalg.pinv(rows, rcond=1e-6) @ values
+    transposed = rows.swapaxes(-1, -2)
+    normal = np.linalg.pinv(transposed @ rows, rcond=MIN_EIGENVALUE, hermitian=True)
+    translation = normal @ (transposed @ values)
     return np.linalg.norm(
         (matrix @ translation[..., None, :, :])[..., 0] - right_hand_side, axis=-1
     )

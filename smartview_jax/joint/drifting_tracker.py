@@ -85,7 +85,33 @@ class TrackerDrift(NamedTuple):
         )
 
 
-def tracker_drift(chain: TrackedChain, noise: TrackerNoise) -> TrackerDrift | None:
+class LikeliestDrift(NamedTuple):
+    """The likelier answer to whether the tracker of a chain drifts.
+
+    Attributes:
+        chain: the pairs, and what is known of them.
+        noise: the likeliest white noise.
+        drift: of the tracker; None if the evidence is against one.
+        evidence: logarithm of the evidence for the likelier, of positions in metres.
+    """
+
+    chain: TrackedChain
+    noise: TrackerNoise
+    drift: TrackerDrift | None
+    evidence: float
+
+    def is_of(self, chain: TrackedChain) -> bool:
+        """Return whether it is known for a chain: for the same pairs, from the same start."""
+        return (
+            self.chain.scale == chain.scale
+            and self.chain.calibration is chain.calibration
+            and bool((self.chain.data.seen == chain.data.seen).all())
+        )
+
+
+def tracker_drift(
+    chain: TrackedChain, noise: TrackerNoise, known: LikeliestDrift | None = None
+) -> TrackerDrift | None:
     """Return the drift of a tracker, if the evidence is for one; else None.
 
     The smooth errors of robots may be alike in successive pairs, too. So the evidence is compared
@@ -94,6 +120,7 @@ def tracker_drift(chain: TrackedChain, noise: TrackerNoise) -> TrackerDrift | No
     Args:
         chain: the pairs, and what is known of them.
         noise: the result of `likeliest_noise`.
+        known: the result of `likeliest_drift` for the same chain, if it is known already.
     """
     probability, seen = chain.tracker_prior.drift_probability, chain.data.seen
     if probability == 0.0 or seen.sum() < MINIMUM_RELIABLE_VIEWS:
@@ -101,23 +128,22 @@ def tracker_drift(chain: TrackedChain, noise: TrackerNoise) -> TrackerDrift | No
     # A drift of the scale alone is in one of the six numbers of a pose.
     if noise.correlation < MIN_CORRELATION and not chain.scale:
         return None
-    return likeliest_drift(chain, noise)[0]
+    return (known or likeliest_drift(chain, noise)).drift
 
 
 @on_one_blas_thread
-def likeliest_drift(chain: TrackedChain, noise: TrackerNoise) -> tuple[TrackerDrift | None, float]:
-    """Return the drift, if the evidence is for one, and the logarithm of the likelier's evidence.
-
-    The evidence is of positions in metres. The arguments are as in `tracker_drift`.
-    """
+def likeliest_drift(chain: TrackedChain, noise: TrackerNoise) -> LikeliestDrift:
+    """Return the drift, if the evidence is for one; the arguments are as in `tracker_drift`."""
     probability = chain.tracker_prior.drift_probability
     steady, drifting = _Chain(chain, noise), _Chain(chain, noise)
     without = steady.evidence(_priors(chain, noise, False), False)
     if probability == 0.0:
-        return None, without
+        return LikeliestDrift(chain, noise, None, without)
     odds = float(np.log(probability / (1.0 - probability)))
     with_drift = drifting.evidence(_priors(chain, noise, True), True) + odds
-    return (drifting.drift(), with_drift) if with_drift > without else (None, without)
+    if with_drift > without:
+        return LikeliestDrift(chain, noise, drifting.drift(), with_drift)
+    return LikeliestDrift(chain, noise, None, without)
 
 
 class _Chain:

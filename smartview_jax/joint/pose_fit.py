@@ -22,13 +22,14 @@ from ..engine import TARGET_SCALE, ParameterChoice, Prior
 from ..geometry import PoseLike, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
+from ..runtime.blas_threads import on_one_blas_thread
 from ..staged import check_start
 from .drifting_tracker import TrackerDrift, tracker_drift, with_uncertain_drift
 from .fit import fit_joint
 from .fit_text import robot_noise_text
 from .gross_errors import without_views
 from .joint_fit import JointFit
-from .pose_start import blank_calibration, start_in_own_unit, start_of_poses
+from .pose_start import blank_calibration, start_in_likelier_unit, start_of_poses
 from .robust_hand_eye import chain_errors
 from .sensor_error import with_sensor_error
 from .tracker_noise import (
@@ -153,6 +154,7 @@ class PoseFit(JointFit):
         super().save(path, *args, **kwargs)
 
 
+@on_one_blas_thread
 def fit_poses(
     samples: TrackedPoses | PoseDataset,
     *,
@@ -234,11 +236,11 @@ def fit_poses(
     begin = start_of_poses(data, blank, start, scale)
     if may_drift and not scale and begin.unit_doubt > MIN_UNIT_DOUBT:
         noises = prior, tracker_prior or TrackerPrior()
-        in_own_unit = start_in_own_unit(data, blank, start, begin, *noises)
-        if in_own_unit is not None:
-            begin, scale, prior = in_own_unit, True, _without_target(prior, True)
+        begin = start_in_likelier_unit(data, blank, start, begin, *noises)
+        if begin.in_own_unit:
+            scale, prior = True, _without_target(prior, True)
             choice = ParameterChoice.of((), (TARGET_SCALE,), None)
-    calibration, consistent, ambiguities, _ = begin
+    calibration, consistent, ambiguities = begin.calibration, begin.consistent, begin.ambiguities
     report(f"start: {consistent.sum()} of {len(data.usable_views())} pairs agree")
 
     def fit_consistent() -> tuple[PoseDataset, JointFit, TrackerDrift | None]:
@@ -246,9 +248,10 @@ def fit_poses(
         used, drift = without_views(data, _contradictions(data, calibration, consistent)), None
         if not data.states_covariance:
             chain = TrackedChain(used, calibration, scale, prior, tracker_prior or TrackerPrior())
-            noise = likeliest_noise(chain)
+            known = begin.drift if begin.drift is not None and begin.drift.is_of(chain) else None
+            noise = likeliest_noise(chain) if known is None else known.noise
             if may_drift:
-                drift = tracker_drift(chain, noise)
+                drift = tracker_drift(chain, noise, known)
             if drift is not None:
                 without = host_transforms(drift.camera_from_world)
                 used = dataclasses.replace(used, camera_from_world=without)

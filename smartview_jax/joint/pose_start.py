@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from ..calibration import Calibration, host_mount_from_holder
 from ..cameras import Camera, Pinhole
@@ -21,11 +21,12 @@ from ..geometry import PoseLike, host_matrices, host_transforms
 from ..hand_eye import solve_hand_eye
 from ..robot_errors import RobotPrior
 from ..runtime.array_namespace import to_device
+from ..runtime.blas_threads import on_one_blas_thread
 from ..staged import known_transforms
-from .drifting_tracker import likeliest_drift
+from .drifting_tracker import LikeliestDrift, likeliest_drift
 from .gross_errors import without_views
 from .robust_hand_eye import robust_hand_eye
-from .tracker_noise import TrackedChain, TrackerPrior, likeliest_noise
+from .tracker_noise import TrackedChain, TrackerPrior, likeliest_noise, measured_in_metres
 from .undetermined import require_moving_robot
 
 MIN_SHARE_WITHOUT_DOUBT = 2.0 / 3.0
@@ -43,14 +44,19 @@ class PoseStart(NamedTuple):
         consistent: mask of the pairs that agree with it.
         ambiguities: what makes many pairs wrong together, and what they cannot tell, in sentences.
         unit_doubt: difference of the ratio of motions from one, in its standard deviations.
+        in_own_unit: whether the tracker's unit turned out to be its own.
+        drift: of the tracker in this unit, if it was asked for.
     """
 
     calibration: Calibration
     consistent: Bool[np.ndarray, "views"]
     ambiguities: tuple[str, ...]
     unit_doubt: float
+    in_own_unit: bool = False
+    drift: LikeliestDrift | None = None
 
 
+@on_one_blas_thread
 def start_from_poses(data: PoseDataset) -> PoseStart:
     """Return the start of a fit, with no choice of the user's.
 
@@ -72,38 +78,62 @@ def start_of_poses(
         blank: a calibration with the tracker's camera.
         start, scale: as in `fit_poses`.
     """
+    agreement = _agreement(data, scale)
+    ambiguities, unit_doubt = _check_conventions(data, agreement)
+    calibration = _step3(data, blank, start, agreement)
+    return PoseStart(calibration, agreement.consistent, ambiguities, unit_doubt)
+
+
+class _Agreement(NamedTuple):
+    """The unit and the pairs in which robot and tracker agree.
+
+    Attributes:
+        factor: metres in the tracker's unit; one where it is stated.
+        consistent: mask of the pairs that agree with one another.
+    """
+
+    factor: float
+    consistent: Bool[np.ndarray, "views"]
+
+
+def _agreement(data: PoseDataset, scale: bool) -> _Agreement:
+    """Return where robot and tracker agree, with the tracker's unit as stated or unknown."""
     mount_from_holder = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
-    measured = data.tracked_matrices
-    factor, consistent = robust_hand_eye(mount_from_holder, measured, data.seen, scale)
-    measured = measured.copy()
-    measured[:, :3, 3] *= factor
-    ambiguities, unit_doubt = _check_conventions(data, measured, consistent)
+    return _Agreement(*robust_hand_eye(mount_from_holder, data.tracked_matrices, data.seen, scale))
+
+
+def _step3(
+    data: PoseDataset,
+    blank: Calibration,
+    start: Mapping[str, PoseLike] | None,
+    agreement: _Agreement,
+) -> Calibration:
+    """Return the calibration of Step 3 for the pairs that agree, with what is known."""
     given = known_transforms(start, data.mount)
     step3 = solve_hand_eye(
-        host_transforms(mount_from_holder),
-        host_transforms(measured),
-        weights=consistent.astype(float),
+        host_mount_from_holder(data.mount, data.base_from_tool),
+        measured_in_metres(data, agreement.factor),
+        weights=agreement.consistent.astype(float),
         start=given,
         camera_on_hand=data.mount == "eye_in_hand",
     )
-    found = dataclasses.replace(
+    return dataclasses.replace(
         blank,
         camera_from_mount=given[0] or step3.camera_from_mount,
         holder_from_world=given[1] or step3.holder_from_world,
-        target_scale=to_device(np.array(factor)),
+        target_scale=to_device(np.array(agreement.factor)),
     )
-    return PoseStart(found, consistent, ambiguities, unit_doubt)
 
 
-def start_in_own_unit(
+def start_in_likelier_unit(
     data: PoseDataset,
     blank: Calibration,
     start: Mapping[str, PoseLike] | None,
     given: PoseStart,
     robot_prior: RobotPrior,
     tracker_prior: TrackerPrior,
-) -> PoseStart | None:
-    """Return the start with a unit of the tracker's own, if the poses are rather in one.
+) -> PoseStart:
+    """Return the start with a unit of the tracker's own, or as given, whichever is likelier.
 
     The positions of a single moving camera have an unknown unit. Measured against a robot in metres
     they go astray more and more, as with a tracker that drifts, and a drift that is estimated
@@ -116,28 +146,27 @@ def start_in_own_unit(
         given: the start with the tracker's unit as stated.
         robot_prior, tracker_prior: as in `fit_poses`.
     """
-    try:
-        scaled = start_of_poses(data, blank, start, True)
-    except ValueError:
-        return None
-    others = np.flatnonzero(~(given.consistent & scaled.consistent))
+    agreement = _agreement(data, True)
+    scaled = _step3(data, blank, start, agreement)
+    others = np.flatnonzero(~(given.consistent & agreement.consistent))
     agreeing = without_views(data, dict.fromkeys(others.tolist(), ""))
-    chain = TrackedChain(agreeing, given.calibration, False, robot_prior, tracker_prior)
-    if not _has_own_unit(chain, chain._replace(calibration=scaled.calibration, scale=True)):
-        return None
-    size = float(scaled.calibration.target_scale)
+    stated = TrackedChain(agreeing, given.calibration, False, robot_prior, tracker_prior)
+    likelier = _likelier_unit(stated, stated._replace(calibration=scaled, scale=True))
+    if likelier is None or not likelier.chain.scale:
+        return given._replace(drift=likelier)
+    try:
+        ambiguities, unit_doubt = _check_conventions(data, agreement)
+    except ValueError:
+        return given
+    size = float(scaled.target_scale)
     text = (
         f"the tracker's unit of length is its own, {size:.3g} m, as of a single moving camera: it "
         "is estimated with the transforms, as scale=True asks"
     )
-    return scaled._replace(ambiguities=(text, *scaled.ambiguities))
+    return PoseStart(scaled, agreement.consistent, (text, *ambiguities), unit_doubt, True, likelier)
 
 
-def _check_conventions(
-    data: PoseDataset,
-    measured: Float[np.ndarray, "views 4 4"],
-    consistent: Bool[np.ndarray, "views"],
-) -> tuple[tuple[str, ...], float]:
+def _check_conventions(data: PoseDataset, agreement: _Agreement) -> tuple[tuple[str, ...], float]:
     """Return in sentences what makes many pairs wrong together, and what they cannot tell.
 
     Returns:
@@ -146,7 +175,8 @@ def _check_conventions(
     Raises:
         ValueError: robot and tracker do not move alike, with the likeliest mistake.
     """
-    camera_from_world = host_transforms(measured)
+    camera_from_world = measured_in_metres(data, agreement.factor)
+    consistent = agreement.consistent
 
     def report_on(views: Bool[np.ndarray, "views"]) -> ConventionReport:
         return check_conventions(
@@ -193,33 +223,38 @@ def blank_calibration(data: PoseDataset, camera: Camera | None) -> Calibration:
     return Calibration(camera or NO_CAMERA, identity, identity, data.mount)
 
 
-def _has_own_unit(given: TrackedChain, scaled: TrackedChain) -> bool:
-    """Return whether the tracker's unit is rather its own than the metre.
+def _likelier_unit(given: TrackedChain, scaled: TrackedChain) -> LikeliestDrift | None:
+    """Return the drift of the tracker in metres or in a unit of its own, whichever is likelier.
 
-    The pairs agree with the calibrations of both, in metres and in a unit of the tracker's own.
+    Returns:
+        The drift in the likelier unit; None where this is not asked for.
+
+    Args:
+        given, scaled: the same pairs, which agree with the calibrations of both, in metres and in
+            a unit of the tracker's own.
     """
     prior = given.robot_prior
     probability, std = prior.wrong_target_probability, prior.wrong_target_scale_std
     if probability == 0.0:
-        return False
-    drifts, in_metres = _drift_and_evidence(given)
-    drifts_in_own_unit, in_own_unit = _drift_and_evidence(scaled)
+        return None
+    as_stated, in_own_unit = _likeliest_drift(given), _likeliest_drift(scaled)
     # Of a steady tracker the joint fit asks whether the target has its stated size.
-    if not (drifts or drifts_in_own_unit):
-        return False
+    if not any(known is not None and known.drift is not None for known in (as_stated, in_own_unit)):
+        return as_stated
+    if as_stated is None or in_own_unit is None:
+        return as_stated or in_own_unit
     # The likelihood is of positions in the tracker's unit, and the size's logarithm is normal.
     size = float(np.log(scaled.calibration.target_scale))
-    in_own_unit += 3.0 * np.count_nonzero(given.data.seen) * size
     log_prior = -0.5 * (size / std) ** 2 - np.log(std * np.sqrt(2.0 * np.pi))
     odds = np.log(probability / (1.0 - probability))
-    return bool(in_own_unit + log_prior + odds > in_metres)
+    more = 3.0 * np.count_nonzero(given.data.seen) * size + log_prior + odds
+    return in_own_unit if in_own_unit.evidence + more > as_stated.evidence else as_stated
 
 
-def _drift_and_evidence(chain: TrackedChain) -> tuple[bool, float]:
-    """Return whether the tracker drifts, and the logarithm of the likelier answer's evidence."""
+def _likeliest_drift(chain: TrackedChain) -> LikeliestDrift | None:
+    """Return whether the tracker drifts; None if no chain is found with or without a drift."""
     try:
-        drift, evidence = likeliest_drift(chain, likeliest_noise(chain))
+        return likeliest_drift(chain, likeliest_noise(chain))
     except np.linalg.LinAlgError:
         # In a wrong unit the drift may be so large that the chain is lost in rounding errors.
-        return False, -np.inf
-    return drift is not None, evidence
+        return None

@@ -8,6 +8,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+from jaxlie import SE3
 from jaxtyping import Float
 
 from ..calibration import Calibration, host_mount_from_holder
@@ -147,9 +148,14 @@ def likeliest_noise(chain: TrackedChain) -> TrackerNoise:
 
 def in_metres(data: PoseDataset, factor: float) -> PoseDataset:
     """Return the data set with translations in metres, for a unit of `factor` metres."""
+    return dataclasses.replace(data, camera_from_world=measured_in_metres(data, factor))
+
+
+def measured_in_metres(data: PoseDataset, factor: float) -> SE3:
+    """Return the tracked poses with translations in metres, for a unit of `factor` metres."""
     measured = data.tracked_matrices.copy()
     measured[:, :3, 3] *= factor
-    return dataclasses.replace(data, camera_from_world=host_transforms(measured))
+    return host_transforms(measured)
 
 
 def with_noise(

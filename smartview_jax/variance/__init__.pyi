@@ -1,6 +1,9 @@
 from .depth_weights import with_weighed_depths as with_weighed_depths
 from .kenward_roger import joined_corrections as joined_corrections
 from .kenward_roger import p_value as p_value
+from .likeliest_walk import LikeliestWalk as LikeliestWalk
+from .likeliest_walk import likeliest_walk as likeliest_walk
+from .likeliest_walk import walk_log_evidence as walk_log_evidence
 from .model_comparison import compare_models as compare_models
 from .model_selection import WHITE_NOISE as WHITE_NOISE
 from .model_selection import ModelName as ModelName
@@ -25,9 +28,6 @@ from .rig_noise import estimate_rig_noise as estimate_rig_noise
 from .robot_evidence import RobotEvidence as RobotEvidence
 from .robot_evidence import SizesOfErrors as SizesOfErrors
 from .tracker_drift import UNIT_SCALE as UNIT_SCALE
-from .tracker_drift import LikeliestWalk as LikeliestWalk
 from .tracker_drift import Walk as Walk
-from .tracker_drift import likeliest_walk as likeliest_walk
 from .tracker_drift import serial_correlation as serial_correlation
-from .tracker_drift import walk_log_evidence as walk_log_evidence
 from .variance_components import estimate_noise as estimate_noise

@@ -14,35 +14,23 @@ References: Henderson, Best linear unbiased estimation and prediction under a se
 2005, section 2.4 (banded factorisation).
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.optimize import minimize
 
 from ..dataset import UNIT_ROTATION, UNIT_TRANSLATION
-from .pose_variances import SMALLEST_PART, LinearPairs, LogNormalPriors
+from .pose_variances import LinearPairs
 
 UNIT_SCALE = 1e-2
 """Unit of the change of a drifting scale from one view to the next (relative)."""
-
-MAX_LOG_FIELD = np.log(10.0)
-"""Largest logarithm of the ratio of an arm's errors to a median arm's errors; beyond it, rounding
-errors decide between its field and the mount."""
-
-DEVIANCE_TOLERANCE = 1e-3
-"""Change of the deviance that does not matter: a tenth of a percent of the likelihood."""
 
 ROUNDING = 1e-13
 """Smallest eigenvalue of a normal matrix with a diagonal of ones that is no rounding error."""
 
 MIN_TOLD = 1e-6
 """Smallest change by a step of the unknowns that tells them, as a fraction of the largest."""
-
-DIFFERENCE, SECOND_DIFFERENCE = 1e-4, 0.1
-"""Steps of the logarithms of standard deviations for first and second differences."""
 
 
 class Walk(NamedTuple):
@@ -116,20 +104,6 @@ class WalkFit(NamedTuple):
     drift: Float[np.ndarray, "views drifts"]
 
 
-class LikeliestWalk(NamedTuple):
-    """The likeliest standard deviations of noises, field and drift.
-
-    Attributes:
-        logarithms: of the standard deviations, in units.
-        deviance: -2 log of their posterior density, but for a constant.
-        fit: the best unknowns and drift.
-    """
-
-    logarithms: Float[np.ndarray, "kinds"]
-    deviance: float
-    fit: WalkFit
-
-
 def serial_correlation(pairs: LinearPairs, variances: Float[np.ndarray, "parts"]) -> float:
     """Return the correlation of successive errors, in its standard deviations if there is none."""
     covariance = np.einsum("k,kvij->vij", variances, pairs.parts)
@@ -139,14 +113,60 @@ def serial_correlation(pairs: LinearPairs, variances: Float[np.ndarray, "parts"]
     return float(products.sum() / np.sqrt(max(np.sum(products**2), np.finfo(float).tiny)))
 
 
-def fit_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> WalkFit:
+class SolvedWalk(NamedTuple):
+    """The normal equations of unknowns and drift for some standard deviations, solved.
+
+    The columns are the steps of the told unknowns and the field's coefficients in units of their
+    standard deviations; the last one has the errors.
+
+    Attributes:
+        walk, logarithms: the model and its standard deviations.
+        deviance: -2 log of the restricted likelihood, but for a constant.
+        information: inverse covariance of the errors in each used view.
+        numbers: the columns in the used views.
+        eliminated: drift that would follow each column, in all views.
+        inverse: covariance of the columns' coefficients.
+        coefficients: the best ones.
+        factor: Cholesky factor of the information on the drift from the second view on, as a lower
+            band; None without a drift.
+    """
+
+    walk: Walk
+    logarithms: Float[np.ndarray, "kinds"]
+    deviance: float
+    information: Float[np.ndarray, "used 6 6"]
+    numbers: Float[np.ndarray, "used 6 columns"]
+    eliminated: Float[np.ndarray, "views drifts columns"]
+    inverse: Float[np.ndarray, "coefficients coefficients"]
+    coefficients: Float[np.ndarray, "coefficients"]
+    factor: Float[np.ndarray, "band drift"] | None
+
+    @property
+    def drift(self) -> Float[np.ndarray, "views drifts"]:
+        """The best drift in every view, from the first on."""
+        return self.eliminated[:, :, -1] - self.eliminated[:, :, :-1] @ self.coefficients
+
+    @property
+    def fit(self) -> WalkFit:
+        """The best unknowns and drift."""
+        walk = self.walk
+        count, told = walk.told.shape
+        field_stds = np.exp(self.logarithms[len(walk.pairs.parts)]) * walk.field_stds
+        basis = np.zeros((count + len(field_stds), len(self.coefficients)))
+        basis[:count, :told], basis[count:, told:] = walk.told, np.diag(field_stds)
+        return WalkFit(
+            self.deviance, basis @ self.coefficients, basis @ self.inverse @ basis.T, self.drift
+        )
+
+
+def solved_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> SolvedWalk:
     """Return the best unknowns and drift for the standard deviations with these logarithms."""
     pairs, used, parts = walk.pairs, walk.used, len(walk.pairs.parts)
     covariance = np.einsum("k,kvij->vij", np.exp(2.0 * logarithms[:parts]), pairs.parts[:, used])
     information = np.linalg.inv(covariance)
     # The field's coefficients are in units of their standard deviations.
     field_stds = np.exp(logarithms[parts]) * walk.field_stds
-    count, told = walk.told.shape
+    told = walk.told.shape[1]
     prior = np.diag(np.pad(np.ones(len(field_stds)), (told, 0)))
     # With the errors as the last column, all sums over the views are taken together.
     numbers = np.concatenate(
@@ -157,8 +177,9 @@ def fit_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> WalkFit:
     normal = _sum_of_products(numbers, weighted)
     deviance = float(np.linalg.slogdet(covariance)[1].sum())
     eliminated = np.zeros((len(used), walk.by_drift.shape[2], numbers.shape[2]))
+    factor = None
     if walk.drifts:
-        right, eliminated, log_determinant = _eliminated_drift(
+        right, eliminated, factor, log_determinant = _eliminated_drift(
             walk, walk.drift_stds(logarithms), information, weighted
         )
         normal = normal - _sum_of_products(right, eliminated)
@@ -166,13 +187,8 @@ def fit_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> WalkFit:
     inverse, log_determinant = _inverse(normal[:-1, :-1] + prior)
     found = inverse @ normal[:-1, -1]
     deviance += log_determinant + float(normal[-1, -1] - normal[:-1, -1] @ found)
-    basis = np.zeros((count + len(field_stds), len(found)))
-    basis[:count, :told], basis[count:, told:] = walk.told, np.diag(field_stds)
-    return WalkFit(
-        deviance,
-        basis @ found,
-        basis @ inverse @ basis.T,
-        eliminated[:, :, -1] - eliminated[:, :, :-1] @ found,
+    return SolvedWalk(
+        walk, logarithms, deviance, information, numbers, eliminated, inverse, found, factor
     )
 
 
@@ -182,12 +198,16 @@ def _eliminated_drift(
     information: Float[np.ndarray, "used 6 6"],
     weighted: Float[np.ndarray, "used 6 numbers"],
 ) -> tuple[
-    Float[np.ndarray, "views drifts numbers"], Float[np.ndarray, "views drifts numbers"], float
+    Float[np.ndarray, "views drifts numbers"],
+    Float[np.ndarray, "views drifts numbers"],
+    Float[np.ndarray, "band drift"],
+    float,
 ]:
-    """Return the two factors that eliminate the drift from the normal equations, and a determinant.
+    """Return what eliminates the drift from the normal equations, and a determinant.
 
-    With A the information on the drift and B the right-hand sides, the factors are B and A^-1 B;
-    the logarithm is of det A times the determinant of the drift's prior covariance.
+    With A the information on the drift and B the right-hand sides, these are B, A^-1 B and the
+    Cholesky factor of A; the logarithm is of det A times the determinant of the drift's prior
+    covariance.
 
     Args:
         walk: the model.
@@ -215,54 +235,7 @@ def _eliminated_drift(
     eliminated = np.zeros_like(right)
     eliminated[1:] = solved.reshape(right[1:].shape)
     log_determinant = 2.0 * np.log(factor[0]).sum() + 2.0 * len(steps) * np.log(stds).sum()
-    return right, eliminated, float(log_determinant)
-
-
-def likeliest_walk(
-    walk: Walk, start: Float[np.ndarray, "kinds"], priors: LogNormalPriors
-) -> LikeliestWalk:
-    """Return the likeliest standard deviations.
-
-    Args:
-        walk: the model.
-        start: logarithms of the standard deviations, in units, from which the search begins.
-        priors: on all of them.
-    """
-    deviance = _posterior_deviance(walk, priors)
-    largest = np.full(len(start), -np.log(SMALLEST_PART))
-    smallest, largest[len(walk.pairs.parts)] = -largest, MAX_LOG_FIELD
-    found = minimize(
-        deviance,
-        start,
-        method="L-BFGS-B",
-        bounds=list(zip(smallest, largest, strict=True)),
-        options={"ftol": DEVIANCE_TOLERANCE / max(abs(deviance(start)), 1.0), "eps": DIFFERENCE},
-    )
-    return LikeliestWalk(found.x, float(found.fun), fit_walk(walk, found.x))
-
-
-def walk_log_evidence(walk: Walk, likeliest: LikeliestWalk, priors: LogNormalPriors) -> float:
-    """Return the logarithm of a model's evidence by Laplace's method, but for a constant.
-
-    Args:
-        walk, priors: as in `likeliest_walk`.
-        likeliest: its result.
-    """
-    # log Z = -D / 2 - log det(D'' / 4 pi) / 2, in which the 2 pi of as many priors cancel.
-    deviance = _posterior_deviance(walk, priors)
-    curvature = 0.5 * _second_differences(deviance, likeliest.logarithms)
-    return -0.5 * (likeliest.deviance + float(np.linalg.slogdet(curvature)[1]))
-
-
-def _posterior_deviance(walk: Walk, priors: LogNormalPriors) -> Callable[[np.ndarray], float]:
-    """Return -2 log of the posterior density as a function of the logarithms."""
-
-    def deviance(logarithms: np.ndarray) -> float:
-        misses = (priors.powers @ logarithms - priors.means) / priors.stds
-        prior = np.sum(misses**2) + 2.0 * np.log(priors.stds).sum()
-        return fit_walk(walk, logarithms).deviance + float(prior)
-
-    return deviance
+    return right, eliminated, factor, float(log_determinant)
 
 
 def _sum_of_products(
@@ -308,20 +281,3 @@ def _inverse(matrix: Float[np.ndarray, "n n"]) -> tuple[Float[np.ndarray, "n n"]
     scaled = size[:, None] * vectors
     log_determinant = float(np.log(values).sum() - 2.0 * np.log(size).sum())
     return (scaled / values) @ scaled.T, log_determinant
-
-
-def _second_differences(
-    function: Callable[[np.ndarray], float], place: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n n"]:
-    """Return the second derivatives of a function by central differences."""
-    count = len(place)
-    steps = SECOND_DIFFERENCE * np.eye(count)
-    middle = function(place)
-    sums = [function(place + step) + function(place - step) - 2.0 * middle for step in steps]
-    found = np.diag(sums)
-    for j in range(count):
-        for k in range(j):
-            both = steps[j] + steps[k]
-            mixed = function(place + both) + function(place - both) - 2.0 * middle
-            found[j, k] = found[k, j] = 0.5 * (mixed - sums[j] - sums[k])
-    return found / SECOND_DIFFERENCE**2

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 from tracked_scene import MOUNT, VIEWS, WORLD, tracked
 
@@ -13,7 +14,8 @@ from smartview_jax.variance import (
     linear_pairs,
     walk_log_evidence,
 )
-from smartview_jax.variance.tracker_drift import fit_walk
+from smartview_jax.variance.tracker_drift import solved_walk
+from smartview_jax.variance.walk_slopes import deviance_slopes
 
 USED = np.arange(VIEWS) % 5 != 2
 LOGARITHMS = np.log([0.6, 1.5, 0.4, 0.1, 0.03, 2.0, 1.2, 0.3])
@@ -56,7 +58,7 @@ def test_likelihood_and_unknowns_are_those_of_the_dense_covariance(walk):
     deviances = []
     for logarithms in (LOGARITHMS, LOGARITHMS + np.linspace(-0.5, 0.5, 8)):
         covariance, columns = dense(walk, logarithms)
-        found = fit_walk(walk, logarithms)
+        found = solved_walk(walk, logarithms).fit
         inverse = np.linalg.inv(covariance)
         by_unknowns = np.linalg.inv(columns.T @ inverse @ columns)
         best = by_unknowns @ columns.T @ inverse @ errors
@@ -72,7 +74,7 @@ def test_likelihood_and_unknowns_are_those_of_the_dense_covariance(walk):
 
 def test_the_drift_goes_on_through_views_that_are_not_used(walk):
     """A walk is at the mean of its neighbours where nothing is measured, seen in one frame."""
-    found = fit_walk(walk, LOGARITHMS)
+    found = solved_walk(walk, LOGARITHMS)
     assert (found.drift[0] == 0.0).all()
     view = int(np.flatnonzero(~USED)[1])
     before, here, after = found.drift[view - 1 : view + 2]
@@ -82,12 +84,21 @@ def test_the_drift_goes_on_through_views_that_are_not_used(walk):
     np.testing.assert_allclose(here, expected, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("drifts", [True, False])
+def test_the_slopes_are_those_of_the_likelihood_by_differences(walk, drifts):
+    """Also through views that are not used."""
+    walk = walk._replace(drifts=drifts)
+    logarithms = LOGARITHMS if drifts else LOGARITHMS[:6]
+    slopes = approx_fprime(logarithms, lambda place: solved_walk(walk, place).deviance, 1e-6)
+    np.testing.assert_allclose(deviance_slopes(solved_walk(walk, logarithms)), slopes, atol=1e-3)
+
+
 def test_the_likeliest_sizes_are_at_a_maximum(walk):
     priors = LogNormalPriors(np.eye(8), np.log(np.ones(8)), np.full(8, 3.0))
     best = likeliest_walk(walk, np.zeros(8), priors)
 
     def deviance(logarithms):
-        return fit_walk(walk, logarithms).deviance + np.sum((logarithms / 3.0) ** 2)
+        return solved_walk(walk, logarithms).deviance + np.sum((logarithms / 3.0) ** 2)
 
     lowest = deviance(best.logarithms)
     for step in 0.05 * np.vstack([np.eye(8), -np.eye(8)]):
