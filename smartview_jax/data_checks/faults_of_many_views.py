@@ -1,4 +1,4 @@
-"""Find the one fault that makes many views wrong together: a change, a drift, a lag, or groups.
+"""Find the one fault that makes many views wrong together: a change, drift, lag, focus or groups.
 
 No single view looks wrong with any of them. Where several explain the views, the best explanation
 is named.
@@ -13,6 +13,7 @@ from jaxtyping import Bool
 
 from ..calibration import host_mount_from_holder
 from .changes import find_change
+from .focus_changes import SeenDistances, find_focus_change
 from .pose_lag import find_lag
 from .set_up_drift import find_drift
 from .view_groups import find_groups
@@ -57,6 +58,7 @@ class RobotAndCamera(NamedTuple):
         length_ratio: of the camera's motion to the robot's, as in `find_change`.
         tracked: whether a tracker gave the camera's poses, without pictures.
         drifts: whether the tracker may drift by itself, which the fit of its poses estimates.
+        distances: what pictures tell of the target's distance, where they gave the camera's poses.
     """
 
     base_from_tool: SE3
@@ -66,6 +68,7 @@ class RobotAndCamera(NamedTuple):
     length_ratio: float = 1.0
     tracked: bool = False
     drifts: bool = False
+    distances: SeenDistances | None = None
 
 
 def find_shared_fault(
@@ -128,6 +131,10 @@ def _faults(
         )
     if poses.drifts:
         return
+    if poses.distances is not None:
+        focus = find_focus_change(robot, camera, used, poses.distances)
+        if focus is not None:
+            yield focus.score, SharedFault(focus.sentence, False, True)
     if (drift := find_drift(robot, camera, used, ratio)) is not None:
         sentence = drift.sentence(mount, poses.view_ids)
         yield drift.score, SharedFault(sentence, drift.contradicts, True)
