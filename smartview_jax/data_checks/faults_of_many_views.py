@@ -105,9 +105,13 @@ def find_shared_fault(
         return best
     robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
     groups = find_groups(robot, poses.camera_from_world, used)
-    if groups is None:
+    if groups is not None:
+        return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
+    # It has an error of its own in every view, with which it explains much of other faults.
+    if poses.distances is None:
         return best
-    return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
+    focus = find_focus_change(robot, poses.camera_from_world, used, poses.distances)
+    return best if focus is None else SharedFault(focus.sentence, False, True)
 
 
 def _faults(
@@ -131,10 +135,6 @@ def _faults(
         )
     if poses.drifts:
         return
-    if poses.distances is not None:
-        focus = find_focus_change(robot, camera, used, poses.distances)
-        if focus is not None:
-            yield focus.score, SharedFault(focus.sentence, False, True)
     if (drift := find_drift(robot, camera, used, ratio)) is not None:
         sentence = drift.sentence(mount, poses.view_ids)
         yield drift.score, SharedFault(sentence, drift.contradicts, True)

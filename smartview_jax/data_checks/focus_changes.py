@@ -45,13 +45,11 @@ class FocusChange(NamedTuple):
     Attributes:
         relative_std: standard deviation of the focal length, over its mean.
         along, across: standard deviations of the errors along the optical axis and across it, m.
-        score: what is left over with such changes, over the distance to the target.
     """
 
     relative_std: float
     along: float
     across: float
-    score: float
 
     @property
     def sentence(self) -> str:
@@ -144,9 +142,7 @@ def find_focus_change(
     odds = min(alike.deviance - focus.deviance - numbers, rival - focus.deviance)
     if odds < 2.0 * np.log(options.min_odds):
         return None
-    distance = median_distance(camera)
-    left_over = np.sqrt(3.0) * focus.sigma
-    return FocusChange(size, size * distance, focus.sigma, left_over / distance)
+    return FocusChange(size, size * median_distance(camera), focus.sigma)
 
 
 class _Likelihood(NamedTuple):

@@ -67,9 +67,7 @@ def looking_down(seed, lift=0.0, along=0.0, noise=2e-4):
     poses = np.empty((2, VIEWS, 4, 4))
     for view in range(VIEWS):
         true = transform(rng.normal(0.0, 12.0, 3), rng.normal(0.0, 0.1, 3))
-        error = transform(
-            np.zeros(3), rng.normal(0.0, noise, 3) + [0.0, 0.0, rng.normal(0.0, lift)]
-        )
+        error = transform(np.zeros(3), rng.normal(0.0, [noise, noise, np.hypot(noise, lift)]))
         camera = transform([0, 0, 95], [0.02, 0.05, -0.1]) @ true
         camera = camera @ transform([180, 0, 30], [0.4, 0.1, 0.6])
         camera[2, 3] += rng.normal(0.0, along)
