@@ -2,8 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -33,6 +33,15 @@ An arm's lengths are right to half a percent; the rest allows for a camera calib
 """
 
 
+CheckedViewsOption = Annotated[
+    options.BadViews | None,
+    typer.Option(
+        help="What to do with a view that has invalid values: stop (raise) or leave it out (mask).",
+        show_default="left out, and told where calibrate stops",
+    ),
+]
+
+
 class DatasetFigures(NamedTuple):
     """The figures of a data set that need no fit.
 
@@ -56,7 +65,7 @@ class DatasetFigures(NamedTuple):
 def check(
     dataset: options.DatasetArgument = None,
     camera: CameraOption = None,
-    bad_views: options.BadViewsOption = options.BadViews.MASK,
+    bad_views: CheckedViewsOption = None,
     json: options.JsonOption = False,
     debug: options.DebugOption = False,
 ) -> None:
@@ -65,16 +74,24 @@ def check(
     Exits with 1 if the data cannot be calibrated as they are.
     """
     with errors_reported(debug):
+        treatment = bad_views or options.BadViews.MASK
         if dataset is not None and sv.io.is_rig_folder(dataset):
             with progress_line() as progress:
-                rig = sv.load_rig(dataset, bad_views, progress)
+                rig = sv.load_rig(dataset, treatment, progress)
             known = {} if camera is None else sv.io.read_cameras(camera, tuple(rig.cameras))
-            findings = _checked_rig(rig, dataset.resolve().name, known)
+            is_masked = any(data.masked_views for data in rig.cameras.values())
+            stops = ()
+            if bad_views is None and is_masked:
+                stops = _stops(lambda: sv.load_rig(dataset, options.BadViews.RAISE))
+            findings = _checked_rig(rig, dataset.resolve().name, known, stops)
         else:
             known_camera = None if camera is None else sv.io.read_camera(camera)
             with progress_line() as progress:
-                data, name = load_named(dataset, bad_views, progress)
-            findings = _checked(data, name, known_camera)
+                data, name = load_named(dataset, treatment, progress)
+            stops = ()
+            if bad_views is None and data.masked_views:
+                stops = _stops(lambda: load_named(dataset, options.BadViews.RAISE, lambda _: None))
+            findings = _checked(data, name, known_camera, stops=stops)
         if json:
             print_document("check", findings.document)
         else:
@@ -85,6 +102,18 @@ def check(
             except_for = ", apart from these doubts" if findings.are_doubtful else ""
             cameras = "cameras" if findings.cameras else "camera"
             typer.echo(f"{cameras} and robot agree{except_for}: ready for smartview calibrate")
+
+
+def _stops(load: Callable[[], object]) -> tuple[str, ...]:
+    """Return in a sentence why `smartview calibrate` does not load data; nothing if it does."""
+    try:
+        load()
+    except (ValueError, OSError) as error:
+        return (
+            f"smartview calibrate stops at this: {error}. Correct it, or leave such views out: "
+            "--bad-views mask",
+        )
+    return ()
 
 
 class Findings(NamedTuple):
@@ -128,12 +157,16 @@ class Findings(NamedTuple):
 
 
 def _checked(
-    given: "sv.Dataset", name: str, camera: "sv.Camera | None", reference: str | None = None
+    given: "sv.Dataset",
+    name: str,
+    camera: "sv.Camera | None",
+    reference: str | None = None,
+    stops: tuple[str, ...] = (),
 ) -> Findings:
     """Check the data of one camera, which may be known.
 
     Of a known camera one or two views suffice if a reference, another camera of the rig, tells
-    where the target is.
+    where the target is. What stops `smartview calibrate` from loading the data comes first.
     """
     data = _without_repetitions(given)
     figures = _figures(data)
@@ -150,12 +183,15 @@ def _checked(
         # The data with repetitions: if all poses are equal, no view is left without them.
         reported = {view for view, _ in data.masked_views}
         problems, doubts, staged = _agreement(given, reported, camera)
+    problems = (*stops, *problems)
     document = _document(name, data, figures, problems, doubts)
     return Findings(lines, problems, doubts, document, staged)
 
 
-def _checked_rig(rig: "sv.Rig", name: str, known: "Mapping[str, sv.Camera]") -> Findings:
-    """Check the data of several cameras."""
+def _checked_rig(
+    rig: "sv.Rig", name: str, known: "Mapping[str, sv.Camera]", stops: tuple[str, ...]
+) -> Findings:
+    """Check the data of several cameras, after what stops `smartview calibrate`."""
     from ..rig_pipeline import reference_camera, shared_target_findings, usable_view_counts
 
     counts = {c: n for c, n in usable_view_counts(rig, known).items() if n >= 3}
@@ -166,7 +202,7 @@ def _checked_rig(rig: "sv.Rig", name: str, known: "Mapping[str, sv.Camera]") -> 
     shared = sum(len(seeing) > 1 for seeing in rig.seeing)
     staged = {name: each.staged for name, each in cameras.items() if each.staged is not None}
     together = shared_target_findings(rig, staged)
-    problems, doubts = list(together.problems), [*together.doubts, *_lonely_cameras(rig)]
+    problems, doubts = [*stops, *together.problems], [*together.doubts, *_lonely_cameras(rig)]
     arms = rig.robot_names
     robots = "the robot" if len(arms) == 1 else f"the arms {', '.join(arms)}"
     line = (

@@ -12,11 +12,13 @@ from .conventions import check_conventions as check_conventions
 from .faults_of_many_views import RobotAndCamera as RobotAndCamera
 from .faults_of_many_views import SharedFault as SharedFault
 from .faults_of_many_views import find_shared_fault as find_shared_fault
+from .focus_changes import SeenDistances as SeenDistances
 from .given_poses import target_turns as target_turns
 from .joint_mistakes import OTHER_ARM_RATIO as OTHER_ARM_RATIO
 from .joint_mistakes import OTHER_ARM_TEXT as OTHER_ARM_TEXT
 from .joint_mistakes import joint_problem as joint_problem
 from .length_units import mistaken_unit as mistaken_unit
+from .other_arm import find_other_arm as find_other_arm
 from .pose_lag import PoseLag as PoseLag
 from .pose_lag import find_lag as find_lag
 from .questions import Findings as Findings

@@ -1,4 +1,4 @@
-"""Find the one fault that makes many views wrong together: a change, a drift, a lag, or groups.
+"""Find the one fault that makes many views wrong together: a change, drift, lag, focus or groups.
 
 No single view looks wrong with any of them. Where several explain the views, the best explanation
 is named.
@@ -13,6 +13,7 @@ from jaxtyping import Bool
 
 from ..calibration import host_mount_from_holder
 from .changes import find_change
+from .focus_changes import SeenDistances, find_focus_change
 from .pose_lag import find_lag
 from .set_up_drift import find_drift
 from .view_groups import find_groups
@@ -57,6 +58,7 @@ class RobotAndCamera(NamedTuple):
         length_ratio: of the camera's motion to the robot's, as in `find_change`.
         tracked: whether a tracker gave the camera's poses, without pictures.
         drifts: whether the tracker may drift by itself, which the fit of its poses estimates.
+        distances: what pictures tell of the target's distance, where they gave the camera's poses.
     """
 
     base_from_tool: SE3
@@ -66,6 +68,7 @@ class RobotAndCamera(NamedTuple):
     length_ratio: float = 1.0
     tracked: bool = False
     drifts: bool = False
+    distances: SeenDistances | None = None
 
 
 def find_shared_fault(
@@ -102,9 +105,13 @@ def find_shared_fault(
         return best
     robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
     groups = find_groups(robot, poses.camera_from_world, used)
-    if groups is None:
+    if groups is not None:
+        return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
+    # It has an error of its own in every view, with which it explains much of other faults.
+    if poses.distances is None:
         return best
-    return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
+    focus = find_focus_change(robot, poses.camera_from_world, used, poses.distances)
+    return best if focus is None else SharedFault(focus.sentence, False, True)
 
 
 def _faults(

@@ -25,14 +25,14 @@ def errors_of(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
     return in_parts(host_logarithms(closure))
 
 
-def error_variances(errors: Float[np.ndarray, "views 2 3"]) -> Float[np.ndarray, "2"]:
+def error_variances(errors: Float[np.ndarray, "views kinds 3"]) -> Float[np.ndarray, "kinds"]:
     """Return the variances of the views' errors, of translation (m^2) and rotation (rad^2)."""
     return np.maximum(np.mean(errors**2, axis=(0, 2)), MIN_VARIANCE)
 
 
 def evidence(
-    given_variances: Float[np.ndarray, "2"],
-    errors: Float[np.ndarray, "views 2 3"],
+    given_variances: Float[np.ndarray, "kinds"],
+    errors: Float[np.ndarray, "views kinds 3"],
     parameters: int,
 ) -> float:
     """Return Schwarz's criterion of the poses as given minus with an explanation.
@@ -41,17 +41,19 @@ def evidence(
 
     Args:
         given_variances: variances of the errors as given (`error_variances`).
-        errors: what the explanation leaves over, of translation (m) and rotation (rad).
+        errors: what the explanation leaves over, of translation (m) and rotation (rad), or of one
+            of them alone.
         parameters: how many numbers the explanation has.
     """
     variances, count = error_variances(errors), len(errors)
+    numbers = errors[0].size
     scaled = errors / np.sqrt(variances)[:, None]
-    correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (6.0 * (count - 1))
+    correlation = float(np.sum(scaled[1:] * scaled[:-1])) / (numbers * (count - 1))
     correlation = min(max(correlation, 0.0), 1.0)
     effective = max(count * (1.0 - correlation) / (1.0 + correlation), 1.0)
     # -2 log L = 3 n log variance, for translation and rotation.
     gain = 3.0 * effective * float(np.sum(np.log(given_variances / variances)))
-    return gain - parameters * np.log(6.0 * effective)
+    return gain - parameters * np.log(numbers * effective)
 
 
 def in_parts(twists: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 2 3"]:

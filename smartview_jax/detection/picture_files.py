@@ -130,8 +130,15 @@ def decode_picture(path: Path, data: bytes, image_size: tuple[int, int] | None =
     image = _decoded(path, data)
     size = (image.shape[1], image.shape[0])
     if image_size is not None and size != tuple(image_size):
+        turned = ""
+        if size == tuple(image_size)[::-1]:
+            turned = (
+                ": turned by 90 degrees, so that its pixels are not the sensor's: turn it back, "
+                "and switch automatic turning off"
+            )
         raise ValueError(
             f"{path}: expected {image_size[0]} x {image_size[1]} px, found {size[0]} x {size[1]}"
+            + turned
         )
     return _as_grey_picture(path, image)
 

@@ -19,9 +19,11 @@ from ..data_checks import (
     ConventionReport,
     Findings,
     RobotAndCamera,
+    SeenDistances,
     check_conventions,
     detection_findings,
     find_consistent_views,
+    find_other_arm,
     find_shared_fault,
     find_shifted_numbering,
     joint_problem,
@@ -230,7 +232,7 @@ def fit_staged(
     if choice is None and not report.explained:
         report = _with_mistake_in_joints(report, data, common_fit.camera_from_world, used)
     if choice is None and not report.explained:
-        report = _with_fault_of_many_views(report, data, common_fit.camera_from_world, used)
+        report = _with_fault_of_many_views(report, data, common_fit, used)
     camera_doubt = common_camera_doubt(
         observations,
         used,
@@ -329,23 +331,40 @@ def _calibration(
 def _with_mistake_in_joints(
     report: ConventionReport, data: Dataset, camera_from_world: SE3, used: np.ndarray
 ) -> ConventionReport:
-    """Return the report with a mistake in the joint readings instead of an unexplained problem."""
-    if not report.problems or data.joints is None or data.arm is None:
+    """Return the report with a mistake in the joint readings, or with another arm, if it has one.
+
+    Another arm may look like a target of another size.
+    """
+    if data.joints is None or data.arm is None:
         return report
-    readings = np.asarray(data.joints)
-    text = joint_problem(readings, data.arm, camera_from_world, data.mount, used)
+    readings, text = np.asarray(data.joints), ""
+    if report.problems:
+        text = joint_problem(readings, data.arm, camera_from_world, data.mount, used)
+    if not text:
+        lengths = find_other_arm(readings, data.arm, camera_from_world, data.mount, used)
+        text = "" if lengths is None else lengths.sentence
     return report._replace(problems=(text,), explained=True) if text else report
 
 
 def _with_fault_of_many_views(
-    report: ConventionReport, data: Dataset, camera_from_world: SE3, used: np.ndarray
+    report: ConventionReport, data: Dataset, common_fit: CommonCameraFit, used: np.ndarray
 ) -> ConventionReport:
     """Return the report with a change of the set-up or a lag of the poses, if there is one.
 
     It is a problem where no calibration can be right with it, else a doubt.
     """
     poses = RobotAndCamera(
-        data.base_from_tool, camera_from_world, data.mount, data.view_ids, report.length_ratio
+        data.base_from_tool,
+        common_fit.camera_from_world,
+        data.mount,
+        data.view_ids,
+        report.length_ratio,
+        distances=SeenDistances.of_points(
+            np.asarray(data.points),
+            np.asarray(data.pixels),
+            np.asarray(common_fit.inliers),
+            pixel_noise(common_fit),
+        ),
     )
     fault = find_shared_fault(poses, used)
     if fault is None:

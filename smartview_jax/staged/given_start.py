@@ -24,7 +24,23 @@ def require_picture_size(what: str, camera: Camera, image_size: tuple[int, int])
         sizes = [" x ".join(map(str, size)) for size in (camera.image_size, image_size)]
         raise ValueError(
             f"{what} takes pictures of {sizes[0]} px, but the data have pictures of {sizes[1]} px"
+            f"{_size_advice(camera.image_size, image_size)}"
         )
+
+
+def _size_advice(known: tuple[int, int], given: tuple[int, int]) -> str:
+    """Return what was done to pictures that have another size than a camera's, if it shows."""
+    if tuple(known) == tuple(given)[::-1]:
+        return ": were they turned by 90 degrees? Turn them back"
+    width, height = (ours / theirs for ours, theirs in zip(given, known, strict=True))
+    by_number = f"{1.0 / width:.3g}" if width < 1.0 else f"1 / {width:.3g}"
+    cut = "cut out (a region of interest has another u0 and v0, but the same focal length)"
+    if width != height:
+        return f": were they {cut}? Give a camera of these pictures, or leave it out"
+    return (
+        f": were they binned or scaled by {by_number} (then focal length, u0 and v0 are, too), or "
+        f"{cut}? Give a camera of these pictures, or leave it out"
+    )
 
 
 def check_start(start: Calibration | Mapping[str, PoseLike] | None, data: Dataset) -> None:

@@ -116,3 +116,18 @@ def test_few_views_of_a_known_camera_need_another_camera():
     for camera, reference in ((None, "left"), (scene.calibration.camera, None)):
         (problem,) = _checked(few, "right", camera, reference).problems
         assert "needs at least 3 views" in problem
+
+
+def test_check_stops_where_calibrate_does_unless_views_are_left_out(folder):
+    lines = (folder / "poses.csv").read_text().splitlines()
+    lines[3] = ",".join([lines[3].split(",")[0], *["nan"] * lines[3].count(",")])
+    (folder / "poses.csv").write_text("\n".join(lines) + "\n")
+    stopped = run("calibrate", folder, "--out", folder / "out")
+    assert stopped.exit_code == 2
+    reason = stopped.output.split("smartview: ")[-1].strip()
+    checked = run("check", folder)
+    assert checked.exit_code == 1
+    assert "problem: smartview calibrate stops at this: " in checked.output
+    assert reason[:60] in checked.output
+    assert "robot and camera agree" not in checked.output
+    assert run("check", folder, "--bad-views", "mask").exit_code == 0

@@ -171,3 +171,13 @@ def test_values_that_are_no_numbers_are_named(tmp_path):
     cv2.imwrite(str(tmp_path / "float.tif"), grey)
     with pytest.raises(ValueError, match="1 pixels are not finite"):
         read_picture(tmp_path / "float.tif")
+
+
+def test_a_picture_that_was_turned_is_told_from_one_of_another_size(tmp_path, picture):
+    rows, columns = picture.shape
+    path = tmp_path / "turned.png"
+    cv2.imwrite(str(path), np.rot90(picture))
+    with pytest.raises(ValueError, match="turned by 90 degrees"):
+        read_picture(path, (columns, rows))
+    with pytest.raises(ValueError, match=f"found {rows} x {columns}$"):
+        read_picture(path, (columns + 1, rows))

@@ -1,0 +1,211 @@
+"""Find out that the focal length changed between the pictures: autofocus, or a lens that breathes.
+
+Within one view a longer focal length looks like a nearer target, so that one camera fits all views
+although it had another focal length in each. Robot and camera then disagree along the optical axis,
+by a share of the distance. Whatever else errs knows nothing of the optical axis: the robot errs
+alike in all directions, or along an axis of its base as a worn lift does. So the positions are
+fitted with errors of each kind (`position_equations.py`), and the kinds compared by Schwarz's
+criterion. Points in pictures tell the distance less well than the direction, by an amount that
+follows from their noise and is part of each kind.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float
+from scipy.optimize import minimize
+
+from .position_equations import robot_column, transform_columns
+from .transform_fit import fit_transforms, median_distance, motions_of_views
+
+
+@dataclasses.dataclass(frozen=True)
+class FocusOptions:
+    """Say which changes of focus are named.
+
+    Attributes:
+        min_odds: smallest odds of them against errors alike in all directions, and against errors
+            along an axis of the robot; 150 are "very strong evidence" in the words of Kass and
+            Raftery, Bayes factors, 1995.
+        min_views: fewest views: transforms, size and both variances have 9 numbers, 6 views 18.
+        min_size: smallest standard deviation of the focal length, relative. The default moves the
+            target by half a millimetre at half a metre, which no good robot errs by.
+    """
+
+    min_odds: float = 150.0
+    min_views: int = 8
+    min_size: float = 1e-3
+
+
+class FocusChange(NamedTuple):
+    """Changes of the focal length between the pictures.
+
+    Attributes:
+        relative_std: standard deviation of the focal length, over its mean.
+        along, across: standard deviations of the errors along the optical axis and across it, m.
+    """
+
+    relative_std: float
+    along: float
+    across: float
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong with the pictures, and what to do."""
+        return (
+            "the focal length seems to change from picture to picture, by "
+            f"{100.0 * self.relative_std:.2g} % (standard deviation), as with autofocus, zoom or a "
+            "lens that breathes: robot and camera disagree by "
+            f"{1e3 * self.along:.2g} mm along the optical axis, and by only "
+            f"{1e3 * self.across:.2g} mm across it. Switch autofocus off, fix focus and zoom, and "
+            "take the pictures again"
+        )
+
+
+class SeenDistances(NamedTuple):
+    """What the pictures tell of the target's distance.
+
+    Attributes:
+        middle: of the target's points, m.
+        noise: standard deviation of each view's distance by the points' noise, relative, `(views)`.
+    """
+
+    middle: Float[np.ndarray, "3"]
+    noise: Float[np.ndarray, "views"]
+
+    @classmethod
+    def of_points(
+        cls,
+        points: Float[np.ndarray, "views points 3"],
+        pixels: Float[np.ndarray, "views points 2"],
+        visible: Bool[np.ndarray, "views points"],
+        pixel_sigma: float,
+    ) -> "SeenDistances":
+        """Return the middle of the points and the noise that the size of their pictures has."""
+        seen = np.where(visible[..., None], pixels, np.nan)
+        with np.errstate(invalid="ignore"):
+            count = np.maximum(visible.sum(axis=1), 1)[:, None, None]
+            from_middle = seen - np.nansum(seen, axis=1, keepdims=True) / count
+            spread = np.sqrt(np.nansum(from_middle**2, axis=(1, 2)))
+        return cls(points.reshape(-1, 3).mean(axis=0), pixel_sigma / np.maximum(spread, 1e-9))
+
+
+def find_focus_change(
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    used: Bool[np.ndarray, "views"],
+    seen: SeenDistances,
+    options: FocusOptions | None = None,
+) -> FocusChange | None:
+    """Return the changes of the focal length, if errors lie along the optical axis.
+
+    Args:
+        mount_from_holder: the robot's part of the chain, `(views)`.
+        camera_from_world: from the pictures alone, `(views)`.
+        used: mask of the views to use.
+        seen: what the pictures tell of the distances.
+        options: which changes are named; by default `FocusOptions()`.
+
+    Returns:
+        None if the focal length does not seem to change.
+    """
+    options = options or FocusOptions()
+    views = np.flatnonzero(used)
+    if len(views) < options.min_views:
+        return None
+    motions = motions_of_views(mount_from_holder, camera_from_world, views, 1.0)
+    if motions is None:
+        return None
+    robot, camera = motions
+    camera_from_mount = fit_transforms(
+        robot, camera, np.ones(len(views), dtype=bool)
+    ).camera_from_mount
+    depths = camera[:, 2, :3] @ seen.middle + camera[:, 2, 3]
+    if not (depths > 0.0).all():
+        return None
+    columns = [transform_columns(robot, camera_from_mount), robot_column(robot, camera_from_mount)]
+    along = np.zeros((len(views), 3))
+    along[:, 2] = depths
+    errors = _Positions(
+        np.concatenate(columns, axis=2), camera[:, :3, 3], along * seen.noise[views, None]
+    )
+    focus = errors.likelihood(along)
+    size = focus.size
+    if size < options.min_size:
+        return None
+    alike = errors.likelihood(None)
+    axes = (camera_from_mount[:3, :3] @ robot[:, :3, :3]).transpose(2, 0, 1)
+    rival = min(errors.likelihood(axis).deviance for axis in axes)
+    numbers = np.log(3.0 * len(views))
+    odds = min(alike.deviance - focus.deviance - numbers, rival - focus.deviance)
+    if odds < 2.0 * np.log(options.min_odds):
+        return None
+    return FocusChange(size, size * median_distance(camera), focus.sigma)
+
+
+class _Likelihood(NamedTuple):
+    """Errors that make positions most likely.
+
+    Attributes:
+        sigma: standard deviation of the errors in any direction, m.
+        size: of the errors along the vectors, in their unit.
+        deviance: minus twice the logarithm of the likelihood, but for a constant.
+    """
+
+    sigma: float
+    size: float
+    deviance: float
+
+
+class _Positions(NamedTuple):
+    """Positions, and what explains them.
+
+    Attributes:
+        columns: of the numbers that explain them.
+        positions: of the target in each view, in the camera's axes, m.
+        noise: of the pictures in each view, as a vector, m.
+    """
+
+    columns: Float[np.ndarray, "views 3 numbers"]
+    positions: Float[np.ndarray, "views 3"]
+    noise: Float[np.ndarray, "views 3"]
+
+    def likelihood(self, vectors: Float[np.ndarray, "views 3"] | None) -> _Likelihood:
+        """Return the likeliest errors that are alike in all directions, plus some along vectors."""
+        known = np.einsum("vi,vj->vij", self.noise, self.noise)
+        outer = None if vectors is None else np.einsum("vi,vj->vij", vectors, vectors)
+
+        def deviance(logarithms: np.ndarray) -> float:
+            """Return minus twice the log likelihood of standard deviations, by their logarithms."""
+            covariance = np.exp(2.0 * logarithms[0]) * np.eye(3) + known
+            if outer is not None:
+                covariance = covariance + np.exp(2.0 * logarithms[1]) * outer
+            whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+            matrix = (whitening @ self.columns).reshape(-1, self.columns.shape[2])
+            target = np.einsum("vij,vj->vi", whitening, self.positions).ravel()
+            errors = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0]
+            determinants = -2.0 * np.log(np.diagonal(whitening, axis1=1, axis2=2)).sum()
+            return float(errors @ errors + determinants)
+
+        plain = (
+            self.positions
+            - self.columns
+            @ np.linalg.lstsq(
+                self.columns.reshape(-1, self.columns.shape[2]), self.positions.ravel(), rcond=1e-9
+            )[0]
+        )
+        sigma = np.log(max(float(np.sqrt(np.mean(plain**2))), 1e-9))
+        starts = [np.array([sigma])]
+        if vectors is not None:
+            size = np.log(float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))))
+            starts = [
+                np.array([sigma + a, sigma + b - size]) for a, b in ((0.0, -1.0), (-2.0, 0.0))
+            ]
+        best = min(
+            (minimize(deviance, start, method="Nelder-Mead") for start in starts),
+            key=lambda found: found.fun,
+        )
+        size = float(np.exp(best.x[1])) if vectors is not None else 0.0
+        return _Likelihood(float(np.exp(best.x[0])), size, float(best.fun))

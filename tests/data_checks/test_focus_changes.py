@@ -1,0 +1,111 @@
+"""A focal length that changes from view to view is told from a robot that errs.
+
+Depths are scaled by hand; the noise of a distance is compared with OpenCV's poses.
+"""
+
+import cv2
+import numpy as np
+import pytest
+from robot_motions import VIEWS, moving_alike, transform
+
+from smartview_jax.data_checks import SeenDistances
+from smartview_jax.data_checks.focus_changes import find_focus_change
+from smartview_jax.geometry import as_se3
+
+MIDDLE = np.array([0.1, 0.07, 0.0])
+
+
+def found(robot, camera, noise=1e-4):
+    seen = SeenDistances(MIDDLE, np.full(len(robot), noise))
+    return find_focus_change(as_se3(robot), as_se3(camera), np.ones(len(robot), dtype=bool), seen)
+
+
+def with_focal_lengths(camera, relative):
+    """Poses that a camera with one focal length finds where it had others."""
+    moved = camera.copy()
+    moved[:, 2, 3] -= (relative - 1.0) * depths(camera)
+    return moved
+
+
+def depths(camera):
+    return camera[:, 2, :3] @ MIDDLE + camera[:, 2, 3]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_changes_of_the_focal_length_are_named_with_their_size(seed):
+    robot, camera = moving_alike(seed)
+    assert (depths(camera) > 0.0).all()
+    changes = np.random.default_rng(seed).normal(0.0, 0.006, VIEWS)
+    change = found(robot, with_focal_lengths(camera, 1.0 + changes))
+    assert change.relative_std == pytest.approx(0.006, rel=0.5)
+    assert change.across < 1e-3
+    assert "focal length seems to change" in change.sentence
+
+
+def test_a_focal_length_that_follows_the_distance_is_named():
+    robot, camera = moving_alike(1)
+    distance = depths(camera)
+    change = found(robot, with_focal_lengths(camera, 1.0 + 0.1 * (distance - distance.mean())))
+    assert change.relative_std == pytest.approx(0.1 * distance.std(), rel=0.5)
+
+
+@pytest.mark.parametrize("noise", [(2e-4, 0.02), (2e-3, 0.2)])
+def test_a_robot_that_errs_alike_in_all_directions_is_left_in_peace(noise):
+    assert all(found(*moving_alike(seed, noise=noise)) is None for seed in range(4))
+
+
+def looking_down(seed, lift=0.0, along=0.0, noise=2e-4):
+    """Poses of a camera that looks down on the target, m and rad.
+
+    Args:
+        seed: of NumPy's generator.
+        lift: error of the robot along the base's z axis.
+        along: error of the camera's pose along its own axis.
+        noise: error of the robot in any direction.
+    """
+    rng = np.random.default_rng(seed)
+    poses = np.empty((2, VIEWS, 4, 4))
+    for view in range(VIEWS):
+        true = transform(rng.normal(0.0, 12.0, 3), rng.normal(0.0, 0.1, 3))
+        error = transform(np.zeros(3), rng.normal(0.0, [noise, noise, np.hypot(noise, lift)]))
+        camera = transform([0, 0, 95], [0.02, 0.05, -0.1]) @ true
+        camera = camera @ transform([180, 0, 30], [0.4, 0.1, 0.6])
+        camera[2, 3] += rng.normal(0.0, along)
+        poses[:, view] = true @ error, camera
+    return poses
+
+
+def test_a_robot_that_errs_along_an_axis_of_its_base_is_left_in_peace():
+    for seed in range(4):
+        assert found(*looking_down(seed, lift=5e-3)) is None
+        assert found(*looking_down(seed, along=5e-3)) is not None
+
+
+def test_a_small_target_tells_its_distance_badly():
+    robot, camera = moving_alike(2, noise=(5e-5, 0.005))
+    noisy = with_focal_lengths(camera, 1.0 + np.random.default_rng(0).normal(0.0, 0.004, VIEWS))
+    assert found(robot, noisy, noise=1e-4) is not None
+    assert found(robot, noisy, noise=4e-3) is None
+
+
+def test_the_noise_of_a_distance_is_the_scatter_of_opencvs_poses():
+    rng, sigma = np.random.default_rng(3), 0.2
+    points = np.array([[x, y, 0.0] for y in np.arange(5) * 0.03 for x in np.arange(7) * 0.03])
+    matrix = np.array([[700.0, 0.0, 320.0], [0.0, 700.0, 240.0], [0.0, 0.0, 1.0]])
+    pixels = cv2.projectPoints(points, np.zeros(3), np.array([-0.1, -0.06, 0.5]), matrix, None)[0]
+    pixels = pixels.reshape(1, -1, 2)
+    visible = np.ones((1, len(points)), dtype=bool)
+    seen = SeenDistances.of_points(points[None], pixels, visible, sigma)
+    distances = []
+    for _ in range(300):
+        noisy = pixels[0] + rng.normal(0.0, sigma, pixels[0].shape)
+        _, turn, place = cv2.solvePnP(points, noisy, matrix, None)
+        distances.append((cv2.Rodrigues(turn)[0] @ points.mean(axis=0) + place.ravel())[2])
+    # 300 draws tell a standard deviation to 4 %; the tilt costs some accuracy.
+    assert np.std(distances) / 0.5 == pytest.approx(float(seen.noise[0]), rel=0.3)
+
+
+def test_few_views_tell_nothing():
+    robot, camera = moving_alike(0)
+    changed = with_focal_lengths(camera, 1.0 + np.random.default_rng(0).normal(0.0, 0.01, VIEWS))
+    assert found(robot[:7], changed[:7]) is None
