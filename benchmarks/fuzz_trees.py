@@ -75,7 +75,7 @@ def of_tree(change: Callable[[Any, Any, random.Random], None]) -> Mutation:
     def changed(text: str, rng: random.Random) -> str | None:
         is_json = text.lstrip().startswith("{")
         try:
-            tree = json.loads(text) if is_json else yaml.load(text, Loader=yaml.CSafeLoader)
+            tree = json.loads(text) if is_json else yaml.load(text, Loader=yaml.SafeLoader)
         except Exception:
             tree = None
         if not isinstance(tree, dict | list) or not tree:

@@ -27,6 +27,7 @@ from .misfit_evidence import error_variances, errors_of, evidence
 from .transform_fit import (
     TransformFit,
     fit_transforms,
+    from_camera_to_target,
     mean_misfit,
     median_distance,
     misfit_text,
@@ -168,7 +169,7 @@ def find_change(
     motions = motions_of_views(mount_from_holder, camera_from_world, views, length_ratio)
     if motions is None:
         return None
-    robot, camera = motions
+    robot, camera = from_camera_to_target(*motions), motions[1]
     places = np.arange(fewest, len(views) - fewest + 1)
     search = _Search.of(robot, camera, len(places))
     misfit, score = mean_misfit(search.fit.closure, search.distance)

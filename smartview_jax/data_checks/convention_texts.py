@@ -40,11 +40,17 @@ def convention_problems(
     hypotheses: tuple[ConventionHypothesis, ...],
     mismatch: float,
     rotation_angles: tuple[float, float],
-    tracked: bool = False,
+    positions: bool = True,
 ) -> tuple[str, ...]:
     """Return the best explanation with its closure error, or nothing if the data are acceptable.
 
-    Positions by a tracker, which may have a unit of its own or drift, are no mistake by themselves.
+    Args:
+        given_error: of the poses as given.
+        hypotheses: mistakes by ascending closure error.
+        mismatch: median difference of the rotation angles, rad.
+        rotation_angles: median rotation between two views, of robot and camera, rad.
+        positions: whether positions that do not fit, where rotations do, are a mistake. By a
+            tracker, which may have a unit of its own or drift, they are not.
     """
     best = hypotheses[0]
     as_given = f"robot and camera do not move alike as given ({closure_error_text(given_error)})"
@@ -54,7 +60,7 @@ def convention_problems(
         if max(mismatch, given_error.rotation) > limit:
             text = _unexplained_text(best, given_error, mismatch, rotation_angles)
             return (f"{as_given}: {text}",)
-        if tracked or not _only_positions_differ(given_error):
+        if not (positions and _only_positions_differ(given_error)):
             return ()
         return (f"{as_given}: {_POSITIONS_TEXT}",)
     # Mistakes with nearly the same closure error cannot be distinguished: report all of them.

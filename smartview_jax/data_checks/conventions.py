@@ -162,7 +162,11 @@ def check_conventions(
     suspicious = suspicious_views(differences)
     if hypotheses:
         angles = median_rotation_angles(robot, camera, compared)
-        problems = convention_problems(given_error, hypotheses, mismatch, angles, tracked)
+        # Positions that fit in another size of the target are not in another frame.
+        positions = not tracked and closure_error(motions, ratio).score > (
+            MAX_CORRECTED_SCORE_RATIO * given_error.score
+        )
+        problems = convention_problems(given_error, hypotheses, mismatch, angles, positions)
     if problems and not is_explained(given_error, hypotheses):
         views = [view for view, _ in suspicious]
         rest = used & ~np.isin(np.arange(len(used)), views)

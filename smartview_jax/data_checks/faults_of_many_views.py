@@ -14,8 +14,16 @@ from jaxtyping import Bool
 from ..calibration import host_mount_from_holder
 from .changes import find_change
 from .focus_changes import SeenDistances, find_focus_change
+from .largest_group import MIN_GROUP
 from .pose_lag import find_lag
 from .set_up_drift import find_drift
+from .transform_fit import (
+    fit_transforms,
+    from_camera_to_target,
+    mean_misfit,
+    median_distance,
+    motions_of_views,
+)
 from .view_groups import find_groups
 
 MIN_RATIO_DIFFERENCE = 0.01
@@ -91,27 +99,38 @@ def find_shared_fault(
     Returns:
         The fault; None if there is none.
     """
-    ratios = (poses.length_ratio, 1.0)
-    if abs(poses.length_ratio - 1.0) < MIN_RATIO_DIFFERENCE:
-        ratios = ratios[:1]
-    faults = [
-        fault
-        for ratio in ratios
-        for fault in _faults(poses._replace(length_ratio=ratio), used, agreeing)
-    ]
+    faults = list(_faults(poses, used, agreeing))
+    if abs(poses.length_ratio - 1.0) >= MIN_RATIO_DIFFERENCE:
+        # Another size of the target may be all that is wrong.
+        limit = _score_of_all(poses, used)
+        as_reported = _faults(poses._replace(length_ratio=1.0), used, agreeing)
+        faults += [fault for fault in as_reported if fault[0] < limit]
     best = min(faults, key=lambda entry: entry[0])[1] if faults else None
     # A tracker loses its target and finds it elsewhere, which the fit of its poses treats itself.
     if poses.tracked or (best is not None and best.explains_most):
         return best
     robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
     groups = find_groups(robot, poses.camera_from_world, used)
-    if groups is not None:
+    # Groups of which one ends before the other begins are what a change leaves.
+    if groups is not None and not (best is not None and best.first_view and groups.are_in_order):
         return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
     # It has an error of its own in every view, with which it explains much of other faults.
-    if poses.distances is None:
+    if groups is not None or poses.distances is None:
         return best
     focus = find_focus_change(robot, poses.camera_from_world, used, poses.distances)
     return best if focus is None else SharedFault(focus.sentence, False, True)
+
+
+def _score_of_all(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> float:
+    """Return the score that a fit to all views leaves, without any fault; infinite without one."""
+    robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
+    views = np.flatnonzero(used)
+    motions = motions_of_views(robot, poses.camera_from_world, views, poses.length_ratio)
+    if motions is None or len(views) < MIN_GROUP:
+        return np.inf
+    robot = from_camera_to_target(*motions)
+    fit = fit_transforms(robot, motions[1], np.ones(len(views), dtype=bool))
+    return mean_misfit(fit.closure, median_distance(motions[1]))[1]
 
 
 def _faults(

@@ -92,6 +92,20 @@ def motions_of_views(
     return robot, camera
 
 
+def from_camera_to_target(mount_from_holder: Poses, camera_from_world: Poses) -> Poses:
+    """Return the robot's poses between frames at the camera and at the target.
+
+    Where these are is what a fit to all views says. So which frames the controller calls tool and
+    base changes nothing: at a tool far from the camera, small rotations are large translations.
+    """
+    robot, everything = mount_from_holder, np.ones(len(mount_from_holder), dtype=bool)
+    # Frames that are far away spoil the first fit as well.
+    for _ in range(2):
+        fit = fit_transforms(robot, camera_from_world, everything)
+        robot = fit.camera_from_mount @ robot @ fit.holder_from_world
+    return robot
+
+
 def fit_transforms(
     mount_from_holder: Poses, camera_from_world: Poses, used: Bool[np.ndarray, "views"]
 ) -> TransformFit:

@@ -9,6 +9,7 @@ are gathered. Three views that agree by chance would have to do so in six number
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from .misfit_evidence import error_variances, errors_of, evidence
 from .transform_fit import (
     Matrix,
     fit_transforms,
+    from_camera_to_target,
     mean_misfit,
     median_distance,
     misfit_text,
@@ -89,6 +91,12 @@ class ViewGroups(NamedTuple):
     given_misfit: tuple[float, float]
     score: float
 
+    @property
+    def are_in_order(self) -> bool:
+        """Whether each group ends before the next one begins."""
+        ends = sorted((group.views[0], group.views[-1]) for group in self.groups)
+        return all(first[1] < second[0] for first, second in itertools.pairwise(ends))
+
     def sentence(self, mount: str, view_ids: Sequence[str]) -> str:
         """Return in words which views agree, how the groups differ, and what may be the cause.
 
@@ -151,10 +159,10 @@ def find_groups(
     motions = motions_of_views(mount_from_holder, camera_from_world, views, 1.0)
     if motions is None:
         return None
-    robot, camera = motions
+    robot, camera = from_camera_to_target(*motions), motions[1]
     distance = median_distance(camera)
-    given = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool)).closure
-    if mean_misfit(given, distance)[1] < MAX_CLOSURE_SCORE:
+    closure = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool)).closure
+    if mean_misfit(closure, distance)[1] < MAX_CLOSURE_SCORE:
         return None
     largest = largest_group(robot, camera, distance, options.tolerance)
     if largest.sum() <= MIN_GROUP:
@@ -181,14 +189,17 @@ def find_groups(
         if kind == "camera":
             turns = _quarter_turns(fit.camera_from_mount, change, distance)
         groups.append(ViewGroup(tuple(views[group].tolist()), translation, rotation, turns))
-    # Each view may be of any group.
-    variances = error_variances(errors_of(given[members]))
+    # A view that is wrong by itself, and in no group, bends a fit to all of them.
+    of_members = np.isin(np.arange(len(views)), members)
+    given = fit_transforms(robot, camera, of_members).closure[members]
+    variances = error_variances(errors_of(given))
     odds = evidence(variances, errors_of(corrected[members]), 6 * len(others))
+    # Each view may be of any group.
     odds -= 2.0 * len(members) * np.log(1 + len(others))
     if odds < 2.0 * np.log(options.min_odds):
         return None
     misfit, score = mean_misfit(corrected[members], distance)
-    given_misfit, given_score = mean_misfit(given[members], distance)
+    given_misfit, given_score = mean_misfit(given, distance)
     # The errors of a weak robot can be gathered, too, but remain in the groups.
     if score > MAX_CORRECTED_SCORE_RATIO * given_score:
         return None

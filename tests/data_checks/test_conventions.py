@@ -333,6 +333,15 @@ def test_positions_alone_that_do_not_fit_are_named(poses):
     changed[::2, :3, 3] += [0.0, 0.0, -0.8] * np.sign(changed[::2, 2:3, 3])
     (problem,) = check_conventions(host_transforms(changed), seen, "eye_in_hand").problems
     assert "they turn alike, but the positions do not fit" in problem
+
+
+def test_a_target_of_half_its_stated_size_is_not_another_frame(poses):
+    robot, seen = poses
+    smaller = matrices(seen)
+    smaller[:, :3, 3] *= 2.2
+    report = check_conventions(robot, host_transforms(smaller), "eye_in_hand")
+    assert report.problems == ()
+    assert report.length_ratio == pytest.approx(2.2, rel=0.02)
     # A weak robot that moves its tool as far turns it as well.
     rng = np.random.default_rng(0)
     errors = np.concatenate([rng.normal(0, 0.02, (VIEWS, 3)), rng.normal(0, 0.03, (VIEWS, 3))], 1)

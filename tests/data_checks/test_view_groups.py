@@ -10,6 +10,7 @@ import pytest
 from robot_motions import CAMERA_FROM_MOUNT, UNCHANGED, VIEWS, moving_alike, transform
 
 from smartview_jax.data_checks import find_groups
+from smartview_jax.data_checks.view_groups import GroupOptions
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.staged import fit_staged
 
@@ -76,6 +77,14 @@ def test_errors_and_single_wrong_views_are_no_groups(noise):
     for view in np.flatnonzero(SECOND):
         camera[view] = transform(rng.normal(0.0, 40.0, 3), rng.normal(0.0, 0.3, 3)) @ camera[view]
     assert find_groups(as_se3(robot), as_se3(camera), EVERY_VIEW) is None
+
+
+def test_a_single_wrong_view_does_not_make_groups_of_the_rest():
+    """It bends a fit to all views, from which any two groups of the good ones would differ."""
+    robot, camera = moving_alike(1, noise=(3e-3, 0.3))
+    robot[5] = robot[5] @ transform([0.0, 0.0, 0.0], [0.25, 0.0, 0.0])
+    options = GroupOptions(tolerance=0.008)
+    assert find_groups(as_se3(robot), as_se3(camera), EVERY_VIEW, options) is None
 
 
 def test_the_staged_fit_refuses_pictures_of_two_cameras(scene):

@@ -1,0 +1,58 @@
+"""Of several faults that make many views wrong, the one that was made is named.
+
+The poses are made by SciPy's rotations and plain products of matrices.
+"""
+
+import numpy as np
+from robot_motions import (
+    CAMERA_FROM_MOUNT,
+    HOLDER_FROM_WORLD,
+    UNCHANGED,
+    VIEWS,
+    moving_alike,
+    transform,
+)
+
+from smartview_jax.data_checks import RobotAndCamera, find_shared_fault
+from smartview_jax.geometry import as_se3
+
+IDS = [f"v{view}" for view in range(VIEWS)]
+EVERY_VIEW = np.ones(VIEWS, dtype=bool)
+AFTER = (np.arange(VIEWS) >= 8)[:, None, None]
+
+
+def fault_of(robot, camera, length_ratio=1.0, used=EVERY_VIEW):
+    poses = RobotAndCamera(
+        as_se3(np.linalg.inv(robot)), as_se3(camera), "eye_in_hand", IDS, length_ratio
+    )
+    return find_shared_fault(poses, used)
+
+
+def test_a_target_of_another_size_is_no_change():
+    """Where the robot works in two places, lengths that are too short look like a moved target."""
+    robot, _ = moving_alike(3)
+    robot[8:] = robot[8:] @ transform([0.0, 0.0, 0.0], [0.5, 0.0, 0.0])
+    camera = CAMERA_FROM_MOUNT @ robot @ HOLDER_FROM_WORLD
+    camera[:, :3, 3] *= 1.1
+    as_reported = fault_of(robot, camera)
+    assert as_reported is not None
+    assert "the target had been moved" in as_reported.sentence
+    assert fault_of(robot, camera, length_ratio=1.1) is None
+
+
+def test_a_change_that_looks_like_another_size_is_named():
+    push = transform([0.0, 0.0, 0.0], [0.05, 0.0, 0.0])
+    robot, camera = moving_alike(0, UNCHANGED, np.where(AFTER, push, UNCHANGED), noise=(2e-4, 0.02))
+    fault = fault_of(robot, camera, length_ratio=0.95)
+    assert fault.sentence.startswith("from view v8 on")
+    assert fault.contradicts
+
+
+def test_a_change_with_views_that_fit_nothing_is_no_mixture():
+    """Without the two views there are two groups, one after the other."""
+    knock = transform([0.0, 2.0, 0.0], [0.02, 0.0, 0.0])
+    robot, camera = moving_alike(0, np.where(AFTER, knock, UNCHANGED), noise=(2e-4, 0.02))
+    for view in (3, 11):
+        camera[view] = transform([1.0, -1.5, 0.5], [0.01, 0.02, -0.02]) @ camera[view]
+    fault = fault_of(robot, camera)
+    assert fault.sentence.startswith("from view v8 on")
