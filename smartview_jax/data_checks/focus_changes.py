@@ -53,7 +53,7 @@ class FocusChange(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What is wrong with the pictures, and what to do."""
+        """The fault of the pictures in words, and what to do."""
         return (
             "the focal length seems to change from picture to picture, by "
             f"{100.0 * self.relative_std:.2g} % (standard deviation), as with autofocus, zoom or a "
@@ -65,7 +65,7 @@ class FocusChange(NamedTuple):
 
 
 class SeenDistances(NamedTuple):
-    """What the pictures tell of the target's distance.
+    """The distance of the target in each view, as the pictures tell it.
 
     Attributes:
         middle: of the target's points, m.

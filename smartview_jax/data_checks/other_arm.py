@@ -65,7 +65,7 @@ class LinkLengths(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What is wrong with the description of the arm, and what to do."""
+        """The fault of the arm's description in words, and what to do."""
         by_change = np.argsort(-np.abs(self.wanted - self.given))
         lengths = ", ".join(
             f"{self.names[k]} is {1e3 * self.wanted[k]:.0f} mm, not {1e3 * self.given[k]:.0f}"
