@@ -24,7 +24,6 @@ from .pose_dataset import UNIT_TRANSLATION as UNIT_TRANSLATION
 from .pose_dataset import PoseDataset as PoseDataset
 from .pose_observations import PoseObservations as PoseObservations
 from .rig import ONE_TARGET as ONE_TARGET
-from .rig import SAME_POSE_TOLERANCE as SAME_POSE_TOLERANCE
 from .rig import Rig as Rig
 from .rig_arms import ONE_ARM as ONE_ARM
 from .rig_arms import arms_of as arms_of

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from ..argument_checks import require_instance
 from ..geometry import host_matrices, host_transforms
-from ..robots import Command, SerialArm
+from ..robots import SAME_POSE_TOLERANCE, Command, SerialArm
 from ..runtime.array_namespace import to_device
 from .dataset import Dataset
 from .pose_dataset import PoseDataset
@@ -37,9 +37,6 @@ _TARGET_MOUNT = {
 
 SIZE_TOLERANCE = 1e-6
 """Relative difference of two stated sizes, and of the points so scaled, that is rounding."""
-
-SAME_POSE_TOLERANCE = 1e-9
-"""Largest difference, m or no unit, between the poses that two data sets have for one state."""
 
 
 class Rig:

@@ -1,13 +1,15 @@
 """Covariance matrix of the fitted parameters, from the normal equations at the optimum."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..runtime.array_namespace import AnyArray, AnyScalar, array_namespace
-from .problem import JointProblem
-from .schur import BlockArrow
+
+if TYPE_CHECKING:
+    from .problem import JointProblem
+    from .schur import BlockArrow
 
 RANK_TOLERANCE = 3e-7
 """Singular value, of the Jacobian with unit columns, below which a direction is unobservable.
@@ -67,7 +69,7 @@ class ReducedEquations(NamedTuple):
         return self.per_view_inverse + self.gain @ shared_covariance @ np.swapaxes(self.gain, 1, 2)
 
 
-def reduced_equations(matrix: BlockArrow) -> ReducedEquations:
+def reduced_equations(matrix: "BlockArrow") -> ReducedEquations:
     """Eliminate every view's own parameters from the normal equations, as `eliminate` does.
 
     A block without an inverse gives NaN, not an error.
@@ -82,7 +84,7 @@ def reduced_equations(matrix: BlockArrow) -> ReducedEquations:
 
 
 def variance_factor(
-    problem: JointProblem, squared_residuals: Float[AnyArray, "views points"]
+    problem: "JointProblem", squared_residuals: Float[AnyArray, "views points"]
 ) -> AnyScalar:
     """Estimate the factor by which the assumed pixel variance is wrong, from all residuals.
 
@@ -100,7 +102,7 @@ def variance_factor(
     return variance_of_sum(problem, xp.sum(squared_residuals))
 
 
-def variance_of_sum(problem: JointProblem, sum_of_squares: AnyScalar) -> AnyScalar:
+def variance_of_sum(problem: "JointProblem", sum_of_squares: AnyScalar) -> AnyScalar:
     """Estimate the `variance_factor` of least squares from the sum of all squared residuals."""
     # sum |r|^2 / (2 n - p), with n visible points and p free parameters without a prior.
     xp, weight = array_namespace(sum_of_squares), problem.prior_weight

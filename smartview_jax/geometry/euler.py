@@ -6,15 +6,17 @@ Near gimbal lock, where the first angle is poorly determined, the last angle the
 for its error: the rotation is recovered to rounding error, although the single angles are not.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxlie import SO3
 from jaxtyping import Array, Float
-from scipy.spatial.transform import Rotation
 
 from ..runtime.compilation import one_program
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 GIMBAL_LOCK_TOLERANCE = 1e-10
 """Limit on the cosine (or sine) of the middle angle, below which a pose is at gimbal lock.
@@ -71,12 +73,14 @@ class EulerConvention(NamedTuple):
     axes: str
     moving: bool
 
-    def to_rotation(self, angles: Float[np.ndarray, "rows 3"]) -> Rotation:
+    def to_rotation(self, angles: Float[np.ndarray, "rows 3"]) -> "Rotation":
         """Return the rotations of angles in rad."""
+        from scipy.spatial.transform import Rotation
+
         # SciPy writes moving axes in capitals.
         return Rotation.from_euler(self.axes if self.moving else self.axes.lower(), angles)
 
-    def from_rotation(self, rotation: Rotation) -> Float[np.ndarray, "rows 3"]:
+    def from_rotation(self, rotation: "Rotation") -> Float[np.ndarray, "rows 3"]:
         """Return the angles of rotations, rad.
 
         The second angle is within +-90 degrees, or in [0, 180] degrees if the outer axes are the

@@ -1,9 +1,12 @@
-"""Compute with rigid transforms as NumPy matrices, without compiling a JAX program."""
+"""Compute with rigid transforms as NumPy matrices, without compiling a JAX program.
+
+SciPy's rotations are imported only where they are used: importing them takes as long as computing
+with ten thousand of them.
+"""
 
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 
 def host_matrices(poses: SE3) -> Float[np.ndarray, "*batch 4 4"]:
@@ -12,10 +15,17 @@ def host_matrices(poses: SE3) -> Float[np.ndarray, "*batch 4 4"]:
     matrices = np.full((*numbers.shape[:-1], 4, 4), np.nan)
     finite = np.isfinite(numbers).all(axis=-1)
     if finite.any():
-        # SciPy expects the real part of a quaternion last, and raises where one is not finite.
-        rotations = Rotation.from_quat(numbers[finite][:, [1, 2, 3, 0]]).as_matrix()
+        rotations = _rotations_of_quaternions(numbers[finite][:, :4])
         matrices[finite] = host_poses(rotations, numbers[finite][:, 4:])
     return matrices
+
+
+def _rotations_of_quaternions(wxyz: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
+    """Return the rotation matrices of quaternions of any length, with the real part first."""
+    # R = I + 2 (w [v] + [v]^2) / |q|^2 for q = (w, v), with [v] the matrix of v x.
+    cross = host_cross_matrices(wxyz[:, 1:])
+    turned = wxyz[:, 0, None, None] * cross + cross @ cross
+    return np.eye(3) + 2.0 * turned / np.sum(wxyz**2, axis=1)[:, None, None]
 
 
 def host_poses(
@@ -38,6 +48,8 @@ def host_rotation_vectors(
     Raises:
         ValueError: a matrix that is not finite, or no rotation.
     """
+    from scipy.spatial.transform import Rotation
+
     rotations = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3))
     return rotations.as_rotvec().reshape(*matrices.shape[:-2], 3)
 
@@ -85,6 +97,8 @@ def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarr
 
     A tangent is NaN where its matrix is not finite.
     """
+    from scipy.spatial.transform import Rotation
+
     tangents = np.full((*matrices.shape[:-2], 6), np.nan)
     finite = np.isfinite(matrices).all(axis=(-2, -1))
     if finite.any():
@@ -118,17 +132,18 @@ def host_rotation_angles(
 def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch 4 4"]:
     """Return the rigid 4x4 matrices of tangents as `SE3.exp` does, translation first."""
     v, w = tangents[..., :3], tangents[..., 3:]
-    flat = w.reshape(-1, 3)
     angle = np.linalg.norm(w, axis=-1, keepdims=True)
-    # t = V v = v + b w x v + c w x (w x v), with b = (1 - cos a) / a^2 and c = (a - sin a) / a^3
-    # for the angle a; near zero c is the start of its Taylor series.
+    # R = I + s [w] + b [w]^2 and t = V v = v + b w x v + c w x (w x v), with s = sin a / a,
+    # b = (1 - cos a) / a^2 and c = (a - sin a) / a^3 for the angle a; near zero c is the start of
+    # its Taylor series.
+    s = np.sinc(angle / np.pi)
     b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
     safe = np.where(angle > 1e-3, angle, 1.0)
     c = np.where(angle > 1e-3, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0 - angle**2 / 120.0)
     # NumPy's function for cross products takes five times as long for few vectors.
     cross = host_cross_matrices(w)
     turned = cross @ v[..., None]
-    rotations = Rotation.from_rotvec(flat).as_matrix().reshape(*w.shape, 3)
+    rotations = np.eye(3) + s[..., None] * cross + b[..., None] * (cross @ cross)
     translations = v + b * turned[..., 0] + c * (cross @ turned)[..., 0]
     return host_poses(rotations, translations)
 

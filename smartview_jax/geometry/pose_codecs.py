@@ -37,11 +37,11 @@ manual, "Motion characteristics": R = Rz(yaw) Ry(pitch) Rx(roll).
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
-from scipy.spatial.transform import Rotation
 
 from ..argument_checks import require_one_of
 from ..runtime.array_namespace import to_device
@@ -50,6 +50,9 @@ from .euler import EULER_CONVENTIONS
 from .host import host_matrices, host_transforms
 from .oat import oat_from_rotation
 from .rigid_transforms import check_rigid
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 """Size of each known unit of length, m."""
@@ -210,8 +213,7 @@ def _quaternion_codec(
         name,
         columns,
         angle_columns=(),
-        # SciPy's quaternions have the real part last.
-        to_rotation=lambda numbers: Rotation.from_quat(numbers[:, [*wxyz[1:], wxyz[0]]]),
+        to_rotation=lambda numbers: _from_quaternions(numbers[:, wxyz]),
         from_rotation=lambda rotation: np.asarray(rotation.wxyz)[..., list(inverse_permutation)],
         check=check,
         units=units,
@@ -221,7 +223,7 @@ def _quaternion_codec(
 def _angle_codec(
     name: str,
     columns: tuple[str, str, str],
-    to_rotation: Callable[[np.ndarray], Rotation],
+    to_rotation: "Callable[[np.ndarray], Rotation]",
     from_rotation: Callable[[SO3], np.ndarray | Array],
     units: tuple[str, str] = _SI,
 ) -> PoseCodec:
@@ -235,7 +237,7 @@ def _position_rotation_codec(
     name: str,
     columns: tuple[str, ...],
     angle_columns: tuple[int, ...],
-    to_rotation: Callable[[np.ndarray], Rotation],
+    to_rotation: "Callable[[np.ndarray], Rotation]",
     from_rotation: Callable[[SO3], np.ndarray | Array],
     check: Callable[[np.ndarray, tuple[str, ...]], list[str]],
     units: tuple[str, str],
@@ -280,15 +282,31 @@ def _euler_codec(
     def angles(rotation: SO3) -> Float[np.ndarray, "*batch 3"]:
         """Return the angles of JAX's rotations on the host."""
         numbers = np.asarray(rotation.wxyz)
-        # SciPy's quaternions have the real part last.
-        rows = Rotation.from_quat(numbers.reshape(-1, 4)[:, [1, 2, 3, 0]])
+        rows = _from_quaternions(numbers.reshape(-1, 4))
         return euler.from_rotation(rows).reshape(*numbers.shape[:-1], 3)
 
     return _angle_codec(name, columns, euler.to_rotation, angles, units)
 
 
-def _from_oat(oat: np.ndarray) -> Rotation:
+def _from_quaternions(wxyz: np.ndarray) -> "Rotation":
+    """Return the rotations of quaternions with the real part first."""
+    from scipy.spatial.transform import Rotation
+
+    # SciPy's quaternions have the real part last.
+    return Rotation.from_quat(wxyz[:, [1, 2, 3, 0]])
+
+
+def _from_vectors(vectors: np.ndarray) -> "Rotation":
+    """Return the rotations of rotation vectors, rad."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vectors)
+
+
+def _from_oat(oat: np.ndarray) -> "Rotation":
     """Return the rotations of VAL's angles O, A, T in rad (Eq. 18)."""
+    from scipy.spatial.transform import Rotation
+
     # R = Rz(O) Rx(A) M0 Rz(T)
     M0 = Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
     return Rotation.from_euler("ZX", oat[:, :2]) * M0 * Rotation.from_euler("Z", oat[:, 2:])
@@ -304,12 +322,12 @@ POSE_CODECS: dict[str, PoseCodec] = {
         _matrix_codec(),
         _quaternion_codec("quaternion_xyzw", ("qx", "qy", "qz", "qw"), wxyz=(3, 0, 1, 2)),
         _quaternion_codec("quaternion_wxyz", ("qw", "qx", "qy", "qz"), wxyz=(0, 1, 2, 3)),
-        _angle_codec("rotation_vector", _RXYZ, Rotation.from_rotvec, _rotation_vector),
+        _angle_codec("rotation_vector", _RXYZ, _from_vectors, _rotation_vector),
         _euler_codec("yaw_pitch_roll", "euler_ZYX_moving", ("yaw", "pitch", "roll")),
         _angle_codec("val_oat", _OAT, _from_oat, oat_from_rotation, _MM_DEG),
         _euler_codec("kawasaki_oat", "euler_ZYZ_moving", _OAT, _MM_DEG),
         _euler_codec("kuka_abc", "euler_ZYX_moving", _ABC, _MM_DEG),
-        _angle_codec("ur", _RXYZ, Rotation.from_rotvec, _rotation_vector),
+        _angle_codec("ur", _RXYZ, _from_vectors, _rotation_vector),
         _euler_codec("fanuc_wpr", "euler_XYZ_fixed", ("W", "P", "R"), _MM_DEG),
         _quaternion_codec("abb", ("q1", "q2", "q3", "q4"), (0, 1, 2, 3), ("mm", "rad")),
         _euler_codec("staubli_val3", "euler_XYZ_moving", _RXYZ, _MM_DEG),

@@ -1,3 +1,4 @@
+from .camera_errors import camera_covariance as camera_covariance
 from .candidates import suggested_grasps as suggested_grasps
 from .localized import LocalizedObject as LocalizedObject
 from .localized import PlacedObject as PlacedObject
@@ -21,4 +22,3 @@ from .tool_commands import ToolCommands as ToolCommands
 from .tool_commands import gripper_commands as gripper_commands
 from .tool_commands import tool_commands as tool_commands
 from .touch_correction import correct_by_touches as correct_by_touches
-from .uncertainty import camera_covariance as camera_covariance

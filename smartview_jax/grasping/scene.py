@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,9 +12,11 @@ from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_poses, host_transformed
 from ..io import to_trimesh
-from ..joint import RigEstimate, RigFit
 from ..robots import BOX_CORNERS, BOX_TRIANGLES, JointsLike, SerialArm
 from .localized import LocalizedObject, checked_object
+
+if TYPE_CHECKING:
+    from ..joint import RigEstimate, RigFit
 
 
 class Obstacle(NamedTuple):
@@ -85,7 +87,7 @@ class GraspScene:
     obstacles: tuple[Obstacle, ...] = ()
     arm: SerialArm | None = None
     near: JointsLike | None = None
-    estimate: CalibrationEstimate | RigFit | RigEstimate | None = None
+    estimate: "CalibrationEstimate | RigFit | RigEstimate | None" = None
     margin: float = 1e-3
     link_radius: float | None = None
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)

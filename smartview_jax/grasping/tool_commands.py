@@ -1,6 +1,6 @@
 """Compute the commands that bring the tool or the gripper to wanted poses (Eq. 20)."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -8,12 +8,14 @@ from jaxtyping import Float
 from ..calibration import Calibration
 from ..evaluation import CalibrationEstimate
 from ..geometry import host_matrices, host_transforms
-from ..joint import RigEstimate, RigFit
 from ..robots import Gripper, JointsLike, SerialArm
 from ..runtime.padding import repeat_last
 from ..viewpoints import ViewpointCommands, viewpoint_commands
 from .scene import GraspScene
 from .uncertainty import gripper_errors
+
+if TYPE_CHECKING:
+    from ..joint import RigEstimate, RigFit
 
 TOOL_CHECKS = ("reach", "tool_distance", "tool_side")
 """The checks that a pose of the tool must pass to be commanded, unless a person overrides them.
@@ -76,7 +78,7 @@ def tool_commands(
     calibration: Calibration,
     world_from_tool: Float[np.ndarray, "n 4 4"],
     *,
-    estimate: CalibrationEstimate | RigFit | RigEstimate | None = None,
+    estimate: "CalibrationEstimate | RigFit | RigEstimate | None" = None,
     arm: SerialArm | None = None,
     near: JointsLike | None = None,
 ) -> ToolCommands:

@@ -5,6 +5,7 @@ known no better than the pictures tell. The misses of a few touches measure them
 """
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,15 +13,18 @@ from jaxtyping import Array, Float
 
 from ..calibration import Calibration
 from ..engine import Parameters, Step, parameter_names
-from ..joint import JointFit, SavedEstimate
+from ..joint import SavedEstimate
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .stylus_touches import tip_error_factor
 from .tool_commands import ToolCommands
 
+if TYPE_CHECKING:
+    from ..joint import JointFit
+
 
 def correct_by_touches(
-    estimate: JointFit | SavedEstimate,
+    estimate: "JointFit | SavedEstimate",
     touches: ToolCommands,
     tip: Float[np.ndarray, "3"],
     misses: Float[np.ndarray, "touches d"],
@@ -94,7 +98,7 @@ def correct_by_touches(
     covariance[np.ix_(rows, rows)] = to_parameters @ remaining @ to_parameters.T
     kept = [names.index(name) for name in estimate.parameter_names]
     covariance = covariance[np.ix_(kept, kept)]
-    saved = SavedEstimate.of(estimate) if isinstance(estimate, JointFit) else estimate
+    saved = estimate if isinstance(estimate, SavedEstimate) else SavedEstimate.of(estimate)
     calibration = dataclasses.replace(
         _stepped(start, to_device(step)), region=start.region, target_shape=start.target_shape
     )

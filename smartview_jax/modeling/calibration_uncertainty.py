@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.linalg import block_diag
 
 from ..calibration import Calibration
 from ..cameras import distinct_cameras
@@ -28,7 +27,6 @@ from ..engine import (
 )
 from ..evaluation import CalibrationEstimate, covariance_root
 from ..geometry import host_matrices
-from ..joint import JointFit, SavedEstimate
 from ..robots import Command
 from ..runtime.compilation import compiled
 from .rig_views import AnyCalibration, RigViews
@@ -109,8 +107,8 @@ class CalibrationUncertainty(NamedTuple):
         if covariance is None and noise is None:
             return cls.none(views)
         # A bound has no noise: either it is given, or the poses are exact.
-        if noise is None and isinstance(covariance, (JointFit, SavedEstimate)):
-            noise = covariance.noise
+        if noise is None:
+            noise = getattr(covariance, "noise", None)
         names = parameter_names(calibration)
         roots = np.zeros((0, len(names)))
         if covariance is not None:
@@ -230,10 +228,12 @@ class CalibrationUncertainty(NamedTuple):
         columns = np.zeros((*self.view_jacobian.shape[:2], 6 * len(names)))
         for view, (twist, derivatives) in enumerate(zip(twist_of_view, by_twist, strict=False)):
             columns[view, -6:, 6 * twist : 6 * twist + 6] = derivatives
-        variances = np.diag(np.tile(sigmas**2, len(names)))
+        known = len(self.covariance)
+        covariance = np.diag(np.concatenate([np.zeros(known), np.tile(sigmas**2, len(names))]))
+        covariance[:known, :known] = self.covariance
         return CalibrationUncertainty(
             (*self.names, *correction_names(names)),
-            np.asarray(block_diag(self.covariance, variances)),
+            covariance,
             np.concatenate([self.view_jacobian, columns], axis=2),
             self.shared_count,
         )

@@ -1,7 +1,7 @@
 """Say which camera of a rig took each view, and in which state of the robot."""
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -9,10 +9,13 @@ from jaxtyping import Float, Int
 from ..argument_checks import require_names, require_one_of
 from ..calibration import Calibration
 from ..cameras import AnyCamera, ViewCameras
-from ..dataset import SAME_POSE_TOLERANCE
 from ..engine import parameter_names
 from ..geometry import as_se3, host_matrices
-from ..joint import RigEstimate, RigFit
+from ..joint import RigEstimate
+from ..robots import SAME_POSE_TOLERANCE
+
+if TYPE_CHECKING:
+    from ..joint import RigFit
 
 FRAMES = "world", "base"
 """Frames in which results can be given."""
@@ -70,7 +73,7 @@ class RigViews:
 
     def __init__(
         self,
-        rig: RigFit | RigEstimate | Mapping[str, Calibration],
+        rig: "RigFit | RigEstimate | Mapping[str, Calibration]",
         cameras: Sequence[str],
         states: Sequence[Hashable] | None = None,
         frame: str = "world",
@@ -92,8 +95,8 @@ class RigViews:
         """
         require_names("cameras", cameras)
         self.estimate: RigEstimate | None = None
-        if isinstance(rig, RigFit | RigEstimate):
-            self.estimate = RigEstimate.of(rig) if isinstance(rig, RigFit) else rig
+        if not isinstance(rig, Mapping):
+            self.estimate = rig if isinstance(rig, RigEstimate) else RigEstimate.of(rig)
         known = rig if isinstance(rig, Mapping) else rig.calibrations
         self.calibrations: Mapping[str, Calibration] = dict(known)
         self.cameras: tuple[str, ...] = tuple(cameras)

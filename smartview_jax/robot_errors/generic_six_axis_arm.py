@@ -13,9 +13,9 @@ import jax
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Float
-from scipy.spatial.transform import Rotation
 
 from ..argument_checks import require_one_of
+from ..geometry import host_exponentials, host_transforms
 from ..robots import Command, SerialArm, branch_joints
 from .arm_errors import DHErrors
 from .field import AbstractPreparedField
@@ -78,8 +78,12 @@ class GenericSixAxisArm(AbstractPreparedField):
         if arm is None:
             positions = np.asarray(base_from_tool.wxyz_xyz)[:, 4:]
             farthest = np.max(np.linalg.norm(positions, axis=1))
-            # Capital letters: the rotation about y is about the axis that the first has turned.
-            flange_from_tool = Rotation.from_euler("XY", _APPROACH_ROTATIONS[approach])
+            # The rotation about y is about the axis that the first has turned.
+            about_x, about_y = _APPROACH_ROTATIONS[approach]
+            turns = host_exponentials(
+                np.array([[0, 0, 0, about_x, 0, 0], [0, 0, 0, 0, about_y, 0]])
+            )
+            flange_from_tool = host_transforms(turns[0] @ turns[1])
             arm = _generic_arm(float(farthest) / MAX_POSE_REACH_FRACTION, flange_from_tool)
         signs = jax.device_put(np.array(branch, dtype=float))
         return cls(arm, signs, *centre_and_reach(base_from_tool))
@@ -127,10 +131,9 @@ class GenericSixAxisArm(AbstractPreparedField):
         return self._dh_errors.jacobian(prepared[1], coefficients)
 
 
-def _generic_arm(reach: float, flange_from_tool: Rotation) -> SerialArm:
+def _generic_arm(reach: float, flange_from_tool: SE3) -> SerialArm:
     """Return an upright arm of given reach, with an upper arm as long as the forearm."""
     right_angle = 0.5 * np.pi
-    x, y, z, w = flange_from_tool.as_quat()
     # Lengths as fractions of the reach: upper arm and forearm 0.45 each, base, shoulder offset,
     # elbow offset and wrist 0.35, 0.1, 0.05 and 0.1.
     return SerialArm(
@@ -138,5 +141,5 @@ def _generic_arm(reach: float, flange_from_tool: Rotation) -> SerialArm:
         d=reach * np.array([0.35, 0.0, 0.0, 0.45, 0.0, 0.1]),
         a=reach * np.array([0.1, 0.45, 0.05, 0.0, 0.0, 0.0]),
         alpha=np.array([-right_angle, 0.0, -right_angle, right_angle, -right_angle, 0.0]),
-        flange_from_tool=SE3(jax.device_put(np.array([w, x, y, z, 0.0, 0.0, 0.0]))),
+        flange_from_tool=SE3(jax.device_put(np.asarray(flange_from_tool.wxyz_xyz))),
     )

@@ -1,4 +1,5 @@
 from .command import MAX_TOOL_COORDINATE as MAX_TOOL_COORDINATE
+from .command import SAME_POSE_TOLERANCE as SAME_POSE_TOLERANCE
 from .command import Command as Command
 from .command import CommandLike as CommandLike
 from .command import HandPoses as HandPoses

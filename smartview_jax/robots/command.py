@@ -15,6 +15,9 @@ MAX_TOOL_COORDINATE = 10.0
 No arm is that long; a larger number is in another unit, such as millimetres.
 """
 
+SAME_POSE_TOLERANCE = 1e-9
+"""Largest difference, m or no unit, between the poses that two data sets have for one state."""
+
 
 class HandPoses(HostModule):
     """The poses of two hands, one with the camera and one with the target, each in its own base.

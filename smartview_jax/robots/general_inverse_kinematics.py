@@ -4,7 +4,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 from jax.custom_derivatives import SymbolicZero
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
@@ -125,6 +124,9 @@ def solve_joints_iteratively(
     Returns:
         Joint readings, and whether they reach the pose.
     """
+    # Imported here, because most commands know no arm.
+    import optimistix as optx
+
     # Per pose, minimise |r|^2 over the joints q, with the residual twist
     #     r(q) = log(wanted^-1 base_from_tool(q)).
     # Each step solves the damped normal equations

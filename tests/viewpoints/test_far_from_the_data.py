@@ -12,7 +12,7 @@ from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.engine import Noise, Observability, parameter_names
 from smartview_jax.geometry import host_matrices
-from smartview_jax.grasping.uncertainty import camera_covariance
+from smartview_jax.grasping import camera_covariance
 from smartview_jax.joint.saved_estimate import SavedEstimate
 from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.runtime.array_namespace import to_device

@@ -9,7 +9,6 @@ import dataclasses
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from ...geometry import host_poses
 
@@ -59,6 +58,8 @@ class Symmetry:
     @property
     def axes(self) -> tuple["SymmetryAxis", ...]:
         """The axes of the turns, those with the most turns first."""
+        from scipy.spatial.transform import Rotation
+
         vectors = Rotation.from_matrix(self.rotations).as_rotvec()
         angles = np.linalg.norm(vectors, axis=1)
         axes: list[SymmetryAxis] = []

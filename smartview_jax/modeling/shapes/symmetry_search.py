@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 from ...geometry import host_nearest_rotation
 from .faces import SHARP_ANGLE, Face, face_plane
@@ -88,6 +87,8 @@ class _Rims(NamedTuple):
 
     def are_met_by(self, moved: Float[np.ndarray, "n 3"], tolerance: float) -> bool:
         """Return whether all points are on a rim, up to the sagitta of its edge."""
+        from scipy.spatial import KDTree
+
         near = KDTree(self.points).query(moved, min(TESTED_EDGES, len(self.points)))[1]
         near = np.reshape(near, (len(moved), -1))
         start = self.points[near][:, :, None]
@@ -158,6 +159,8 @@ class _Outline(NamedTuple):
         self, rotation: Float[np.ndarray, "3 3"], tolerance: float
     ) -> Float[np.ndarray, "3 3"] | None:
         """Return the symmetry near a rotation; None if there is none."""
+        from scipy.spatial import KDTree
+
         targets = np.zeros(0, int)
         if len(self.corners):
             tree = KDTree(self.corners)

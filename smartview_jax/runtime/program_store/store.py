@@ -2,6 +2,7 @@
 
 import functools
 import hashlib
+import re
 import threading
 import time
 import weakref
@@ -23,6 +24,9 @@ from .safe_pickle import pickled_trace, unpickled_program, unpickled_trace
 
 READ_EVENT = "/smartview_jax/program_read"
 """The event that `jax.monitoring` reports, with its duration, when a program is read."""
+
+LAPACK_NAME = re.compile(rb"(lapack|blas)_[sdcz]")
+"""The name by which a program calls a function of LAPACK or BLAS, to its letter of the type."""
 
 _PLAIN_SETTINGS = {
     "jax_enable_x64": True,
@@ -313,8 +317,10 @@ def _executable(
         return None
     start_time = time.perf_counter()
     with suppress(Exception):
-        _prepare_lapack()
-        run = unpickled_program(zlib.decompress(content), array_count, output_count)
+        program = zlib.decompress(content)
+        if LAPACK_NAME.search(program):
+            _prepare_lapack()
+        run = unpickled_program(program, array_count, output_count)
         jax.monitoring.record_event_duration_secs(READ_EVENT, time.perf_counter() - start_time)
         return run
     return None
