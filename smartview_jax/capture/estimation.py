@@ -1,17 +1,17 @@
 """Fit the views taken so far, state the expected error, and propose the views to take next."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..calibration_pipeline import DEFAULT_LENS, CalibrationFit, calibrate
 from ..cameras import Camera
 from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset
-from ..geometry import host_matrices, host_transforms
+from ..geometry import host_matrices, host_rotation_angles, host_transforms
 from ..io import FolderDescription
 from ..joint import SavedEstimate
 from ..viewpoints import (
@@ -31,6 +31,12 @@ FIRST_VIEWS = 15
 
 NEXT_VIEWS = 4
 """Number of views that are planned after each fit: a few, because the next fit knows more."""
+
+NEW_POSITION, NEW_ANGLE = 0.02, float(np.deg2rad(5.0))
+"""Distance (m) or rotation (rad) from every view at which a pose is another view.
+
+In views that are nearer to each other the same errors of robot and lens come twice.
+"""
 
 MIN_FITTED_VIEWS = 4
 """Smallest number of views to which the calibration is fitted."""
@@ -102,12 +108,27 @@ class Estimate(NamedTuple):
         return self.is_reliable and self.error <= goal
 
 
-def first_proposals(described: FolderDescription, options: CaptureOptions) -> tuple[Proposal, ...]:
+def is_near(
+    pose: Float[np.ndarray, "*poses 4 4"], places: Float[np.ndarray, "places 4 4"]
+) -> Bool[np.ndarray, "*poses"]:
+    """Return whether poses are too near to one of some places to be other views."""
+    pose = pose[..., None, :, :]
+    distance = np.linalg.norm(pose[..., :3, 3] - places[:, :3, 3], axis=-1)
+    turn = host_rotation_angles(pose, places)
+    return ((distance < NEW_POSITION) & (turn < NEW_ANGLE)).any(axis=-1)
+
+
+def first_proposals(
+    described: FolderDescription,
+    options: CaptureOptions,
+    avoided: Float[np.ndarray, "places 4 4"] | None = None,
+) -> tuple[Proposal, ...]:
     """Return the first views, planned from the rough transforms of the options.
 
     Args:
         described: target, mount and size of the pictures.
         options: the transforms, and the limits of views and robot.
+        avoided: poses near which no view is wanted, m.
 
     Raises:
         ValueError: a missing transform, or too few views within the limits.
@@ -120,10 +141,13 @@ def first_proposals(described: FolderDescription, options: CaptureOptions) -> tu
         options.camera,
         options.limits,
     )
-    return _proposals(situation, FIRST_VIEWS, options.motion, True, 0, None)[0]
+    stop = StopRule(FIRST_VIEWS, least_gain=0.0)
+    return _proposals(situation, stop, _allowed(options.motion, avoided), True, 0)[0]
 
 
-def estimate(data: Dataset, options: CaptureOptions) -> Estimate:
+def estimate(
+    data: Dataset, options: CaptureOptions, avoided: Float[np.ndarray, "places 4 4"] | None = None
+) -> Estimate:
     """Fit the views, and plan the next ones.
 
     A fit that fails is no error here: more views will help.
@@ -131,6 +155,8 @@ def estimate(data: Dataset, options: CaptureOptions) -> Estimate:
     Args:
         data: the views so far.
         options: a known camera, the lens, the goal, and the limits of views and robot.
+        avoided: poses near which no further view is wanted, m: of views, and of places that the
+            robot did not reach.
     """
     try:
         fit = calibrate(data, options.lens, camera=options.camera)
@@ -145,35 +171,41 @@ def estimate(data: Dataset, options: CaptureOptions) -> Estimate:
     try:
         saved, points = SavedEstimate.of(fit.joint), np.asarray(data.points[0])
         situation = situation_of_estimate(saved, points, options.limits)
+        # As long as the error is not believed, it does not end the plan either.
+        goal = options.goal if used >= MINIMUM_RELIABLE_VIEWS else None
+        stop, allowed = StopRule(NEXT_VIEWS, goal, 0.0), _allowed(options.motion, avoided)
         # Another seed for every number of views: no two plans choose among the same candidates.
-        proposals, error, distance = _proposals(
-            situation, NEXT_VIEWS, options.motion, False, used, options.goal
-        )
+        proposals, error, distance = _proposals(situation, stop, allowed, False, used)
     except ValueError as error:
         return Estimate(used, float("inf"), float("nan"), fit, (str(error),), ())
     return Estimate(used, error, distance, fit, fit.warnings, proposals)
 
 
+def _allowed(
+    motion: MotionLimits | None, avoided: Float[np.ndarray, "places 4 4"] | None
+) -> Callable[[SE3], Bool[np.ndarray, "poses"]]:
+    """Return the function that says which poses may be commanded."""
+
+    def allowed(base_from_tool: SE3) -> Bool[np.ndarray, "poses"]:
+        poses = host_matrices(base_from_tool)
+        inside = np.array([motion is None or motion.is_inside(pose) for pose in poses])
+        return inside if avoided is None else inside & ~is_near(poses, avoided)
+
+    return allowed
+
+
 def _proposals(
     situation: Situation,
-    count: int,
-    motion: MotionLimits | None,
+    stop: StopRule,
+    allowed: Callable[[SE3], Bool[np.ndarray, "poses"]],
     is_rough: bool,
     seed: int,
-    goal: float | None,
 ) -> tuple[tuple[Proposal, ...], float, float]:
     """Return proposals, the error before them, and the distance of the point it is about, m."""
-
-    def allowed(base_from_tool: SE3) -> np.ndarray:
-        poses = host_matrices(base_from_tool)
-        if motion is None:
-            return np.ones(len(poses), dtype=bool)
-        return np.array([motion.is_inside(pose) for pose in poses])
-
     plan = plan_views(
         situation.model,
         situation.views,
-        StopRule(count, goal, least_gain=0.0),
+        stop,
         needs=ViewRequirements(situation.border_margin, allowed=allowed),
         seed=seed,
     )

@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import NamedTuple
 
@@ -13,21 +13,22 @@ from jaxtyping import Float, UInt8
 from ..dataset import Dataset
 from ..detection import Detection, detect
 from ..editor import OwnerLock
-from ..geometry import host_matrices, host_rotation_angles, host_transforms
+from ..geometry import host_matrices, host_transforms
 from ..io import GrowingDataset, load_dataset
 from ..targets import StackedTarget
 from .coverage import Coverage, coverage
-from .estimation import CaptureOptions, Estimate, Proposal, estimate, first_proposals
+from .estimation import (
+    CaptureOptions,
+    Estimate,
+    Proposal,
+    estimate,
+    first_proposals,
+    is_near,
+)
 from .motion import refuse_if_stopped
 from .settling import SettleTest, settle_test
 from .sources import Camera, MoveRefusedError, MovingRobot, Reopened, Robot, SourceLostError
 from .typed_robot import TypedRobot
-
-NEW_POSITION, NEW_ANGLE = 0.02, float(np.deg2rad(5.0))
-"""Distance (m) or rotation (rad) from every view at which a pose is another view.
-
-In views that are nearer to each other the same errors of robot and lens come twice.
-"""
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -111,6 +112,9 @@ class CaptureSession:
         self.last_settle_test: SettleTest | None = None
         self.last_estimate: Estimate | None = None
         self._proposals: list[Proposal] = []
+        # Proposed poses at which no view could be taken, and how many of them the last plan knew.
+        self._failed: list[np.ndarray] = []
+        self._planned_without = 0
         self._fitted_views = 0
         self.is_moving: bool = False
         self._closing = threading.Event()
@@ -162,7 +166,7 @@ class CaptureSession:
 
     @property
     def is_fitting(self) -> bool:
-        """Whether views were taken that no fit has seen yet."""
+        """Whether views were taken, or failed, of which no fit or plan knows yet."""
         with self._state:
             return self._is_fit_wanted()
 
@@ -215,13 +219,11 @@ class CaptureSession:
         """
         if self.options.start is None:
             return
-        planned = first_proposals(self.folder.description, self.options)
+        # Where a process was killed, the next one goes on after the views that it took.
+        planned = first_proposals(self.folder.description, self.options, self._avoided())
         with self._state:
             if self.last_estimate is None or not self.last_estimate.proposals:
-                # Where a process was killed, the next one goes on after the views that it took.
-                self._proposals = [
-                    proposal for proposal in planned if not self._is_near_a_view(proposal)
-                ]
+                self._proposals = list(planned)
 
     def look(self) -> Look:
         """Return a picture with the target found in it, and the robot's pose.
@@ -274,7 +276,7 @@ class CaptureSession:
         with self._state:
             self._last_picture = second
             self._views.append(_View(after, found.pixels))
-            self._proposals = [p for p in self._proposals if not _is_near(p.base_from_tool, after)]
+            self._drop_near(after[None])
             self._wanted.notify_all()
         self.listener(f"view {name} taken: {int(found.visible.sum())} points")
         return name
@@ -284,7 +286,7 @@ class CaptureSession:
         with self._using:
             pose = self._pose()
         with self._state:
-            return not any(_is_near(pose, view.pose) for view in self._views)
+            return not is_near(pose, _stacked([view.pose for view in self._views]))
 
     def type_pose(self, text: str) -> None:
         """Take the robot's pose from a text that a person typed.
@@ -337,10 +339,19 @@ class CaptureSession:
         """Allow motions again after a stop, which only a person may do."""
         self._stop_motion.clear()
 
-    def skip(self, proposal: Proposal) -> None:
-        """Forget a proposed view that cannot be taken."""
-        with self._state:
+    def skip(self, proposal: Proposal, failed: bool = False) -> None:
+        """Forget a proposed view.
+
+        Args:
+            proposal: the view.
+            failed: whether it could not be taken. Nothing near it is proposed any more, and if no
+                proposal is left, others are planned.
+        """
+        with self._wanted:
             self._proposals = [p for p in self._proposals if p is not proposal]
+            if failed:
+                self._failed.append(proposal.base_from_tool)
+            self._wanted.notify_all()
 
     def wait_for_fit(self, timeout: float) -> bool:
         """Wait until a fit has seen all views; return False if that takes too long.
@@ -354,8 +365,11 @@ class CaptureSession:
     # What is done in the background, and for the methods above.
 
     def _is_fit_wanted(self) -> bool:
-        """Return whether there are enough views, and some are in no fit."""
-        return len(self._views) >= self.options.first_fit and self._fitted_views < len(self._views)
+        """Return whether there are enough views, and some are in no fit or proposals ran out."""
+        if len(self._views) < self.options.first_fit:
+            return False
+        ran_out = not self._proposals and self._planned_without < len(self._failed)
+        return self._fitted_views < len(self._views) or ran_out
 
     def _fit_until_closed(self) -> None:
         """Fit whenever there are new views."""
@@ -364,7 +378,7 @@ class CaptureSession:
                 self._wanted.wait_for(lambda: self._is_fit_wanted() or self._closing.is_set())
                 if self._closing.is_set():
                     return
-                count = len(self._views)
+                count, failed = len(self._views), len(self._failed)
             # Whatever fails in a fit, the next one has more views.
             try:
                 self._fit()
@@ -372,25 +386,32 @@ class CaptureSession:
                 _LOGGER.exception("a fit failed")
                 self.listener(f"the fit failed: {error}")
             with self._wanted:
-                self._fitted_views = count
+                self._fitted_views, self._planned_without = count, failed
                 self._wanted.notify_all()
 
     def _fit(self) -> None:
         """Fit the views in the folder, and take over the proposals."""
         with self.folder.lock:
             data = load_dataset(self.folder.folder, "mask")
-        found = estimate(data, self.options)
+        found = estimate(data, self.options, self._avoided())
         with self._state:
             self.last_estimate = found
             # A calibration from few views may be far off: until then the drawing is safer.
             if found.proposals and (found.is_reliable or not self._proposals):
-                self._proposals = [p for p in found.proposals if not self._is_near_a_view(p)]
+                self._proposals = list(found.proposals)
+                # Meanwhile more views may have been taken.
+                self._drop_near(self._avoided())
         error = f"{1e3 * found.error:.2g} mm" if np.isfinite(found.error) else "not known yet"
         self.listener(f"fit of {found.views} views: expected error {error}")
 
-    def _is_near_a_view(self, proposal: Proposal) -> bool:
-        """Return whether a view was taken from about there."""
-        return any(_is_near(proposal.base_from_tool, view.pose) for view in self._views)
+    def _avoided(self) -> Float[np.ndarray, "places 4 4"]:
+        """Return the poses near which no further view is wanted: of views, and of failures."""
+        with self._state:
+            return _stacked([*(view.pose for view in self._views), *self._failed])
+
+    def _drop_near(self, places: Float[np.ndarray, "places 4 4"]) -> None:
+        """Forget proposals near some places; called while the state is held."""
+        self._proposals = [p for p in self._proposals if not is_near(p.base_from_tool, places)]
 
     def _read(self) -> UInt8[np.ndarray, "..."]:
         """Return a picture; a camera that fails is opened again later."""
@@ -414,8 +435,6 @@ class CaptureSession:
             raise SourceLostError(f"robot: {error}") from error
 
 
-def _is_near(first: Float[np.ndarray, "4 4"], second: Float[np.ndarray, "4 4"]) -> bool:
-    """Return whether two poses are too near to each other for two views."""
-    distance = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
-    turn = float(host_rotation_angles(first, second))
-    return distance < NEW_POSITION and turn < NEW_ANGLE
+def _stacked(poses: Sequence[Float[np.ndarray, "4 4"]]) -> Float[np.ndarray, "poses 4 4"]:
+    """Return poses as one array, also if there are none."""
+    return np.reshape(poses, (-1, 4, 4))

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import suppress
 from typing import NamedTuple
 
 from .session import CaptureSession, NotTakenError
@@ -12,6 +13,12 @@ SETTLE_ATTEMPTS = 10
 
 SETTLE_SECONDS = 0.2
 """Time between two attempts, s."""
+
+MAX_FAILURES = 20
+"""Largest number of proposed views in a row that could not be taken.
+
+A robot that reaches but a third of the proposals fails so often by chance once in 3000 times.
+"""
 
 FIT_PATIENCE = 600.0
 """Longest time to wait for a fit, s: a machine that compiles for the first time takes a minute."""
@@ -52,7 +59,7 @@ def capture_unattended(
     """
     moves = session.options.motion is not None
     closing = closing or threading.Event()
-    trouble = "no view could be taken"
+    trouble, failures = "no view could be taken", 0
     if moves:
         session.plan_first()
     # From here on: a plan or a fit that is compiled for the first time may take a minute.
@@ -69,10 +76,16 @@ def capture_unattended(
         if time.monotonic() - last_success > patience:
             return _outcome(session, f"nothing for {patience:g} s: {trouble}")
         try:
+            before = session.view_count
             if _next_view(session, moves):
                 last_success = time.monotonic()
+            if session.view_count > before:
+                failures = 0
         except (SourceLostError, NotTakenError, MoveRefusedError) as error:
             trouble = str(error)
+            failures += not isinstance(error, SourceLostError)
+            if moves and failures >= MAX_FAILURES:
+                return _outcome(session, f"{failures} proposed views failed, the last: {trouble}")
             # What is lost is opened again after some time.
             closing.wait(SETTLE_SECONDS)
         except StopIteration:  # there is no view to move to
@@ -98,12 +111,17 @@ def _next_view(session: CaptureSession, moves: bool) -> bool:
         # Nothing is known from which to plan, unless a fit is about to be ready.
         if session.is_fitting:
             return session.wait_for_fit(FIT_PATIENCE)
-        raise StopIteration
+        # Where the first views failed, there are others according to the drawing.
+        with suppress(ValueError):
+            session.plan_first()
+        if session.proposal is None:
+            raise StopIteration
+        return False
     try:
         session.move_to(proposal)
         _take_when_settled(session)
     except (MoveRefusedError, NotTakenError):
-        session.skip(proposal)
+        session.skip(proposal, failed=True)
         raise
     session.skip(proposal)
     return True

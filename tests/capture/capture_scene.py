@@ -42,6 +42,7 @@ class Rig:
         self.camera_error = self.robot_error = None
         self.opened = {"camera": 0, "robot": 0}
         self.moved_to = []
+        self.unreachable = set()
         self.poses = host_matrices(detected_sample().base_from_tool)
         self.sways = False
         # Set while a motion goes on, which `finish` ends.
@@ -102,7 +103,10 @@ class RigRobot:
             if stop.is_set():
                 raise MoveRefusedError("stopped")
         distances = np.linalg.norm(self.rig.poses[:, :3, 3] - base_from_tool[:3, 3], axis=1)
-        self.rig.at = int(np.argmin(distances))
+        nearest = int(np.argmin(distances))
+        if nearest in self.rig.unreachable:
+            raise MoveRefusedError("out of reach")
+        self.rig.at = nearest
         self.rig.moved_to.append(self.rig.at)
 
     def close(self):
@@ -116,11 +120,10 @@ def everywhere():
 def quick_fit(rig, goal_at=9):
     """An `estimate` that takes no time: 1 mm over the views, and the sample's own next views."""
 
-    def estimate(data, options):
+    def estimate(data, options, avoided):
         count = data.view_count
         near = [
-            np.linalg.norm(rig.poses[:, :3, 3] - pose[:3, 3], axis=1).argmin()
-            for pose in host_matrices(data.base_from_tool)
+            np.linalg.norm(rig.poses[:, :3, 3] - pose[:3, 3], axis=1).argmin() for pose in avoided
         ]
         free = [k for k in range(len(rig.poses)) if k not in near]
         proposals = tuple(Proposal(rig.poses[k], False) for k in free[:2])

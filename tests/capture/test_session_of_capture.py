@@ -8,6 +8,7 @@ import threading
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from capture_scene import PATIENCE, Rig, everywhere, new_folder, quick_fit, wait_until
@@ -190,6 +191,35 @@ def test_an_unattended_run_says_why_it_ends_without_the_goal(tmp_path, rig):
         assert capture_unattended(session).reason == "stopped"
 
 
+def test_places_that_the_robot_does_not_reach_are_planned_around(tmp_path, rig):
+    """All proposals of a plan may be refused: the next plan knows where."""
+    folder = new_folder(tmp_path / "data")
+    rig.unreachable = {4, 5, 6, 9}
+    with rig.session(folder, goal=1e-3, motion=everywhere()) as session:
+        for rig.at in range(4):
+            session.take()
+        assert capture_unattended(session, patience=PATIENCE).reason == "stop: 1 mm reached"
+    assert not rig.unreachable & {*rig.moved_to}
+    rig.unreachable = set(range(15))
+    rig.at = 0
+    with rig.session(folder, motion=everywhere()) as session:
+        reason = capture_unattended(session, patience=PATIENCE).reason
+    assert reason == "no more views can be proposed; out of reach"
+
+
+def test_an_unattended_run_gives_up_where_nothing_is_reached(tmp_path, rig, monkeypatch):
+    folder = new_folder(tmp_path / "data")
+    rig.unreachable, planned = set(range(15)), quick_fit(rig)
+    where = "smartview_jax.capture.session"
+    monkeypatch.setattr(f"{where}.estimate", lambda data, o, _: planned(data, o, rig.poses[:2]))
+    monkeypatch.setattr(f"{where}.is_near", lambda pose, _: np.zeros(1, bool))
+    with rig.session(folder, motion=everywhere()) as session:
+        for rig.at in range(4):
+            session.take()
+        reason = capture_unattended(session, patience=PATIENCE).reason
+    assert reason == "20 proposed views failed, the last: out of reach"
+
+
 def test_a_plan_and_a_fit_may_take_longer_than_a_lost_camera(tmp_path, rig, monkeypatch):
     """A machine that compiles for the first time is not out of order."""
     folder = new_folder(tmp_path / "data")
@@ -273,6 +303,12 @@ def test_an_estimate_states_the_error_and_proposes_views():
     assert 5e-5 < found.error < 2e-3
     assert len(found.proposals) == 4
     assert not any(proposal.is_rough for proposal in found.proposals)
+    places = np.array([proposal.base_from_tool for proposal in found.proposals])
+    again = estimate(data, CaptureOptions(goal=1e-6, motion=everywhere()), places).proposals
+    for pose in [proposal.base_from_tool for proposal in again]:
+        distances = np.linalg.norm(places[:, :3, 3] - pose[:3, 3], axis=1)
+        turns = [np.linalg.norm(cv2.Rodrigues(p[:3, :3].T @ pose[:3, :3])[0]) for p in places]
+        assert ((distances >= 0.02) | (np.rad2deg(turns) >= 5.0)).all()
 
 
 def test_a_fit_that_fails_waits_for_more_views():
