@@ -84,10 +84,21 @@ def _print(title: str, rows: "Sequence[sv.evaluation.MethodResult]", notes: Sequ
 
 
 _TABLES = {
-    "on the views that were fitted": ("mean +- std, px", "RMS, px", "left out points, views"),
-    "on views that no fit saw": ("held out, px", "95 % interval, px", "held out, mm"),
+    "on the views that were fitted": {
+        "mean +- std\npx": "mean +- std, px",
+        "RMS\npx": "RMS, px",
+        "left out\npoints,\nviews": "left out points, views",
+    },
+    "on views that no fit saw": {
+        "RMS\npx": "held out, px",
+        "95 % interval\npx": "95 % interval, px",
+        "RMS\nmm": "held out, mm",
+    },
 }
-"""The headings of each table, by its title; together they cover all numbers of a row."""
+"""The headings of each table and the report's headings for them, by the table's title.
+
+Together they cover all numbers of a row.
+"""
 
 
 def print_comparison(rows: "Sequence[sv.evaluation.MethodResult]") -> None:
@@ -107,10 +118,10 @@ def print_comparison(rows: "Sequence[sv.evaluation.MethodResult]") -> None:
         table = Table(
             "method", title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False
         )
-        for heading in headings:
-            # Headings and method names may wrap, but a number is never cut.
-            parts = [*heading.split(), *(text[heading] for text in texts)]
+        for heading, name in headings.items():
+            # The names of methods may wrap, but a number or a line of a heading is never cut.
+            parts = [*heading.splitlines(), *(text[name] for text in texts)]
             table.add_column(heading, justify="right", width=max(map(len, parts)))
         for text in texts:
-            table.add_row(text["method"], *(text[heading] for heading in headings))
+            table.add_row(text["method"], *(text[name] for name in headings.values()))
         console.print(table)

@@ -14,7 +14,7 @@ from . import options
 from .documents import errors_document, print_document, views_left_out
 from .load import load_named
 from .options import with_option_groups
-from .terminal import errors_reported, progress_line
+from .terminal import errors_reported, print_lines, print_table, progress_line
 
 
 @dataclass(frozen=True)
@@ -224,9 +224,8 @@ def _rows(predictions: Sequence[Prediction]) -> list[list[str]]:
 
 def _print(rows: Sequence[Sequence[str]], judged: Sequence[Prediction], verdict: str) -> None:
     """Print the table of figures, the views left out, and the result in a sentence."""
-    for row in rows:
-        typer.echo(f"{row[0]:40}" + "".join(f"{cell:>20}" for cell in row[1:]))
+    print_table(rows[0], rows[1:], "right", box=None, pad_edge=False)
     masked = (entry for prediction in judged for entry in prediction.data.masked_views)
     for view, reason in dict(masked).items():
-        typer.echo(f"view {view} is left out: {reason}")
-    typer.echo(verdict)
+        print_lines(f"view {view} is left out: {reason}")
+    print_lines(verdict)

@@ -12,7 +12,7 @@ import smartview_jax as sv
 from . import options
 from .options import with_option_groups
 from .robot_commands import CommandSheet, RobotOptions
-from .terminal import errors_reported
+from .terminal import errors_reported, print_lines
 
 COMMAND_NAMES = ("approach", "grasp")
 """The names of the two commands, in the order in which the robot takes them."""
@@ -115,7 +115,7 @@ def grasp(
         sheet.give(
             "grasp",
             json,
-            lambda: typer.echo(_error_text(tool, calibration)),
+            lambda: print_lines(_error_text(tool, calibration)),
             error=_error_document(tool),
         )
 
@@ -154,6 +154,6 @@ def _error_text(tool: "sv.grasping.ToolCommands", path: Path) -> str:
     degrees = sv.geometry.vector_text(1.96 * np.rad2deg(errors["std_rad"]), 3)
     return (
         f"error of the tool: within +- {millimetres} mm and +- {degrees} degrees (95 %) along and "
-        "about its own x, y, z,\nfrom the calibration's uncertainty and the robot's noise; the "
+        "about its own x, y, z, from the calibration's uncertainty and the robot's noise; the "
         "object's pose error is not included"
     )

@@ -17,6 +17,7 @@ from ..files import refuse_unwritable
 from . import options
 from .documents import print_document
 from .options import parse_numbers
+from .terminal import print_lines
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,8 @@ class CommandSheet(NamedTuple):
         if self.arm is not None and joints is not None:
             print_joints(self.names, joints, self.arm)
         # All remarks, also those that refuse nothing.
-        for text in self._named(self.commands.checks.reasons()):
-            typer.echo(text)
-        for sentence in self.unchecked:
-            typer.echo(f"not checked: {sentence}")
+        print_lines(*self._named(self.commands.checks.reasons()))
+        print_lines(*(f"not checked: {sentence}" for sentence in self.unchecked))
 
     def document(self) -> list[dict[str, Any]]:
         """Return the commands as entries for programs: pose, joint readings (rad, m), reasons."""

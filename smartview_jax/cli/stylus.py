@@ -16,7 +16,7 @@ from ..files import read_yaml
 from . import options
 from .options import parse_numbers, with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
-from .terminal import errors_reported
+from .terminal import errors_reported, print_lines
 from .viewpoint import LookOptions, requested_camera_poses
 
 SURPRISING_P_VALUE = 0.01
@@ -259,7 +259,7 @@ def _judgement(
 def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     """Print the table of touches in mm, and the comparison in a sentence."""
     for note in judged["notes"]:
-        typer.echo(f"note: {note}")
+        print_lines(f"note: {note}")
     measured = "rms_m" in judged
     columns = ["touch", *(["miss (x, y, z) mm", "distance mm"] if measured else [])]
     table = Table(
@@ -278,14 +278,14 @@ def _print_judgement(judged: dict[str, Any], path: Path) -> None:
     console = Console()
     console.print(table)
     if judged["touches"][0]["expected"] is None:
-        typer.echo(f"{path} has no covariance: the expected miss is not known")
+        print_lines(f"{path} has no covariance: the expected miss is not known")
     if not measured:
         return
-    typer.echo(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms_m']:.2f} mm RMS")
+    print_lines(f"{len(judged['touches'])} touches miss by {1e3 * judged['rms_m']:.2f} mm RMS")
     if judged["comparison"] is not None:
-        typer.echo(_verdict(judged["comparison"]))
+        print_lines(_verdict(judged["comparison"]))
     if "corrected" in judged:
-        typer.echo(
+        print_lines(
             f"{judged['corrected']}: corrected; it predicts "
             f"{1e3 * judged['corrected_expected_rms_m']:.2f} mm RMS for these touches"
         )

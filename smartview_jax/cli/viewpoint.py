@@ -12,7 +12,7 @@ import smartview_jax as sv
 from . import options
 from .options import parse_numbers, with_option_groups
 from .robot_commands import CommandSheet, RobotOptions, numbered_names
-from .terminal import errors_reported
+from .terminal import errors_reported, print_lines
 
 if TYPE_CHECKING:
     from jaxlie import SE3
@@ -87,7 +87,7 @@ def viewpoint(
         sheet.give(
             "viewpoint",
             json,
-            lambda: typer.echo(_error_text(names, covariance, calibration)),
+            lambda: print_lines(_error_text(names, covariance, calibration)),
             errors=_error_document(names, covariance),
         )
 

@@ -105,6 +105,7 @@ def test_the_error_is_that_of_the_calibration(tmp_path_factory):
     assert np.sqrt(np.sum(np.square(sigmas))) == pytest.approx(expected, rel=0.1)
     ended = grasped(path, *words)
     assert f"within +- ({1.96e3 * sigmas[0]:.2f}, " in ended.stdout
+    assert max(map(len, ended.stdout.splitlines())) <= 80
 
 
 def test_what_the_arm_cannot_reach_is_refused_and_not_written(calibration, tmp_path):

@@ -78,7 +78,7 @@ def test_misses_of_the_expected_size_are_as_expected(fitted, tmp_path):
     seen = "misses.csv was read separated by semicolons; with a decimal comma"
     assert f"note: {seen}" in worse.stdout
     assert "0 of 5 are inside" in worse.stdout
-    assert "): more than the calibration predicts" in worse.stdout
+    assert "): more than the calibration predicts" in " ".join(worse.stdout.split())
     assert "the tip's position in the tool frame" in worse.stdout
     found = json.loads(touched(fitted, *WORDS, "--misses", str(misses), "--json").stdout)
     assert found["notes"] == [seen]
