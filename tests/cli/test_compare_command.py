@@ -40,7 +40,7 @@ def test_every_number_is_whole_on_a_narrow_terminal(capsys, monkeypatch, columns
         for cell in cells:
             assert any(cell in line for line in shown), cell
     # Headings are not cut at the width of small numbers.
-    print_comparison([result("staged", 0.1)])
+    print_comparison([result("staged", 0.9)])
     assert "95 % interval" in capsys.readouterr().out
     failed = next(line for line in lines if "one view" in line)
     assert failed.split()[-3:] == ["failed", "-", "-"]
