@@ -329,7 +329,7 @@ def headline(rows: Sequence[ErrorSummary], fit: CalibrationFit) -> str:
     seen = errors.values.size
     left_out = seen - int(np.asarray(fit.joint.inliers).sum())
     # Points left out as gross errors count in the RMS, as in the column of every other method.
-    but = f", {left_out} of them left out of the fit" if left_out > 0 else ""
+    but = f" ({left_out} points left out of the fit)" if left_out > 0 else ""
     return (
         f"joint fit: {errors.rms:.2f} px RMS over {seen} points in "
         f"{int(np.isfinite(errors.rms_per_view).sum())} views{but}; {outcome(fit.joint)}"
