@@ -154,6 +154,6 @@ def test_robot_commands_load_no_fits(tmp_path_factory):
     """They take a second less: the fits and their libraries are half of the imports."""
     path = main_job(tmp_path_factory).out / "calibration.yaml"
     fits = "optimistix lineax scipy cv2 matplotlib smartview_jax.staged smartview_jax.variance"
-    said = run(START, fits, f"viewpoint {path} --above").stdout
+    said = run(START, fits, f"viewpoint {path}").stdout
     assert "error of the camera" in said
     assert said.endswith("code 0 set()\n"), said
