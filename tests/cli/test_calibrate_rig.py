@@ -271,6 +271,37 @@ def test_the_document_has_the_arms():
     base = right["base_left_from_base"]
     assert base["translation"] == fit.base("left", "right").transform.translation().tolist()
     assert right["std"]["translation"] == fit.base("left", "right").std[:3].tolist()
+    # Cameras on one hand have a relative pose; its noise is known, so that its interval is normal.
+    assert list(document["relative"]) == ["left_wall in left_table", "right_wall in right_table"]
+    walls = document["relative"]["left_wall in left_table"]
+    std = fit.relative("left_table", "left_wall").std
+    assert walls["std"]["rotation"] == std[3:].tolist()
+    np.testing.assert_allclose(walls["half_width_95"]["rotation"], norm.ppf(0.975) * std[3:])
+
+
+def test_a_pair_of_arms_has_a_noise_and_bases():
+    """A camera on the left hand sees a target on the right one, and so does a fixed one."""
+    rig, truths = hands_rig(0)
+    noise = {"right": NOISE, "left+right": NOISE}
+    fit = fit_rig(rig, truths, noise=noise, field=None, fixed=("wrist.camera", "fixed.camera"))
+    document = RigResult(rig, "cell", fit, None, ()).document("run", [])
+    assert document["arms"]["left"]["cameras"] == ["wrist"]
+    assert document["arms"]["right"]["cameras"] == ["wrist", "fixed"]
+    assert document["pairs"] == {"left+right": {"translation": 1e-4, "rotation": 2e-4}}
+    assert document["relative"] == {}
+    assert relative_pose_rows(fit) == []
+    assert [row[0] for row in base_rows(fit)] == ["left in right"]
+    text = rig_summary(fit)
+    assert text.startswith("2 cameras and 2 arms were calibrated together.")
+    assert "0.011 degrees (left+right, of one hand in the other's frame) per axis" in text
+    titles = [axes.get_title() for axes in camera_mounts(fit).axes]
+    assert titles == ["in the frame of the tool of left", "in the frame of the base of right"]
+    names = [pose.name for pose in pose_uncertainties(fit)]
+    assert names == ["wrist.camera_from_tool", "fixed.camera_from_base"]
+    for arm in ("right", "left+right"):
+        parts = covariance_by_cause(fit).values()
+        np.testing.assert_allclose(sum(parts), fit.covariance, atol=1e-14)
+        assert RigEstimate.of(fit, arm).noise == NOISE
 
 
 @pytest.mark.usefixtures("judged_by_its_own_chain")
