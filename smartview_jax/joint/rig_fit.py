@@ -250,12 +250,11 @@ class RigFit(eqx.Module):
         Raises:
             ValueError: no such camera, or cameras that a robot moves against each other.
         """
-        if not self.on_one_mount(first, second):
-            a, b = (self.arms[name] for name in (first, second))
+        a, b = (arms_of(self.arms[self._checked(name)])[0] for name in (first, second))
+        if a != b:
             raise ValueError(
-                f"relative: camera {first!r} of arm {a} and {second!r} of arm {b} are on different "
-                "mounts: their relative pose changes with the robots'; use `base` and their "
-                "`camera_from_world`"
+                f"relative: camera {first!r} is on arm {a!r} and {second!r} on {b!r}: their "
+                "relative pose changes with the robots'; use `base` and their `camera_from_world`"
             )
         return relative_pose(
             self.calibrations,
