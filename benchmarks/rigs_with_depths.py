@@ -28,7 +28,7 @@ from smartview_jax.simulation import paper_points, random_scene, simulate
 
 DRAWS, VIEWS, PIXEL_NOISE = 30, 16, 0.15
 BIAS, NOISE, MISSING = DepthBias(1.02, 1e-3), DepthNoise(2e-4, 2e-3), 0.1
-ROBOT_NOISE = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
+ROBOT_TRANSLATION, ROBOT_ROTATION = 1e-4, 2e-4
 
 RIGHT_FROM_LEFT = np.array([0.01, 0.0, 0.0, 0.0, 0.04, 0.0])
 """Twist from the first camera's frame into the second's."""
@@ -112,7 +112,12 @@ def _both(values: np.ndarray, digits: int) -> str:
 def _draw(seed: int) -> dict[str, _Errors]:
     """Return the errors of one draw without and with depths."""
     scene = random_scene(
-        seed, VIEWS, paper_points((0.0, 0.02))[::6], pixel_noise=PIXEL_NOISE, **ROBOT_NOISE
+        seed,
+        VIEWS,
+        paper_points((0.0, 0.02))[::6],
+        pixel_noise=PIXEL_NOISE,
+        translation_noise=ROBOT_TRANSLATION,
+        rotation_noise=ROBOT_ROTATION,
     )
     left, points = scene.calibration, np.asarray(scene.data.points)
     placed = host_exponentials(RIGHT_FROM_LEFT) @ host_matrices(left.camera_from_mount)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -104,8 +105,14 @@ class RigResult(NamedTuple):
             for name, noise in fit.noises.items()
         }
         arms = {name: {**robots.pop(name, {}), **_base_document(fit, name)} for name in fit.bases}
+        pairs = {
+            f"{second} in {first}": _relative_document(fit.relative(first, second))
+            for first, second in combinations(cameras, 2)
+            if fit.on_one_mount(first, second)
+        }
         return {
             "cameras": cameras,
+            "relative": pairs,
             **({"arms": arms} if arms else {"robot": next(iter(robots.values()))}),
             # Of pairs, whose poses are of one hand in the other's frame.
             **({"pairs": robots} if arms and robots else {}),
@@ -233,6 +240,16 @@ def _budget_document(budget: "sv.evaluation.RigErrorBudget") -> dict[str, Any]:
             }
             for pose in budget.poses
         },
+    }
+
+
+def _relative_document(relative: "sv.RelativePose") -> dict[str, Any]:
+    """Return the pose of one camera in another's frame, with 95 % intervals, as plain numbers."""
+    widths = relative.half_widths().tolist()
+    return {
+        "first_from_second": transform_document(relative.transform),
+        "std": {"translation": relative.std[:3].tolist(), "rotation": relative.std[3:].tolist()},
+        "half_width_95": {"translation": widths[:3], "rotation": widths[3:]},
     }
 
 

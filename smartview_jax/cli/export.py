@@ -28,6 +28,8 @@ from ..export_text import (
     static_transform_launch_text,
     static_transform_text,
 )
+from ..files import read_yaml
+from ..schemas.calibrated_rig import CALIBRATED_RIG_SCHEMA
 from .options import DebugOption
 from .robot_commands import named_arm
 from .terminal import errors_reported
@@ -51,7 +53,7 @@ def export(
         list[Path],
         typer.Argument(
             help="A calibration.yaml, or one for each of several cameras, such as left.yaml "
-            "right.yaml.",
+            "right.yaml, or the folder of a calibrated rig.",
             metavar="CALIBRATION...",
         ),
     ],
@@ -88,6 +90,7 @@ def export(
 ) -> None:
     """Print the calibration of one camera or of several in another program's format."""
     with errors_reported(debug):
+        calibrations = _camera_files(calibrations)
         several = len(calibrations) > 1
         if several and to not in SEVERAL_CAMERAS:
             names = ", ".join(form.value for form in SEVERAL_CAMERAS)
@@ -113,6 +116,18 @@ def export(
         else:
             text = exported[0].robot_text(arm)
         typer.echo(text, nl=False)
+
+
+def _camera_files(paths: list[Path]) -> list[Path]:
+    """Return the calibration files; of the folder of a calibrated rig, the files of its cameras."""
+    files: list[Path] = []
+    for path in paths:
+        rigs = sorted(path.glob(f"*{sv.joint.JOINT_SUFFIX}")) if path.is_dir() else []
+        for rig in rigs:
+            content = schemas.validate_content(read_yaml(rig), CALIBRATED_RIG_SCHEMA, rig)
+            files += [path / own for own in content.cameras.values()]
+        files += [] if rigs else [path]
+    return files
 
 
 SEVERAL_CAMERAS = (

@@ -77,7 +77,8 @@ class Rig:
 
     With a camera on the left hand that sees a target on the right one:
 
-        >>> rig = sv.Rig({"eye": data.between_hands(np.eye(4))}, arms={"eye": ("left", "right")})
+        >>> between = data.between_hands(np.tile(np.eye(4), (8, 1, 1)))  # the right hand rests
+        >>> rig = sv.Rig({"eye": between}, arms={"eye": ("left", "right")})
         >>> print(rig.arms["eye"], rig.robot_names)
         left+right ('left', 'right')
     """

@@ -189,15 +189,15 @@ def _with_bases_of(rig: Rig, starts: Mapping[str, Calibration]) -> Rig:
     require_starts(rig, starts)
     bases = {name: starts[name].base_from_other_base for name in rig.cameras}
     first, *others = bases
-    assert bases[first] is not None
+    placed = bases[first]
+    assert placed is not None
     for name in others:
         if not equal_on_host(bases[first], bases[name]):
             raise ValueError(
                 f"starts: the base of {' in the base of '.join(arms_of(rig.arms[name])[::-1])} is "
                 f"elsewhere in {name!r} than in {first!r}"
             )
-    placed = {name: data.with_bases(bases[first]) for name, data in rig.cameras.items()}
-    return rig.with_cameras(placed)
+    return rig.with_cameras({name: data.with_bases(placed) for name, data in rig.cameras.items()})
 
 
 def require_starts(rig: Rig, starts: Mapping[str, Calibration]) -> None:

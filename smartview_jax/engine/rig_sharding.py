@@ -24,7 +24,6 @@ from .problem import VIEW_AXIS
 from .rig_problem import CameraGroup, RigProblem
 from .solver import Solution, equations_without_padding, solve, step_without_padding
 
-_RigProblem = TypeVar("_RigProblem", RigProblem, ArmsProblem)
 _Tree = TypeVar("_Tree")
 
 
@@ -49,7 +48,9 @@ def solve_rig_on(
     return solution, equations_without_padding(equations, problem)
 
 
-def shard_rig(problem: _RigProblem, devices: Sequence[Any]) -> _RigProblem:
+def shard_rig(
+    problem: RigProblem | ArmsProblem, devices: Sequence[Any]
+) -> RigProblem | ArmsProblem:
     """Distribute the views of a rig's cameras over several devices.
 
     Views without points are added to make their number divisible by the number of devices.

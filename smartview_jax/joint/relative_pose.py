@@ -18,6 +18,8 @@ from ..geometry import (
     transform_from_dict,
     transform_to_dict,
 )
+from ..variance import SmallSampleCorrection, joined_corrections
+from .joint_fit import half_width
 
 _T = TypeVar("_T")
 
@@ -29,6 +31,8 @@ class RelativePose(NamedTuple):
         transform: transform from the second one's frame to the first's.
         covariance: covariance of its translation (m) and of a small rotation (rad) after it, both
             along the axes of the first.
+        degrees_of_freedom: degrees of freedom of these six numbers' standard deviations; infinite
+            where the noise was given.
 
     For example, with one camera in the place of two:
 
@@ -44,11 +48,21 @@ class RelativePose(NamedTuple):
 
     transform: SE3
     covariance: Float[np.ndarray, "6 6"]
+    degrees_of_freedom: tuple[float, ...] = (np.inf,) * 6
 
     @property
     def std(self) -> Float[np.ndarray, "6"]:
         """The standard deviations of translation (m) and rotation (rad)."""
         return np.sqrt(np.diagonal(self.covariance))
+
+    def half_widths(self, level: float = 0.95) -> Float[np.ndarray, "6"]:
+        """Return the half widths of confidence intervals of translation (m) and rotation (rad).
+
+        Args:
+            level: probability that an interval contains the true value.
+        """
+        both = zip(self.std, self.degrees_of_freedom, strict=True)
+        return np.array([half_width(std, freedom, level) for std, freedom in both])
 
     def save(self, path: str | os.PathLike[str], run: str | None = None) -> None:
         """Write a file that `load` reads: YAML, or JSON where the name ends in `.json`.
@@ -69,6 +83,10 @@ class RelativePose(NamedTuple):
             **({} if run is None else {"run": run}),
             "first_from_second": transform_to_dict(self.transform),
             "covariance": np.asarray(self.covariance).tolist(),
+            # JSON has no infinity.
+            "degrees_of_freedom": [
+                float(own) if np.isfinite(own) else None for own in self.degrees_of_freedom
+            ],
             "end": "smartview_relative_pose",
         }
         write_validated(path, content, RELATIVE_POSE_SCHEMA)
@@ -86,7 +104,9 @@ class RelativePose(NamedTuple):
 
         content = validate_content(read_yaml(path), RELATIVE_POSE_SCHEMA, path)
         pose = transform_from_dict(f"{path}: pose", content.first_from_second.model_dump())
-        return cls(pose, np.array(content.covariance, dtype=float))
+        known = content.degrees_of_freedom or [None] * 6
+        freedom = tuple(np.inf if own is None else own for own in known)
+        return cls(pose, np.array(content.covariance, dtype=float), freedom)
 
 
 def relative_pose(
@@ -95,6 +115,7 @@ def relative_pose(
     covariance: Float[np.ndarray, "free free"],
     first: str,
     second: str,
+    correction: SmallSampleCorrection | None = None,
 ) -> RelativePose:
     """Return the pose of the second camera in the frame of the first.
 
@@ -104,6 +125,7 @@ def relative_pose(
         covariance: their covariance.
         first: name of a camera.
         second: name of a camera with the same mount.
+        correction: what estimated noise adds to the covariance; None for given noise.
 
     Raises:
         ValueError: no such camera, or cameras that the robot moves against each other.
@@ -121,7 +143,7 @@ def relative_pose(
     matrix = first_pose.matrix @ np.linalg.inv(second_pose.matrix)
     # A small motion (v, w) of A moves A B^-1 as it moves A; one of B by -Ad(A B^-1) (v, w).
     twists = [(first_pose, np.eye(6)), (second_pose, -host_adjoints(matrix))]
-    return _with_covariance(matrix, twists, parameter_names, covariance)
+    return _with_covariance(matrix, twists, parameter_names, covariance, correction)
 
 
 def relative_base(
@@ -130,6 +152,7 @@ def relative_base(
     covariance: Float[np.ndarray, "free free"],
     first: str,
     second: str,
+    correction: SmallSampleCorrection | None = None,
 ) -> RelativePose:
     """Return the pose of the second arm's base in the base of the first.
 
@@ -138,6 +161,7 @@ def relative_base(
         parameter_names: names of the free parameters, as of `build_arms`.
         covariance: their covariance.
         first, second: names of arms.
+        correction: what estimated noise adds to the covariance; None for given noise.
 
     Raises:
         ValueError: no such arm.
@@ -151,7 +175,8 @@ def relative_base(
     # A small motion of B moves A^-1 B by Ad(A^-1) (v, w), and one of A by as much the other way.
     by_motion = host_adjoints(first_inverse)
     twists = [(first_pose, -by_motion), (second_pose, by_motion)]
-    return _with_covariance(first_inverse @ second_pose.matrix, twists, parameter_names, covariance)
+    matrix = first_inverse @ second_pose.matrix
+    return _with_covariance(matrix, twists, parameter_names, covariance, correction)
 
 
 def _both(kind: str, by_name: Mapping[str, _T], first: str, second: str) -> tuple[_T, _T]:
@@ -174,6 +199,7 @@ def _with_covariance(
     twists: Sequence[tuple[_Pose, Float[np.ndarray, "6 6"]]],
     parameter_names: Sequence[str],
     covariance: Float[np.ndarray, "free free"],
+    correction: SmallSampleCorrection | None,
 ) -> RelativePose:
     """Return a transform with its covariance by the parameters of the transforms that make it up.
 
@@ -186,4 +212,11 @@ def _with_covariance(
     indices = [place[name] for name in names if name in place]
     jacobian = np.linalg.solve(twist_by_step(matrix), np.hstack(by_steps))[:, free]
     known = np.asarray(covariance)[np.ix_(indices, indices)]
-    return RelativePose(host_transforms(matrix), jacobian @ known @ jacobian.T)
+    own = jacobian @ known @ jacobian.T
+    if correction is None:
+        return RelativePose(host_transforms(matrix), own)
+    part = correction.subset(np.array(indices, dtype=int))
+    added = jacobian @ part.added_covariance @ jacobian.T
+    joined = joined_corrections([(part, jacobian)], np.diagonal(own - added))
+    freedom = tuple(joined.degrees_of_freedom.tolist())
+    return RelativePose(host_transforms(matrix), own, freedom)

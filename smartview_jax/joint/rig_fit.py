@@ -24,7 +24,7 @@ from ..engine import (
 from ..files import file_transaction
 from ..fit_result import FitResult, Rejection
 from ..geometry import host_matrices
-from ..variance import RigNoiseEstimate
+from ..variance import RigNoiseEstimate, SmallSampleCorrection
 from .joint_fit import half_width
 from .relative_pose import RelativePose, relative_base, relative_pose
 from .rig_estimate import rig_files, save_rig
@@ -59,6 +59,8 @@ class RigFit(eqx.Module):
         bases: transform from each arm's base to the base of the first; empty for one arm.
         arms: name of the arm of each camera, or of its pair of arms.
         warnings: reasons to doubt the result, a sentence each.
+        small_sample_correction: what estimated noise adds to the covariance, and its degrees of
+            freedom; None if the noise was given.
         sensors: depth sensor of each camera that has one, by the camera's name.
         picture_digests: digests of each camera's pictures, by its name, by which
             `smartview evaluate` recognises them.
@@ -91,6 +93,7 @@ class RigFit(eqx.Module):
     bases: dict[str, SE3]
     arms: dict[str, str] = eqx.field(static=True)
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
+    small_sample_correction: SmallSampleCorrection | None = None
     sensors: dict[str, DepthSensor] = eqx.field(static=True, default_factory=dict)
     picture_digests: dict[str, tuple[str, ...]] = eqx.field(static=True, default_factory=dict)
 
@@ -247,15 +250,19 @@ class RigFit(eqx.Module):
         Raises:
             ValueError: no such camera, or cameras that a robot moves against each other.
         """
-        if not self.on_one_mount(first, second):
-            a, b = (self.arms[name] for name in (first, second))
+        a, b = (arms_of(self.arms[self._checked(name)])[0] for name in (first, second))
+        if a != b:
             raise ValueError(
-                f"relative: camera {first!r} of arm {a} and {second!r} of arm {b} are on different "
-                "mounts: their relative pose changes with the robots'; use `base` and their "
-                "`camera_from_world`"
+                f"relative: camera {first!r} is on arm {a!r} and {second!r} on {b!r}: their "
+                "relative pose changes with the robots'; use `base` and their `camera_from_world`"
             )
         return relative_pose(
-            self.calibrations, self.parameter_names, self.covariance, first, second
+            self.calibrations,
+            self.parameter_names,
+            self.covariance,
+            first,
+            second,
+            self.small_sample_correction,
         )
 
     def base(self, first: str, second: str) -> RelativePose:
@@ -272,7 +279,14 @@ class RigFit(eqx.Module):
         """
         if not self.bases:
             raise ValueError(f"base: the rig has one arm, {next(iter(self.noises))!r}")
-        return relative_base(self.bases, self.parameter_names, self.covariance, first, second)
+        return relative_base(
+            self.bases,
+            self.parameter_names,
+            self.covariance,
+            first,
+            second,
+            self.small_sample_correction,
+        )
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:
         """Return the half width of a parameter's confidence interval, in its own unit.

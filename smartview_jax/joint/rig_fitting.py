@@ -39,6 +39,7 @@ from ..geometry import host_matrices, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
+from ..variance import SmallSampleCorrection
 from .arm_fit import ArmOptions, SolvedArm, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .fitted_depth_sensor import fitted_depth_sensor
@@ -162,12 +163,13 @@ def _assembled(
     jacobian = ScaledJacobian(reduced.schur_complement, norms)
     # The noise is stated or estimated: the variance factor is one.
     common, std = covariance(jacobian, 1.0)
-    freedom = np.full(len(std), np.inf)
+    freedom, correction = np.full(len(std), np.inf), None
     estimated = (
         _added_by_estimation(first) if joined is None else added_by_estimation(joined, arms, common)
     )
     if estimated is not None:
-        added, freedom = estimated
+        added, correction = estimated
+        freedom = correction.degrees_of_freedom
         common = common + added
         std = np.sqrt(std**2 + np.diagonal(added))
     of_states = per_view_std(reduced, common, 1.0)[np.asarray(built.problem.per_view_free)]
@@ -219,6 +221,7 @@ def _assembled(
         result=solver_result(solution),
         bases=_bases_of_pair(rig, calibrations) if joined is None else joined.bases,
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
+        small_sample_correction=correction,
         sensors=sensors,
     )
 
@@ -234,13 +237,13 @@ def _bases_of_pair(rig: Rig, calibrations: Mapping[str, Calibration]) -> dict[st
 
 def _added_by_estimation(
     arm: SolvedArm,
-) -> tuple[Float[np.ndarray, "free free"], Float[np.ndarray, "free"]] | None:
-    """Return what estimated noise adds to one arm's covariance, and the degrees of freedom."""
+) -> tuple[Float[np.ndarray, "free free"], SmallSampleCorrection] | None:
+    """Return what estimated noise adds to one arm's covariance, and the correction it is due to."""
     if arm.estimate is None:
         return None
     correction = arm.estimate.small_sample_correction
     added = correction.added_covariance + arm.estimate.between_models_covariance
-    return added, correction.degrees_of_freedom
+    return added, correction
 
 
 def _residuals_at(chain: FittedChain, data: Dataset) -> Float[np.ndarray, "views points 2"]:

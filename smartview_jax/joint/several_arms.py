@@ -23,7 +23,7 @@ from ..engine import (
     reduced_equations,
     solve_rig_on,
 )
-from ..variance import joined_corrections
+from ..variance import SmallSampleCorrection, joined_corrections
 from .arm_fit import SolvedArm
 
 DISAGREEMENT_PROBABILITY = 1e-6
@@ -119,8 +119,8 @@ def added_by_estimation(
     joined: JoinedArms,
     arms: Mapping[str, SolvedArm],
     covariance: Float[np.ndarray, "free free"],
-) -> tuple[Float[np.ndarray, "free free"], Float[np.ndarray, "free"]] | None:
-    """Return what estimated noise adds to the covariance, and the degrees of freedom.
+) -> tuple[Float[np.ndarray, "free free"], SmallSampleCorrection] | None:
+    """Return what estimated noise adds to the covariance, and the correction that it is due to.
 
     None if the noise was given.
 
@@ -140,7 +140,7 @@ def added_by_estimation(
         corrections.append((arm.estimate.small_sample_correction, effect))
         between += effect @ arm.estimate.between_models_covariance @ effect.T
     correction = joined_corrections(corrections, np.diagonal(covariance))
-    return correction.added_covariance + between, correction.degrees_of_freedom
+    return correction.added_covariance + between, correction
 
 
 def _all_parameters(built: BuiltArms, solution: Solution) -> Float[np.ndarray, "shared"]:

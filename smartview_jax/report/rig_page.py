@@ -33,8 +33,8 @@ CAMERA_HEADINGS = (
 )
 """Headings of `rig_camera_rows`; the two intervals hold 95 %, along the least known axis."""
 
-RELATIVE_HEADINGS = ("second in first", "x, y, z (mm)", "std (mm)", "std (deg)")
-"""Headings of `relative_pose_rows` and `base_rows`."""
+RELATIVE_HEADINGS = ("second in first", "x, y, z (mm)", "+- mm", "+- deg")
+"""Headings of `relative_pose_rows` and `base_rows`, with half widths of 95 % intervals."""
 
 POSE_CAUSE_HEADINGS = ("pose", "mm", "deg", "causes of the variance of the translation")
 """Headings of `pose_cause_rows`; the numbers are standard deviations of all axes together."""
@@ -91,8 +91,8 @@ def _half_width(fit: RigFit, name: str) -> float:
 def relative_pose_rows(fit: RigFit) -> list[tuple[str, ...]]:
     """Return a row for each pair of cameras on one mount: the second's pose in the first's frame.
 
-    They are cameras on one hand, or next to one arm. The standard deviations are along the least
-    known axis.
+    They are cameras on one hand, or next to one arm. The 95 % intervals are along the least known
+    axis.
     """
     rows = []
     for first, second in combinations(fit.calibrations, 2):
@@ -104,7 +104,7 @@ def relative_pose_rows(fit: RigFit) -> list[tuple[str, ...]]:
 def base_rows(fit: RigFit) -> list[tuple[str, ...]]:
     """Return a row for each pair of arms: the second's base in the first's.
 
-    The standard deviations are along the least known axis.
+    The 95 % intervals are along the least known axis.
     """
     return [
         _relative_row(first, second, fit.base(first, second))
@@ -117,8 +117,8 @@ def _relative_row(first: str, second: str, relative: RelativePose) -> tuple[str,
     return (
         f"{second} in {first}",
         vector_text(1e3 * host_matrices(relative.transform)[:3, 3], 2).strip("()"),
-        f"{1e3 * relative.std[:3].max():.2g}",
-        f"{np.rad2deg(relative.std[3:].max()):.2g}",
+        f"{1e3 * relative.half_widths()[:3].max():.2g}",
+        f"{np.rad2deg(relative.half_widths()[3:].max()):.2g}",
     )
 
 
@@ -230,7 +230,7 @@ def write_rig_page(
     )
     pairs = relative_pose_rows(fit)
     if pairs:
-        text = "Poses of cameras on one mount in the frame of another, by their joint covariance."
+        text = "Poses of cameras on one mount in another's frame, by their joint covariance (95 %)."
         sections.append(Section("Between the cameras", text, header=RELATIVE_HEADINGS, rows=pairs))
     if arms := base_rows(fit):
         text = (

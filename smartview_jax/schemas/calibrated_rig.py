@@ -14,6 +14,8 @@ _Name = Annotated[
 ]
 _Names = Annotated[list[PrintableText], Field(max_length=1000), Expected("names of parameters")]
 
+_Freedom = Annotated[float, Field(gt=0.0, le=1e12), Expected("a number above 0, or null")]
+
 END_MARK = "smartview_rig"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
 
@@ -57,18 +59,22 @@ AXES = tuple(f"{part}.{axis}" for part in ("translation", "rotation") for axis i
 class RelativePoseFile(Entry):
     """A transform, and the covariance of its translation (m) and of a rotation after it (rad).
 
-    Both are along the axes of the first frame.
+    Both are along the axes of the first frame. Degrees of freedom, where they are listed, are of
+    the six standard deviations; null is infinite.
     """
 
     smartview_relative_pose: Literal[1]
     run: PrintableText | None = None
     first_from_second: TransformEntry
     covariance: Annotated[list[NumberRow], Field(max_length=6), Expected("a matrix of 6 rows")]
+    degrees_of_freedom: list[_Freedom | None] | None = None
     end: Literal["smartview_relative_pose"]
 
     @model_validator(mode="after")
     def _check_covariance(self) -> "RelativePoseFile":
         check_covariance(self.covariance, AXES)
+        if self.degrees_of_freedom is not None and len(self.degrees_of_freedom) != len(AXES):
+            raise ValueError(f"degrees_of_freedom: expected {len(AXES)} numbers")
         return self
 
 

@@ -1,4 +1,5 @@
 from .depth_weights import with_weighed_depths as with_weighed_depths
+from .kenward_roger import SmallSampleCorrection as SmallSampleCorrection
 from .kenward_roger import joined_corrections as joined_corrections
 from .kenward_roger import p_value as p_value
 from .likeliest_walk import LikeliestWalk as LikeliestWalk

@@ -9,13 +9,17 @@ import equinox as eqx
 import numpy as np
 import pytest
 from arms_scene import FOUR_CAMERAS, arms_fit, arms_scene
+from arms_scene import NOISE as ARMS_NOISE
 from calibrated_rig import calibrated_rig, rig_scene
 from jaxlie import SE3
+from scipy.stats import norm
+from two_hands_scene import hands_rig
 from typer.testing import CliRunner
 
 from smartview_jax import (
     Rig,
     compare,
+    fit_rig,
     load_dataset,
     load_estimate,
     load_rig_estimate,
@@ -29,7 +33,8 @@ from smartview_jax.cli.check import _lonely_cameras
 from smartview_jax.cli.fit_options import FitKnowledge
 from smartview_jax.evaluation import RigMethod, error_budget
 from smartview_jax.evaluation.diagnosis import rig_budget
-from smartview_jax.joint import RIG_FILE
+from smartview_jax.joint import RIG_FILE, RigEstimate
+from smartview_jax.plots import camera_mounts
 from smartview_jax.report import base_rows, relative_pose_rows, rig_summary
 from smartview_jax.targets import Chessboard
 
@@ -271,6 +276,37 @@ def test_the_document_has_the_arms():
     base = right["base_left_from_base"]
     assert base["translation"] == fit.base("left", "right").transform.translation().tolist()
     assert right["std"]["translation"] == fit.base("left", "right").std[:3].tolist()
+    # Cameras on one hand have a relative pose; its noise is known, so that its interval is normal.
+    assert list(document["relative"]) == ["left_wall in left_table", "right_wall in right_table"]
+    walls = document["relative"]["left_wall in left_table"]
+    std = fit.relative("left_table", "left_wall").std
+    assert walls["std"]["rotation"] == std[3:].tolist()
+    np.testing.assert_allclose(walls["half_width_95"]["rotation"], norm.ppf(0.975) * std[3:])
+
+
+def test_a_pair_of_arms_has_a_noise_and_bases():
+    """A camera on the left hand sees a target on the right one, and so does a fixed one."""
+    rig, truths = hands_rig(0)
+    noise = dict.fromkeys(("right", "left+right"), ARMS_NOISE)
+    fit = fit_rig(rig, truths, noise=noise, field=None, fixed=("wrist.camera", "fixed.camera"))
+    document = RigResult(rig, "cell", fit, None, ()).document("run", [])
+    assert document["arms"]["left"]["cameras"] == ["wrist"]
+    assert document["arms"]["right"]["cameras"] == ["fixed", "wrist"]
+    assert document["pairs"] == {"left+right": {"translation": 1e-4, "rotation": 2e-4}}
+    assert document["relative"] == {}
+    assert relative_pose_rows(fit) == []
+    assert [row[0] for row in base_rows(fit)] == ["left in right"]
+    text = rig_summary(fit)
+    assert text.startswith("2 cameras and 2 arms were calibrated together.")
+    assert "0.011 degrees (left+right, of one hand in the other's frame) per axis" in text
+    titles = [axes.get_title() for axes in camera_mounts(fit).axes]
+    assert titles == ["in the frame of the base of right", "in the frame of the tool of left"]
+    names = [pose.name for pose in rig_budget.pose_uncertainties(fit)]
+    assert names == ["fixed.camera_from_base", "wrist.camera_from_tool"]
+    for arm in ("right", "left+right"):
+        parts = rig_budget.covariance_by_cause(fit).values()
+        np.testing.assert_allclose(sum(parts), fit.covariance, atol=1e-14)
+        assert RigEstimate.of(fit, arm).noise == ARMS_NOISE
 
 
 @pytest.mark.usefixtures("judged_by_its_own_chain")

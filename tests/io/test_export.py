@@ -216,6 +216,17 @@ def test_the_command_exports_several_cameras(tmp_path):
         return CliRunner().invoke(app, ["export", *files, "--to", *words])
 
     assert yaml.safe_load(told("kalibr").stdout) == yaml.safe_load(kalibr_camchain(cameras))
+    # The folder of a calibrated rig stands for its cameras.
+    folder = {
+        "smartview_rig": 1,
+        "cameras": {name: f"{name}.yaml" for name in cameras},
+        "parameters_of": {name: [] for name in cameras},
+        "uncertainty": None,
+        "end": "smartview_rig",
+    }
+    (tmp_path / "rig.joint.yaml").write_text(yaml.safe_dump(folder, sort_keys=False))
+    by_folder = CliRunner().invoke(app, ["export", str(tmp_path), "--to", "kalibr"])
+    assert by_folder.stdout == told("kalibr").stdout
     nodes = ElementTree.fromstring(told("ros_launch").stdout)
     assert [node.get("name") for node in nodes] == ["left_publisher", "right_publisher"]
     for node, cal in zip(nodes, cameras.values(), strict=True):

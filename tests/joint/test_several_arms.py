@@ -160,7 +160,7 @@ def test_the_text_names_arms_and_bases(fit):
     text = str(fit)
     assert "\nleft: 0." in text
     assert "\nbase_left_from_base_right: " in text
-    with pytest.raises(ValueError, match="'left_table' of arm left and 'right_table' of arm ri"):
+    with pytest.raises(ValueError, match="'left_table' is on arm 'left' and 'right_table' on 'ri"):
         fit.relative("left_table", "right_table")
     with pytest.raises(ValueError, match="expected an arm of left, right, found 'middle'"):
         fit.base("left", "middle")

@@ -1,0 +1,55 @@
+"""The pose of one camera in the frame of another: its intervals, and its file."""
+
+import numpy as np
+from rig_pair import stereo_pair
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from smartview_jax import RelativePose
+from smartview_jax.engine import STEP_NAMES
+from smartview_jax.joint import relative_pose
+from smartview_jax.variance import SmallSampleCorrection
+
+
+def test_the_interval_of_a_relative_pose_is_students(tmp_path):
+    """By the share of its variance that is due to each standard deviation that was estimated.
+
+    Satterthwaite's degrees of freedom, by finite differences of the pose's variance.
+    """
+    names = tuple(f"{c}.camera_from_tool.{step}" for c in ("a", "b") for step in STEP_NAMES)
+    rng = np.random.default_rng(2)
+    pixel, robot = (x @ x.T for x in rng.standard_normal((2, 12, 12)))
+    logs = np.diag([0.01, 0.2])
+
+    def covariance(log_sigmas):
+        return np.exp(2.0 * log_sigmas[0]) * pixel + np.exp(2.0 * log_sigmas[1]) * robot
+
+    correction = SmallSampleCorrection(
+        np.sqrt(np.diagonal(logs)),
+        np.zeros((12, 12)),
+        np.full(12, np.nan),
+        logs,
+        2.0 * np.stack([pixel, robot]),
+    )
+    calibrations = dict(zip("ab", stereo_pair().values(), strict=True))
+
+    def relative(log_sigmas):
+        known = covariance(np.array(log_sigmas))
+        return relative_pose(calibrations, names, known, "a", "b", correction)
+
+    step = 1e-6
+    slopes = [
+        (np.log(relative(up).std ** 2) - np.log(relative(down).std ** 2)) / (2.0 * step)
+        for up, down in (([step, 0.0], [-step, 0.0]), ([0.0, step], [0.0, -step]))
+    ]
+    freedom = 2.0 / np.einsum("ik,ij,jk->k", slopes, logs, slopes)
+    pose = relative([0.0, 0.0])
+    np.testing.assert_allclose(pose.degrees_of_freedom, freedom, rtol=1e-6)
+    np.testing.assert_allclose(pose.half_widths(), pose.std * student(freedom).ppf(0.975))
+    pose.save(tmp_path / "pose.yaml")
+    read = RelativePose.load(tmp_path / "pose.yaml")
+    np.testing.assert_allclose(read.half_widths(0.9), pose.half_widths(0.9))
+    known = relative_pose(calibrations, names, covariance(np.zeros(2)), "a", "b")
+    np.testing.assert_allclose(known.half_widths(), pose.std * norm.ppf(0.975))
+    known.save(tmp_path / "known.json")
+    assert RelativePose.load(tmp_path / "known.json").degrees_of_freedom == (np.inf,) * 6
