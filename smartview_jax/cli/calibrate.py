@@ -25,7 +25,7 @@ def calibrate(
     datasets: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Data-set folder, or several; a file of easy_handeye2's samples; the sample of "
+            help="Data-set folder or file of easy_handeye2's samples, or several; the sample of "
             "the package if none is given.",
             metavar="[DATASET]...",
         ),

@@ -1,5 +1,6 @@
-"""Calibrate several folders for `smartview calibrate`, in processes, and print a table of all."""
+"""Calibrate several data sets for `smartview calibrate`, in processes, and print a table of all."""
 
+import dataclasses
 import functools
 from collections import Counter
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ import smartview_jax as sv
 from ..files import refuse_unwritable
 from .calibrate_folder import CalibrateSettings, loaded_folder, run_name
 from .calibrate_pictures import CalibrateResult, calibrated_pictures
+from .calibrate_poses import PoseResult, calibrated_poses
 from .documents import print_document
 from .terminal import progress_line
 
@@ -32,10 +34,10 @@ class FolderResult(NamedTuple):
     """The calibration of a folder, in figures that fit a row of a table.
 
     Attributes:
-        views: number of views that were used.
-        rms: RMS of the residuals, px.
-        held_out_rms: RMS of the errors on views that the fit did not see, px; None if they were not
-            computed.
+        views: number of views, or of pairs of poses, that were used.
+        rms: RMS of the residuals, px, or of the distances of tracked poses, mm.
+        unit: of `rms`: `"px"` or `"mm"`.
+        held_out_rms: the same on views that the fit did not see; None if it was not computed.
         translation: translation of the hand-eye transform, mm.
         translation_std: length of the vector of its standard deviations, mm; None if it is held.
         outcome: the outcome in a word or two.
@@ -45,6 +47,7 @@ class FolderResult(NamedTuple):
 
     views: int
     rms: float
+    unit: str
     held_out_rms: float | None
     translation: tuple[float, float, float]
     translation_std: float | None
@@ -61,21 +64,24 @@ def calibrate_folders(
     Raises:
         ValueError: two folders with the same name, or results that cannot be written.
     """
-    names = [folder.resolve().name for folder in folders]
+    names = [folder.stem if folder.is_file() else folder.resolve().name for folder in folders]
     for name, count in Counter(names).items():
         if count > 1:
             raise ValueError(
-                f"{count} folders are called {name}: their results would be written to the same "
+                f"{count} data sets are called {name}: their results would be written to the same "
                 f"folder {out / name}; give them other names, or calibrate one at a time"
             )
-    for name in names:
-        refuse_unwritable(out / name, "--out")
-    job = functools.partial(_calibrate_folder, out=out, settings=settings)
+    places = [out / name for name in names]
+    for place in places:
+        refuse_unwritable(place, "--out")
+    if settings.mount is not None and not any(folder.is_file() for folder in folders):
+        raise ValueError("--mount: expected a file of samples; a data-set folder states its mount")
+    job = functools.partial(_calibrate_folder, settings=settings)
     found: dict[int, sv.fleet.Outcome] = {}
     with progress_line() as progress, ExitStack() as stack:
         # One at a time needs no second process.
         executor = stack.enter_context(ThreadPoolExecutor(1)) if jobs == 1 else jobs
-        for outcome in sv.fleet.outcomes(job, folders, executor):
+        for outcome in sv.fleet.outcomes(job, list(zip(folders, places, strict=True)), executor):
             found[outcome.number] = outcome
             ended = "failed" if outcome.error else "calibrated"
             progress(f"{names[outcome.number]} {ended}: {len(found)} of {len(folders)}")
@@ -89,8 +95,12 @@ def calibrate_folders(
     return 0 if all(outcome.result.converged for outcome in results) else NOT_CONVERGED_CODE
 
 
-def _calibrate_folder(folder: Path, out: Path, settings: CalibrateSettings) -> FolderResult:
+def _calibrate_folder(paths: tuple[Path, Path], settings: CalibrateSettings) -> FolderResult:
     """Calibrate a folder, write its files, and return what the table needs.
+
+    Args:
+        paths: of the folder, or the file of samples, and of the folder for its results.
+        settings: the same for all.
 
     Raises:
         ValueError, OSError: as for a single folder.
@@ -99,30 +109,60 @@ def _calibrate_folder(folder: Path, out: Path, settings: CalibrateSettings) -> F
     def silent(_: str) -> None:
         """Report nothing: the lines of several folders would be mixed."""
 
-    data, name = loaded_folder(folder, settings, silent)
+    dataset, out = paths
+    if not dataset.is_file():
+        settings = dataclasses.replace(settings, mount=None)
+    data, name = loaded_folder(dataset, settings, silent)
+    run = run_name()
     if isinstance(data, sv.dataset.PoseDataset):
-        raise ValueError(f"{folder}: has tracked poses: calibrate it alone")
-    result, run = calibrated_pictures(data, name, settings, silent), run_name()
-    files = result.write(out / name, run, silent)
+        tracked = calibrated_poses(data, name, settings, silent)
+        files = tracked.write(out, run, silent)
+        return _summary_of_poses(tracked, tracked.document(run, list(files)))
+    result = calibrated_pictures(data, name, settings, silent)
+    files = result.write(out, run, silent)
     return _summary(result, result.document(run, list(files)))
+
+
+def _summary_of_poses(result: PoseResult, document: dict[str, Any]) -> FolderResult:
+    """Return the figures of a fit to tracked poses for a row of the table."""
+    fit, held_out = result.fit, document["held_out_rms"]
+    translation, std = _hand_eye(fit)
+    return FolderResult(
+        int(fit.used_views.sum()),
+        document["fitted_rms"]["mm"],
+        "mm",
+        None if held_out is None else held_out["mm"],
+        translation,
+        std,
+        _outcome_words(fit.result.converged, len(fit.warnings)),
+        fit.result.converged,
+        document,
+    )
+
+
+def _hand_eye(fit: Any) -> tuple[tuple[float, float, float], float | None]:
+    """Return the hand-eye translation of a fit, and the length of its deviations, mm."""
+    mount_path = fit.calibration.transform_names[0]
+    stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
+    known = [std for std in stds if std is not None]
+    x, y, z = 1e3 * np.asarray(fit.calibration.camera_from_mount.translation())
+    return (float(x), float(y), float(z)), 1e3 * float(np.linalg.norm(known)) if known else None
 
 
 def _summary(result: CalibrateResult, document: dict[str, Any]) -> FolderResult:
     """Return the figures of a calibration for a row of the table."""
     fit, errors = result.fit, document["errors"]
-    mount_path = fit.calibration.transform_names[0]
-    stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
-    known = [std for std in stds if std is not None]
+    translation, std = _hand_eye(fit)
     # The staged fit comes first, then the joint fit, and last its chain without the correction.
     joint = errors[1]
     held_out = joint["held_out"]
-    x, y, z = 1e3 * np.asarray(fit.calibration.camera_from_mount.translation())
     return FolderResult(
         len(result.data.view_ids) - len({entry["view"] for entry in document["left_out_views"]}),
         joint["fitted"]["rms_px"],
+        "px",
         None if held_out is None else held_out["rms_px"],
-        (float(x), float(y), float(z)),
-        1e3 * float(np.linalg.norm(known)) if known else None,
+        translation,
+        std,
         _outcome_words(fit.result.converged, len(result.warnings)),
         fit.result.converged,
         document,
@@ -150,11 +190,13 @@ def _print_table(names: Sequence[str], results: "Sequence[sv.fleet.Outcome]", ou
     """Print a row for each folder, then the errors and where the results are."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("data set", max_width=MAX_NAME_WIDTH, overflow="ellipsis", no_wrap=True)
-    for title in ("views", "RMS px", "held out", "hand-eye (x, y, z) mm", "+-"):
+    units = {outcome.result.unit for outcome in results if not outcome.error} or {"px"}
+    error = f"RMS {'/'.join(sorted(units))}"
+    for title in ("views", error, "held out", "hand-eye (x, y, z) mm", "+-"):
         table.add_column(title, justify="right", no_wrap=True)
     table.add_column("outcome", no_wrap=True)
     for name, outcome in zip(names, results, strict=True):
-        table.add_row(name, *_cells(outcome))
+        table.add_row(name, *_cells(outcome, len(units) > 1))
     console = Console()
     console.print(table)
     for name, outcome in zip(names, results, strict=True):
@@ -164,18 +206,20 @@ def _print_table(names: Sequence[str], results: "Sequence[sv.fleet.Outcome]", ou
             text = text if name in text else f"{name}: {text}"
             console.print(text, highlight=False, markup=False)
     if any(outcome.result for outcome in results):
-        text = f"{out}: a folder for each, with calibration.yaml and report.html"
+        file = {"px": "calibration.yaml", "mm": "hand_eye.calib"}
+        files = ", ".join(file[unit] for unit in sorted(units, reverse=True))
+        text = f"{out}: a folder for each, with {files} and report.html"
         console.print(text, highlight=False, markup=False)
 
 
-def _cells(outcome: "sv.fleet.Outcome") -> tuple[str, ...]:
-    """Return the cells of a folder's row after its name."""
+def _cells(outcome: "sv.fleet.Outcome", with_unit: bool) -> tuple[str, ...]:
+    """Return the cells of a folder's row after its name, with the unit of the error if asked."""
     if outcome.error:
         return ("", "", "", "", "", "error")
     result: FolderResult = outcome.result
     return (
         str(result.views),
-        f"{result.rms:.3f}",
+        f"{result.rms:.3f}{f' {result.unit}' if with_unit else ''}",
         "" if result.held_out_rms is None else f"{result.held_out_rms:.3f}",
         sv.geometry.vector_text(result.translation, 1),
         "held" if result.translation_std is None else f"{result.translation_std:.2f}",

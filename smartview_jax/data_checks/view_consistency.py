@@ -144,7 +144,7 @@ def find_consistent_views(
     # The sentences use transforms without any rejected view: of two exchanged pictures, the
     # second still biased the transforms when the first was rejected.
     fit = fit_transforms_to(consistent)
-    errors = errors_with(fit.transforms)
+    errors = errors_with(fit.transforms) if rejected else None
     reasons = {}
     for view in rejected:
         text = (

@@ -14,7 +14,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import to_device, to_device_together
+from ..runtime.array_namespace import to_device_together
 from ..runtime.modules import HostModule, with_fields
 from .parameters import Step, host_step
 from .schur import BlockArrow
@@ -141,8 +141,10 @@ class AbstractProblem(HostModule):
 
     def with_free(self: _Problem, kept: Int[np.ndarray, "kept"]) -> _Problem:
         """Return the problem with some of its free shared parameters; the others are held."""
-        scale = Step(to_device(np.asarray(self.scale.shared)[kept]), self.scale.per_view)
-        return with_fields(self, free=to_device(np.asarray(self.free)[kept]), scale=scale)
+        shared, free = to_device_together(
+            (np.asarray(self.scale.shared)[kept], np.asarray(self.free)[kept])
+        )
+        return with_fields(self, free=free, scale=Step(shared, self.scale.per_view))
 
     def zero_step(self) -> Step:
         """Return the zero step."""

@@ -152,8 +152,8 @@ def solve_hand_eye(
     difference = host_logarithms(np.linalg.inv(averaged) @ hand_eye_solution)
     converged = world_best.converged and hand_eye_best.converged
     # JAX arrays, so that users can differentiate; `device_put` compiles no program.
-    holder_from_world, camera_from_mount = (
-        jax.device_put(host_transforms(x)) for x in (world_solution, averaged)
+    holder_from_world, camera_from_mount = jax.device_put(
+        tuple(map(host_transforms, (world_solution, averaged)))
     )
     return HandEyeResult(
         holder_from_world,
@@ -242,21 +242,23 @@ class _Minimum(NamedTuple):
 
 def _minimise(factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 4"]) -> _Minimum:
     """Minimise `|| factor x ||^2` by BFGS over yaw, pitch, roll and translation from a start."""
+    after_start = _after_start(factor, start)
 
     def cost(parameters: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the cost and its gradient."""
-        x, derivative = _entries(start, parameters)
-        residual = factor @ x
-        return float(residual @ residual), 2.0 * derivative.T @ (factor.T @ residual)
+        entries, slopes = _turn_and_slopes(parameters)
+        residual = after_start @ entries
+        by_entry = 2.0 * (residual @ after_start)
+        return float(residual @ residual), np.concatenate([slopes @ by_entry[:9], by_entry[9:12]])
 
     before, _ = cost(np.zeros(6))
     if not np.isfinite(before):
         return _Minimum(start, np.nan, np.inf, False)
-    search = _search_from(cost, factor, start, _GRADIENT_TOLERANCES[0])
+    search = _search_from(cost, after_start, _GRADIENT_TOLERANCES[0])
     if search.gradient > _GRADIENT_TOLERANCES[1] * (1.0 + search.cost):
-        search = _search_from(cost, factor, start, _GRADIENT_TOLERANCES[1])
-    x, _ = _entries(start, search.parameters)
-    pose = host_poses(x[:9].reshape(3, 3), x[9:12])
+        search = _search_from(cost, after_start, _GRADIENT_TOLERANCES[1])
+    turn = _turn_and_slopes(search.parameters)[0][:9].reshape(3, 3)
+    pose = host_poses(start[:3, :3] @ turn, start[:3, 3] + search.parameters[3:])
     # Without a lower cost along the gradient BFGS reports a failure, also at the optimum.
     converged = search.succeeded or search.gradient < 1e-7 * (1.0 + search.cost)
     return _Minimum(pose, before, search.cost, converged)
@@ -273,8 +275,7 @@ class _SearchEnd(NamedTuple):
 
 def _search_from(
     cost: Callable[[np.ndarray], tuple[float, np.ndarray]],
-    factor: Float[np.ndarray, "rows 13"],
-    start: Float[np.ndarray, "4 4"],
+    after_start: Float[np.ndarray, "rows 13"],
     tolerance: float,
 ) -> _SearchEnd:
     """Search by BFGS to a gradient, then by Gauss-Newton as long as the gradient falls.
@@ -288,8 +289,9 @@ def _search_from(
     parameters, (least, slope) = found.x, cost(found.x)
     gradient = float(np.abs(slope).max())
     for _ in range(_MAX_GAUSS_NEWTON_STEPS):
-        x, derivative = _entries(start, parameters)
-        trial = parameters - np.linalg.lstsq(factor @ derivative, factor @ x)[0]
+        entries, slopes = _turn_and_slopes(parameters)
+        derivative = np.concatenate([after_start[:, :9] @ slopes.T, after_start[:, 9:12]], axis=1)
+        trial = parameters - np.linalg.lstsq(derivative, after_start @ entries)[0]
         trial_cost, slope = cost(trial)
         trial_gradient = float(np.abs(slope).max())
         if not trial_gradient < gradient or trial_cost > least * (1.0 + 1e-12):
@@ -308,33 +310,34 @@ fraction of BFGS's steps.
 _MAX_GAUSS_NEWTON_STEPS = 20
 """Largest number of Gauss-Newton steps after BFGS. Each gains a factor of about the cost's root."""
 
-_IDENTITY, _ONE = np.eye(3), np.ones(1)
 
-
-def _entries(
-    start: Float[np.ndarray, "4 4"], parameters: Float[np.ndarray, "6"]
-) -> tuple[Float[np.ndarray, "13"], Float[np.ndarray, "13 6"]]:
-    """Return the entries of X as `frobenius_factor` orders them, and their derivative.
+def _after_start(
+    factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "rows 13"]:
+    """Return the factor of a turn and a shift after a start, in the order of `frobenius_factor`.
 
     X is `start` times `Rz Ry Rx` (Eq. 16), so that no start is at gimbal lock; its translation is
-    the start's plus the last three parameters.
+    the start's plus the shift.
     """
-    yaw, pitch, roll = parameters[:3].tolist()
+    by_turn = start[:3, :3].T @ factor[:, :9].reshape(-1, 3, 3)
+    constant = factor[:, 12] + factor[:, 9:12] @ start[:3, 3]
+    return np.column_stack([by_turn.reshape(-1, 9), factor[:, 9:12], constant])
+
+
+def _turn_and_slopes(
+    parameters: Float[np.ndarray, "6"],
+) -> tuple[Float[np.ndarray, "13"], Float[np.ndarray, "3 9"]]:
+    """Return `Rz Ry Rx`, the shift and one; and the turn's derivatives by yaw, pitch and roll."""
+    yaw, pitch, roll, *shift = parameters.tolist()
     cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
     cr, sr = math.cos(roll), math.sin(roll)
     # The rows of Rz Ry Rx. The yaw mixes the first two, and the roll the last two columns.
     u1, u2, u3 = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     v1, v2, v3 = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
     w1, w2, w3 = -sp, cp * sr, cp * cr
-    turn_and_derivatives = (
-        ((u1, u2, u3), (v1, v2, v3), (w1, w2, w3)),
-        ((-v1, -v2, -v3), (u1, u2, u3), (0.0, 0.0, 0.0)),
-        ((cy * w1, cy * w2, cy * w3), (sy * w1, sy * w2, sy * w3), (-cp, -sp * sr, -sp * cr)),
-        ((0.0, u3, -u2), (0.0, v3, -v2), (0.0, w3, -w2)),
+    slopes = (
+        (-v1, -v2, -v3, u1, u2, u3, 0.0, 0.0, 0.0),
+        (cy * w1, cy * w2, cy * w3, sy * w1, sy * w2, sy * w3, -cp, -sp * sr, -sp * cr),
+        (0.0, u3, -u2, 0.0, v3, -v2, 0.0, w3, -w2),
     )
-    rotations = start[:3, :3] @ np.array(turn_and_derivatives)
-    derivative = np.zeros((13, 6))
-    derivative[:9, :3] = rotations[1:].reshape(3, 9).T
-    derivative[9:12, 3:] = _IDENTITY
-    x = np.concatenate([rotations[0].ravel(), start[:3, 3] + parameters[3:], _ONE])
-    return x, derivative
+    return np.array((u1, u2, u3, v1, v2, v3, w1, w2, w3, *shift, 1.0)), np.array(slopes)

@@ -34,7 +34,7 @@ from ..engine import (
 )
 from ..fit_result import Rejection
 from ..geometry import host_matrices, host_transforms
-from ..runtime.array_namespace import AnyArray, to_device
+from ..runtime.array_namespace import AnyArray
 from ..runtime.blas_threads import on_one_blas_thread
 from ..runtime.modules import with_fields
 from ..staged import MAX_UNCHECKED_POINTS, estimate_view_poses
@@ -116,7 +116,7 @@ def remove_gross_errors(
     rejected_views |= find_consistent_views(
         robot_poses,
         poses,
-        to_device(trusted.astype(float)),
+        trusted.astype(float),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(
             with_fields(
                 start.uncorrected,
@@ -124,7 +124,7 @@ def remove_gross_errors(
                 holder_from_world=holder_from_world,
             ),
             located_data.observations,
-            to_device(visible & ~outside),
+            visible & ~outside,
         ),
         data.view_ids,
     ).reasons

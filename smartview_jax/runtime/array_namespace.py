@@ -27,7 +27,10 @@ _HOST_TYPES = (np.ndarray, np.generic, float)
 def array_namespace(*trees: Any) -> ModuleType:
     """Return `jax.numpy` if any array in the arguments is a JAX array, otherwise `numpy`."""
     # Most arguments are single arrays, which take a tenth of the time that a pytree takes.
-    if all(isinstance(tree, _HOST_TYPES) for tree in trees):
+    for tree in trees:
+        if not isinstance(tree, _HOST_TYPES):
+            break
+    else:
         return np
     is_jax = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(trees))
     return jnp if is_jax else np

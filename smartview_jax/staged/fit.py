@@ -212,7 +212,7 @@ def fit_staged(
         )
         renumbered = {view: shift_text(shift) for view, shift in shifts.items()}
         used[list(renumbered)] = False
-    weights = to_device(used.astype(float))
+    weights = used.astype(float)
     # Checked on the poses of Step 2, before Step 3: a wrong convention makes A X = X B meaningless,
     # and the transforms that minimise Eq. 17 would still look like an answer.
     turns = target_turns(np.asarray(data.points), np.asarray(observations.visible))
@@ -264,7 +264,7 @@ def fit_staged(
     consistency = find_consistent_views(
         robot,
         common_fit.camera_from_world,
-        to_device(agreeing.astype(float)),
+        agreeing.astype(float),
         lambda camera_from_mount, holder_from_world: median_reprojection_errors(
             _calibration(data, common_fit.camera, camera_from_mount, holder_from_world),
             observations,
@@ -281,7 +281,7 @@ def fit_staged(
     step3 = solve_hand_eye(
         robot,
         common_fit.camera_from_world,
-        to_device(np.asarray(consistent, dtype=float)),
+        np.asarray(consistent, dtype=float),
         rough_translation,
         length_scale,
         known,

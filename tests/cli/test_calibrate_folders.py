@@ -4,11 +4,17 @@ import json
 import shutil
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import yaml
 from board_scene import LENS, board_folder, run
+from tracked_scene import MOUNT, WORLD, tracked
 
 from smartview_jax import Calibration
 from smartview_jax.cli.calibrate_folders import _summary
+from smartview_jax.dataset import PoseDataset
+from smartview_jax.geometry import as_se3
+from smartview_jax.io import PoseSamples, save_dataset, write_easy_handeye
 from smartview_jax.simulation import paper_calibration
 
 
@@ -53,10 +59,36 @@ def test_programs_get_a_document_for_each(folders, tmp_path):
     assert "has neither dataset.yaml" in empty["error"]
 
 
+def test_tracked_poses_have_a_row_in_millimetres(folders, tmp_path):
+    """A file of samples and a folder of poses, beside pictures; a file without samples is named."""
+    robot, measured = tracked(3)
+    file, broken = tmp_path / "arm.samples", tmp_path / "broken.samples"
+    write_easy_handeye(file, PoseSamples(as_se3(robot), as_se3(measured), "eye_in_hand"))
+    broken.write_text("samples: []")
+    save_dataset(PoseDataset.from_poses(robot, measured), tmp_path / "poses")
+    data_sets = (file, broken, tmp_path / "poses", folders[0])
+    options = (*OPTIONS[len(LENS) :], "--mount", "eye_in_hand")
+    ended = run("calibrate", *data_sets, *options, "--out", tmp_path / "out")
+    assert ended.exit_code == 2
+    rows = {row[0]: row[1:] for row in map(str.split, ended.stdout.splitlines()) if row}
+    errors = (MOUNT @ np.linalg.inv(robot) @ WORLD - measured)[:, :3, 3]
+    rms = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
+    assert float(rows["arm"][1]) == pytest.approx(1e3 * rms, rel=0.3)
+    assert rows["arm"][1:] == rows["poses"][1:]
+    assert rows["arm"][2] == "mm"
+    assert rows["left"][2] == "px"
+    assert "broken.samples" in ended.stdout
+    assert max(map(len, ended.stdout.splitlines()[:8])) <= 80
+    published = yaml.safe_load((tmp_path / "out" / "arm" / "hand_eye.calib").read_text())
+    expected = np.linalg.inv(MOUNT)[:3, 3]
+    translation = [published["transform"]["translation"][axis] for axis in "xyz"]
+    np.testing.assert_allclose(translation, expected, atol=3e-3)
+
+
 def test_results_of_folders_of_one_name_are_not_mixed(folders, tmp_path):
     ended = run("calibrate", folders[0], folders[0] / ".." / "left", "--out", tmp_path)
     assert ended.exit_code == 2
-    assert "2 folders are called left" in ended.stderr.replace("\n", " ")
+    assert "2 data sets are called left" in ended.stderr.replace("\n", " ")
 
 
 def test_the_row_of_a_folder_is_of_the_joint_fit_with_its_correction():

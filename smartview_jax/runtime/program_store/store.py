@@ -9,6 +9,7 @@ import weakref
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,6 +44,13 @@ _PROMOTION_SETTINGS = ("jax_numpy_rank_promotion", "jax_numpy_dtype_promotion")
 
 They are part of a trace's key.
 """
+
+
+_PLAIN_VALUES = tuple(_PLAIN_SETTINGS.values())
+
+# A setting is an attribute of JAX's configuration, which a context may change for one thread.
+_settings = functools.partial(attrgetter(*_PLAIN_SETTINGS), jax.config)
+_promotion = functools.partial(attrgetter(*_PROMOTION_SETTINGS), jax.config)
 
 
 class ArrayKind(NamedTuple):
@@ -114,12 +122,12 @@ class ProgramStore:
         Args:
             leaves, structure: the arguments by position and by name, `(args, kwargs)`, flattened.
         """
-        if any(getattr(jax.config, name) != value for name, value in _PLAIN_SETTINGS.items()):
+        if _settings() != _PLAIN_VALUES:
             return None, []
         kinds = [_kind_of(leaf) for leaf in leaves]
         types = tuple(map(type, kinds))
         arrays = [leaf for leaf, known in zip(leaves, types, strict=True) if known is ArrayKind]
-        promotion = tuple(getattr(jax.config, name) for name in _PROMOTION_SETTINGS)
+        promotion = _promotion()
         # The types are in the key because 1 == True and 0 == False.
         key = structure, tuple(kinds), types, promotion
         programs = self._programs
