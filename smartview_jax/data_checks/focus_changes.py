@@ -60,8 +60,8 @@ class FocusChange(NamedTuple):
             f"{100.0 * self.relative_std:.2g} % (standard deviation), as with autofocus, zoom or a "
             "lens that breathes: robot and camera disagree by "
             f"{1e3 * self.along:.2g} mm along the optical axis, and by only "
-            f"{1e3 * self.across:.2g} mm across it. Switch autofocus off, fix focus and zoom, and "
-            "take the pictures again"
+            f"{1e3 * self.across:.2g} mm across it. Switch autofocus off, fix focus and zoom, let "
+            "the camera stand still (a rolling shutter stretches pictures), and take them again"
         )
 
 

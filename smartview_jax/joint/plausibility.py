@@ -190,7 +190,8 @@ def _disagreement_warnings(fit: JointFit) -> list[str]:
         return []
     return [
         f"views disagree by {noise.pixel / noise.white_pixel:.0f} times the pixel noise within "
-        f"a view: the model of the lens, or of the target, is wrong"
+        f"a view: the model of the lens, or of the target, is wrong, or the camera moved while it "
+        "took the pictures (rolling shutter): let it stand still"
     ]
 
 
