@@ -56,7 +56,7 @@ class FlexibleTarget(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What is wrong with the target, and what to do."""
+        """The fault of the target in words, and what to do."""
         return (
             "the target bends: its shape seems to change from view to view, by "
             f"{1e3 * self.bow:.2g} mm between middle and rim: with that, the pictures agree to "
