@@ -12,6 +12,7 @@ from .conventions import check_conventions as check_conventions
 from .faults_of_many_views import RobotAndCamera as RobotAndCamera
 from .faults_of_many_views import SharedFault as SharedFault
 from .faults_of_many_views import find_shared_fault as find_shared_fault
+from .flexible_target import find_flexible_target as find_flexible_target
 from .focus_changes import SeenDistances as SeenDistances
 from .given_poses import target_turns as target_turns
 from .joint_mistakes import OTHER_ARM_RATIO as OTHER_ARM_RATIO

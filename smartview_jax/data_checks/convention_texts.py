@@ -114,7 +114,8 @@ def _unexplained_text(
     elif 0.67 < robot / max(camera, 1e-9) < 1.5:
         likely = (
             "they turn about as far, but not between the same views: the pictures are paired with "
-            "wrong poses in no order, or the angles are in another unit (degrees?) or convention"
+            "wrong poses in no order, or the angles are in another unit (degrees?) or convention, "
+            "or robot or target was moved between the views (a mobile base, a cart)"
         )
     else:
         likely = (
@@ -145,7 +146,8 @@ def problem_of_views(
     return (
         f"robot and camera do not move alike as given ({closure_error_text(given_error)}), but do "
         f"without {listed_views(names)} ({closure_error_text(error, short=True)}): were these "
-        "poses read for these pictures? Leave them out, or correct them",
+        "poses read for these pictures, or do the pictures show another target like it? Leave them "
+        "out, or correct them",
     )
 
 

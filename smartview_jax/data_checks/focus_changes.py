@@ -29,7 +29,8 @@ class FocusOptions:
         min_odds: smallest odds of them against errors alike in all directions, and against errors
             along an axis of the robot; 150 are "very strong evidence" in the words of Kass and
             Raftery, Bayes factors, 1995.
-        min_views: fewest views: transforms, size and both variances have 9 numbers, 6 views 18.
+        min_views: fewest views: transforms, size, focal length and variances have 10 numbers, 8
+            views 24.
         min_size: smallest standard deviation of the focal length, relative. The default moves the
             target by half a millimetre at half a metre, which no good robot errs by.
     """
@@ -59,8 +60,8 @@ class FocusChange(NamedTuple):
             f"{100.0 * self.relative_std:.2g} % (standard deviation), as with autofocus, zoom or a "
             "lens that breathes: robot and camera disagree by "
             f"{1e3 * self.along:.2g} mm along the optical axis, and by only "
-            f"{1e3 * self.across:.2g} mm across it. Switch autofocus off, fix focus and zoom, and "
-            "take the pictures again"
+            f"{1e3 * self.across:.2g} mm across it. Switch autofocus off, fix focus and zoom, let "
+            "the camera stand still (a rolling shutter stretches pictures), and take them again"
         )
 
 
@@ -122,15 +123,20 @@ def find_focus_change(
     camera_from_mount = fit_transforms(
         robot, camera, np.ones(len(views), dtype=bool)
     ).camera_from_mount
-    depths = camera[:, 2, :3] @ seen.middle + camera[:, 2, 3]
+    # The middle of the target: its corners are farther or nearer where its tilt is seen wrongly.
+    positions = camera[:, :3, :3] @ seen.middle + camera[:, :3, 3]
+    depths = positions[:, 2]
     if not (depths > 0.0).all():
         return None
-    columns = [transform_columns(robot, camera_from_mount), robot_column(robot, camera_from_mount)]
     along = np.zeros((len(views), 3))
     along[:, 2] = depths
-    errors = _Positions(
-        np.concatenate(columns, axis=2), camera[:, :3, 3], along * seen.noise[views, None]
+    columns = (
+        transform_columns(robot, camera_from_mount),
+        robot_column(robot, camera_from_mount),
+        # A focal length that is wrong in all views alike.
+        along[..., None],
     )
+    errors = _Positions(np.concatenate(columns, axis=2), positions, along * seen.noise[views, None])
     focus = errors.likelihood(along)
     size = focus.size
     if size < options.min_size:

@@ -128,7 +128,8 @@ class ViewGroups(NamedTuple):
         else:
             question = (
                 "Are poses in several base frames mixed, or did a linear axis or a person move "
-                "robot or target, which the poses do not tell? Calibrate each group by itself"
+                "robot or target, which the poses do not tell, or are two targets alike in view? "
+                "Calibrate each group by itself"
             )
         return (
             f"the views agree in {len(self.groups)} groups, which contradict each other: "

@@ -63,10 +63,24 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
     corners, ids, _, marker_ids = detector.detectBoard(image)
     if ids is None or len(ids) == 0:
         marker_count = 0 if marker_ids is None else len(marker_ids)
-        return empty_detection(
-            count, f"no ChArUco corner found ({marker_count} markers of {target.dictionary} seen)"
-        )
+        seen = f"{marker_count} markers of {target.dictionary} seen"
+        if repeated := _repeated_markers(image, target):
+            seen = (
+                f"{repeated} markers are seen twice: are two such boards in view, or one and its "
+                "reflection? Cover one of them"
+            )
+        return empty_detection(count, f"no ChArUco corner found ({seen})")
     return partial_detection(count, ids.ravel(), corners)
+
+
+def _repeated_markers(image: np.ndarray, target: Charuco) -> int:
+    """Return how many of a board's markers a picture shows more than once."""
+    detector = cv2.aruco.ArucoDetector(dictionary_by_name(target.dictionary))
+    _, ids, _ = detector.detectMarkers(image)
+    if ids is None:
+        return 0
+    squares = target.squares_x * target.squares_y
+    return int(np.count_nonzero(np.bincount(ids.ravel())[:squares] > 1))
 
 
 def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:

@@ -5,6 +5,7 @@ complete.
 """
 
 import re
+import unicodedata
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypedDict
@@ -72,9 +73,10 @@ def picture_files(
             f"{described.path}: pictures.pattern: {len(heights)} heights need {{height}} in it, "
             f"or a column height in {table.name} if every picture has its own pose"
         )
+    spellings = _Spellings()
     files = {
         view: [
-            standing_path(folder / pattern.format(view=view, height=k))
+            spellings.standing(standing_path(folder / pattern.format(view=view, height=k)))
             for k in (heights if board_heights is None else [board_heights[view]])
         ]
         for view in view_ids
@@ -85,6 +87,26 @@ def picture_files(
     glob_pattern = re.sub(r"(\*\*+)", "*", re.sub(r"{(view|height)}", "*", escaped))
     refuse_unmatched_pictures(files, folder / glob_pattern, table)
     return files
+
+
+class _Spellings:
+    """The names in folders by their letters, which Unicode composes in two ways.
+
+    Archives that a Mac wrote have letters apart from their accents, tables have them in one.
+    """
+
+    def __init__(self) -> None:
+        self._folders: dict[Path, dict[str, Path]] = {}
+
+    def standing(self, path: Path) -> Path:
+        """Return the path of a file whose name is composed in either way; the path if none is."""
+        if path.name.isascii() or path.exists():
+            return path
+        folder = path.parent
+        if folder not in self._folders:
+            files = folder.iterdir() if folder.is_dir() else ()
+            self._folders[folder] = {unicodedata.normalize("NFC", f.name): f for f in files}
+        return self._folders[folder].get(unicodedata.normalize("NFC", path.name), path)
 
 
 def numbered_pictures(

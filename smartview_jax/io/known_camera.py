@@ -134,14 +134,20 @@ def read_kalibr_cameras(path: str | Path) -> dict[str, Camera]:
 def read_opencv_camera(path: str | Path) -> Camera:
     """Read the camera in a file of `cv2.FileStorage`: camera matrix, distortion, picture size.
 
-    The camera_info files of ROS have the same entries, and the name of the lens model.
+    The camera_info files of ROS have the same entries, and the name of the lens model. A printed
+    message of camera_info (`rostopic echo`) is read, too, with its binning and region of interest.
 
     Raises:
-        ValueError: an entry is missing, or the number of coefficients fits no lens model.
+        ValueError: an entry is missing, the number of coefficients fits no lens model, or the
+            message is of a camera that was not calibrated.
     """
     # OpenCV's first line, %YAML:1.0, is not a valid YAML directive, which has a blank: %YAML 1.0.
     text = re.sub(r"\A%YAML:1\.0\s*", "", read_text(path))
-    read = parse_yaml(text, Path(path), _OpenCVYamlLoader)
+    # `rostopic echo` ends each message with a line of dashes.
+    read = parse_yaml(
+        re.sub(r"^---\s*\Z", "", text, flags=re.MULTILINE), Path(path), _OpenCVYamlLoader
+    )
+    read = _of_message(read, path)
     content = schemas.validate_content(read, schemas.OPENCV_CAMERA_SCHEMA, path)
     K = _array(content.camera_matrix, "camera_matrix", path)
     if K.shape != (3, 3) or K[1, 0] or K[0, 1] or K[2].tolist() != [0.0, 0.0, 1.0]:
@@ -152,6 +158,38 @@ def read_opencv_camera(path: str | Path) -> Camera:
     lens = _lens(coefficients.ravel().tolist(), content.distortion_model, path)
     size = (content.image_width, content.image_height)
     return _camera((K[0, 0], K[1, 1], K[0, 2], K[1, 2]), lens, size, f"{path}: camera_matrix")
+
+
+def _of_message(read: Any, path: str | Path) -> Any:
+    """Return the entries of a printed message of ROS's camera_info as those of its files.
+
+    K is of the whole sensor; pictures are cut out of it, then binned.
+    """
+    if not isinstance(read, dict) or not {"width", "height"} <= set(read):
+        return read
+    k, d = (read.get(name, read.get(name.upper())) for name in "kd")
+    if k is None or d is None:
+        return read
+    message = schemas.validate_content(read | {"k": k, "d": d}, schemas.CAMERA_INFO_SCHEMA, path)
+    matrix = np.array(message.k).reshape(3, 3)
+    if not matrix[0, 0] > 0.0:
+        raise ValueError(f"{path}: the camera was not calibrated: its focal length in K is 0")
+    roi = message.roi
+    size = np.array([roi.width or message.width, roi.height or message.height])
+    binning = np.maximum([message.binning_x, message.binning_y], 1)
+    # The centre of the first pixel is (0, 0), so that its corner stays where it is.
+    matrix[:2, 2] += 0.5 - np.array([roi.x_offset, roi.y_offset])
+    matrix[:2] /= binning[:, None]
+    matrix[:2, 2] -= 0.5
+    width, height = (size // binning).tolist()
+    coefficients = message.d or [0.0] * 5
+    return {
+        "image_width": width,
+        "image_height": height,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix.ravel().tolist()},
+        "distortion_model": message.distortion_model or None,
+        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients},
+    }
 
 
 def read_mrcal_camera(path: str | Path) -> Camera:

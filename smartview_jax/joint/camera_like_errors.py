@@ -4,7 +4,9 @@ An autofocus that moves the lens between the pictures makes the target seem near
 an image stabiliser shifts the picture, which looks like a turned camera. Within one view a free
 pose takes up nearly all of either, so that the robot seems to err. But a robot knows nothing of the
 optical axis: its errors are as large along it as across it. So the corrections of the poses are
-seen from the camera, and their variances along and across the axis compared by an F test.
+seen from the camera, and their variances along and across the axis compared by an F test. A robot
+that sags or has a worn lift errs along or about an axis of its base, which a camera that looks down
+sees nearly as its own: where the ratio is larger for an axis of the base, the robot errs.
 """
 
 from typing import NamedTuple
@@ -31,10 +33,12 @@ class SeenErrors(NamedTuple):
     Attributes:
         shifts: motion of the target's middle in the camera's frame, m.
         turns: rotation vectors in the camera's frame, rad.
+        camera_from_holder: rotation of the frame in which the target is fixed.
     """
 
     shifts: Float[np.ndarray, "views 3"]
     turns: Float[np.ndarray, "views 3"]
+    camera_from_holder: Float[np.ndarray, "views 3 3"]
 
 
 def camera_like_errors(fit: JointFit) -> list[str]:
@@ -50,7 +54,7 @@ def camera_like_errors(fit: JointFit) -> list[str]:
         return []
     seen = _seen_errors(fit)
     across, along = (seen.shifts[:, :2], seen.shifts[:, 2:])
-    if _is_larger(along, across):
+    if _is_larger(along, across) and _lie_by_camera(seen.shifts, seen.camera_from_holder, 1.0):
         return [
             "the errors that seem to be the robot's move the target along the optical axis, by "
             f"{1e3 * _rms(along):.2g} mm and only {1e3 * _rms(across):.2g} mm across it: rather "
@@ -58,7 +62,7 @@ def camera_like_errors(fit: JointFit) -> list[str]:
             "again"
         ]
     tilts, rolls = (seen.turns[:, :2], seen.turns[:, 2:])
-    if _is_larger(tilts, rolls):
+    if _is_larger(tilts, rolls) and _lie_by_camera(seen.turns, seen.camera_from_holder, -1.0):
         return [
             "the errors that seem to be the robot's tilt the camera, by "
             f"{np.rad2deg(_rms(tilts)):.2g} degrees, but turn it by only "
@@ -87,14 +91,35 @@ def _seen_errors(fit: JointFit) -> SeenErrors:
     middles = np.einsum("vpi,vp->vi", points, visible) / visible.sum(axis=1)[:, None]
     mount_from_holder = host_mount_from_holder(calibration.mount, observations.base_from_tool)
     # Without a correction by joints or field: it moves the target's middle by little.
-    camera_from_world = (
-        host_matrices(calibration.camera_from_mount)
-        @ host_matrices(mount_from_holder)[views]
-        @ host_matrices(calibration.holder_from_world)
-    )
+    camera_from_mount = host_matrices(calibration.camera_from_mount)
+    camera_from_holder = camera_from_mount @ host_matrices(mount_from_holder)[views]
+    camera_from_world = camera_from_holder @ host_matrices(calibration.holder_from_world)
     middles = np.einsum("vij,vj->vi", camera_from_world[:, :3, :3], middles)
     middles = middles + camera_from_world[:, :3, 3]
-    return SeenErrors(seen[:, :3] + np.cross(seen[:, 3:], middles), seen[:, 3:])
+    shifts = seen[:, :3] + np.cross(seen[:, 3:], middles)
+    return SeenErrors(shifts, seen[:, 3:], camera_from_holder[:, :3, :3])
+
+
+def _lie_by_camera(
+    errors: Float[np.ndarray, "views 3"],
+    camera_from_holder: Float[np.ndarray, "views 3 3"],
+    sign: float,
+) -> bool:
+    """Return whether errors lie along the optical axis more than along an axis of the holder.
+
+    Args:
+        errors: in the camera's frame.
+        camera_from_holder: rotations.
+        sign: 1 for errors that lie along an axis, -1 for those that lie across it.
+    """
+    of_holder = np.einsum("vij,vi->vj", camera_from_holder, errors)
+
+    def shares(vectors: np.ndarray) -> np.ndarray:
+        """Return how much of the squares lies along each axis."""
+        squares = np.mean(vectors**2, axis=0)
+        return sign * squares / squares.sum()
+
+    return bool(shares(errors)[2] > shares(of_holder).max())
 
 
 def _rms(errors: np.ndarray) -> float:

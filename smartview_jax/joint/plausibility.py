@@ -48,6 +48,9 @@ MIN_SCALE_PROBABILITY, MAX_SCALE_PROBABILITY = 0.05, 0.95
 """Probabilities of a wrong target size above which a warning mentions the estimated size, and above
 which it mentions only this size."""
 
+CONSEQUENCE = "correct first the values that the pictures contradict, which may be why"
+"""The advice on a size that may follow from values that the user stated wrongly."""
+
 MAX_PRINCIPAL_POINT_OFFSET = 0.15
 """Distance of the principal point from the middle of the picture, over its width or height, above
 which a warning asks whether the pixels are of these pictures. Lenses are mounted to within some
@@ -93,11 +96,11 @@ def plausibility_warnings(
     warnings += principal_point_warnings(fit.calibration.camera, fit.std, "camera")
     # Before the target: its size is found wrong if a known focal length is.
     warnings += contradicted_values
-    warnings += _scale_warnings(fit) + _shape_warnings(fit)
+    warnings += _scale_warnings(fit, bool(contradicted_values)) + _shape_warnings(fit)
     of_lens = _lens_warnings(fit)
     # Where the lens is not named as the cause, the disagreement is the only sign of one.
     warnings += of_lens or (_disagreement_warnings(fit) if has_pixels else [])
-    warnings += _robot_warnings(fit)
+    warnings += _robot_warnings(fit, bool(contradicted_values))
     warnings += _mount_warnings(fit)
     warnings += repetition_warnings(fit.rejected)
     # Several pictures from one pose have no more information on the robot than one.
@@ -187,7 +190,8 @@ def _disagreement_warnings(fit: JointFit) -> list[str]:
         return []
     return [
         f"views disagree by {noise.pixel / noise.white_pixel:.0f} times the pixel noise within "
-        f"a view: the model of the lens, or of the target, is wrong"
+        f"a view: the model of the lens, or of the target, is wrong, or the camera moved while it "
+        "took the pictures (rolling shutter): let it stand still"
     ]
 
 
@@ -253,8 +257,11 @@ def _shape_warnings(fit: JointFit) -> list[str]:
     return warnings
 
 
-def _scale_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the stated size of the target."""
+def _scale_warnings(fit: JointFit, values_are_wrong: bool) -> list[str]:
+    """Return warnings about the stated size of the target.
+
+    It is a consequence where the pictures contradict values that the user stated.
+    """
     scale = None if fit.noise_estimate is None else fit.noise_estimate.target_scale
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
         return []
@@ -264,9 +271,9 @@ def _scale_warnings(fit: JointFit) -> list[str]:
         # The parameter is the logarithm: its standard deviation is relative.
         value = float(fit.calibration.target_scale)
         std = value * fit.std[TARGET_SCALE]
-        advice = _size_advice(value, std, by_joints)
+        advice = CONSEQUENCE if values_are_wrong else _size_advice(value, std, by_joints)
         return [f"the target is {value:.4f} +- {std:.4f} {size}; this size is used: {advice}"]
-    advice = _size_advice(scale.scale, scale.std, by_joints)
+    advice = CONSEQUENCE if values_are_wrong else _size_advice(scale.scale, scale.std, by_joints)
     text = f"the target may be {scale.scale:.4f} +- {scale.std:.4f} {size}: {advice}"
     return [text + _mount_by_size(fit, scale)]
 
@@ -302,8 +309,11 @@ def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:
     return f"; {mount} is {stated} mm for the stated size, {other} mm for this one"
 
 
-def _robot_warnings(fit: JointFit) -> list[str]:
-    """Return warnings about the robot's errors: implausibly large sigmas or corrections."""
+def _robot_warnings(fit: JointFit, values_are_wrong: bool) -> list[str]:
+    """Return warnings about the robot's errors: implausibly large sigmas or corrections.
+
+    They do not tell how the camera changes where it is wrong in all views alike.
+    """
     if fit.noise_estimate is None or fit.noise is None:
         return []
     noise, prior, field = fit.noise, fit.noise_estimate.robot_prior, fit.calibration.field
@@ -322,7 +332,7 @@ def _robot_warnings(fit: JointFit) -> list[str]:
         f"usually {factors[k] * medians[k]:.1g}{units[k]}"
         for k in np.flatnonzero(implausible)
     ]
-    if warnings:
+    if warnings and not values_are_wrong:
         warnings = camera_like_errors(fit) + warnings
     if fit.calibration.robot_error is not None:
         twists = np.asarray(fit.field_corrections)

@@ -7,6 +7,7 @@ from .dataset import DATASET_SCHEMA as DATASET_SCHEMA
 from .dataset import DatasetFile as DatasetFile
 from .dataset import RoughPose as RoughPose
 from .external_formats import CAL_DATA_SCHEMA as CAL_DATA_SCHEMA
+from .external_formats import CAMERA_INFO_SCHEMA as CAMERA_INFO_SCHEMA
 from .external_formats import KALIBR_CAMCHAIN_SCHEMA as KALIBR_CAMCHAIN_SCHEMA
 from .external_formats import KALIBR_TARGET_SCHEMA as KALIBR_TARGET_SCHEMA
 from .external_formats import KINEMATIC_MEASUREMENTS_SCHEMA as KINEMATIC_MEASUREMENTS_SCHEMA

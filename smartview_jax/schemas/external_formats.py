@@ -142,6 +142,31 @@ class OpenCVCameraFile(ForeignEntry):
     distortion_coefficients: OpenCVMatrix
 
 
+_PixelCount = Annotated[int, Field(ge=0, le=100_000), Expected("px: a whole number to 100000")]
+
+
+class RegionOfInterest(ForeignEntry):
+    """The part of a sensor that is read out; a size of 0 is all of it."""
+
+    x_offset: _PixelCount = 0
+    y_offset: _PixelCount = 0
+    width: _PixelCount = 0
+    height: _PixelCount = 0
+
+
+class CameraInfoMessage(ForeignEntry):
+    """A printed message of `sensor_msgs/CameraInfo`; K is of the whole sensor."""
+
+    width: _PixelCount
+    height: _PixelCount
+    k: Annotated[list[FiniteNumber], Field(min_length=9, max_length=9), Expected("9 numbers")]
+    d: Annotated[list[FiniteNumber], Field(max_length=100), Expected("up to 100 numbers")]
+    distortion_model: str = ""
+    binning_x: Annotated[int, Field(ge=0, le=100), Expected("a whole number to 100")] = 0
+    binning_y: Annotated[int, Field(ge=0, le=100), Expected("a whole number to 100")] = 0
+    roi: RegionOfInterest = RegionOfInterest()
+
+
 class VispPoseFile(Entry):
     """ViSP's pose vector: m, and axis times angle in rad; ViSP writes no other entries."""
 
@@ -274,6 +299,7 @@ POSE_SCHEMA = TypeAdapter(QuaternionPoseEntry)
 KINEMATIC_MEASUREMENTS_SCHEMA = TypeAdapter(dict[PrintableText | int, KinematicMeasurementEntry])
 SAMPLES_SCHEMA = TypeAdapter(SamplesFile)
 OPENCV_CAMERA_SCHEMA = TypeAdapter(OpenCVCameraFile)
+CAMERA_INFO_SCHEMA = TypeAdapter(CameraInfoMessage)
 KALIBR_CAMCHAIN_SCHEMA = TypeAdapter(
     Annotated[dict[PrintableText, KalibrCameraEntry], Field(min_length=1)]
 )

@@ -23,6 +23,7 @@ from ..data_checks import (
     check_conventions,
     detection_findings,
     find_consistent_views,
+    find_flexible_target,
     find_other_arm,
     find_shared_fault,
     find_shifted_numbering,
@@ -231,8 +232,6 @@ def fit_staged(
         report = report._replace(problems=(), hypotheses=())
     if choice is None and not report.explained:
         report = _with_mistake_in_joints(report, data, common_fit.camera_from_world, used)
-    if choice is None and not report.explained:
-        report = _with_fault_of_many_views(report, data, common_fit, used)
     camera_doubt = common_camera_doubt(
         observations,
         used,
@@ -245,7 +244,17 @@ def fit_staged(
             step1.camera_from_world,
         ),
     )
+    if choice is None and not report.explained:
+        report = _with_fault_of_many_views(report, data, common_fit, used, camera_doubt is None)
     camera_doubts = () if camera_doubt is None else (camera_doubt.text,)
+    if camera_doubt is None and stretched is None:
+        bending = find_flexible_target(
+            observations,
+            np.asarray(common_fit.inliers) & used[:, None],
+            common_fit.camera,
+            common_fit.camera_from_world,
+        )
+        camera_doubts = () if bending is None else (bending.sentence,)
     findings = Findings(
         pose_findings(unusable | stale, data.view_ids),
         detection_findings(mismatched, data.view_ids),
@@ -347,11 +356,16 @@ def _with_mistake_in_joints(
 
 
 def _with_fault_of_many_views(
-    report: ConventionReport, data: Dataset, common_fit: CommonCameraFit, used: np.ndarray
+    report: ConventionReport,
+    data: Dataset,
+    common_fit: CommonCameraFit,
+    used: np.ndarray,
+    camera_fits: bool,
 ) -> ConventionReport:
     """Return the report with a change of the set-up or a lag of the poses, if there is one.
 
-    It is a problem where no calibration can be right with it, else a doubt.
+    It is a problem where no calibration can be right with it, else a doubt. A camera that does not
+    fit puts targets at wrong distances, so that nothing tells whether its focus changes.
     """
     poses = RobotAndCamera(
         data.base_from_tool,
@@ -359,13 +373,15 @@ def _with_fault_of_many_views(
         data.mount,
         data.view_ids,
         report.length_ratio,
-        distances=SeenDistances.of_points(
+    )
+    if camera_fits:
+        distances = SeenDistances.of_points(
             np.asarray(data.points),
             np.asarray(data.pixels),
             np.asarray(common_fit.inliers),
             pixel_noise(common_fit),
-        ),
-    )
+        )
+        poses = poses._replace(distances=distances)
     fault = find_shared_fault(poses, used)
     if fault is None:
         return report

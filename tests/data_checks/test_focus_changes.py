@@ -46,7 +46,8 @@ def test_a_focal_length_that_follows_the_distance_is_named():
     robot, camera = moving_alike(1)
     distance = depths(camera)
     change = found(robot, with_focal_lengths(camera, 1.0 + 0.1 * (distance - distance.mean())))
-    assert change.relative_std == pytest.approx(0.1 * distance.std(), rel=0.5)
+    # The size and the common focal length explain a part.
+    assert 0.1 < change.relative_std / (0.1 * distance.std()) < 1.0
 
 
 @pytest.mark.parametrize("noise", [(2e-4, 0.02), (2e-3, 0.2)])
@@ -109,3 +110,25 @@ def test_few_views_tell_nothing():
     robot, camera = moving_alike(0)
     changed = with_focal_lengths(camera, 1.0 + np.random.default_rng(0).normal(0.0, 0.01, VIEWS))
     assert found(robot[:7], changed[:7]) is None
+
+
+def test_views_that_are_hardly_turned_tell_no_change_of_focus():
+    """Their tilts are seen wrongly, about the middle of the target."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        robot, camera = np.empty((2, VIEWS, 4, 4))
+        for view in range(VIEWS):
+            robot[view] = transform(rng.normal(0.0, 2.0, 3), rng.normal(0.0, 0.1, 3))
+            camera[view] = transform([0, 0, 95], [0.02, 0.05, -0.1]) @ robot[view]
+            camera[view] = camera[view] @ transform([180, 0, 30], [0.4, 0.1, 0.6])
+            middle = camera[view, :3, :3] @ MIDDLE + camera[view, :3, 3]
+            tilt = transform([*rng.normal(0.0, 0.5, 2), 0], [0, 0, 0])[:3, :3]
+            camera[view, :3, :3] = tilt @ camera[view, :3, :3]
+            camera[view, :3, 3] = middle - camera[view, :3, :3] @ MIDDLE
+        assert found(robot, camera) is None
+
+
+def test_a_focal_length_that_is_wrong_in_all_views_alike_is_no_change():
+    for seed in range(4):
+        robot, camera = looking_down(seed)
+        assert found(robot, with_focal_lengths(camera, np.full(VIEWS, 0.8))) is None

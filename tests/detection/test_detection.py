@@ -137,6 +137,19 @@ def test_drawn_charuco_boards_new_and_old(legacy):
     assert wrong.visible.sum() < 35
 
 
+def test_two_boards_alike_in_one_picture_are_told_so():
+    """Markers that are seen twice contradict each other, so that no corner is found."""
+    board = cv2.aruco.CharucoBoard(
+        (5, 4), 0.03, 0.022, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    )
+    picture = np.full((480, 900), 255, np.uint8)
+    picture[60:380, 30:430] = picture[80:400, 470:870] = board.generateImage((400, 320))
+    target = Charuco(5, 4, 0.03, 0.022, "DICT_4X4_50")
+    assert "two such boards" in str(detect(picture, target).reason)
+    blurred = cv2.GaussianBlur(picture[:, :450], (0, 0), 8.0)
+    assert "two such boards" not in str(detect(blurred, target).reason)
+
+
 def test_what_is_not_there_is_said():
     blank = np.full((200, 300), 255, dtype=np.uint8)
     assert "0 blobs seen, 35 expected" in detect(blank, CircleGrid(5, 7, 0.02)).reason

@@ -1,6 +1,7 @@
 import dataclasses
 import os
 import shutil
+import unicodedata
 
 import cv2
 import numpy as np
@@ -316,3 +317,24 @@ def test_pairs_with_a_view_that_has_no_pose(tmp_path):
     (tmp_path / "c.csv").write_text("view,X,Y,Z,u,v\n0,0,0,0,10,20\n3,0,0,0,1,2\n")
     with pytest.raises(ValueError, match=r"c\.csv: view 3 has no row in p\.csv"):
         import_correspondences(tmp_path / "p.csv", tmp_path / "c.csv", (640, 480))
+
+
+def test_a_letter_and_its_accent_may_be_apart_in_the_name_of_a_picture(folder):
+    """Archives that a Mac wrote have them apart, tables have them in one."""
+    name = "Gr\u00f6\u00dfe"
+    table = folder / "poses.csv"
+    table.write_text(table.read_text().replace("\n1,", f"\n{name},"), encoding="utf-8")
+    apart = unicodedata.normalize("NFD", name)
+    assert apart != name
+    (folder / "images/1.png").rename(folder / f"images/{apart}.png")
+    data = load_dataset(folder)
+    assert name in data.view_ids
+    assert np.asarray(data.visible)[data.view_ids.index(name)].all()
+
+
+def test_pictures_in_folders_of_the_stated_folder_are_found_to_be_there(folder):
+    (folder / "images/first").mkdir()
+    for picture in (folder / "images").glob("*.png"):
+        picture.rename(folder / "images/first" / picture.name)
+    with pytest.raises(FileNotFoundError, match=r"such as first/0\.png: put them all into one"):
+        load_dataset(folder)

@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fit_scenes import MANY_VIEWS, scene_of
+from scipy.spatial.transform import Rotation
 
 from smartview_jax import fit_joint, fit_staged
+from smartview_jax.geometry import as_se3, host_matrices
 
 ROBOT = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
 MIDDLE = np.array([320.0, 240.0])
@@ -45,4 +47,17 @@ def test_a_weak_robot_is_no_camera_that_changes(seed):
     text = warnings_of(weak, np.asarray(weak.data.pixels))
     assert "implausibly large error of the robot" in text
     assert "focus" not in text
+    assert "stabiliser" not in text
+
+
+def test_a_robot_that_sags_is_no_stabiliser(scene):
+    """Its tool tilts about horizontal axes, as the picture would if the camera looked down."""
+    reported = host_matrices(scene.data.base_from_tool).copy()
+    tilts = np.random.default_rng(0).normal(0.0, 0.5, (MANY_VIEWS, 3)) * [1.0, 1.0, 0.0]
+    sag = Rotation.from_rotvec(tilts, degrees=True).as_matrix()
+    reported[:, :3, :3] = sag @ reported[:, :3, :3]
+    data = dataclasses.replace(scene.data, base_from_tool=as_se3(reported))
+    staged = fit_staged(data, "radial").calibration
+    text = " ".join(fit_joint(data, staged, noise="estimated").warnings)
+    assert "implausibly large error of the robot" in text
     assert "stabiliser" not in text

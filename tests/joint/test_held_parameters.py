@@ -94,6 +94,9 @@ def test_a_wrong_focal_length_is_named_before_the_target_that_it_makes_look_wron
     wanted, std = value_and_std(fit.warnings[0], "camera.alpha_u")
     assert abs(wanted - true) < 4.0 * std
     assert "of its stated size" in fit.warnings[1]
+    assert "measure" not in fit.warnings[1]
+    assert "the values that the pictures contradict" in fit.warnings[1]
+    assert not any("focus or zoom change" in warning for warning in fit.warnings)
 
 
 def test_a_prior_that_the_pictures_contradict_is_named(scene):

@@ -1,0 +1,216 @@
+"""Find out that a target bends: a sheet or a thin board that has another shape in each view.
+
+A free pose in each view, the camera and one bow that is common to all views explain the pictures of
+any stiff target. A sheet that is lifted, taped or pressed anew bows otherwise in each view, which
+leaves several times the noise, and moves the poses of its views. With small errors the residuals
+are linear in all of these numbers, and least squares tells how much a bow of each view's own
+leaves. The camera's numbers are common: each view's own ones are eliminated first.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxlie import SE3
+from jaxtyping import Bool, Float
+
+from ..cameras import Camera
+from ..dataset import Observations, view_residuals
+from ..geometry import host_matrices
+from ..runtime.modules import with_fields
+
+STEP = 1e-5
+"""Step of the differences, m, rad, or relative to a camera's number and at least to 1."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FlexibleOptions:
+    """Say which target is named as one that bends.
+
+    Attributes:
+        max_left_over: largest ratio of the squared residuals with a bow in each view to those with
+            a common one: the bows explain more than all else together.
+        min_points: fewest points of a view, which has 9 numbers: noise alone leaves four fifths.
+        min_views: fewest views that tell the common camera from their bows.
+    """
+
+    max_left_over: float = 0.5
+    min_points: int = 12
+    min_views: int = 5
+
+
+class FlexibleTarget(NamedTuple):
+    """A target that has another shape in each view.
+
+    Attributes:
+        bow: usual height of the target's middle over its rim, without the common one, m.
+        rms: root mean square of the residuals with a bow of each view's own, px.
+        given_rms: the same with one bow that is common to all views.
+    """
+
+    bow: float
+    rms: float
+    given_rms: float
+
+    @property
+    def sentence(self) -> str:
+        """The fault of the target in words, and what to do."""
+        return (
+            "the target bends: its shape seems to change from view to view, by "
+            f"{1e3 * self.bow:.2g} mm between middle and rim: with that, the pictures agree to "
+            f"{self.rms:.2g} px instead of {self.given_rms:.2g} px RMS. Fix it on a stiff, flat "
+            "plate, and take the pictures again"
+        )
+
+
+def find_flexible_target(
+    observations: Observations,
+    inliers: Bool[np.ndarray, "views points"],
+    camera: Camera,
+    camera_from_world: SE3,
+    options: FlexibleOptions | None = None,
+) -> FlexibleTarget | None:
+    """Return how a flat target bends from view to view; None if it does not, or is not flat.
+
+    Args:
+        observations: points and pixels.
+        inliers: mask of the points to use.
+        camera: common to all views.
+        camera_from_world: the pose of each view that fits best with this camera.
+        options: which target is named; by default `FlexibleOptions()`.
+    """
+    options = options or FlexibleOptions()
+    points, seen = np.asarray(observations.points), np.asarray(inliers)
+    views = np.flatnonzero(seen.sum(axis=1) >= options.min_points)
+    if len(views) < options.min_views or np.ptp(points[..., 2]) > STEP:
+        return None
+    offsets = points - points[0].mean(axis=0)
+    half = float(np.abs(offsets).max())
+    x, y = offsets[..., 0] / half, offsets[..., 1] / half
+    derivatives = _derivatives(
+        observations, camera, host_matrices(camera_from_world), np.stack([x * x, x * y, y * y])
+    )
+    equations = [
+        _ViewEquations(
+            *(part[view][seen[view]].reshape(2 * seen[view].sum(), -1) for part in derivatives)
+        )
+        for view in views
+    ]
+    own = _least_squares(
+        [np.concatenate([view.by_pose, view.by_height], axis=1) for view in equations],
+        [view.by_camera for view in equations],
+        [view.residuals[:, 0] for view in equations],
+    )
+    common = _least_squares(
+        [view.by_pose for view in equations],
+        [np.concatenate([view.by_camera, view.by_height], axis=1) for view in equations],
+        [view.residuals[:, 0] for view in equations],
+    )
+    count = sum(len(view.residuals) for view in equations)
+    left_over = own.squares / max(common.squares, 1e-300)
+    if left_over > options.max_left_over:
+        return None
+    bows = np.array([view[6:] for view in own.by_view])
+    # A bow of 1 lifts the rim by one metre over the middle; x y lifts corners alone.
+    bow = float(np.sqrt(np.mean((bows - bows.mean(axis=0))[:, [0, 2]] ** 2)))
+    rms, given_rms = (float(np.sqrt(2.0 * fit.squares / count)) for fit in (own, common))
+    return FlexibleTarget(bow, rms, given_rms)
+
+
+class _ViewEquations(NamedTuple):
+    """The residuals of one view, and their derivatives, a row for each coordinate.
+
+    Attributes:
+        residuals: of the pixels, px.
+        by_camera: by the camera's numbers.
+        by_pose: by a twist of the pose.
+        by_height: by the heights of bows along x, x y and y.
+    """
+
+    residuals: Float[np.ndarray, "rows 1"]
+    by_camera: Float[np.ndarray, "rows numbers"]
+    by_pose: Float[np.ndarray, "rows 6"]
+    by_height: Float[np.ndarray, "rows 3"]
+
+
+def _derivatives(
+    observations: Observations,
+    camera: Camera,
+    poses: Float[np.ndarray, "views 4 4"],
+    heights: Float[np.ndarray, "bows _ points"],
+) -> tuple[np.ndarray, ...]:
+    """Return the residuals and their derivatives as in `_ViewEquations`, for all views."""
+
+    def residuals(
+        camera: Camera = camera,
+        poses: np.ndarray = poses,
+        observations: Observations = observations,
+    ) -> np.ndarray:
+        """Return the residuals, px."""
+        return np.asarray(view_residuals(camera, jnp.ones(()), poses, observations))
+
+    given = residuals()
+    values, structure = jax.tree.flatten(camera)
+    by_camera = []
+    for k, value in enumerate(values):
+        step = STEP * max(abs(float(value)), 1.0)
+        moved = jax.tree.unflatten(structure, [*values[:k], value + step, *values[k + 1 :]])
+        by_camera.append((residuals(camera=moved) - given) / step)
+    by_pose = []
+    for k in range(6):
+        motion = np.eye(4)
+        if k < 3:
+            motion[k, 3] = STEP
+        else:
+            first, second = (k - 2) % 3, (k - 1) % 3
+            motion[second, first], motion[first, second] = STEP, -STEP
+        by_pose.append((residuals(poses=motion @ poses) - given) / STEP)
+    by_height = []
+    points = np.asarray(observations.points)
+    for height in heights:
+        lifted = points.copy()
+        lifted[..., 2] += STEP * height
+        moved = with_fields(observations, points=jnp.asarray(lifted))
+        by_height.append((residuals(observations=moved) - given) / STEP)
+    return (given[..., None], *(np.stack(part, axis=3) for part in (by_camera, by_pose, by_height)))
+
+
+class _Solution(NamedTuple):
+    """A least-squares solution.
+
+    Attributes:
+        squares: sum of the squares that are left over.
+        by_view: numbers of each view.
+    """
+
+    squares: float
+    by_view: list[np.ndarray]
+
+
+def _least_squares(
+    by_view: list[np.ndarray], shared: list[np.ndarray], residuals: list[np.ndarray]
+) -> _Solution:
+    """Solve for numbers of each view and numbers that all views share.
+
+    The views' own numbers are eliminated: what is perpendicular to their columns does not know
+    them, and determines the shared ones.
+    """
+    reduced = []
+    for own, common, errors in zip(by_view, shared, residuals, strict=True):
+        basis = np.linalg.qr(own)[0]
+        both = np.concatenate([common, errors[:, None]], axis=1)
+        reduced.append(both - basis @ (basis.T @ both))
+    # Columns of very different units; one that all poses explain has no length of its own.
+    normal = sum(part.T @ part for part in reduced)
+    assert not isinstance(normal, int)
+    sizes = np.maximum(np.sqrt(np.diagonal(normal)[:-1]), 1e-12)
+    scaled = normal[:-1, :-1] / np.outer(sizes, sizes)
+    numbers = -np.linalg.lstsq(scaled, normal[:-1, -1] / sizes, rcond=1e-10)[0] / sizes
+    squares = sum(float(np.sum((part[:, -1] + part[:, :-1] @ numbers) ** 2)) for part in reduced)
+    own_numbers = [
+        -np.linalg.lstsq(own, errors + common @ numbers, rcond=1e-10)[0]
+        for own, common, errors in zip(by_view, shared, residuals, strict=True)
+    ]
+    return _Solution(squares, own_numbers)
