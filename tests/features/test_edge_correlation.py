@@ -1,4 +1,4 @@
-"""The length over which the errors of edge points are the same, against noise that SciPy smooths."""
+"""How far along an edge its points err alike, against noise that SciPy smooths."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from smartview_jax.features import SMOOTHED_LENGTH, EdgePoints, correlated_lengt
 
 
 def rough_edges(blur, rng, count=20, length=600):
-    """Edge points a pixel apart along lines, with white noise smoothed along each, and the lines."""
+    """Lines, and edge points a pixel apart along them with white noise that is smoothed."""
     segments, pixels, normals = [], [], []
     for k in range(count):
         angle = rng.uniform(0.0, np.pi)
