@@ -229,8 +229,8 @@ class _Judging:
         if verdict.decision == "accepted" and may_be_another_size(evidence, self._options):
             moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
             # Within its tolerance the object has the model's dimensions.
-            tolerance = shape_sigma(entry.model)
-            if moved is None or abs(moved.distance) >= TOLERATED_SIGMAS * tolerance:
+            least = TOLERATED_SIGMAS * shape_sigma(entry.model)
+            if moved is None or moved.face is None or abs(moved.distance) >= least:
                 verdict = verdict_on(evidence._replace(moved=moved))
         scale = scene.pictures[0].scale
         return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)
