@@ -1,5 +1,7 @@
 from .appearance import Appearance as Appearance
 from .appearance import describe as describe
+from .edge_correlation import SMOOTHED_LENGTH as SMOOTHED_LENGTH
+from .edge_correlation import correlated_length as correlated_length
 from .edge_points import EdgePoints as EdgePoints
 from .edge_points import edge_map as edge_map
 from .ellipses import EllipseOptions as EllipseOptions

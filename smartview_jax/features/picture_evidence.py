@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
 from ..cameras import Camera, in_picture
+from .edge_correlation import SMOOTHED_LENGTH, correlated_length
 from .edge_points import EdgePoints, find_edge_points
 from .features import Features, features_from_edge_points
 from .gradient import Gradient
@@ -86,6 +87,7 @@ class PictureEvidence(NamedTuple):
         grey: the picture as it was given; None if it is unknown.
         scale: size of the searched picture over the given one; all pixels above are of the searched
             picture, whose camera is `scaled_camera`.
+        correlated_length: length along an edge of which the points count as one observation, px.
     """
 
     features: Features
@@ -94,6 +96,7 @@ class PictureEvidence(NamedTuple):
     maps: EdgeMaps
     grey: UInt8[np.ndarray, "rows columns"] | None = None
     scale: float = 1.0
+    correlated_length: float = SMOOTHED_LENGTH
 
     def at(self, scale: float, camera: Camera) -> "PictureEvidence":
         """Return the evidence of the same picture, searched at another scale.
@@ -146,7 +149,10 @@ def _evidence(
     edge_points = find_edge_points(gradient)
     features = features_from_edge_points(searched, gradient, edge_points, searched_by)
     lone, maps = lone_points(edge_points), edge_maps(features, searched_by)
-    return PictureEvidence(features, edge_points, lone, maps, grey.astype(np.uint8), scale)
+    correlated = correlated_length(features.segments, edge_points, lone)
+    return PictureEvidence(
+        features, edge_points, lone, maps, grey.astype(np.uint8), scale, correlated
+    )
 
 
 def evidence_of_points(

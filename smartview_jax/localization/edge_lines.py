@@ -6,8 +6,8 @@ For samples along each predicted edge the nearest edge point along the edge's no
 the right orientation and either polarity. A line is fitted to the distances of these points from
 the prediction. Two numbers hold all information of an edge on the pose: the distance of the line at
 the mean of its points, and its slope times their spread. Their errors are independent. Neighbouring
-edge points, which share smoothed pixels, are correlated; the covariance of the line accounts for
-it.
+edge points are correlated, because they share smoothed pixels and because real edges are rough; the
+covariance of the line accounts for it, by the length that was measured in the picture.
 
 Points that another edge displaces are left out: near other edges of the model and, where enough
 other points remain, next to any other edge of the picture, such as the border of a shadow.
@@ -48,9 +48,6 @@ nearest edge point is chosen."""
 
 MIN_ALIGNMENT = 0.9
 """Smallest cosine, about 25 degrees, between an edge point's gradient and the edge's normal."""
-
-CORRELATED_LENGTH = 3.5
-"""Length along an edge whose points count as one observation, px: see `CORRELATED_POINTS`."""
 
 MIN_POINT_SIGMA = 0.03
 """Smallest standard deviation of an edge point, px; a smaller estimate is not believed."""
@@ -198,7 +195,7 @@ def edge_lines(
     by_pose = jnp.stack([over_edges(row[:, None] * J) for row in combination], axis=1)
     rest = r - numbers[edges, 0] - numbers[edges, 1] * t / spread[edges]
     found_px = over_edges(px * weights)
-    independent = jnp.maximum(jnp.minimum(W, found_px / CORRELATED_LENGTH), 1.0)
+    independent = jnp.maximum(jnp.minimum(W, found_px / lookup.correlated_lengths), 1.0)
     # Two numbers of the line are fitted to this many independent points.
     variance = over_edges(weights * rest**2) / W
     variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..features import EdgePoints, lone_points
+from ..features import SMOOTHED_LENGTH, EdgePoints, lone_points
 from ..runtime.array_namespace import to_device
 from ..runtime.padding import power_of_two_from, repeat_last
 
@@ -37,6 +37,7 @@ class EdgeLookup(eqx.Module):
         nearest: inverse depth of the nearest known surface in each cell, 1/m; zero where none is
             known.
         valid: False for padded views.
+        correlated_lengths: length along an edge of which the points count as one observation, px.
     """
 
     cells: Int[Array, "views rows columns"]
@@ -46,6 +47,7 @@ class EdgeLookup(eqx.Module):
     lone: Bool[Array, "views points"]
     nearest: Float[Array, "views depth_rows depth_columns"]
     valid: Bool[Array, "views"]
+    correlated_lengths: Float[Array, "views"]
 
     @classmethod
     def of(
@@ -55,6 +57,7 @@ class EdgeLookup(eqx.Module):
         usable: Sequence[Bool[np.ndarray, "_"]] | None = None,
         inverse_depth: Float[np.ndarray, "_ depth_rows depth_columns"] | None = None,
         lone: Sequence[Bool[np.ndarray, "_"]] | None = None,
+        correlated_lengths: Sequence[float] | None = None,
     ) -> "EdgeLookup":
         """Return the lookup of the edge points of pictures.
 
@@ -64,6 +67,7 @@ class EdgeLookup(eqx.Module):
             usable: for each view, which points may be used; all by default.
             inverse_depth: of the nearest known surfaces (`DepthBuffers`), 1/m; none by default.
             lone: for each view, which points no other edge displaces; computed by default.
+            correlated_lengths: of each view, px; by default as smoothing makes them.
         """
         views, largest = padded_view_count(len(pictures)), max(len(p.pixels) for p in pictures)
         # One more than there are points: the last stands for "none".
@@ -83,7 +87,11 @@ class EdgeLookup(eqx.Module):
         if inverse_depth is not None:
             nearest[: len(pictures)] = inverse_depth
         valid = np.arange(views) < len(pictures)
-        return cls(*map(to_device, (cells, pixels, normals, strengths, is_lone, nearest, valid)))
+        lengths = np.full(views, SMOOTHED_LENGTH)
+        if correlated_lengths is not None:
+            lengths[: len(pictures)] = correlated_lengths
+        arrays = cells, pixels, normals, strengths, is_lone, nearest, valid, lengths
+        return cls(*map(to_device, arrays))
 
 
 def padded_view_count(count: int) -> int:

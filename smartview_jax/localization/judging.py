@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..modeling import shape_sigma
 from .candidates import Candidate, Prepared, Query, measured_candidates
 from .cast_shadows import log_odds_to_shadow
 from .corrected_views import corrected_views
@@ -157,10 +158,13 @@ class _Judging:
         _take(self.scene, self._prepared, obj)
 
     def is_rejected_unrefined(self, candidate: Candidate) -> bool:
-        """Return whether a pose is rejected without refinement, whatever its rivals."""
+        """Return whether a pose is rejected without refinement, whatever its rivals.
+
+        All samples are used, as in the verdict: few are too few for the lines of short edges.
+        """
         entry, pose = self._prepared[candidate.model], candidate.pose
-        lines = self.scene.lines(pose, entry.coarse)
-        evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose))
+        lines = self.scene.lines(pose, entry.fine)
+        evidence = self.scene.evidence(lines, entry.fine, entry.middle_at(pose))
         verdict = judge(evidence, self._tested, np.inf, options=self._options)
         return verdict.decision == "rejected"
 
@@ -225,7 +229,8 @@ class _Judging:
         if verdict.decision == "accepted" and may_be_another_size(evidence, self._options):
             moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
             # Within its tolerance the object has the model's dimensions.
-            if moved is None or abs(moved.distance) >= TOLERATED_SIGMAS * entry.model.tolerance:
+            least = TOLERATED_SIGMAS * shape_sigma(entry.model)
+            if moved is None or moved.face is None or abs(moved.distance) >= least:
                 verdict = verdict_on(evidence._replace(moved=moved))
         scale = scene.pictures[0].scale
         return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)

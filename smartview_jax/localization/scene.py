@@ -101,6 +101,7 @@ class Scene:
             free,
             np.maximum.reduce(depths),
             [picture.lone for picture in self.pictures],
+            [picture.correlated_length for picture in self.pictures],
         )
 
     def _free(self, claims: Sequence[Claim]) -> list[Bool[np.ndarray, "_"]]:

@@ -17,13 +17,13 @@ from jaxtyping import Array, Bool, Float
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..engine import Noise
-from ..features import scaled_camera
+from ..features import SMOOTHED_LENGTH, scaled_camera
 from ..geometry import host_adjoints, host_cross_matrices
 from ..modeling import ObjectModel
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import repeat_last
-from .edge_lines import CORRELATED_LENGTH, MIN_POINT_SIGMA
+from .edge_lines import MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization
 from .occluders import Occluder, hidden_in_views, leading, occluders_around
@@ -304,7 +304,7 @@ def _predict_edges(
         # weight.
         curve_px = jnp.zeros(seen.curve_count).at[seen.sample_curves].add(px)
         length = jnp.maximum(curve_px[seen.sample_curves], 1.0)
-        variance = CORRELATED_LENGTH * sigmas[0] ** 2 / length + sigmas[1] ** 2
+        variance = SMOOTHED_LENGTH * sigmas[0] ** 2 / length + sigmas[1] ** 2
         weights = px / length / variance
         return samples, d, px, jnp.einsum("s,si,sj->ij", weights, J, J)
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..modeling import Face, ObjectModel
+from ..modeling import Face, ObjectModel, shape_sigma
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
 from .curves import Curves, on_arcs
@@ -71,7 +71,7 @@ class Wireframe(eqx.Module):
         face_points: a point of each face, m.
         face_normals: outward unit normals; 0 for padded faces.
         margin: distance in front of a point within which no face hides it, m.
-        tolerance: standard deviation of the object's edges from the model, m.
+        tolerance: standard deviation of the object's edges from the model, m (`shape_sigma`).
         sample_bends: curvatures of the rims, 1/m, towards their centres; zero on straight edges and
             outlines. None in models without rims.
         sample_radii: radii of the smooth surface across an outline, m; zero on edges. None in
@@ -164,7 +164,7 @@ class Wireframe(eqx.Module):
             _padded(np.array([plane.origin for plane in planes]).reshape(-1, 3), F, 3),
             _padded(face_normals, F, 3),
             np.array(HIDING_MARGIN * model.extent),
-            np.array(model.tolerance),
+            np.array(shape_sigma(model)),
         )
         count = _rounded(len(curves.lengths) + patches, MIN_EDGES)
         bends = None if bends is None else to_device(_padded(bends, S, 3))

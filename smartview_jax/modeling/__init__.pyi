@@ -59,6 +59,7 @@ from .shapes.symmetry import Symmetry as Symmetry
 from .shapes.symmetry import SymmetryAxis as SymmetryAxis
 from .shapes.symmetry_search import find_symmetry as find_symmetry
 from .shapes.symmetry_search import rim_vertices as rim_vertices
+from .shapes.symmetry_search import shape_sigma as shape_sigma
 from .triangulation import TriangulatedPoints as TriangulatedPoints
 from .triangulation import triangulate_points as triangulate_points
 from .view_poses import SeenViews as SeenViews

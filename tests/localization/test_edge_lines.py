@@ -52,6 +52,30 @@ def test_a_batch_and_its_gradients_are_those_of_single_poses(views, wireframe):
         np.testing.assert_allclose(gradients[k] / scale, expected / scale, atol=0.05)
 
 
+def test_lines_are_as_exact_as_their_points_are_independent(views, wireframe):
+    """Twice the length over which points err alike halves their number."""
+    pictures, size = drawn(MODEL, views, POSE, 0.2), views.camera.image_size
+    lengths = [[length] * len(pictures) for length in (5.0, 10.0)]
+    fine, rough = (
+        measured_lines(
+            wireframe,
+            views,
+            EdgeLookup.of(pictures, size, correlated_lengths=each),
+            POSE,
+            RADIUS,
+        )
+        for each in lengths
+    )
+    long = fine.measured & (fine.found_px > 80.0)
+    assert long.sum() > 6
+    # n points and a line's two numbers: s^2 n / (n - 2) is the variance of a point.
+    n = fine.found_px[long] / 5.0
+    expected = (n - 2.0) / (0.5 * n - 2.0)
+    found = rough.variances[long, 0] / fine.variances[long, 0]
+    # A line has a share of its own besides (`MODEL_SIGMA`).
+    np.testing.assert_allclose(found, expected, rtol=0.01)
+
+
 @pytest.mark.parametrize("displaced", [0.5, 1.0])
 def test_points_that_another_edge_displaces_count_where_others_are_too_few(
     views, wireframe, displaced

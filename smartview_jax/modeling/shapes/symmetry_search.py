@@ -72,6 +72,24 @@ def find_symmetry(model: ObjectModel, tolerance: float | None = None) -> Symmetr
     return dataclasses.replace(symmetry, axis=axes[0].direction) if is_round else symmetry
 
 
+def shape_sigma(model: ObjectModel) -> float:
+    """Return the standard deviation of an object's edges from its model, m.
+
+    It is the model's tolerance, and how far the model is from the symmetry that it states: if the
+    object has that symmetry, its vertices are not exactly where the model has them. The errors of
+    measured vertices are in their covariance, and are no part of it.
+    """
+    rotations = np.zeros((0, 3, 3)) if model.symmetry is None else model.symmetry.rotations[1:]
+    is_corner = ~np.isin(np.arange(len(model.vertices)), list(rim_vertices(model)))
+    if not (model.is_exact and len(rotations) and is_corner.any()):
+        return model.tolerance
+    assert model.symmetry is not None
+    corners = model.vertices[is_corner] - model.symmetry.centre
+    gaps, _ = KDTree(corners).query(corners @ rotations.swapaxes(1, 2))
+    # A gap is the difference of two vertices, each with errors along three axes.
+    return float(np.sqrt(model.tolerance**2 + np.square(gaps).mean() / 6.0))
+
+
 class _Rims(NamedTuple):
     """The vertices of a model's round rims, each between two edges that hardly bend.
 

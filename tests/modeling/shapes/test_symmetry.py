@@ -5,7 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from solids import box, drilled, prism
 
-from smartview_jax.modeling import Face, ObjectModel, edges_of_faces, find_symmetry
+from smartview_jax.modeling import (
+    Face,
+    ObjectModel,
+    edges_of_faces,
+    find_symmetry,
+    shape_sigma,
+)
 
 
 def distances_between(one, other):
@@ -110,3 +116,28 @@ def test_axes_count_the_turns_about_them():
     assert sum(one.fold - 1 for one in found.axes) == found.order - 1
     odd = ObjectModel(np.array([[0.0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]]))
     assert find_symmetry(odd).words == "no turn maps it onto itself"
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.3e-3])
+def test_a_model_is_as_inexact_as_it_is_far_from_its_symmetry(tolerance):
+    """Vertices of a cube scattered by NumPy, and the cube's own symmetry."""
+    exact, rng, squares = box(0.03, 0.03, 0.03), np.random.default_rng(3), []
+    for _ in range(200):
+        scattered = exact.vertices + rng.normal(0.0, 0.2e-3, exact.vertices.shape)
+        model = ObjectModel(scattered, exact.edges, tolerance=tolerance)
+        model = dataclasses.replace(model, symmetry=find_symmetry(exact))
+        squares.append(shape_sigma(model) ** 2)
+    assert np.sqrt(np.mean(squares)) == pytest.approx(np.hypot(0.2e-3, tolerance), rel=0.03)
+
+
+def test_sides_of_a_hole_that_do_not_meet_make_no_model_inexact():
+    nut = drilled(6, 41)
+    nut = dataclasses.replace(nut, symmetry=find_symmetry(nut))
+    assert shape_sigma(nut) < 1e-9
+    # A measured model has the errors of its vertices in its covariance.
+    scattered = nut.vertices + np.random.default_rng(0).normal(0.0, 1e-5, nut.vertices.shape)
+    measured = dataclasses.replace(
+        nut, vertices=scattered, covariance=np.tile(np.eye(3), (94, 1, 1))
+    )
+    assert shape_sigma(dataclasses.replace(measured, covariance=None)) > 1e-6
+    assert shape_sigma(measured) == 0.0
