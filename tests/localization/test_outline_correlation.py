@@ -34,6 +34,7 @@ def outlines_of(rng, views=2):
 def test_one_light_displaces_outlines_as_much_alike_as_drawn_lights_do():
     rng = np.random.default_rng(0)
     equations = outlines_of(rng, 1)
+    assert equations.by_light is not None
     light = rng.standard_normal((200_000, 3))
     normals = equations.by_pose[:12:2, :3] * np.array([1.0, -1.0] * 3)[:, None]
     given = equations._replace(
@@ -47,6 +48,7 @@ def test_one_light_displaces_outlines_as_much_alike_as_drawn_lights_do():
 
 def test_edges_of_two_views_and_of_no_outline_err_by_themselves():
     equations = outlines_of(np.random.default_rng(1))
+    assert equations.by_light is not None
     by_light = equations.by_light.copy()
     by_light[:40] = 0.0
     correlations = light_correlations(equations._replace(by_light=by_light))
