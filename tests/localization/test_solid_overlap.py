@@ -19,8 +19,11 @@ def at(x=0.0, y=0.0, z=0.0):
     return pose
 
 
-def is_as_deep(depth, *placed):
-    return overlap_deeper(*placed, 0.999 * depth) and not overlap_deeper(*placed, 1.001 * depth)
+def is_as_deep(depth, model, pose, other, other_pose):
+    shallower, deeper = (
+        overlap_deeper(model, pose, other, other_pose, k * depth) for k in (0.999, 1.001)
+    )
+    return shallower and not deeper
 
 
 def channel(width=0.03, height=0.02, wall=0.003, length=0.06):
