@@ -47,6 +47,14 @@ def test_bars_overlap_by_what_they_share():
     assert is_as_deep(0.01, BAR, HERE, BAR, at(x=0.075))
 
 
+def test_an_upright_edge_in_a_face_leaves_room_for_a_ball_in_its_wedge():
+    """A ball that touches the face and both sides of a right angle, 10 mm deep."""
+    cube, half = box(0.1, 0.1, 0.1), np.sqrt(0.5)
+    turned = at(0.09 + 0.1 * half, 0.05 - 0.1 * half)
+    turned[:2, :2] = [[half, -half], [half, half]]
+    assert is_as_deep(0.02 / (1.0 + np.sqrt(2.0)), cube, HERE, cube, turned)
+
+
 def test_a_bar_in_a_channel_does_not_overlap_with_it():
     assert thickness(CHANNEL) == pytest.approx(0.003)
     assert len(convex_parts(CHANNEL)) == 3
