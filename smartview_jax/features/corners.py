@@ -228,9 +228,10 @@ def _structure_peaks(gradient: Gradient) -> Float[np.ndarray, "peaks 2"]:
     strength = determinant / trace
     gate = STRUCTURE_GATE * gradient.sigma**2
     is_peak = (strength == cv2.dilate(strength, np.ones((3, 3)))) & (strength > gate)
-    is_peak &= 4.0 * determinant > MIN_ROUNDNESS * trace**2
     is_peak[[0, -1], :] = is_peak[:, [0, -1]] = False
     row, column = np.nonzero(is_peak)
+    is_round = 4.0 * determinant[row, column] > MIN_ROUNDNESS * trace[row, column] ** 2
+    row, column = row[is_round], column[is_round]
     # A textured picture has tens of thousands of peaks; the strongest are found in other views too.
     order = np.argsort(-strength[row, column])[:MAX_GRADIENT_CORNERS]
     row, column = row[order], column[order]

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 
 from ..geometry import host_transformed
 from ..modeling import ObjectModel
-from .solid_overlap import overlap_depth, thickness
+from .solid_overlap import overlap_deeper, thickness
 from .wireframe import HIDING_MARGIN
 
 SAME_POSE_DISTANCE = 0.06
@@ -44,8 +44,8 @@ def in_one_place(
         return middles_are_near(model, pose, other, other_pose)
     # Touching objects overlap by the errors of their vertices.
     allowed = tolerance + HIDING_MARGIN * (model.extent + other.extent)
-    depth = overlap_depth(model, pose, other, other_pose)
-    return depth > min(allowed, MAX_TOLERANCE * thinner)
+    depth = min(allowed, MAX_TOLERANCE * thinner)
+    return overlap_deeper(model, pose, other, other_pose, depth)
 
 
 def middles_are_near(

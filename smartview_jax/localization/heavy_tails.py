@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..engine import covariance_factor
+from .outline_correlation import light_correlations, variance_of_shared
 from .pose_equations import CommonErrors, PoseEquations, PoseStep, solve_pose, whitening
 
 DEGREES_OF_FREEDOM = 3.0
@@ -100,8 +101,14 @@ def solve_heavy_tailed(equations: PoseEquations, errors: CommonErrors) -> HeavyT
         fit, of_distances = _likeliest(unknowns, variances, distance, fit.weights)
     sigmas = of_distances, of_tilts
     noise = INFLATION * (points + np.square(sigmas)) / fit.weights[:, None]
-    light = equations.by_light
-    common = 0.0 if light is None else light @ light.T
+    light, common = equations.by_light, 0.0
+    if light is not None:
+        by_light = light.sum(axis=1)
+        alike = np.repeat(np.repeat(light_correlations(equations), 2, axis=0), 2, axis=1)
+        shared = alike * np.outer(by_light, by_light)
+        missing = unknowns.covariance_by_shared(noise.ravel(), shared)
+        # In the span of the derivatives a covariance leaves the solution as it is.
+        common = light @ light.T + equations.by_pose @ missing @ equations.by_pose.T
     gaussian = equations._replace(noise=np.diag(noise.ravel()) + common, by_light=None)
     edge_sigma = float(np.sqrt(INFLATION) * of_distances)
     return HeavyTailedStep(solve_pose(gaussian, errors), gaussian, fit.squared, edge_sigma)
@@ -141,6 +148,22 @@ class _Unknowns(NamedTuple):
         prior = np.diag(np.repeat([0.0, 1.0], [6, derivatives.shape[1] - 6]))
         prior[:6, :6] = errors.turns
         return cls(equations.residuals, derivatives, prior)
+
+    def covariance_by_shared(
+        self, variances: Float[np.ndarray, "n"], shared: Float[np.ndarray, "n n"]
+    ) -> Float[np.ndarray, "6 6"]:
+        """Return what a pose's covariance lacks because edges share errors.
+
+        Args:
+            variances: of the equations' independent errors.
+            shared: covariance of the shared errors, but for its size.
+        """
+        rows = self.derivatives / variances[:, None]
+        whitened = whitening(self.derivatives.T @ rows + self.prior)
+        solved = whitened.T @ (whitened @ rows.T)
+        remaining = np.eye(len(variances)) - self.derivatives @ solved
+        size = variance_of_shared(remaining @ self.residuals, remaining, variances, shared)
+        return size * solved[:6] @ shared @ solved[:6].T
 
 
 class _Fit(NamedTuple):

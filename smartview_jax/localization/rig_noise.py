@@ -17,10 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import ndtri
 
-from ..engine import covariance_factor
 from ..geometry import host_exponentials, host_logarithms
 from ..modeling import CalibrationUncertainty, SeenViews
 from ..robot_errors import RobotPrior
@@ -129,13 +127,7 @@ def rig_noise(
     if not by_object:
         return None
     equations = _Equations(*(np.concatenate(part) for part in zip(*by_object, strict=True)))
-    stated, count = covariance_factor(uncertainty.covariance), len(views.camera_from_world)
-
-    def solved(sizes: Float[np.ndarray, "2"]) -> tuple[float, Float[np.ndarray, "errors"]]:
-        """Return the restricted log-likelihood of two standard deviations, and the errors."""
-        sigmas = np.diag(np.tile(np.repeat(sizes, 3), count))
-        return _solved(equations, np.asarray(block_diag(stated, sigmas)))
-
+    numbers = len(uncertainty.names)
     medians = _usual_medians(views, uncertainty, prior)
     log_std = float(np.log(prior.group_geometric_std))
     weak = np.array([prior.weak_translation_median, prior.weak_rotation_median])
@@ -145,10 +137,15 @@ def rig_noise(
         _weighted_sizes(weak, float(np.log(prior.geometric_std)), is_weak),
     ]
     sizes, log_prior = (np.concatenate(part) for part in zip(*grids, strict=True))
-    logs = log_prior + [solved(each)[0] for each in sizes]
-    evidence, exact = np.logaddexp.reduce(logs), solved(np.zeros(2))[0]
+    covariances = _covariances(equations, uncertainty, np.vstack([np.zeros(2), sizes]))
+    exact, *likelihoods = _log_likelihoods(equations.residuals, covariances)
+    logs = log_prior + likelihoods
+    evidence = np.logaddexp.reduce(logs)
     typical = np.sqrt(np.exp(logs - evidence) @ sizes**2)
-    errors = solved(typical)[1][len(uncertainty.names) :].reshape(-1, 6)
+    (covariance,) = _covariances(equations, uncertainty, typical[None])
+    by_views = equations.by_errors[:, numbers:]
+    prediction = by_views.T @ np.linalg.solve(covariance, equations.residuals)
+    errors = prediction.reshape(-1, 6) * np.repeat(typical**2, 3)
     pair, shift, turn = _largest_relative_error(views, errors, medians)
     # A relative pose has the errors of two views, and each of them three axes.
     ratio = max(np.array([shift, turn]) / (np.sqrt(6.0) * medians))
@@ -196,24 +193,32 @@ def _equations(
     return _Equations(triangular[:, -1], triangular[:, :-1])
 
 
-def _solved(
-    equations: _Equations, factor: Float[np.ndarray, "errors numbers"]
-) -> tuple[float, Float[np.ndarray, "errors"]]:
-    """Return the restricted log-likelihood of a covariance of the errors, and the likeliest errors.
+def _covariances(
+    equations: _Equations, uncertainty: CalibrationUncertainty, sizes: Float[np.ndarray, "sizes 2"]
+) -> Float[np.ndarray, "sizes n n"]:
+    """Return the covariance of the residuals for standard deviations of the camera poses.
 
     Args:
         equations: from all objects.
-        factor: F, where the covariance is F F^T.
+        uncertainty: of the calibration.
+        sizes: standard deviations along and about the axes of each camera, m and rad.
     """
-    # With G the derivatives times F, A = 1 + G^T G and b = G^T y:
-    #   log L = (b^T A^-1 b - log|A|) / 2
-    # but for a constant, and the likeliest errors are F A^-1 b.
-    G = equations.by_errors @ factor
-    of_A = cho_factor(np.eye(G.shape[1]) + G.T @ G)
-    right = G.T @ equations.residuals
-    solution = cho_solve(of_A, right)
-    log_determinant = 2.0 * np.log(np.diagonal(of_A[0])).sum()
-    return float(0.5 * (right @ solution - log_determinant)), factor @ solution
+    n, numbers = len(equations.residuals), len(uncertainty.names)
+    B, by_views = np.split(equations.by_errors, [numbers], axis=1)
+    stated = np.eye(n) + B @ uncertainty.covariance @ B.T
+    shifts, turns = by_views.reshape(n, -1, 2, 3).transpose(2, 0, 1, 3).reshape(2, n, -1)
+    parts = np.stack([shifts @ shifts.T, turns @ turns.T])
+    return stated + np.tensordot(sizes**2, parts, axes=1)
+
+
+def _log_likelihoods(
+    residuals: Float[np.ndarray, "n"], covariances: Float[np.ndarray, "sizes n n"]
+) -> Float[np.ndarray, "sizes"]:
+    """Return the restricted log-likelihoods of covariances of residuals, but for a constant."""
+    factors = np.linalg.cholesky(covariances)
+    whitened = np.linalg.solve(factors, residuals[:, None])[..., 0]
+    log_determinants = 2.0 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+    return -0.5 * ((whitened**2).sum(axis=1) + log_determinants)
 
 
 def _usual_medians(

@@ -37,12 +37,13 @@ class ConvexPart(NamedTuple):
     Attributes:
         normals, offsets: outward unit normals, and distances of the planes from the origin, m.
         corners: m.
-        radius: of the largest ball inside, m.
+        middle, radius: of the largest ball inside, m.
     """
 
     normals: Float[np.ndarray, "planes 3"]
     offsets: Float[np.ndarray, "planes"]
     corners: Float[np.ndarray, "corners 3"]
+    middle: Float[np.ndarray, "3"]
     radius: float
 
     def at(self, pose: Float[np.ndarray, "4 4"]) -> "ConvexPart":
@@ -52,12 +53,17 @@ class ConvexPart(NamedTuple):
             normals=normals,
             offsets=self.offsets + normals @ t,
             corners=host_transformed(pose, self.corners),
+            middle=host_transformed(pose, self.middle),
         )
 
     def depth_of(self, other: "ConvexPart") -> float:
         """Return how deep another part reaches into this one, along the face where it is least."""
         outside = other.corners @ self.normals.T - self.offsets
         return float(-outside.min(axis=0).max())
+
+    def room_at(self, point: Float[np.ndarray, "3"]) -> float:
+        """Return the radius of the largest ball about a point inside, m; negative outside."""
+        return float((self.offsets - self.normals @ point).min())
 
 
 @functools.lru_cache(maxsize=256)
@@ -88,25 +94,30 @@ def convex_parts(model: ObjectModel) -> tuple[ConvexPart, ...]:
     return tuple(_part(cell) for cell in cells)
 
 
-def overlap_depth(
+def overlap_deeper(
     model: ObjectModel,
     pose: Float[np.ndarray, "4 4"],
     other: ObjectModel,
     other_pose: Float[np.ndarray, "4 4"],
-) -> float:
-    """Return the diameter of the largest ball that is in both solids, m; zero if they are apart."""
+    depth: float,
+) -> bool:
+    """Return whether a ball of a diameter, m, fits into both solids at once."""
     parts, other_parts = (
         [part.at(p) for part in convex_parts(m)] for m, p in ((model, pose), (other, other_pose))
     )
-    deepest = 0.0
     for a in parts:
         for b in other_parts:
             # No ball inside both is larger than the parts, or than one reaches into the other.
-            largest = min(2.0 * a.radius, 2.0 * b.radius, a.depth_of(b), b.depth_of(a))
-            if largest > deepest:
-                planes = [np.column_stack([part.normals, -part.offsets]) for part in (a, b)]
-                deepest = max(deepest, 2.0 * _ball(np.concatenate(planes))[1])
-    return deepest
+            if min(2.0 * a.radius, 2.0 * b.radius, a.depth_of(b), b.depth_of(a)) <= depth:
+                continue
+            # Where they nearly coincide, a ball between their middles is large enough.
+            between = 0.5 * (a.middle + b.middle)
+            if 2.0 * min(a.room_at(between), b.room_at(between)) > depth:
+                return True
+            planes = [np.column_stack([part.normals, -part.offsets]) for part in (a, b)]
+            if 2.0 * _ball(np.concatenate(planes))[1] > depth:
+                return True
+    return False
 
 
 def thickness(model: ObjectModel) -> float:
@@ -129,7 +140,7 @@ def _part(planes: Float[np.ndarray, "planes 4"]) -> ConvexPart:
     """Return the part within planes."""
     middle, radius = _ball(planes)
     corners = HalfspaceIntersection(planes, middle).intersections
-    return ConvexPart(planes[:, :3], -planes[:, 3], corners, radius)
+    return ConvexPart(planes[:, :3], -planes[:, 3], corners, middle, radius)
 
 
 def _cells(

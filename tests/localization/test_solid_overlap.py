@@ -7,7 +7,7 @@ import pytest
 from solids import box, prism
 
 from smartview_jax.localization.distinct_poses import in_one_place
-from smartview_jax.localization.solid_overlap import convex_parts, overlap_depth, thickness
+from smartview_jax.localization.solid_overlap import convex_parts, overlap_deeper, thickness
 from smartview_jax.modeling import Face, ObjectModel, edges_of_faces
 
 HERE = np.eye(4)
@@ -17,6 +17,13 @@ def at(x=0.0, y=0.0, z=0.0):
     pose = np.eye(4)
     pose[:3, 3] = x, y, z
     return pose
+
+
+def is_as_deep(depth, model, pose, other, other_pose):
+    shallower, deeper = (
+        overlap_deeper(model, pose, other, other_pose, k * depth) for k in (0.999, 1.001)
+    )
+    return shallower and not deeper
 
 
 def channel(width=0.03, height=0.02, wall=0.003, length=0.06):
@@ -34,18 +41,26 @@ BAR, CHANNEL = box(0.15, 0.01, 0.014), channel()
 
 
 def test_bars_overlap_by_what_they_share():
-    assert overlap_depth(BAR, HERE, BAR, at(y=0.025)) == 0.0
-    assert overlap_depth(BAR, HERE, BAR, at(y=0.007)) == pytest.approx(0.003)
+    assert not overlap_deeper(BAR, HERE, BAR, at(y=0.025), 0.0)
+    assert is_as_deep(0.003, BAR, HERE, BAR, at(y=0.007))
     # Pushed along: half of the bar is common, as thick as the bar.
-    assert overlap_depth(BAR, HERE, BAR, at(x=0.075)) == pytest.approx(0.01)
+    assert is_as_deep(0.01, BAR, HERE, BAR, at(x=0.075))
+
+
+def test_an_upright_edge_in_a_face_leaves_room_for_a_ball_in_its_wedge():
+    """A ball that touches the face and both sides of a right angle, 10 mm deep."""
+    cube, half = box(0.1, 0.1, 0.1), np.sqrt(0.5)
+    turned = at(0.09 + 0.1 * half, 0.05 - 0.1 * half)
+    turned[:2, :2] = [[half, -half], [half, half]]
+    assert is_as_deep(0.02 / (1.0 + np.sqrt(2.0)), cube, HERE, cube, turned)
 
 
 def test_a_bar_in_a_channel_does_not_overlap_with_it():
     assert thickness(CHANNEL) == pytest.approx(0.003)
     assert len(convex_parts(CHANNEL)) == 3
     within = box(0.01, 0.01, 0.04)
-    assert overlap_depth(CHANNEL, HERE, within, at(0.01, 0.004, 0.01)) == 0.0
-    assert overlap_depth(CHANNEL, HERE, within, at(0.01, 0.002, 0.01)) == pytest.approx(0.001)
+    assert not overlap_deeper(CHANNEL, HERE, within, at(0.01, 0.004, 0.01), 0.0)
+    assert is_as_deep(0.001, CHANNEL, HERE, within, at(0.01, 0.002, 0.01))
     assert not in_one_place(CHANNEL, HERE, within, at(0.01, 0.004, 0.01))
     assert in_one_place(CHANNEL, HERE, within, at(0.01, 0.0, 0.01))
 
@@ -61,8 +76,8 @@ def test_a_frame_with_a_hole_is_cut_about_the_hole():
     volumes = sum(8.0 * part.radius**3 for part in convex_parts(frame))
     assert volumes > 0.0
     peg = box(0.03, 0.03, 0.01)
-    assert overlap_depth(frame, HERE, peg, at(-0.015, -0.015)) == 0.0
-    assert overlap_depth(frame, HERE, peg, at(-0.005, -0.015)) == pytest.approx(0.005)
+    assert not overlap_deeper(frame, HERE, peg, at(-0.015, -0.015), 0.0)
+    assert is_as_deep(0.005, frame, HERE, peg, at(-0.005, -0.015))
 
 
 def test_a_measured_solid_has_the_parts_of_the_exact_one():
