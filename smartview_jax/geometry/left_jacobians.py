@@ -7,6 +7,7 @@ instructions.
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,83 +20,79 @@ _TERMS = 8
 """Number of terms of a series; the next one of all functions is below 1e-17."""
 
 
-def _functions_of_angle(
-    vectors: Float[Array, "*batch 3"], factors: Float[np.ndarray, "16 functions"]
-) -> Float[Array, "*batch functions"]:
-    """Return smooth, even functions of the lengths of rotation vectors, rad.
+class _AngleFunctions(NamedTuple):
+    """Some smooth, even functions of an angle t that are quotients with powers of t.
 
-    Each is a Taylor series near zero, where its quotients would lose their digits, and a sum of
-    quotients elsewhere.
-
-    Args:
-        vectors: the rotation vectors.
-        factors: factors of the first powers of the squared angle, and of the quotients `1 / t^2`,
-            `1 / t^4`, `cos t / t^2`, `cos t / t^4`, `sin t / t`, `sin t / t^3`, `sin t / t^5` and
-            `cos t`, with the angle t; one column for each function.
+    Attributes:
+        series: Taylor coefficients, one row for each power of the squared angle.
+        numerators: coefficients of the numerators, one row each for 1, t, sin t, t sin t, cos t and
+            t cos t.
+        powers: exponent of t in each denominator.
     """
-    square = jnp.sum(vectors**2, axis=-1, keepdims=True)
-    is_small = square < _SERIES_SQUARED_ANGLE
-    one = jnp.where(is_small, 1.0, 0.0)
-    small = jnp.where(is_small, square, 0.0)
-    first = jnp.concatenate([one, small, small**2, small**3], axis=-1)
-    # The inner `where` keeps the derivative of the branch that is not taken finite.
-    t = jnp.sqrt(jnp.where(is_small, 1.0, square))
-    inverse = jnp.where(is_small, 0.0, 1.0 / t)
-    even = jnp.concatenate([inverse**2, inverse**4], axis=-1)
-    sine, cosine = jnp.sin(t) * inverse, jnp.cos(t)
-    # Not by `@`, which XLA would split by the terms into many products.
-    terms = [first, first * small**4, even, even * cosine, sine, even * sine, (1.0 - one) * cosine]
-    columns = factors.reshape((1,) * (vectors.ndim - 1) + factors.shape)
-    return jnp.sum(jnp.concatenate(terms, axis=-1)[..., None] * columns, axis=-2)
+
+    series: Float[np.ndarray, "terms functions"]
+    numerators: Float[np.ndarray, "6 functions"]
+    powers: Float[np.ndarray, "functions"]
+
+    def at(self, vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch functions"]:
+        """Return the functions at the lengths of rotation vectors, rad."""
+        axes = (1,) * (vectors.ndim - 1)
+        series, numerators, powers = (x.reshape(x.shape[:-1] + axes + x.shape[-1:]) for x in self)
+        square = jnp.sum(vectors**2, axis=-1, keepdims=True)
+        is_small = square < _SERIES_SQUARED_ANGLE
+        # Near zero, where the quotients lose their digits, the series are used.
+        near_zero = series[-1]
+        for coefficients in series[-2::-1]:
+            near_zero = coefficients + square * near_zero
+        # The inner `where` keeps the derivative of the branch that is not taken finite.
+        t = jnp.sqrt(jnp.where(is_small, 1.0, square))
+        plain, by_sine, by_cosine = (
+            even + t * odd for even, odd in zip(numerators[::2], numerators[1::2], strict=True)
+        )
+        quotients = (plain + by_sine * jnp.sin(t) + by_cosine * jnp.cos(t)) / t**powers
+        return jnp.where(is_small, near_zero, quotients)
 
 
-def _function(term: Callable[[int], float], *quotients: float) -> list[float]:
-    """Return the factors of a function, by its Taylor coefficients and its quotients."""
-    return [*map(term, range(_TERMS)), *quotients]
-
-
-def _factorial_series(n: int, weight: Callable[[int], float]) -> Callable[[int], float]:
+def _series(n: int, weight: Callable[[int], float] = lambda _: 1.0) -> list[float]:
     """Return the Taylor coefficients `(-1)^k weight(k) / (2 k + n)!`."""
-    return lambda k: (-1.0) ** k * weight(k) / math.factorial(2 * k + n)
+    return [(-1.0) ** k * weight(k) / math.factorial(2 * k + n) for k in range(_TERMS)]
 
 
-def _plain(_: int) -> float:
-    """Return one, the weight of the series of sine and cosine."""
-    return 1.0
-
-
-_OF_EXPONENTIALS = np.array(
-    [
-        # (1 - cos t) / t^2 and (t - sin t) / t^3
-        _function(_factorial_series(2, _plain), 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        _function(_factorial_series(3, _plain), 1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0),
-    ]
-).T
+_OF_EXPONENTIALS = _AngleFunctions(
+    # (1 - cos t) / t^2 and (t - sin t) / t^3
+    np.array([_series(2), _series(3)]).T,
+    np.array([(1.0, 0.0, 0.0, 0.0, -1.0, 0.0), (0.0, 1.0, -1.0, 0.0, 0.0, 0.0)]).T,
+    np.array([2.0, 3.0]),
+)
 """The factors of the second and third power of a tangent's matrix in its exponential."""
 
-_OF_HALF_ANGLES = np.array(
-    [
-        # cos t and sin(t) / t
-        _function(_factorial_series(0, _plain), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-        _function(_factorial_series(1, _plain), 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
-    ]
-).T
+_OF_HALF_ANGLES = _AngleFunctions(
+    # cos t and sin(t) / t
+    np.array([_series(0), _series(1)]).T,
+    np.array([(0.0, 0.0, 0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)]).T,
+    np.array([0.0, 1.0]),
+)
 """Real part and factor of the vector part of a rotation's quaternion."""
 
-_OF_LEFT_JACOBIANS = np.array(
-    [
-        # (4 - t sin t - 4 cos t) / (2 t^2),   (4 t - 5 sin t + t cos t) / (2 t^3),
-        # (2 - t sin t - 2 cos t) / (2 t^4),   (2 t - 3 sin t + t cos t) / (2 t^5)
-        _function(
-            _factorial_series(2, lambda k: 1.0 - k), 2.0, 0.0, -2.0, 0.0, -0.5, 0.0, 0.0, 0.0
-        ),
-        _function(_factorial_series(3, lambda k: 1.0 - k), 2.0, 0.0, 0.5, 0.0, 0.0, -2.5, 0.0, 0.0),
-        _function(
-            _factorial_series(4, lambda k: 1.0 + k), 0.0, 1.0, 0.0, -1.0, 0.0, -0.5, 0.0, 0.0
-        ),
-        _function(_factorial_series(5, lambda k: 1.0 + k), 0.0, 1.0, 0.0, 0.5, 0.0, 0.0, -1.5, 0.0),
-    ]
-).T
+_OF_LEFT_JACOBIANS = _AngleFunctions(
+    # (4 - t sin t - 4 cos t) / (2 t^2),   (4 t - 5 sin t + t cos t) / (2 t^3),
+    # (2 - t sin t - 2 cos t) / (2 t^4),   (2 t - 3 sin t + t cos t) / (2 t^5)
+    np.array(
+        [
+            *(_series(n, lambda k: 1.0 - k) for n in (2, 3)),
+            *(_series(n, lambda k: 1.0 + k) for n in (4, 5)),
+        ]
+    ).T,
+    np.array(
+        [
+            (2.0, 0.0, 0.0, -0.5, -2.0, 0.0),
+            (0.0, 2.0, -2.5, 0.0, 0.0, 0.5),
+            (1.0, 0.0, 0.0, -0.5, -1.0, 0.0),
+            (0.0, 1.0, -1.5, 0.0, 0.0, 0.5),
+        ]
+    ).T,
+    np.array([2.0, 3.0, 4.0, 5.0]),
+)
 """The factors of `ad` to `ad^4` in `se3_left_jacobian`."""
 
 _COMMUTATORS = np.zeros((6, 6, 6))
@@ -115,13 +112,13 @@ def exponential_factors(
     vectors: Float[Array, "*batch 3"],
 ) -> tuple[Float[Array, "*batch 1 1"], ...]:
     """Return `(1 - cos t) / t^2` and `(t - sin t) / t^3` of the lengths t of rotation vectors."""
-    return _as_factors(_functions_of_angle(vectors, _OF_EXPONENTIALS))
+    return _as_factors(_OF_EXPONENTIALS.at(vectors))
 
 
 def quaternion_exponentials(vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
     """Return the unit quaternions, real part first, of rotation vectors (rad)."""
     half = 0.5 * vectors
-    functions = _functions_of_angle(half, _OF_HALF_ANGLES)
+    functions = _OF_HALF_ANGLES.at(half)
     return jnp.concatenate([functions[..., :1], functions[..., 1:] * half], axis=-1)
 
 
@@ -137,7 +134,7 @@ def se3_left_jacobian(tangent: Float[Array, "*batch 6"]) -> Float[Array, "*batch
     # ad^5 = -2 t^2 ad^3 - t^4 ad, so the series ends at the fourth power:
     #     J = I + a1 ad + a2 ad^2 + a3 ad^3 + a4 ad^4
     ad = jnp.einsum("...k,kij->...ij", tangent, _COMMUTATORS)
-    a1, a2, a3, a4 = _as_factors(_functions_of_angle(tangent[..., 3:], _OF_LEFT_JACOBIANS))
-    identity = np.eye(6).reshape((1,) * (tangent.ndim - 1) + (6, 6))
+    a1, a2, a3, a4 = _as_factors(_OF_LEFT_JACOBIANS.at(tangent[..., 3:]))
+    identity = jnp.asarray(np.eye(6).reshape((1,) * (tangent.ndim - 1) + (6, 6)))
     # Horner's scheme, with three products of matrices.
     return identity + ad @ (a1 * identity + ad @ (a2 * identity + ad @ (a3 * identity + a4 * ad)))

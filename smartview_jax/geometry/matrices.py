@@ -87,9 +87,9 @@ def quaternion_product(
     return jnp.einsum("...i,ijk,...j->...k", first, _QUATERNION_PRODUCT, second)
 
 
-def _like(matrix: np.ndarray, axes: int) -> np.ndarray:
+def _like(matrix: Float[np.ndarray, "rows columns"], axes: int) -> Float[Array, "..."]:
     """Return a matrix with so many more axes in front."""
-    return matrix.reshape((1,) * axes + matrix.shape)
+    return jnp.asarray(matrix.reshape((1,) * axes + matrix.shape))
 
 
 def _rotation_forms() -> Float[np.ndarray, "9 16"]:
