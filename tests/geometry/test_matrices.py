@@ -19,8 +19,11 @@ from smartview_jax.geometry import (
 
 RNG = np.random.default_rng(0)
 
-# Small rotations, half a turn about each axis, and some between.
-VECTORS = np.concatenate([1e-7 * np.eye(3), np.pi * np.eye(3), RNG.normal(size=(6, 3))])
+# Small rotations, half a turn about each axis and one between, and some smaller ones.
+HALF_TURNS = np.pi * np.array(
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.6, -0.48, 0.64]]
+)
+VECTORS = np.concatenate([1e-7 * np.eye(3), HALF_TURNS, RNG.normal(size=(6, 3))])
 ROTATIONS = Rotation.from_rotvec(VECTORS)
 TRANSLATIONS = RNG.normal(size=(len(VECTORS), 3))
 
