@@ -1,6 +1,7 @@
 from .calibration import Calibration as Calibration
 from .chain import BASES as BASES
 from .chain import ONE_ARM_MOUNTS as ONE_ARM_MOUNTS
+from .chain import chain_of_matrices as chain_of_matrices
 from .chain import chain_transform_names as chain_transform_names
 from .chain import host_mount_from_holder as host_mount_from_holder
 from .chain import mount_frames as mount_frames

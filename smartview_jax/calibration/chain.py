@@ -9,7 +9,7 @@ from jaxlie import SE3
 from jaxtyping import Array, Float
 
 from ..argument_checks import require_one_of
-from ..geometry import host_matrices, host_transforms
+from ..geometry import host_matrices, host_transforms, inverse_matrices, pose_matrices
 from ..robot_errors import RobotError
 from ..robots import Command
 from ..runtime.compilation import compiled
@@ -109,6 +109,17 @@ def chain_matrices(
     reported: Command,
 ) -> Float[Array, "views 4 4"]:
     """Return the extrinsics as matrices; one program for all cameras."""
-    return chain_of_transforms(
-        camera_from_mount, holder_from_world, mount, error, reported
-    ).as_matrix()
+    pose = reported.base_from_tool if error is None else error.actual_pose(reported)
+    return chain_of_matrices(camera_from_mount, holder_from_world, mount, pose_matrices(pose))
+
+
+def chain_of_matrices(
+    camera_from_mount: SE3,
+    holder_from_world: SE3,
+    mount: str,
+    base_from_tool: Float[Array, "*views 4 4"],
+) -> Float[Array, "*views 4 4"]:
+    """Return the extrinsics of `chain_of_transforms` at actual poses, all of them as matrices."""
+    tool_moves_camera = mount_frames(mount)[0] == "tool"
+    mount_from_holder = inverse_matrices(base_from_tool) if tool_moves_camera else base_from_tool
+    return pose_matrices(camera_from_mount) @ mount_from_holder @ pose_matrices(holder_from_world)

@@ -153,8 +153,9 @@ class AbstractProblem(HostModule):
 
     def unscaled_step(self, z: Step) -> Step:
         """Convert a scaled step of the free parameters to all parameters in their own units."""
-        shared = jnp.zeros(self.parameter_count)
-        shared = shared.at[self.free].set(z.shared * self.scale.shared, mode="drop")
+        # A sum over a mask, not a scatter, which XLA makes a loop of. Padding selects nothing.
+        chosen = self.free[:, None] == np.arange(self.parameter_count)[None]
+        shared = jnp.sum(jnp.where(chosen, (z.shared * self.scale.shared)[:, None], 0.0), axis=0)
         per_view = jnp.where(self.per_view_free, z.per_view * self.scale.per_view, 0.0)
         return Step(shared, per_view)
 

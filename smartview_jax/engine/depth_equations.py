@@ -10,7 +10,6 @@ do not show, but depths do.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration, TargetShape
@@ -79,7 +78,7 @@ class DepthEquations(eqx.Module):
 
 def depth_residuals(
     calibration: Calibration,
-    camera_from_world: SE3,
+    camera_from_world: Float[Array, "*views 4 4"],
     observations: Observations,
     pixel_sigma: Float[Array, ""],
 ) -> Float[Array, "views points"]:
@@ -87,7 +86,7 @@ def depth_residuals(
 
     Args:
         calibration: with target scale and bias of the depths.
-        camera_from_world: pose of the world in each view's camera.
+        camera_from_world: pose of the world in each view's camera, as a matrix.
         observations: points and depths.
         pixel_sigma: standard deviation of u and of v, px.
     """
@@ -96,7 +95,7 @@ def depth_residuals(
 
 def linearise_depths(
     calibration: Calibration,
-    camera_from_world: SE3,
+    camera_from_world: Float[Array, "*views 4 4"],
     observations: Observations,
     pixel_sigma: Float[Array, ""],
     shape: TargetShape | None,
@@ -108,7 +107,7 @@ def linearise_depths(
         shape: shape of the target, if its coefficients are parameters.
     """
 
-    def one_view(view: tuple[SE3, Observations]) -> tuple[Array, Array, Array]:
+    def one_view(view: tuple[Array, Observations]) -> tuple[Array, Array, Array]:
         """Return the equations of one view."""
         pose, seen = view
         residuals, columns = _linearised(calibration, pose, seen, pixel_sigma, shape)
@@ -120,7 +119,7 @@ def linearise_depths(
 
 def _linearised(
     calibration: Calibration,
-    camera_from_world: SE3,
+    camera_from_world: Float[Array, "*views 4 4"],
     observations: Observations,
     pixel_sigma: Float[Array, ""],
     shape: TargetShape | None,
@@ -130,8 +129,8 @@ def _linearised(
     assert depths is not None
     assert bias is not None
     points, scale = observations.points, calibration.target_scale
-    rotation = scale * camera_from_world.rotation().as_matrix()
-    x, y, z = transformed_coordinates(rotation, camera_from_world.translation(), points)
+    rotation = scale * camera_from_world[..., :3, :3]
+    x, y, z = transformed_coordinates(rotation, camera_from_world[..., :3, 3], points)
     predicted = bias.measured(z)
     # Depths count by `precision` where pixels are as noisy as it was meant for.
     weight = depths.pixel_sigma[..., None] / pixel_sigma * depths.precision

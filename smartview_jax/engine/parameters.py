@@ -22,12 +22,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxlie import SE3, SO3
+from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import BASES, Calibration, DepthBias
 from ..cameras import Camera, moved_cameras
-from ..geometry import host_exponentials, host_matrices, host_transforms
+from ..geometry import (
+    host_exponentials,
+    host_matrices,
+    host_transforms,
+    quaternion_exponentials,
+    quaternion_product,
+)
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import array_namespace, as_float_array
 from ..runtime.modules import HostModule
@@ -295,8 +301,8 @@ def host_retract_transform(start: SE3, step: Float[np.ndarray, "6"]) -> SE3:
 
 def retract_transform(start: SE3, step: Float[Array, "6"]) -> SE3:
     """Apply a step, translation first, to a transform; both parts are changed independently."""
-    rotation = SO3.exp(step[3:]) @ start.rotation()
-    return SE3.from_rotation_and_translation(rotation, start.translation() + step[:3])
+    turned = quaternion_product(quaternion_exponentials(step[3:]), start.wxyz_xyz[:4])
+    return SE3(jnp.concatenate([turned, start.wxyz_xyz[4:] + step[:3]]))
 
 
 def twist_by_step(

@@ -42,9 +42,11 @@ class PreparedPoses(HostModule):
         """Precompute the quantities of a field at some poses."""
         return cls(evaluated.base_from_tool.inverse(), field.prepare(evaluated))
 
-    def error(self, field: AbstractField, coefficients: Float[Array, "coefficients"]) -> SE3:
+    def error(
+        self, field: AbstractField, coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "views 4 4"]:
         """Return the error at the tool: a pose without noise times it is the actual pose."""
-        return self.evaluated_from_base @ field.prepared_pose(self.prepared, coefficients)
+        return field.prepared_error(self.prepared, coefficients, self.evaluated_from_base)
 
     def jacobian(
         self, field: AbstractField, coefficients: Float[Array, "coefficients"]

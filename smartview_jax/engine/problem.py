@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
-from jaxlie import SE3
 from jaxtyping import Array, Bool, Float, Int
 
-from ..calibration import Calibration, TargetShape
+from ..calibration import Calibration, TargetShape, chain_of_matrices
 from ..dataset import AnyObservations, Observations, PoseObservations
+from ..geometry import host_logarithms, moved_points, pose_matrices, transforms_of
 from ..robot_errors import RobotError
 from ..runtime.array_namespace import AnyArray
 from ..runtime.modules import HostModule, with_fields
@@ -45,15 +45,20 @@ class FittedChain(HostModule):
         calibration: the calibration.
         pose_corrections: twist at the tool of every view's own correction; empty without
             corrections.
-        field_corrections: twist at the tool from the reported pose to the pose corrected by the
-            robot error field; zero without a field.
+        field_errors: motion of the tool, as a 4x4 matrix, from the reported pose to the pose
+            corrected by the robot error field; the identity without a field.
         camera_from_world: pose of the world in each view's camera, with all corrections.
     """
 
     calibration: Calibration
     pose_corrections: Float[AnyArray, "corrected 6"]
-    field_corrections: Float[AnyArray, "views 6"]
-    camera_from_world: Float[AnyArray, "views 4 4"]
+    field_errors: Float[AnyArray, "*views 4 4"]
+    camera_from_world: Float[AnyArray, "*views 4 4"]
+
+    @property
+    def field_corrections(self) -> Float[np.ndarray, "*views 6"]:
+        """The twists of `field_errors`, translation (m) first, computed with NumPy."""
+        return host_logarithms(np.asarray(self.field_errors))
 
 
 class JointProblem(AbstractProblem):
@@ -180,13 +185,23 @@ class JointProblem(AbstractProblem):
     def chain(self, z: Step) -> FittedChain:
         """Return the chain of every view at a scaled step."""
         calibration, pose_corrections = self.calibration(z)
-        _, poses = self._corrected_poses(z)
+        field_errors = self._field_errors(calibration)
+        if field_errors is None:
+            views = len(self.observations.visible)
+            field_errors = jnp.broadcast_to(jnp.asarray(np.eye(4)), (views, 4, 4))
+        return FittedChain(
+            calibration,
+            pose_corrections,
+            field_errors,
+            self._camera_poses(calibration, pose_corrections),
+        )
+
+    def _field_errors(self, calibration: Calibration) -> Float[Array, "views 4 4"] | None:
+        """Return the robot's errors at the tool by its field; None without a field."""
         error = calibration.robot_error
-        field_corrections = jnp.zeros((len(self.observations.visible), 6))
-        if error is not None and self.prepared_poses is not None:
-            field_corrections = self.prepared_poses.error(error.field, error.coefficients).log()
-        camera_from_world = calibration.camera_from_world(poses, corrected=False).as_matrix()
-        return FittedChain(calibration, pose_corrections, field_corrections, camera_from_world)
+        if error is None or self.prepared_poses is None:
+            return None
+        return self.prepared_poses.error(error.field, error.coefficients)
 
     def whitened_residuals(self, z: Step) -> Float[Array, "views points 2"]:
         """Compute the whitened residuals before any loss.
@@ -194,33 +209,40 @@ class JointProblem(AbstractProblem):
         They are measured minus predicted pixels over the pixel sigma, zero where a point is not
         visible.
         """
-        calibration, poses = self._corrected_poses(z)
+        calibration, corrections = self.calibration(z)
+        poses = self._camera_poses(calibration, corrections)
         return self._whitened_residuals_at(calibration, poses, self.observations)
 
-    def _corrected_poses(self, z: Step) -> tuple[Calibration, SE3]:
-        """Return the calibration and the corrected robot poses at a scaled step."""
-        calibration, corrections = self.calibration(z)
-        poses = calibration.with_bases(self.observations.command).base_from_tool
-        error = calibration.robot_error
+    def _camera_poses(
+        self, calibration: Calibration, corrections: Float[Array, "corrected 6"]
+    ) -> Float[Array, "views 4 4"]:
+        """Return `camera_from_world` of every view, with all corrections of the robot's poses."""
+        command = self.observations.command
+        poses = pose_matrices(calibration.with_bases(command).base_from_tool)
         if len(corrections):
-            poses = poses @ corrections_at_tool(self.observations.command, -corrections)
-        if error is not None and self.prepared_poses is not None:
-            poses = poses @ self.prepared_poses.error(error.field, error.coefficients)
-        return calibration, poses
+            poses = poses @ corrections_at_tool(command, -corrections)
+        field_errors = self._field_errors(calibration)
+        if field_errors is not None:
+            poses = poses @ field_errors
+        return chain_of_matrices(
+            calibration.camera_from_mount, calibration.holder_from_world, calibration.mount, poses
+        )
 
     def _whitened_residuals_at(
-        self, calibration: Calibration, poses: SE3, observations: AnyObservations
+        self,
+        calibration: Calibration,
+        camera_from_world: Float[Array, "*views 4 4"],
+        observations: AnyObservations,
     ) -> Float[Array, "*views points 2"]:
-        """Compute whitened residuals for given robot poses.
+        """Compute whitened residuals for given poses of the camera.
 
         They are `INVALID_PROJECTION_RESIDUAL` where a visible point cannot be projected.
         """
         if isinstance(observations, PoseObservations):
-            camera_from_world = calibration.camera_from_world(poses, corrected=False)
-            return observations.residuals(camera_from_world, calibration.target_scale) / (
-                self.pixel_sigma
-            )
-        predicted, valid = calibration.project(poses, observations.points, corrected=False)
+            predicted = transforms_of(camera_from_world)
+            return observations.residuals(predicted, calibration.target_scale) / self.pixel_sigma
+        points = moved_points(camera_from_world, calibration.true_points(observations.points))
+        predicted, valid = calibration.camera.project(points)
         residual = observations.residuals(predicted, valid) / self.pixel_sigma
         unprojectable = observations.visible & ~valid
         return jnp.where(unprojectable[..., None], INVALID_PROJECTION_RESIDUAL, residual)
@@ -231,9 +253,10 @@ class JointProblem(AbstractProblem):
         The views are processed one after the other, so that little more memory is needed than for
         the result.
         """
-        calibration, poses = self._corrected_poses(z)
+        calibration, corrections = self.calibration(z)
+        poses = self._camera_poses(calibration, corrections)
 
-        def view(pose_and_observations: tuple[SE3, Observations]) -> Float[Array, "points"]:
+        def view(pose_and_observations: tuple[Array, Observations]) -> Float[Array, "points"]:
             """Compute the squared residuals of one view."""
             pose, observations = pose_and_observations
             return jnp.sum(
@@ -248,8 +271,8 @@ class JointProblem(AbstractProblem):
         residuals = residuals if self.loss is None else self.loss.robustify(residuals)
         if not self.has_depths:
             return residuals
-        calibration, poses = self._corrected_poses(z)
-        camera_from_world = calibration.camera_from_world(poses, corrected=False)
+        calibration, corrections = self.calibration(z)
+        camera_from_world = self._camera_poses(calibration, corrections)
         return residuals, depth_residuals(
             calibration, camera_from_world, self.seen_points, self.pixel_sigma
         )

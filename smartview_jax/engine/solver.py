@@ -214,7 +214,7 @@ def chain_without_padding(chain: Any, original: AbstractProblem) -> Any:
     return with_fields(
         chain,
         pose_corrections=host_without_padding(chain.pose_corrections, len(original.per_view_free)),
-        field_corrections=host_without_padding(chain.field_corrections, views),
+        field_errors=host_without_padding(chain.field_errors, views),
         camera_from_world=host_without_padding(chain.camera_from_world, views),
     )
 

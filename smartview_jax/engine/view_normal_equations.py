@@ -17,7 +17,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import TargetShape
@@ -62,7 +61,7 @@ class ViewNormalEquations(eqx.Module):
 
 def linearise_views(
     camera: Camera,
-    camera_from_world: SE3,
+    camera_from_world: Float[Array, "views 4 4"],
     observations: Observations,
     target_scale: Float[Array, ""],
     pixel_sigma: Float[Array, ""],
@@ -73,7 +72,7 @@ def linearise_views(
 
     Args:
         camera: camera with any central lens (pixels depend only on a point's direction).
-        camera_from_world: pose of the world in each view's camera, batch shape `(views)`.
+        camera_from_world: pose of the world in each view's camera, as a matrix.
         observations: observations of shape `(views, points)`; points that are not visible do not
             count.
         target_scale: factor by which the points are multiplied.
@@ -120,8 +119,8 @@ def linearise_views(
         padded = jnp.pad(x, ((0, -total_chunks % group), *((0, 0),) * (x.ndim - 1)))
         return padded.reshape(-1, group, *x.shape[1:])
 
-    rotations = jnp.repeat(camera_from_world.rotation().as_matrix(), chunks, axis=0)
-    translations = jnp.repeat(camera_from_world.translation(), chunks, axis=0)
+    rotations = jnp.repeat(camera_from_world[:, :3, :3], chunks, axis=0)
+    translations = jnp.repeat(camera_from_world[:, :3, 3], chunks, axis=0)
     groups = tuple(group_chunks(x) for x in (rotations, translations, points, pixels, visible))
     # Back from groups to chunks, without the padding; the matrix of a view is the sum over its
     # chunks.

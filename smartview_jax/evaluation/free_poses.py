@@ -10,14 +10,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..calibration import Calibration
 from ..cameras import Camera
 from ..dataset import Dataset, Observations
 from ..engine import linearise_views
-from ..geometry import transform_points
+from ..geometry import matrix_exponentials, moved_points, pose_matrices
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled
 from ..runtime.modules import with_fields
@@ -83,8 +82,8 @@ class _Fit(NamedTuple):
         finished: whether each view's next step brings nothing more.
     """
 
-    poses: SE3
-    trial: SE3
+    poses: Float[Array, "views 4 4"]
+    trial: Float[Array, "views 4 4"]
     matrix: Float[Array, "views 6 6"]
     gradient: Float[Array, "views 6"]
     cost: Float[Array, "views"]
@@ -100,7 +99,7 @@ def _fitted_predictions(
     Float[Array, "views points 2"], Bool[Array, "views points"], Float[Array, "views points"]
 ]:
     """Return pixels, validity and depths of all points at the poses with the smallest errors."""
-    start, views = observations.base_from_tool, len(observations.visible)
+    start, views = pose_matrices(observations.base_from_tool), len(observations.visible)
 
     def unfinished(fit: _Fit) -> Bool[Array, ""]:
         return (fit.steps < MAX_STEPS) & ~fit.finished.all()
@@ -115,7 +114,7 @@ def _fitted_predictions(
         def chosen(new: Array, old: Array) -> Array:
             return jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
 
-        poses = SE3(chosen(fit.trial.wxyz_xyz, fit.poses.wxyz_xyz))
+        poses = chosen(fit.trial, fit.poses)
         matrix = chosen(told.matrix[:, -6:, -6:], fit.matrix)
         gradient = chosen(told.gradient[:, -6:], fit.gradient)
         cost = chosen(told.cost, fit.cost)
@@ -127,7 +126,7 @@ def _fitted_predictions(
         twist = -jnp.linalg.solve(damped, gradient[..., None])[..., 0]
         decrease = -0.5 * jnp.sum(gradient * twist, axis=1)
         finished = decrease <= TOLERANCE * cost
-        trial = SE3.exp(twist) @ poses
+        trial = matrix_exponentials(twist) @ poses
         return _Fit(poses, trial, matrix, gradient, cost, damping, fit.steps + 1, finished)
 
     first = _Fit(
@@ -141,5 +140,5 @@ def _fitted_predictions(
         jnp.zeros(views, dtype=bool),
     )
     poses = jax.lax.while_loop(unfinished, improved, first).poses
-    in_camera = transform_points(poses, target_scale * observations.points)
+    in_camera = moved_points(poses, target_scale * observations.points)
     return *camera.project(in_camera), in_camera[..., 2]

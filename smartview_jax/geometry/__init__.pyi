@@ -18,6 +18,16 @@ from .host import host_rotation_angles as host_rotation_angles
 from .host import host_rotation_vectors as host_rotation_vectors
 from .host import host_transformed as host_transformed
 from .host import host_transforms as host_transforms
+from .left_jacobians import quaternion_exponentials as quaternion_exponentials
+from .left_jacobians import se3_left_jacobian as se3_left_jacobian
+from .matrices import adjoint_matrices as adjoint_matrices
+from .matrices import inverse_matrices as inverse_matrices
+from .matrices import matrix_exponentials as matrix_exponentials
+from .matrices import moved_points as moved_points
+from .matrices import pose_matrices as pose_matrices
+from .matrices import quaternion_product as quaternion_product
+from .matrices import shift_matrices as shift_matrices
+from .matrices import transforms_of as transforms_of
 from .oat import oat_from_rotation as oat_from_rotation
 from .oat import rotation_from_oat as rotation_from_oat
 from .oat import se3_from_xyzoat as se3_from_xyzoat
@@ -36,7 +46,6 @@ from .rigid_transforms import host_nearest_rotation as host_nearest_rotation
 from .rigid_transforms import mean_matrix as mean_matrix
 from .rigid_transforms import mean_pose as mean_pose
 from .rigid_transforms import nearest_rotation as nearest_rotation
-from .rigid_transforms import se3_left_jacobian as se3_left_jacobian
 from .rigid_transforms import transform_points as transform_points
 from .rigid_transforms import transformed_coordinates as transformed_coordinates
 from .transform_forms import TransformForm as TransformForm

@@ -1,4 +1,4 @@
-"""Check, apply, average and differentiate rigid transforms, as a thin layer over `jaxlie`.
+"""Check, apply and average rigid transforms, as a thin layer over `jaxlie`.
 
 The library `jaxlie` provides the group SE(3) and its derivatives. A transform named
 `target_from_source` maps points of `source` into `target`. Tangents are as in jaxlie: translation
@@ -17,30 +17,10 @@ from jaxtyping import Array, Float
 from ..runtime.array_namespace import as_float_array
 from ..runtime.compilation import one_program
 from .host import host_matrices, host_poses, host_transforms
+from .matrices import moved_points, pose_matrices
 
 PoseLike: TypeAlias = SE3 | Float[Array, "*batch 4 4"] | np.ndarray
 """Type of a rigid transform in the arguments of this library: an `SE3`, or 4x4 matrices."""
-
-
-_SERIES_SQUARED_ANGLE = 0.25
-"""Squared angle, rad^2, below which the left Jacobian is computed from its Taylor series."""
-
-_LEFT_JACOBIAN_SERIES = (
-    (1 / 2, 0.0, -1 / 720, 1 / 20160, -1 / 1209600, 1 / 119750400),
-    (1 / 6, 0.0, -1 / 5040, 1 / 181440, -1 / 13305600, 1 / 1556755200),
-    (1 / 24, -1 / 360, 1 / 13440, -1 / 907200, 1 / 95800320, -1 / 14529715200),
-    (1 / 120, -1 / 2520, 1 / 120960, -1 / 9979200, 1 / 1245404160, -1 / 217945728000),
-)
-"""Taylor coefficients, in powers of the squared angle, of a1 to a4 in `se3_left_jacobian`."""
-
-_CROSS_BASIS = np.array(
-    [
-        [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
-        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
-        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
-    ]
-)
-"""Matrices of the cross products with the three unit vectors."""
 
 
 def as_se3(pose: PoseLike) -> SE3:
@@ -109,7 +89,7 @@ def transform_points(
     """
     rank = len(target_from_source.get_batch_axes()) + 2
     points = points.reshape((1,) * (rank - points.ndim) + points.shape)
-    return SE3(target_from_source.wxyz_xyz[..., None, :]).apply(points)
+    return moved_points(pose_matrices(target_from_source), points)
 
 
 def transformed_coordinates(
@@ -220,50 +200,3 @@ def mean_matrix(
     mean = np.einsum("i,...ijk->...jk", weights / weights.sum(), matrices)
     mean[..., :3, :3] = host_nearest_rotation(mean[..., :3, :3])
     return mean
-
-
-def se3_left_jacobian(tangent: Float[Array, "*batch 6"]) -> Float[Array, "*batch 6 6"]:
-    """Return the left Jacobian J of `SE3.exp` at tangents.
-
-    For small d, `exp(tangent + d) = exp(J d) @ exp(tangent)`. The last three rows and columns of J
-    are the left Jacobian of `SO3.exp`.
-
-    Reference: Barfoot, State estimation for robotics, 2017, section 7.1.
-    """
-    # J = sum_k ad^k / (k + 1)!, with ad the matrix of [tangent, .]. With the angle t,
-    # ad^5 = -2 t^2 ad^3 - t^4 ad, so the series ends at the fourth power:
-    #     J = I + a1 ad + a2 ad^2 + a3 ad^3 + a4 ad^4
-    #     a1 = (4 - t sin t - 4 cos t) / (2 t^2),   a2 = (4 t - 5 sin t + t cos t) / (2 t^3),
-    #     a3 = (2 - t sin t - 2 cos t) / (2 t^4),   a4 = (2 t - 3 sin t + t cos t) / (2 t^5)
-    translation, rotation = tangent[..., :3], tangent[..., 3:]
-    w, v = _cross_matrix(rotation), _cross_matrix(translation)
-    upper = jnp.concatenate([w, v], axis=-1)
-    ad = jnp.concatenate([upper, jnp.concatenate([jnp.zeros_like(w), w], axis=-1)], axis=-2)
-    squared_angle = jnp.sum(rotation**2, axis=-1)
-    is_small = squared_angle < _SERIES_SQUARED_ANGLE
-    # Near zero, where the quotients lose their digits, their Taylor series in t^2 are used.
-    series = [
-        sum(c * squared_angle**k for k, c in enumerate(coefficients))
-        for coefficients in _LEFT_JACOBIAN_SERIES
-    ]
-    # The inner `where` keeps the derivative of the branch that is not taken finite.
-    squared = jnp.where(is_small, 1.0, squared_angle)
-    t = jnp.sqrt(squared)
-    sine, cosine = jnp.sin(t), jnp.cos(t)
-    quotients = (
-        (4.0 - t * sine - 4.0 * cosine) / (2.0 * squared),
-        (4.0 * t - 5.0 * sine + t * cosine) / (2.0 * squared * t),
-        (2.0 - t * sine - 2.0 * cosine) / (2.0 * squared**2),
-        (2.0 * t - 3.0 * sine + t * cosine) / (2.0 * squared**2 * t),
-    )
-    a1, a2, a3, a4 = (
-        jnp.where(is_small, s, q)[..., None, None] for s, q in zip(series, quotients, strict=True)
-    )
-    identity = jnp.broadcast_to(jnp.eye(6), ad.shape)
-    # Horner's scheme, with three products of matrices.
-    return identity + ad @ (a1 * identity + ad @ (a2 * identity + ad @ (a3 * identity + a4 * ad)))
-
-
-def _cross_matrix(vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
-    """Return the matrix of the cross product with a vector from the left."""
-    return jnp.einsum("...k,kij->...ij", vector, _CROSS_BASIS)

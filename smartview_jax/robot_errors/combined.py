@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
+from ..geometry import adjoint_matrices, inverse_matrices
 from ..robots import Command
 from .field import AbstractField, AbstractPreparedField
 
@@ -62,30 +63,41 @@ class CombinedField(AbstractPreparedField):
     def prepared_pose(
         self, prepared: tuple[SE3, Any, Any], coefficients: Float[Array, "coefficients"]
     ) -> SE3:
-        first_coefficients = coefficients[: self.first.size]
-        return self.first.prepared_pose(prepared[1], first_coefficients) @ self._second_error(
-            prepared, coefficients
+        first_coefficients, second_coefficients = self._split(coefficients)
+        pose, first, second = prepared
+        return self.first.prepared_pose(first, first_coefficients) @ (
+            pose.inverse() @ self.second.prepared_pose(second, second_coefficients)
         )
 
-    def _second_error(
-        self, prepared: tuple[SE3, Any, Any], coefficients: Float[Array, "coefficients"]
-    ) -> SE3:
-        """Return the second field's error at the tool, `reported^-1 @ actual_pose(reported)`."""
-        pose, _, second = prepared
-        return pose.inverse() @ self.second.prepared_pose(second, coefficients[self.first.size :])
+    def prepared_error(
+        self,
+        prepared: tuple[SE3, Any, Any],
+        coefficients: Float[Array, "coefficients"],
+        tool_from_base: SE3,
+    ) -> Float[Array, "views 4 4"]:
+        first_coefficients, second_coefficients = self._split(coefficients)
+        _, first, second = prepared
+        return self.first.prepared_error(
+            first, first_coefficients, tool_from_base
+        ) @ self.second.prepared_error(second, second_coefficients, tool_from_base)
+
+    def _split(
+        self, coefficients: Float[Array, "coefficients"]
+    ) -> tuple[Float[Array, "first"], Float[Array, "second"]]:
+        """Return the coefficients of both fields."""
+        return coefficients[: self.first.size], coefficients[self.first.size :]
 
     def prepared_jacobian(
         self, prepared: tuple[SE3, Any, Any], coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "*views 6 coefficients"]:
-        second_error = self._second_error(prepared, coefficients)
-        # With A = second_error = reported^-1 second.actual_pose(reported), a small twist d of
+        first_coefficients, second_coefficients = self._split(coefficients)
+        pose, first, second = prepared
+        # With A = reported^-1 second.actual_pose(reported), a small twist d of
         # F = first.actual_pose(reported) satisfies
         #     F exp(d) A = F A exp(Ad(A^-1) d),
         # so the first field's Jacobian is transformed to the tool by the adjoint of A^-1.
-        first_jacobian = second_error.inverse().adjoint() @ self.first.prepared_jacobian(
-            prepared[1], coefficients[: self.first.size]
-        )
-        second_jacobian = self.second.prepared_jacobian(
-            prepared[2], coefficients[self.first.size :]
-        )
+        second_error = self.second.prepared_error(second, second_coefficients, pose.inverse())
+        by_first = adjoint_matrices(inverse_matrices(second_error))
+        first_jacobian = by_first @ self.first.prepared_jacobian(first, first_coefficients)
+        second_jacobian = self.second.prepared_jacobian(second, second_coefficients)
         return jnp.concatenate([first_jacobian, second_jacobian], axis=-1)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..geometry import se3_left_jacobian
+from ..geometry import matrix_exponentials, pose_matrices, se3_left_jacobian
 from ..robots import Command, JointsLike
 
 INVERSION_STEPS = 8
@@ -53,6 +53,25 @@ class AbstractField(eqx.Module):
     def prepared_pose(self, prepared: Any, coefficients: Float[Array, "coefficients"]) -> SE3:
         """Return `actual_pose` from the result of `prepare`."""
         return self.actual_pose(prepared, coefficients)
+
+    def prepared_error(
+        self,
+        prepared: Any,
+        coefficients: Float[Array, "coefficients"],
+        tool_from_base: SE3,
+    ) -> Float[Array, "views 4 4"]:
+        """Return the motion of the tool from reported to actual poses, as matrices.
+
+        Every step of a fit asks for it. A field that can compute it without an `SE3` makes smaller
+        programs, which compile in less time.
+
+        Args:
+            prepared: result of `prepare` for poses `(views)`.
+            coefficients: coefficients of the field.
+            tool_from_base: inverse of these poses.
+        """
+        actual = pose_matrices(self.prepared_pose(prepared, coefficients))
+        return pose_matrices(tool_from_base) @ actual
 
     def prepared_jacobian(
         self, prepared: Any, coefficients: Float[Array, "coefficients"]
@@ -191,6 +210,14 @@ class AbstractLinearField(AbstractPreparedField):
     ) -> SE3:
         pose, basis = prepared
         return pose @ SE3.exp(-(basis @ coefficients))
+
+    def prepared_error(
+        self,
+        prepared: tuple[SE3, Float[Array, "*views 6 coefficients"]],
+        coefficients: Float[Array, "coefficients"],
+        tool_from_base: SE3,
+    ) -> Float[Array, "views 4 4"]:
+        return matrix_exponentials(-(prepared[1] @ coefficients))
 
     def prepared_jacobian(
         self,

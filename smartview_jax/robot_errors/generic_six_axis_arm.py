@@ -123,6 +123,18 @@ class GenericSixAxisArm(AbstractPreparedField):
         reported_from_arm, inferred = prepared
         return reported_from_arm @ self._dh_errors.actual_pose(inferred, coefficients)
 
+    def prepared_error(
+        self,
+        prepared: tuple[SE3, Command],
+        coefficients: Float[Array, "coefficients"],
+        tool_from_base: SE3,
+    ) -> Float[Array, "views 4 4"]:
+        # reported^-1 reported arm(joints)^-1 actual_arm(joints)
+        _, inferred = prepared
+        return self._dh_errors.prepared_error(
+            inferred, coefficients, inferred.base_from_tool.inverse()
+        )
+
     def prepared_jacobian(
         self, prepared: tuple[SE3, Command], coefficients: Float[Array, "coefficients"]
     ) -> Float[Array, "views 6 coefficients"]:

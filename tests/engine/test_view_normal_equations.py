@@ -175,7 +175,7 @@ def test_lost_points_cost_what_they_should(scene):
 
 def test_chunks_change_nothing(scene, monkeypatch):
     data, truth = scene.data, scene.calibration
-    camera, poses = truth.camera, truth.camera_from_world(data.base_from_tool)
+    camera, poses = truth.camera, truth.camera_from_world(data.base_from_tool).as_matrix()
 
     def linearised():
         """By a program of its own for each call."""

@@ -2,8 +2,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxlie import SE3
-from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from smartview_jax.geometry import (
@@ -12,21 +10,10 @@ from smartview_jax.geometry import (
     host_exponentials,
     mean_pose,
     nearest_rotation,
-    se3_left_jacobian,
     transform_points,
 )
 
 RNG = np.random.default_rng(0)
-
-# One program for all cases; without `jit` every operation is one.
-left_jacobian = jax.jit(se3_left_jacobian)
-
-
-@jax.jit
-def exp_derivative(tangent):
-    """The derivative of exp, by the twist after it."""
-    back = SE3.exp(tangent).inverse()
-    return jax.jacfwd(lambda d: (SE3.exp(tangent + d) @ back).log())(jnp.zeros(6))
 
 
 @jax.jit
@@ -34,25 +21,6 @@ def nearest_and_slopes(matrix, direction):
     """The nearest rotation, its slope in a direction, and the reverse-mode gradient there."""
     found, slope = jax.jvp(nearest_rotation, (matrix,), (direction,))
     return found, slope, jax.grad(lambda m: jnp.sum(nearest_rotation(m) * direction))(matrix)
-
-
-@pytest.mark.parametrize("size", [1e-3, 0.1, 1.0, 2.5])
-def test_exp_jacobian_is_the_derivative_of_exp(size):
-    tangent = size * RNG.normal(size=6) / np.sqrt(6)
-    found = left_jacobian(np.tile(tangent, (2, 1)))[0]
-    np.testing.assert_allclose(found, exp_derivative(tangent), atol=1e-9)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.4999, 0.5001, 3.0, 7.0])
-def test_exp_jacobian_is_the_series_of_the_commutator(angle):
-    """The integral of exp(s ad) over s from 0 to 1 is a block of a matrix exponential."""
-    axis = np.array([0.6, -0.48, 0.64])
-    tangents = np.stack([np.r_[RNG.normal(size=3), sign * angle * axis] for sign in (1.0, -1.0)])
-    for tangent, found in zip(tangents, left_jacobian(tangents), strict=True):
-        v, w = (np.cross(part, np.eye(3), axisb=0).T for part in np.split(tangent, 2))
-        ad = np.block([[w, v], [np.zeros((3, 3)), w]])
-        block = np.block([[ad, np.eye(6)], [np.zeros((6, 12))]])
-        np.testing.assert_allclose(found, expm(block)[:6, 6:], atol=1e-13)
 
 
 def test_nearest_rotation_is_a_rotation_and_the_nearest():

@@ -42,6 +42,13 @@ def both_jacobians(
     return own, AbstractField.jacobian(field, reported, coefficients)
 
 
+@eqx.filter_jit
+def motion_of_tool(error: RobotError, reported: SE3) -> Array:
+    """Return the motion from reported to actual poses, as fits compute it."""
+    prepared = error.field.prepare(Command(reported))
+    return error.field.prepared_error(prepared, error.coefficients, reported.inverse())
+
+
 def motion_between(first: SE3, second: SE3) -> np.ndarray:
     """Return the twist from one pose to another, by NumPy."""
     return host_logarithms(np.linalg.inv(host_matrices(first)) @ host_matrices(second))

@@ -6,6 +6,7 @@ import pytest
 from field_programs import (
     actual_pose,
     motion_between,
+    motion_of_tool,
     own_jacobian,
     twists_by_differences,
 )
@@ -51,6 +52,14 @@ def test_errors_follow_one_another(error):
 def test_the_twist_of_each_coefficient_is_the_derivative_of_the_pose(error):
     expected = twists_by_differences(*error)
     np.testing.assert_allclose(own_jacobian(*error), expected, atol=1e-10)
+
+
+def test_fits_see_the_same_error(error):
+    """They compute it by matrices, and by each field relative to the reported pose."""
+    combined, poses = error
+    reported, actual = host_matrices(poses), host_matrices(actual_pose(combined, poses))
+    found = motion_of_tool(combined, poses)
+    np.testing.assert_allclose(found, np.linalg.inv(reported) @ actual, atol=1e-13)
 
 
 def test_a_file_keeps_it(error, tmp_path):

@@ -6,7 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from field_programs import actual_pose, both_jacobians, motion_between, tool_command
+from field_programs import (
+    actual_pose,
+    both_jacobians,
+    motion_between,
+    motion_of_tool,
+    tool_command,
+)
 from jaxlie import SE3
 from scipy.spatial.transform import Rotation
 
@@ -101,6 +107,12 @@ def test_true_and_reported_poses_are_each_others_inverse(error, poses):
     np.testing.assert_allclose(motion_between(poses, back), 0.0, atol=1e-13)
     forth = actual_pose(error, tool_command(error, poses))
     np.testing.assert_allclose(motion_between(poses, forth), 0.0, atol=1e-13)
+
+
+def test_fits_see_the_same_error(error, poses):
+    reported, actual = host_matrices(poses), host_matrices(actual_pose(error, poses))
+    found = motion_of_tool(error, poses)
+    np.testing.assert_allclose(found, np.linalg.inv(reported) @ actual, atol=1e-13)
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint
 from smartview_jax.engine import FittedChain, Parameters, Step, build_problem, host_retract
+from smartview_jax.geometry import host_exponentials
 from smartview_jax.robot_errors import LinearInPosition, RobotPrior
 from smartview_jax.simulation import random_scene
 from smartview_jax.variance.possible_models import is_possible, motion_ratio
@@ -150,8 +151,8 @@ def test_what_no_robot_and_no_target_can_be_is_left_out():
 
     def chain(calibration, field_corrections=None):
         none = jnp.zeros((data.view_count, 6))
-        corrections = none if field_corrections is None else jnp.asarray(field_corrections)
-        return FittedChain(calibration, none, corrections, poses)
+        errors = np.zeros(none.shape) if field_corrections is None else field_corrections
+        return FittedChain(calibration, none, host_exponentials(errors), poses)
 
     assert is_possible(chain(truth), data)
     for scale in (0.19, 5.1):

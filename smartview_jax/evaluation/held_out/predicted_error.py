@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...calibration import Calibration
+from ...calibration import Calibration, chain_of_matrices
 from ...dataset import Dataset
 from ...engine import corrections_at_tool
+from ...geometry import moved_points, pose_matrices
 from ...joint import JointFit, SavedEstimate
 from ...robots import Command
 from ...runtime.array_namespace import to_device
@@ -170,8 +171,12 @@ def _pose_noise_variance(
     def pixels(correction: Float[Array, "6"]) -> Float[Array, "views points 2"]:
         # tool_from_base = exp(correction) @ reported, so its inverse has exp(-correction) behind.
         twists = jnp.broadcast_to(-correction, (*poses.get_batch_axes(), 6))
-        noisy = poses @ corrections_at_tool(command, twists)
-        projected, valid = calibration.project(noisy, points, corrected=False)
+        noisy = pose_matrices(poses) @ corrections_at_tool(command, twists)
+        camera_from_world = chain_of_matrices(
+            calibration.camera_from_mount, calibration.holder_from_world, calibration.mount, noisy
+        )
+        in_camera = moved_points(camera_from_world, calibration.true_points(points))
+        projected, valid = calibration.camera.project(in_camera)
         return jnp.where(valid[..., None], projected, 0.0)
 
     # sum_k (sigma_k d(pixel) / d(correction_k))^2, at zero.
