@@ -96,7 +96,7 @@ class DirectionalNoise(NamedTuple):
 
     Attributes:
         translation: root of the mean variance of translations over axes and views, m.
-        rotation: the same of rotations, rad.
+        rotation: the same of rotations, rad, whatever the translations are.
         roots: twist at the tool by six independent parameters of a view, three with the standard
             deviation `translation` and three with `rotation`.
         probabilities: probabilities of the hypotheses, by name.
@@ -112,6 +112,38 @@ class DirectionalNoise(NamedTuple):
     covariances: dict[str, Matrices]
     slopes: Float[np.ndarray, "directions views 6 6"]
     uncertainty: Float[np.ndarray, "directions directions"]
+
+    @property
+    def covariance(self) -> Matrices:
+        """The covariance of the error of every view's pose, translation (m) first."""
+        variances = np.repeat([self.translation**2, self.rotation**2], 3)
+        return (self.roots * variances) @ self.roots.swapaxes(1, 2)
+
+    @property
+    def worst(self) -> Float[np.ndarray, "2"]:
+        """The standard deviations of translation, m, and rotation, rad, in their worst directions.
+
+        Their variances are means over the views.
+        """
+        covariance = self.covariance
+        blocks = np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]])
+        return np.sqrt(np.linalg.eigvalsh(blocks)[..., -1].mean(axis=1))
+
+    def with_sizes(self, sizes: Float[np.ndarray, "2"]) -> "DirectionalNoise":
+        """Return the noise whose independent parameters have other standard deviations.
+
+        They are given for the present `roots`. Those of the result are again the roots of the mean
+        variances, which differ from these where rotations are correlated with translations.
+
+        Args:
+            sizes: standard deviations of the first and the last three parameters, m and rad.
+        """
+        covariance = (self.roots * np.repeat(sizes**2, 3)) @ self.roots.swapaxes(1, 2)
+        translation, rotation = _mean_sizes(covariance)
+        factors = np.repeat(sizes / [translation, rotation], 3)
+        return self._replace(
+            translation=float(translation), rotation=float(rotation), roots=self.roots * factors
+        )
 
 
 EQUAL = "equal"
@@ -197,8 +229,7 @@ def _averaged(
         (p * kept[name].covariance for name, p in probabilities.items()),
         np.zeros_like(fitted[EQUAL].covariance),
     )
-    variances = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)
-    translation, rotation = np.sqrt(variances.reshape(2, 3).mean(axis=1))
+    translation, rotation = _mean_sizes(covariance)
     units = np.repeat([translation, rotation], 3)
     relative = covariance / np.outer(units, units)
     roots = np.linalg.cholesky(relative) * (units[:, None] / units)
@@ -215,6 +246,12 @@ def _averaged(
         np.concatenate([p * kept[name].slopes for name, p in probabilities.items()]),
         uncertainty,
     )
+
+
+def _mean_sizes(covariance: Matrices) -> Float[np.ndarray, "2"]:
+    """Return the roots of the mean variances of translation and rotation over axes and views."""
+    variances = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)
+    return np.sqrt(variances.reshape(2, 3).mean(axis=1))
 
 
 def in_own_axes(views: LinearisedViews, roots: Matrices) -> LinearisedViews:
