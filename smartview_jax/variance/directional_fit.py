@@ -37,7 +37,9 @@ def fit_by_direction(second: SecondPass, prior: RobotPrior) -> SecondPass | None
         or not _is_white(average)
     ):
         return None
-    of_directions = DirectionalPrior(prior.geometric_std, prior.directional_probability)
+    of_directions = DirectionalPrior(
+        prior.directional_geometric_std, prior.geometric_std, prior.directional_probability
+    )
     base_from_tool = host_matrices(problem.observations.command.base_from_tool)
     tool_from_base = base_from_tool[:, :3, :3].swapaxes(1, 2)
     for _ in range(DIRECTIONAL_FITS):

@@ -44,9 +44,10 @@ class DirectionalPrior:
     """The prior of the directions of a robot's errors, before any view is seen.
 
     Attributes:
-        geometric_std: exp of the standard deviation of the logarithm of an axis' standard deviation
-            about the mean over the axes. The default is the spread of repeatability between robots
-            (`RobotPrior.geometric_std`): axes of one robot are taken to differ as robots do.
+        axis_geometric_std: exp of the standard deviation of the logarithm of an axis' standard
+            deviation about the mean over the axes (`RobotPrior.directional_geometric_std`).
+        level_geometric_std: the same for these means, about the standard deviations that were found
+            for equal errors (`RobotPrior.geometric_std`).
         probability: probability that a robot errs more in some directions than in others.
         max_scoring_steps: largest number of steps of a search.
         tolerance: increase of the log-posterior that a further step predicts, below which a search
@@ -54,11 +55,12 @@ class DirectionalPrior:
         min_probability: probability below which a hypothesis is left out.
     """
 
-    geometric_std: float = float(np.e)
+    axis_geometric_std: float = float(np.exp(0.5))
+    level_geometric_std: float = float(np.e)
     probability: float = 0.5
     max_scoring_steps: int = 50
     tolerance: float = 1e-3
-    min_probability: float = 0.05
+    min_probability: float = 0.1
 
 
 class Hypothesis(NamedTuple):
@@ -338,7 +340,7 @@ class _Search(NamedTuple):
     @property
     def level_precision(self) -> float:
         """The prior precision of the logarithms of both levels, about where they are."""
-        return float(np.log(self.options.geometric_std) ** -2)
+        return float(np.log(self.options.level_geometric_std) ** -2)
 
     @classmethod
     def of(
@@ -354,7 +356,7 @@ class _Search(NamedTuple):
         if hypothesis.frame == "base":
             rotations[:, :3, :3] = rotations[:, 3:, 3:] = tool_from_base
         # H is the logarithm of variances, twice that of standard deviations.
-        precision = (2.0 * np.log(prior.geometric_std)) ** -2
+        precision = (2.0 * np.log(prior.axis_geometric_std)) ** -2
         return cls(
             in_own_axes(views, rotations), sigmas, hypothesis.basis, rotations, precision, prior
         )
