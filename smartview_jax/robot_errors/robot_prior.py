@@ -16,11 +16,13 @@ Some robots are far less accurate: light arms, arms that still move when the pic
 that were logged at another time. They are a separate hypothesis with its own medians, not the tail
 of the prior of good arms: in that tail, every halving of the noise would seem many times as likely.
 
-Repeatability differs by direction: noise of the joints reaches the tool through the arm's Jacobian.
-For five arms with six joints, whose joints differ in repeatability by a factor of e, the covariance
-over 20 views has axes that deviate from their mean by a factor of 1.4 (base) and 1.3 (tool); robots
-with fewer or other joints (SCARA arms, lifts, gantries: about a third of those sold) deviate by
-more, which their views tell. Half of all robots are taken to differ so, by a factor of 1.6.
+Repeatability differs by direction, because noise of the joints reaches the tool through the arm's
+Jacobian. For five arms with six joints, whose joints differ in repeatability by a factor of e, the
+mean covariance over 20 views has axes that deviate from their mean by a factor of 1.4 (in axes of
+the base) or 1.3 (of the tool). Robots with fewer or other joints (SCARA arms, gantries), about a
+third of those sold (International Federation of Robotics, World Robotics), deviate by more, as does
+an arm with one worn joint. A third of all robots are taken to differ by direction, by a factor of
+1.6.
 
 Targets are a part of the robot's world. Printed sheets on boards bow by 0.1 to 0.3 mm over 0.2 to
 0.4 m, glass and milled plates by a hundredth of it; printers stretch one axis by some 0.1 % more
@@ -123,7 +125,7 @@ class RobotPrior:
     target_print_median: float = 2e-4
     target_geometric_std: float = float(np.exp(1.2))
     wrong_lens_probability: float = 0.5
-    directional_probability: float = 0.5
+    directional_probability: float = 1.0 / 3.0
     directional_geometric_std: float = float(np.exp(0.5))
     model_odds: Mapping[str, float] = dataclasses.field(default_factory=dict)
     geometric_std_by_name: Mapping[str, float] = dataclasses.field(default_factory=dict)

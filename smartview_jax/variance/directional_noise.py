@@ -57,7 +57,7 @@ class DirectionalPrior:
 
     axis_geometric_std: float = float(np.exp(0.5))
     level_geometric_std: float = float(np.e)
-    probability: float = 0.5
+    probability: float = 1.0 / 3.0
     max_scoring_steps: int = 50
     tolerance: float = 1e-3
     min_probability: float = 0.1
