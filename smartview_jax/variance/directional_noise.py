@@ -53,6 +53,8 @@ class DirectionalPrior:
         tolerance: increase of the log-posterior that a further step predicts, below which a search
             ends.
         min_probability: probability below which a hypothesis is left out.
+        max_equal_probability: probability of equal errors from which on errors are taken as equal:
+            an average with less probable hypotheses differs little, and takes longer to fit.
     """
 
     axis_geometric_std: float = float(np.exp(0.5))
@@ -61,6 +63,7 @@ class DirectionalPrior:
     max_scoring_steps: int = 50
     tolerance: float = 1e-3
     min_probability: float = 0.1
+    max_equal_probability: float = 0.5
 
 
 class Hypothesis(NamedTuple):
@@ -216,7 +219,7 @@ def estimate_directions(
 def _averaged(
     fitted: dict[str, FittedHypothesis], prior: DirectionalPrior
 ) -> DirectionalNoise | None:
-    """Return the average of hypotheses by their probabilities; None if only equal errors remain."""
+    """Return the average of hypotheses by their probabilities; None if errors are likely equal."""
     logs = np.array([each.log_evidence for each in fitted.values()])
     weights = np.exp(logs - logs.max())
     weights = np.where(weights / weights.sum() < prior.min_probability, 0.0, weights)
@@ -224,7 +227,7 @@ def _averaged(
         name: float(weight) for name, weight in zip(fitted, weights / weights.sum(), strict=True)
     }
     probabilities = {name: p for name, p in probabilities.items() if p > 0.0}
-    if set(probabilities) == {EQUAL}:
+    if probabilities.get(EQUAL, 0.0) >= prior.max_equal_probability:
         return None
     kept = {name: fitted[name] for name in probabilities}
     covariance = sum(
