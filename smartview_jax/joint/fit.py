@@ -173,14 +173,16 @@ def fit_joint(
         used_data, rejected_points = remove_gross_errors(data, start, fixed, priors, progress)
 
     def fit_once(
-        data: Dataset, robot_prior: RobotPrior | None = robot_prior
+        data: Dataset,
+        robot_prior: RobotPrior | None = robot_prior,
+        noise_estimate: NoiseEstimate | None = None,
     ) -> tuple[JointFit, BlockArrow]:
         initial, noise_model, error_field, shape = start, noise, field, stated_shape
-        open_motion, noise_estimate = undetermined_motion(data, start, choice), None
+        open_motion = undetermined_motion(data, start, choice)
         chosen = choice.holding(*open_motion.held)
         data = weighed_depths(data, start, chosen, noise, field)
         if noise == "estimated":
-            noise_estimate = estimate_noise(
+            noise_estimate = noise_estimate or estimate_noise(
                 data,
                 initial,
                 field=field,
@@ -241,11 +243,11 @@ def fit_joint(
     accepted, matrix = fit_once(used_data)
     first, first_data, judging = accepted, used_data, robot_prior
     estimate = accepted.noise_estimate
-    if not keeps_all and estimate is not None and estimate.directions is not None:
+    if not keeps_all and estimate is not None and estimate.alike is not None:
         # A wrong pose looks like errors along its direction: views are judged by errors that are
         # alike in all.
         judging = _alike(robot_prior)
-        accepted, matrix = fit_once(used_data, judging)
+        accepted, matrix = fit_once(used_data, judging, estimate.alike)
     while not keeps_all:
         # The view is left out, not down-weighted: a pose of another picture has no information.
         if (inconsistent := inconsistent_view(used_data, accepted, matrix)) is not None:

@@ -190,5 +190,11 @@ def robot_noise_text(fit: "JointFit") -> str:
         f"{np.rad2deg(fit.noise.rotation):.2g} deg"
     )
     if fit.noise_estimate is not None:
+        if fit.noise_estimate.directions is not None:
+            translation, rotation = fit.noise_estimate.largest_pose_sigmas
+            text += (
+                f" on average over their axes, {1e3 * translation:.2g} mm and "
+                f"{np.rad2deg(rotation):.2g} deg in their worst direction"
+            )
         text += f"; model of the robot's error: {fit.noise_estimate.name}"
     return text

@@ -318,8 +318,9 @@ def _robot_warnings(fit: JointFit, values_are_wrong: bool) -> list[str]:
         return []
     noise, prior, field = fit.noise, fit.noise_estimate.robot_prior, fit.calibration.field
     # Standard deviations of the variance components, in the order of the prior's medians.
-    sigmas = np.array([noise.translation, noise.rotation, *noise.field])
-    names = ["translation of reported poses", "rotation of reported poses"]
+    sigmas = np.array([*fit.noise_estimate.largest_pose_sigmas, *noise.field])
+    along = "" if fit.noise_estimate.directions is None else " in their worst direction"
+    names = [f"{part} of reported poses{along}" for part in ("translation", "rotation")]
     names += [] if field is None else [name for name, _ in field.groups]
     medians, log_stds = prior.medians(field), prior.log_stds(field)
     # Log-normal prior: implausible is log(sigma / median) > MAX_PRIOR_SIGMAS log_std.

@@ -11,22 +11,14 @@ from ..calibration import TargetShape
 from ..engine import (
     ROBOT_ERROR,
     AbstractBuiltProblem,
-    JointProblem,
     Noise,
     Step,
-    host_step,
     is_size,
     solve,
 )
-from ..geometry import host_matrices
 from ..robot_errors import AbstractField, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
-from .directional_noise import (
-    DirectionalNoise,
-    DirectionalPrior,
-    estimate_directions,
-    in_own_axes,
-)
+from .directional_noise import DirectionalNoise
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
@@ -39,7 +31,6 @@ from .likelihood import (
 from .model_average import averaged_models
 from .model_comparison import ModelComparison, noise_from_sigmas
 from .model_selection import (
-    WHITE_NOISE,
     Candidate,
     FittedCandidate,
     ModelName,
@@ -53,9 +44,6 @@ from .view_statistics import ViewStatistics, chain_at, with_prior_sigmas
 
 MAX_LINEARISATIONS = 6
 """Largest number of linearisations, each at the fit with the last standard deviations."""
-
-DIRECTIONAL_FITS = 2
-"""Largest number of fits with errors that differ by direction, each with a new estimate of them."""
 
 SIGMA_TOLERANCE = 0.02
 """Relative change of every standard deviation below which the iteration has converged."""
@@ -105,6 +93,7 @@ class SecondPass(NamedTuple):
         built: the problem, in which the parameters that no model needs are held.
         views: its statistics, as stated at the beginning, along the axes of the fit.
         average: the fit.
+        comparison: the models of the average.
     """
 
     field_probabilities: dict[str, float]
@@ -112,6 +101,7 @@ class SecondPass(NamedTuple):
     built: AbstractBuiltProblem
     views: ViewStatistics
     average: AveragedFit
+    comparison: "Comparison"
 
 
 def average_over_models(
@@ -154,27 +144,20 @@ def average_over_models(
     )
     shape = predicted_views.shape
     views = ViewStatistics(built, pose_parameters, within, sizes, shape)
-    comparison = _Comparison(
+    comparison = Comparison(
         {name: first.models[name] for name in field_probabilities},
         standard_deviation_prior(
             prior, fitted_field, views.group_names, shape, views.has_white_noise
         ),
         prior.wrong_target_probability,
     )
-    average = _iterate_to_convergence(
+    average = iterate_to_convergence(
         views,
         _transfer_step(predicted, first.built.shared_names, built.shared_names),
         first.views.select_groups(sigmas, views.group_names),
         comparison,
     )
-    # What a field leaves over is what it cannot describe, which follows the views and not the axes
-    # of the robot: on rct_circle10x10 an ellipsoid of it predicts unseen views a fifth worse.
-    fields = _by_field(average.probabilities)
-    is_white = bool(fields) and max(fields, key=lambda name: fields[name]) == WHITE_NOISE
-    if prior.directional_probability and is_white:
-        of_directions = DirectionalPrior(prior.geometric_std, prior.directional_probability)
-        views, average = _with_directions(views, average, comparison, of_directions)
-    return SecondPass(field_probabilities, fitted_field, built, views, average)
+    return SecondPass(field_probabilities, fitted_field, built, views, average, comparison)
 
 
 def _by_field(probabilities: Mapping[ModelName, float]) -> dict[str, float]:
@@ -198,7 +181,7 @@ def _held_names(
     }
 
 
-class _Comparison(NamedTuple):
+class Comparison(NamedTuple):
     """The models of a comparison, and their priors.
 
     Attributes:
@@ -212,53 +195,12 @@ class _Comparison(NamedTuple):
     wrong_target_probability: float
 
 
-def _with_directions(
-    views: ViewStatistics,
-    average: AveragedFit,
-    comparison: _Comparison,
-    prior: DirectionalPrior,
-) -> tuple[ViewStatistics, AveragedFit]:
-    """Return statistics and fit with errors of poses that differ by direction, if they do."""
-    problem = views.problem
-    # The errors of two hands, and of a tracker, have no common axes.
-    if (
-        not (isinstance(problem, JointProblem) and problem.has_pixels and average.fitted)
-        or problem.observations.command.hands is not None
-    ):
-        return views, average
-    base_from_tool = host_matrices(problem.observations.command.base_from_tool)
-    tool_from_base = base_from_tool[:, :3, :3].swapaxes(1, 2)
-    equal = views, average
-    for _ in range(DIRECTIONAL_FITS):
-        linearised = average.views
-        if average.directions is not None:
-            linearised = in_own_axes(linearised, np.linalg.inv(average.directions.roots))
-        directions = estimate_directions(linearised, average.maximum.sigmas, tool_from_base, prior)
-        if directions is None:
-            return equal
-        twists = views.corrections(np.asarray(average.z.per_view))
-        views = views.with_correction_roots(directions.roots)
-        own = np.linalg.solve(directions.roots, twists[..., None])[..., 0]
-        if average.shape is not None:
-            views = views.with_shape(average.shape)
-        average = _iterate_to_convergence(
-            views,
-            host_step(np.asarray(average.z.shared), own),
-            average.maximum.sigmas._replace(
-                translation=np.asarray(directions.translation),
-                rotation=np.asarray(directions.rotation),
-            ),
-            comparison,
-        )._replace(directions=directions)
-    return views, average
-
-
 @on_one_blas_thread
-def _iterate_to_convergence(
+def iterate_to_convergence(
     views: ViewStatistics,
     initial: Step,
     sigmas: StandardDeviations,
-    comparison: _Comparison,
+    comparison: Comparison,
 ) -> AveragedFit:
     """Alternate between the fit and the averaged standard deviations, until these converge.
 

@@ -44,21 +44,26 @@ class DirectionalPrior:
     """The prior of the directions of a robot's errors, before any view is seen.
 
     Attributes:
-        geometric_std: exp of the standard deviation of the logarithm of an axis' standard deviation
-            about the mean over the axes. The default is the spread of repeatability between robots
-            (`RobotPrior.geometric_std`): axes of one robot are taken to differ as robots do.
+        axis_geometric_std: exp of the standard deviation of the logarithm of an axis' standard
+            deviation about the mean over the axes (`RobotPrior.directional_geometric_std`).
+        level_geometric_std: the same for these means, about the standard deviations that were found
+            for equal errors (`RobotPrior.geometric_std`).
         probability: probability that a robot errs more in some directions than in others.
         max_scoring_steps: largest number of steps of a search.
         tolerance: increase of the log-posterior that a further step predicts, below which a search
             ends.
         min_probability: probability below which a hypothesis is left out.
+        max_equal_probability: probability of equal errors from which on errors are taken as equal:
+            an average with less probable hypotheses differs little, and takes longer to fit.
     """
 
-    geometric_std: float = float(np.e)
-    probability: float = 0.5
+    axis_geometric_std: float = float(np.exp(0.5))
+    level_geometric_std: float = float(np.e)
+    probability: float = 1.0 / 3.0
     max_scoring_steps: int = 50
     tolerance: float = 1e-3
-    min_probability: float = 0.05
+    min_probability: float = 0.1
+    max_equal_probability: float = 0.5
 
 
 class Hypothesis(NamedTuple):
@@ -96,7 +101,7 @@ class DirectionalNoise(NamedTuple):
 
     Attributes:
         translation: root of the mean variance of translations over axes and views, m.
-        rotation: the same of rotations, rad.
+        rotation: the same of rotations, rad, whatever the translations are.
         roots: twist at the tool by six independent parameters of a view, three with the standard
             deviation `translation` and three with `rotation`.
         probabilities: probabilities of the hypotheses, by name.
@@ -112,6 +117,38 @@ class DirectionalNoise(NamedTuple):
     covariances: dict[str, Matrices]
     slopes: Float[np.ndarray, "directions views 6 6"]
     uncertainty: Float[np.ndarray, "directions directions"]
+
+    @property
+    def covariance(self) -> Matrices:
+        """The covariance of the error of every view's pose, translation (m) first."""
+        variances = np.repeat([self.translation**2, self.rotation**2], 3)
+        return (self.roots * variances) @ self.roots.swapaxes(1, 2)
+
+    @property
+    def worst(self) -> Float[np.ndarray, "2"]:
+        """The standard deviations of translation, m, and rotation, rad, in their worst directions.
+
+        Their variances are means over the views.
+        """
+        covariance = self.covariance
+        blocks = np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]])
+        return np.sqrt(np.linalg.eigvalsh(blocks)[..., -1].mean(axis=1))
+
+    def with_sizes(self, sizes: Float[np.ndarray, "2"]) -> "DirectionalNoise":
+        """Return the noise whose independent parameters have other standard deviations.
+
+        They are given for the present `roots`. Those of the result are again the roots of the mean
+        variances, which differ from these where rotations are correlated with translations.
+
+        Args:
+            sizes: standard deviations of the first and the last three parameters, m and rad.
+        """
+        covariance = (self.roots * np.repeat(sizes**2, 3)) @ self.roots.swapaxes(1, 2)
+        translation, rotation = _mean_sizes(covariance)
+        factors = np.repeat(sizes / [translation, rotation], 3)
+        return self._replace(
+            translation=float(translation), rotation=float(rotation), roots=self.roots * factors
+        )
 
 
 EQUAL = "equal"
@@ -182,7 +219,7 @@ def estimate_directions(
 def _averaged(
     fitted: dict[str, FittedHypothesis], prior: DirectionalPrior
 ) -> DirectionalNoise | None:
-    """Return the average of hypotheses by their probabilities; None if only equal errors remain."""
+    """Return the average of hypotheses by their probabilities; None if errors are likely equal."""
     logs = np.array([each.log_evidence for each in fitted.values()])
     weights = np.exp(logs - logs.max())
     weights = np.where(weights / weights.sum() < prior.min_probability, 0.0, weights)
@@ -190,15 +227,14 @@ def _averaged(
         name: float(weight) for name, weight in zip(fitted, weights / weights.sum(), strict=True)
     }
     probabilities = {name: p for name, p in probabilities.items() if p > 0.0}
-    if set(probabilities) == {EQUAL}:
+    if probabilities.get(EQUAL, 0.0) >= prior.max_equal_probability:
         return None
     kept = {name: fitted[name] for name in probabilities}
     covariance = sum(
         (p * kept[name].covariance for name, p in probabilities.items()),
         np.zeros_like(fitted[EQUAL].covariance),
     )
-    variances = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)
-    translation, rotation = np.sqrt(variances.reshape(2, 3).mean(axis=1))
+    translation, rotation = _mean_sizes(covariance)
     units = np.repeat([translation, rotation], 3)
     relative = covariance / np.outer(units, units)
     roots = np.linalg.cholesky(relative) * (units[:, None] / units)
@@ -215,6 +251,12 @@ def _averaged(
         np.concatenate([p * kept[name].slopes for name, p in probabilities.items()]),
         uncertainty,
     )
+
+
+def _mean_sizes(covariance: Matrices) -> Float[np.ndarray, "2"]:
+    """Return the roots of the mean variances of translation and rotation over axes and views."""
+    variances = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)
+    return np.sqrt(variances.reshape(2, 3).mean(axis=1))
 
 
 def in_own_axes(views: LinearisedViews, roots: Matrices) -> LinearisedViews:
@@ -301,7 +343,7 @@ class _Search(NamedTuple):
     @property
     def level_precision(self) -> float:
         """The prior precision of the logarithms of both levels, about where they are."""
-        return float(np.log(self.options.geometric_std) ** -2)
+        return float(np.log(self.options.level_geometric_std) ** -2)
 
     @classmethod
     def of(
@@ -317,7 +359,7 @@ class _Search(NamedTuple):
         if hypothesis.frame == "base":
             rotations[:, :3, :3] = rotations[:, 3:, 3:] = tool_from_base
         # H is the logarithm of variances, twice that of standard deviations.
-        precision = (2.0 * np.log(prior.geometric_std)) ** -2
+        precision = (2.0 * np.log(prior.axis_geometric_std)) ** -2
         return cls(
             in_own_axes(views, rotations), sigmas, hypothesis.basis, rotations, precision, prior
         )

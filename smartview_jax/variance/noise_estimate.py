@@ -133,6 +133,7 @@ class NoiseEstimate(NamedTuple):
         robot_evidence: what the views say about the sizes of the robot's errors.
         directions: the directions in which the robot's poses err most; None if they err alike in
             all. The standard deviations of poses in `noise` are then means over the axes.
+        alike: the estimate for errors that are alike in all directions; None if this is it.
     """
 
     name: str
@@ -155,6 +156,18 @@ class NoiseEstimate(NamedTuple):
     lens: LensEvidence | None = None
     robot_evidence: RobotEvidence | None = None
     directions: DirectionalNoise | None = None
+    alike: "NoiseEstimate | None" = None
+
+    @property
+    def largest_pose_sigmas(self) -> tuple[float, float]:
+        """The standard deviations of reported translations, m, and rotations, rad.
+
+        They are for the directions in which these err most.
+        """
+        if self.directions is None:
+            return float(self.noise.translation), float(self.noise.rotation)
+        translation, rotation = self.directions.worst
+        return float(translation), float(rotation)
 
     @property
     def free(self) -> tuple[str, ...]:

@@ -18,8 +18,9 @@ from ..engine import (
 )
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.modules import with_fields
-from .averaged_fit import AveragedFit, average_over_models, averaged_noise
+from .averaged_fit import AveragedFit, SecondPass, average_over_models, averaged_noise
 from .depth_weights import with_weighed_depths
+from .directional_fit import fit_by_direction
 from .kenward_roger import small_sample_correction
 from .lens_terms import lens_evidence
 from .likelihood import (
@@ -31,6 +32,7 @@ from .likelihood import (
 )
 from .model_average import between_directions_covariance, between_models_covariance
 from .model_comparison import (
+    ModelComparison,
     compare_models,
     target_scale_evidence,
 )
@@ -86,13 +88,12 @@ def estimate_noise(
     assert isinstance(first.built, BuiltProblem)
     poses = first.built.pose_parameters(data.usable_views())
     second = average_over_models(first, choice.fixed, prior, poses, report_progress)
-    built, views, average, fitted_field = second.built, second.views, second.average, second.field
-    chain, linearised, maximum = average.chain, average.views, average.maximum
-    size_is_group = TARGET_SCALE in views.group_names
+    average = second.average
+    size_is_group = TARGET_SCALE in second.views.group_names
     free_size = any(model.free_sizes for model in drop_negligible(first.probabilities))
     # At the better parameters of the second pass a free size may have become improbable.
     no_free_size = size_is_group and not any(model.free_sizes for model in average.probabilities)
-    is_degenerate = (free_size or field == "auto") and not is_possible(chain, data)
+    is_degenerate = (free_size or field == "auto") and not is_possible(average.chain, data)
     if is_degenerate:
         report_progress("degenerate fit (target or motion shrunk): refit without this model")
     if no_free_size or is_degenerate:
@@ -104,6 +105,28 @@ def estimate_noise(
             robot_prior=dataclasses.replace(prior, wrong_target_probability=0.0),
             **parameters,
         )
+    mount = start.transform_names[0]
+    alike = _estimate_of(first, second, prior, mount)
+    by_direction = fit_by_direction(second, prior)
+    if by_direction is None or not is_possible(by_direction.average.chain, data):
+        return alike
+    return _estimate_of(first, by_direction, prior, mount)._replace(alike=alike)
+
+
+def _estimate_of(
+    first: ModelComparison, second: SecondPass, prior: RobotPrior, mount: str
+) -> NoiseEstimate:
+    """Return the estimate, given the fit of the averaged model.
+
+    Args:
+        first: the comparison of the models.
+        second: the fit.
+        prior: prior of the standard deviations of an arm's errors.
+        mount: name of the camera's transform.
+    """
+    built, views, average, fitted_field = second.built, second.views, second.average, second.field
+    assert isinstance(built, BuiltProblem)
+    chain, linearised, maximum = average.chain, average.views, average.maximum
     error = chain.calibration.robot_error
     directions = average.directions
     correction = small_sample_correction(linearised, maximum, directions)
@@ -126,7 +149,7 @@ def estimate_noise(
         prior.wrong_lens_probability,
     )
     target_scales, scale_std = first.target_scales, None
-    if size_is_group:
+    if TARGET_SCALE in views.group_names:
         target_scales = target_scale_evidence(
             built, linearised, average.z, average.fitted, average.probabilities
         )
@@ -150,7 +173,7 @@ def estimate_noise(
         if fitted_field is None
         else _mount_displacement(
             built.shared_names,
-            start.transform_names[0],
+            mount,
             views.group_names,
             linearised,
             maximum.sigmas,

@@ -20,7 +20,6 @@ from smartview_jax.engine.problem_builder import build_problem
 from smartview_jax.evaluation import cramer_rao, reprojection_errors
 from smartview_jax.fit_result import FitCode
 from smartview_jax.geometry import as_se3, host_matrices
-from smartview_jax.robot_errors import RobotPrior
 
 
 def test_a_real_set_reaches_the_reference():
@@ -314,8 +313,7 @@ def test_a_robot_that_errs_along_its_tool_alone_is_taken_for_what_it_is():
     reported[:, :3, 3] += np.einsum("vij,vj->vi", poses[:, :3, :3], drawn[:, :3])
     reported[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_rotvec(drawn[:, 3:]).as_matrix()
     data = dataclasses.replace(scene.data, base_from_tool=as_se3(reported))
-    prior = RobotPrior(directional_probability=0.5)
-    fit = fit_joint(data, scene.calibration, robot_prior=prior)
+    fit = fit_joint(data, scene.calibration)
     assert fit.noise_estimate is not None
     assert fit.noise_estimate.directions is not None
     assert fit.noise_estimate.directions.probabilities["tool axes"] > 0.5

@@ -1,5 +1,6 @@
 import jax
 import numpy as np
+import pytest
 from linear_world import CAMERA, GROUP, MOUNT, SHARED, TRUTH, VIEWS, linearised
 from scipy.linalg import block_diag, expm
 from scipy.optimize import fsolve, minimize
@@ -67,9 +68,9 @@ def test_the_axes_of_the_base_are_found_where_scipy_finds_them(world):
     assert noise.probabilities["base axes"] > 0.9
 
     def deviance(x):
-        # The entries' prior: each logarithm of a variance less their mean has the deviation 2.
+        # The entries' prior: each logarithm of a variance less their mean has the deviation 1.
         of_axes = x.reshape(2, 3) - x.reshape(2, 3).mean(axis=1, keepdims=True)
-        return textbook(world, observed, in_base(np.diag(np.exp(x))))[0] + np.sum(of_axes**2) / 4.0
+        return textbook(world, observed, in_base(np.diag(np.exp(x))))[0] + np.sum(of_axes**2)
 
     best = minimize(deviance, np.log(np.diagonal(AXES)), options={"gtol": 1e-3})
     found = noise.covariances["base axes"]
@@ -101,10 +102,7 @@ def test_a_bad_joint_is_an_ellipsoid_at_the_top_of_the_posterior(world):
 
     def posterior(change):
         covariance = root @ expm(change) @ root.T
-        return (
-            textbook(world, observed, in_base(covariance))[0]
-            + np.sum(entries(covariance) ** 2) / 4.0
-        )
+        return textbook(world, observed, in_base(covariance))[0] + np.sum(entries(covariance) ** 2)
 
     best, rng = posterior(np.zeros((6, 6))), np.random.default_rng(0)
     for _ in range(6):
@@ -123,7 +121,7 @@ def test_equal_errors_stay_equal(world):
         views = jax.tree.map(np.asarray, linearised(world, drawn(world, seed, equal)))
         noise = estimate_directions(views, TRUTH, TURNS)
         probabilities.append(1.0 if noise is None else noise.probabilities.get("equal", 0.0))
-    assert np.median(probabilities) > 0.95
+    assert np.median(probabilities) > 0.8
     assert min(probabilities) > 0.5
 
 
@@ -134,6 +132,32 @@ def test_the_roots_give_the_averaged_covariance(world):
     np.testing.assert_allclose(
         (noise.roots * sizes**2) @ noise.roots.swapaxes(1, 2), averaged, rtol=1e-9, atol=1e-12
     )
+
+
+def test_sizes_are_means_over_axes_where_rotations_follow_translations(world):
+    """The motions of a bad joint are drawn, and the sizes of their rotations taken alone."""
+    _, _, noise = estimated(world, 2, in_base(JOINT))
+    sizes = np.array([2.0 * noise.translation, 0.5 * noise.rotation])
+    resized = noise.with_sizes(sizes)
+    draws = np.random.default_rng(0).normal(size=(20_000, 1, 6)) * np.repeat(sizes, 3)
+    twists = np.einsum("vij,nvj->nvi", noise.roots, np.broadcast_to(draws, (20_000, VIEWS, 6)))
+    means = np.sqrt(np.mean(twists.reshape(-1, 2, 3) ** 2, axis=(0, 2)))
+    np.testing.assert_allclose([resized.translation, resized.rotation], means, rtol=0.02)
+    # Independent parameters of these sizes are the same errors.
+    for view in range(VIEWS):
+        expected = np.cov(twists[:, view], rowvar=False)
+        np.testing.assert_allclose(
+            resized.covariance[view], expected, rtol=0.1, atol=0.03 * np.abs(expected).max()
+        )
+
+
+def test_the_worst_direction_is_the_one_in_which_draws_scatter_most(world):
+    _, _, noise = estimated(world, 1, in_base(AXES))
+    ways = np.random.default_rng(0).normal(size=(2000, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    for part, found in zip((slice(0, 3), slice(3, 6)), noise.worst, strict=True):
+        along = np.einsum("wi,vij,wj->vw", ways, noise.covariance[:, part, part], ways)
+        assert found == pytest.approx(np.sqrt(along.max(axis=1).mean()), rel=0.01)
 
 
 def own_axes(views, noise):

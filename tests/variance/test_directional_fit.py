@@ -1,0 +1,58 @@
+"""Fits of robots whose errors differ by direction, against the errors that were drawn."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from fit_scenes import MANY_VIEWS, scene_of
+from scipy.linalg import expm
+
+from smartview_jax import fit_joint
+from smartview_jax.geometry import as_se3, host_matrices
+
+
+def with_errors(scene, twists):
+    """The data of a robot whose reported poses are off by these twists at the tool."""
+    matrices = np.zeros((len(twists), 4, 4))
+    matrices[:, :3, 3] = twists[:, :3]
+    for rows, columns, k, sign in ((2, 1, 3, 1), (0, 2, 4, 1), (1, 0, 5, 1)):
+        matrices[:, rows, columns] = sign * twists[:, k]
+        matrices[:, columns, rows] = -sign * twists[:, k]
+    reported = host_matrices(scene.data.base_from_tool) @ np.array([expm(m) for m in matrices])
+    return dataclasses.replace(scene.data, base_from_tool=as_se3(reported))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return scene_of(3, MANY_VIEWS)
+
+
+def test_the_size_of_rotations_is_theirs_whatever_the_translations_tell(scene):
+    """A worn joint turns the tool about an axis 0.3 m away: its translations tell its rotations."""
+    rng = np.random.default_rng(1)
+    worn = np.outer(rng.normal(0.0, 5e-3, MANY_VIEWS), [0.0, 0.3, 0.0, 0.0, 0.0, 1.0])
+    twists = worn + rng.normal(size=(MANY_VIEWS, 6)) * np.repeat([2e-5, 5e-5], 3)
+    fit = fit_joint(with_errors(scene, twists), scene.calibration)
+    estimate = fit.noise_estimate
+    assert estimate is not None
+    assert estimate.directions is not None
+    sizes = np.sqrt(np.mean(twists.reshape(-1, 2, 3) ** 2, axis=(0, 2)))
+    np.testing.assert_allclose([fit.noise.translation, fit.noise.rotation], sizes, rtol=0.35)
+    largest = np.sqrt(np.mean(twists**2, axis=0))[[1, 5]]
+    np.testing.assert_allclose(estimate.largest_pose_sigmas, largest, rtol=0.35)
+    alike = estimate.alike
+    assert alike is not None
+    assert alike.directions is None
+    shown = str(fit)
+    assert f"{1e3 * estimate.largest_pose_sigmas[0]:.2g} mm" in shown
+    assert "in their worst direction" in shown
+
+
+def test_an_error_along_one_axis_is_judged_by_its_size_there(scene):
+    """1.6 mm along the tool is implausible, though the mean over the axes is below the limit."""
+    rng = np.random.default_rng(2)
+    drawn = rng.normal(size=(MANY_VIEWS, 6)) * [5e-5, 5e-5, 1.6e-3, 5e-5, 5e-5, 5e-5]
+    drawn[:, 2] *= 1.6e-3 / np.sqrt(np.mean(drawn[:, 2] ** 2))
+    fit = fit_joint(with_errors(scene, drawn), scene.calibration)
+    assert fit.noise.translation < 1.004e-3
+    assert "translation of reported poses in their worst direction" in " ".join(fit.warnings)
