@@ -19,10 +19,9 @@ of the prior of good arms: in that tail, every halving of the noise would seem m
 Repeatability differs by direction, because noise of the joints reaches the tool through the arm's
 Jacobian. For five arms with six joints, whose joints differ in repeatability by a factor of e, the
 mean covariance over 20 views has axes that deviate from their mean by a factor of 1.4 (in axes of
-the base) or 1.3 (of the tool). Robots with fewer or other joints (SCARA arms, gantries), about a
-third of those sold (International Federation of Robotics, World Robotics), deviate by more, as does
-an arm with one worn joint. A third of all robots are taken to differ by direction, by a factor of
-1.6.
+the base) or 1.3 (of the tool). Robots with fewer or other joints (SCARA arms, gantries) deviate by
+more, as does an arm with one worn joint. A third of all robots are taken to differ by direction, by
+a factor of 1.6.
 
 Targets are a part of the robot's world. Printed sheets on boards bow by 0.1 to 0.3 mm over 0.2 to
 0.4 m, glass and milled plates by a hundredth of it; printers stretch one axis by some 0.1 % more

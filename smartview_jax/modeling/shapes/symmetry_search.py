@@ -79,6 +79,8 @@ def shape_sigma(model: ObjectModel) -> float:
     object has that symmetry, its vertices are not exactly where the model has them. The errors of
     measured vertices are in their covariance, and are no part of it.
     """
+    from scipy.spatial import KDTree
+
     rotations = np.zeros((0, 3, 3)) if model.symmetry is None else model.symmetry.rotations[1:]
     is_corner = ~np.isin(np.arange(len(model.vertices)), list(rim_vertices(model)))
     if not (model.is_exact and len(rotations) and is_corner.any()):
