@@ -26,8 +26,11 @@ from .terminal import progress_line
 FAILED_CODE, NOT_CONVERGED_CODE = 2, 1
 """Exit codes if a folder could not be calibrated, and if a fit did not converge."""
 
-MAX_NAME_WIDTH = 18
-"""Width of the column of names: with it the table fits a terminal of 80 characters."""
+MIN_NAME_WIDTH, MAX_NAME_WIDTH = 8, 18
+"""Width of the column of names: in a terminal of 80 characters names are cut, but no number."""
+
+_GAP = 2
+"""Blanks between two columns."""
 
 
 class FolderResult(NamedTuple):
@@ -188,16 +191,22 @@ def _documents(names: Sequence[str], results: "Sequence[sv.fleet.Outcome]") -> l
 
 def _print_table(names: Sequence[str], results: "Sequence[sv.fleet.Outcome]", out: Path) -> None:
     """Print a row for each folder, then the errors and where the results are."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("data set", max_width=MAX_NAME_WIDTH, overflow="ellipsis", no_wrap=True)
     units = {outcome.result.unit for outcome in results if not outcome.error} or {"px"}
-    error = f"RMS {'/'.join(sorted(units))}"
-    for title in ("views", error, "held out", "hand-eye (x, y, z) mm", "+-"):
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("outcome", no_wrap=True)
-    for name, outcome in zip(names, results, strict=True):
-        table.add_row(name, *_cells(outcome, len(units) > 1))
+    error = "RMS" if len(units) > 1 else f"RMS {min(units)}"
+    titles = ("views", error, "held out", "hand-eye (x, y, z) mm", "+-", "outcome")
+    rows = [_cells(outcome, len(units) > 1) for outcome in results]
     console = Console()
+    # Where the terminal is narrow, names are cut, not numbers.
+    widths = [max(map(len, column)) for column in zip(titles, *rows, strict=True)]
+    room = console.width - sum(widths) - _GAP * len(titles) - 1
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, _GAP - 1, 0, 0))
+    name_width = min(max(room, MIN_NAME_WIDTH), MAX_NAME_WIDTH)
+    table.add_column("data set", max_width=name_width, overflow="ellipsis", no_wrap=True)
+    for title, width in zip(titles, widths, strict=True):
+        justify = "left" if title == titles[-1] else "right"
+        table.add_column(title, justify=justify, min_width=width, no_wrap=True)
+    for name, row in zip(names, rows, strict=True):
+        table.add_row(name, *row)
     console.print(table)
     for name, outcome in zip(names, results, strict=True):
         if outcome.error:

@@ -29,7 +29,6 @@ from ..export_text import (
     static_transform_text,
 )
 from ..files import read_yaml
-from ..schemas.calibrated_rig import CALIBRATED_RIG_SCHEMA
 from .options import DebugOption
 from .robot_commands import named_arm
 from .terminal import errors_reported
@@ -124,7 +123,7 @@ def _camera_files(paths: list[Path]) -> list[Path]:
     for path in paths:
         rigs = sorted(path.glob(f"*{sv.joint.JOINT_SUFFIX}")) if path.is_dir() else []
         for rig in rigs:
-            content = schemas.validate_content(read_yaml(rig), CALIBRATED_RIG_SCHEMA, rig)
+            content = schemas.validate_content(read_yaml(rig), schemas.CALIBRATED_RIG_SCHEMA, rig)
             files += [path / own for own in content.cameras.values()]
         files += [] if rigs else [path]
     return files

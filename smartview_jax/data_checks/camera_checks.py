@@ -10,7 +10,6 @@ models of the package are tried.
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool
@@ -18,6 +17,7 @@ from jaxtyping import Bool
 from ..cameras import AbstractLens, Camera, lens_name
 from ..dataset import Observations, medians_by_view, view_residuals
 from ..geometry import host_matrices
+from ..runtime.array_namespace import to_device
 from .target_checks import DETECTION_NOISE, fit_of_any_lens, median_distance
 
 MAX_MISFIT_RATIO = 0.3
@@ -164,7 +164,7 @@ def _usual_distance(
 ) -> float:
     """Return the distance of the points from where a camera puts them, px; see `CameraMisfit`."""
     poses = host_matrices(camera_from_world)
-    residuals = np.asarray(view_residuals(camera, jnp.ones(()), poses, observations))
+    residuals = np.asarray(view_residuals(camera, to_device(np.ones(())), poses, observations))
     distances = np.linalg.norm(residuals, axis=2)
     return float(np.median(medians_by_view(distances, np.asarray(observations.visible))[used]))
 

@@ -11,7 +11,6 @@ import dataclasses
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
@@ -19,6 +18,7 @@ from jaxtyping import Bool, Float
 from ..cameras import Camera
 from ..dataset import Observations, view_residuals
 from ..geometry import host_matrices
+from ..runtime.array_namespace import to_device
 from ..runtime.modules import with_fields
 
 STEP = 1e-5
@@ -149,14 +149,17 @@ def _derivatives(
         observations: Observations = observations,
     ) -> np.ndarray:
         """Return the residuals, px."""
-        return np.asarray(view_residuals(camera, jnp.ones(()), poses, observations))
+        return np.asarray(view_residuals(camera, to_device(np.ones(())), poses, observations))
 
     given = residuals()
-    values, structure = jax.tree.flatten(camera)
+    leaves, structure = jax.tree.flatten(camera)
+    values = [np.asarray(leaf) for leaf in leaves]
     by_camera = []
     for k, value in enumerate(values):
         step = STEP * max(abs(float(value)), 1.0)
-        moved = jax.tree.unflatten(structure, [*values[:k], value + step, *values[k + 1 :]])
+        moved = jax.tree.unflatten(
+            structure, [*leaves[:k], to_device(value + step), *leaves[k + 1 :]]
+        )
         by_camera.append((residuals(camera=moved) - given) / step)
     by_pose = []
     for k in range(6):
@@ -172,7 +175,7 @@ def _derivatives(
     for height in heights:
         lifted = points.copy()
         lifted[..., 2] += STEP * height
-        moved = with_fields(observations, points=jnp.asarray(lifted))
+        moved = with_fields(observations, points=to_device(lifted))
         by_height.append((residuals(observations=moved) - given) / STEP)
     return (given[..., None], *(np.stack(part, axis=3) for part in (by_camera, by_pose, by_height)))
 

@@ -111,7 +111,6 @@ def test_what_the_file_does_not_tell_is_asked(samples, folder):
         (samples,): "give --mount eye_in_hand",
         (folder, "--mount", "eye_in_hand"): "a data-set folder states its mount",
         (folder, "--diagnose"): "--diagnose: expected a data set with pictures",
-        (folder, folder.parent, "--jobs", "1"): "has tracked poses: calibrate it alone",
     }.items():
         ended = run("calibrate", *words)
         assert ended.exit_code, ended.output
