@@ -263,9 +263,12 @@ def fit_joint(
             break
         used_data = without_views(used_data, wrong)
         accepted, matrix = fit_once(used_data, judging)
+    judged = accepted
     if judging is not robot_prior:
         accepted = first if used_data is first_data else fit_once(used_data)[0]
-    return _finish_fit(accepted, used_data, all_data)
+    # A wrong value that is held looks like errors along one direction, too.
+    contradicted = () if isinstance(used_data, PoseDataset) else held_value_warnings(judged)
+    return _finish_fit(accepted, used_data, all_data, contradicted)
 
 
 def _alike(prior: RobotPrior | None) -> RobotPrior:
@@ -300,7 +303,9 @@ def _embedded(
     )
 
 
-def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFit:
+def _finish_fit(
+    fit: JointFit, used_data: Dataset, all_data: Dataset, contradicted: tuple[str, ...]
+) -> JointFit:
     """Return the fit with the residuals of all data, its region of viewpoints and its warnings."""
     # Residuals include rejected observations. The region is added after they are computed, because
     # it changes the structure of the calibration, and so would need a new program.
@@ -308,7 +313,6 @@ def _finish_fit(fit: JointFit, used_data: Dataset, all_data: Dataset) -> JointFi
     calibration = with_region(fit.calibration, used_data)
     digests = () if isinstance(all_data, PoseDataset) else digests_to_keep(all_data)
     fit = with_fields(fit, residuals=residuals, calibration=calibration, picture_digests=digests)
-    contradicted = () if isinstance(used_data, PoseDataset) else held_value_warnings(fit)
     return with_fields(fit, warnings=plausibility_warnings(fit, contradicted))
 
 
