@@ -158,13 +158,10 @@ class _Judging:
         _take(self.scene, self._prepared, obj)
 
     def is_rejected_unrefined(self, candidate: Candidate) -> bool:
-        """Return whether a pose is rejected without refinement, whatever its rivals.
-
-        All samples are used, as in the verdict: few are too few for the lines of short edges.
-        """
+        """Return whether a pose is rejected without refinement, whatever its rivals."""
         entry, pose = self._prepared[candidate.model], candidate.pose
-        lines = self.scene.lines(pose, entry.fine)
-        evidence = self.scene.evidence(lines, entry.fine, entry.middle_at(pose))
+        lines = self.scene.lines(pose, entry.coarse)
+        evidence = self.scene.evidence(lines, entry.coarse, entry.middle_at(pose))
         verdict = judge(evidence, self._tested, np.inf, options=self._options)
         return verdict.decision == "rejected"
 

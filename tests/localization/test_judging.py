@@ -1,16 +1,12 @@
-"""The order in which poses are judged, and which of them are not worth a refinement."""
+"""The order in which poses are judged, without pictures."""
 
 from types import SimpleNamespace
 
 import numpy as np
-from drawn_edges import TWO_DIRECTIONS, drawn, evidence, seen_views
 
-from smartview_jax import simulation
 from smartview_jax.localization import Localization, judging
-from smartview_jax.localization.candidates import Candidate, Prepared, Query
-from smartview_jax.localization.scene import Scene
-from smartview_jax.localization.verdict import DEFAULT_OPTIONS, VerdictOptions
-from smartview_jax.modeling import CalibrationUncertainty
+from smartview_jax.localization.candidates import Candidate, Query
+from smartview_jax.localization.verdict import DEFAULT_OPTIONS
 
 
 class Recorded(judging._Judging):
@@ -49,15 +45,3 @@ def test_what_is_skipped_leaves_the_others_their_places():
     assert recorded.asked == [good] * most
     # The others are not forgotten without a word.
     assert judgement.left == [good] * 3
-
-
-def test_a_pose_is_left_out_by_no_fewer_samples_than_the_verdict_has():
-    """Ten edges of a small block show, 17 to 68 px long; with few samples seven have lines."""
-    model = simulation.roofed_block(0.03).exact_model("roofed")
-    views = seen_views(model.vertices.mean(axis=0), TWO_DIRECTIONS[:1], 0.6)
-    scene = Scene(views, evidence(drawn(model, views, np.eye(4), 0.05)), np.zeros((0, 3, 3)))
-    for needed, is_rejected in ((10, False), (11, True)):
-        options = VerdictOptions(min_edges=needed)
-        query = Query([Prepared.of(model)], CalibrationUncertainty.none(views), options)
-        judge = judging._Judging(scene, query, 1)
-        assert judge.is_rejected_unrefined(candidate(1.0, 500.0)) == is_rejected
