@@ -88,13 +88,13 @@ class ViewCameras(eqx.Module):
             position = np.zeros(len(self.cameras), dtype=int)
             position[numbers] = np.arange(len(numbers))
             is_own = np.isin(np.arange(len(self.cameras)), numbers)
-            own = jnp.asarray(is_own)[self.index].reshape(*views, *inner)
+            of_kind = jnp.asarray(is_own)[self.index].reshape(*views, *inner)
             camera = self._stacked(numbers, jnp.asarray(position)[self.index])
             # Other views' points are replaced: where a lens has no value, its derivative may be
             # NaN, which no later selection removes.
-            results, is_valid = method(camera, jnp.where(own[..., None], given, filler))
-            values = results if values is None else jnp.where(own[..., None], results, values)
-            valid = is_valid if valid is None else jnp.where(own, is_valid, valid)
+            results, is_valid = method(camera, jnp.where(of_kind[..., None], given, filler))
+            values = results if values is None else jnp.where(of_kind[..., None], results, values)
+            valid = is_valid if valid is None else jnp.where(of_kind, is_valid, valid)
         assert values is not None
         assert valid is not None
         return values, valid

@@ -39,8 +39,8 @@ class OpenCVCamera:
         for _ in range(BUFFERED_FRAMES):
             if not self._capture.grab():
                 raise SourceLostError(f"{self._name} gives no picture")
-        found, picture = self._capture.retrieve()
-        if not found:
+        is_read, picture = self._capture.retrieve()
+        if not is_read:
             raise SourceLostError(f"{self._name} gives no picture")
         return np.asarray(picture, dtype=np.uint8)
 
@@ -66,8 +66,8 @@ class VideoFile:
 
     def read(self) -> UInt8[np.ndarray, "..."]:
         """Return the next frame; at the end of the file the last one again."""
-        found, picture = self._capture.read()
-        if found:
+        is_read, picture = self._capture.read()
+        if is_read:
             self._last = np.asarray(picture, dtype=np.uint8)
         if self._last is None:
             raise SourceLostError(f"{self._name}: no frame can be read")
@@ -114,11 +114,11 @@ class PictureFolder:
 
     def _newest(self) -> Path:
         """Return the newest picture that is complete."""
-        found = [
+        dated_files = [
             (path.stat().st_mtime, path) for path in self._folder.iterdir() if is_picture_name(path)
         ]
         # A file that is still being written has just been changed.
-        complete = [entry for entry in found if time.time() - entry[0] >= STABLE_SECONDS]
+        complete = [entry for entry in dated_files if time.time() - entry[0] >= STABLE_SECONDS]
         if not complete:
             raise SourceLostError(f"{self._folder}: no picture yet")
         return max(complete)[1]

@@ -89,11 +89,11 @@ class CapturePage:
         look, last, settle = session.last_look, session.last_estimate, session.last_settle_test
         covered = session.coverage()
         width, height = session.folder.description.image_size
-        found = None
+        target = None
         if look is not None:
             detection = look.detection
             rows, columns = look.picture.shape[:2]
-            found = {
+            target = {
                 "count": int(detection.visible.sum()),
                 "of": len(detection.visible),
                 "reason": detection.reason,
@@ -113,7 +113,7 @@ class CapturePage:
             "reached": session.is_reached,
             "warnings": [] if last is None else list(last.warnings[:2]),
             "troubles": list(session.troubles),
-            "target": found,
+            "target": target,
             "settle": None if settle is None else {"ok": settle.is_settled, "text": settle.reason},
             "cells": covered.cells.astype(int).tolist(),
             "rotations_deg": np.rad2deg(covered.rotations).round(1).tolist(),

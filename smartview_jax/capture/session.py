@@ -257,11 +257,11 @@ class CaptureSession:
             first = self._read()
             second = self._read() if self._camera.get().is_continuous else first
             after = self._pose()
-            found = detect(second, self._board)
-            found_first = found if second is first else detect(first, self._board)
-            test = settle_test(found_first, found, before, after)
+            detected = detect(second, self._board)
+            detected_first = detected if second is first else detect(first, self._board)
+            test = settle_test(detected_first, detected, before, after)
             with self._state:
-                self.last_look = Look(second, found, after, time.monotonic())
+                self.last_look = Look(second, detected, after, time.monotonic())
                 self.last_settle_test = test
                 last = self._last_picture
             if not test.is_settled:
@@ -275,10 +275,10 @@ class CaptureSession:
                 robot.forget()
         with self._state:
             self._last_picture = second
-            self._views.append(_View(after, found.pixels))
+            self._views.append(_View(after, detected.pixels))
             self._drop_near(after[None])
             self._wanted.notify_all()
-        self.listener(f"view {name} taken: {int(found.visible.sum())} points")
+        self.listener(f"view {name} taken: {int(detected.visible.sum())} points")
         return name
 
     def is_new_place(self) -> bool:
@@ -393,16 +393,16 @@ class CaptureSession:
         """Fit the views in the folder, and take over the proposals."""
         with self.folder.lock:
             data = load_dataset(self.folder.folder, "mask")
-        found = estimate(data, self.options, self._avoided())
+        newest = estimate(data, self.options, self._avoided())
         with self._state:
-            self.last_estimate = found
+            self.last_estimate = newest
             # A calibration from few views may be far off: until then the drawing is safer.
-            if found.proposals and (found.is_reliable or not self._proposals):
-                self._proposals = list(found.proposals)
+            if newest.proposals and (newest.is_reliable or not self._proposals):
+                self._proposals = list(newest.proposals)
                 # Meanwhile more views may have been taken.
                 self._drop_near(self._avoided())
-        error = f"{1e3 * found.error:.2g} mm" if np.isfinite(found.error) else "not known yet"
-        self.listener(f"fit of {found.views} views: expected error {error}")
+        error = f"{1e3 * newest.error:.2g} mm" if np.isfinite(newest.error) else "not known yet"
+        self.listener(f"fit of {newest.views} views: expected error {error}")
 
     def _avoided(self) -> Float[np.ndarray, "places 4 4"]:
         """Return the poses near which no further view is wanted: of views, and of failures."""

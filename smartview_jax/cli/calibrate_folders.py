@@ -80,15 +80,15 @@ def calibrate_folders(
     if settings.mount is not None and not any(folder.is_file() for folder in folders):
         raise ValueError("--mount: expected a file of samples; a data-set folder states its mount")
     job = functools.partial(_calibrate_folder, settings=settings)
-    found: dict[int, sv.fleet.Outcome] = {}
+    outcomes: dict[int, sv.fleet.Outcome] = {}
     with progress_line() as progress, ExitStack() as stack:
         # One at a time needs no second process.
         executor = stack.enter_context(ThreadPoolExecutor(1)) if jobs == 1 else jobs
         for outcome in sv.fleet.outcomes(job, list(zip(folders, places, strict=True)), executor):
-            found[outcome.number] = outcome
+            outcomes[outcome.number] = outcome
             ended = "failed" if outcome.error else "calibrated"
-            progress(f"{names[outcome.number]} {ended}: {len(found)} of {len(folders)}")
-    results = [found[number] for number in range(len(folders))]
+            progress(f"{names[outcome.number]} {ended}: {len(outcomes)} of {len(folders)}")
+    results = [outcomes[number] for number in range(len(folders))]
     if json:
         print_document("calibrate", {"data_sets": _documents(names, results)})
     else:

@@ -186,7 +186,7 @@ def fitted_rig(
             progress=lambda text: progress(f"held-out: {text}"),
         )
         # What failed for all cameras is said once.
-        failures = dict.fromkeys(entry for own in scores.values() for entry in own.failures)
+        failures = dict.fromkeys(entry for score in scores.values() for entry in score.failures)
         notes += [f"held-out: fold {k + 1}: {reason}" for k, reason in failures]
     budget = None
     if settings.diagnose:
@@ -232,7 +232,7 @@ def _what_it_holds(file: Path, fit: "sv.RigFit") -> str:
 def _budget_document(budget: "sv.evaluation.RigErrorBudget") -> dict[str, Any]:
     """Return the causes of the errors of a rig as plain numbers."""
     return {
-        "cameras": {name: budget_document(own) for name, own in budget.cameras.items()},
+        "cameras": {name: budget_document(entry) for name, entry in budget.cameras.items()},
         "poses": {
             pose.name: {
                 "std": {"translation": pose.translation, "rotation": pose.rotation},
@@ -258,7 +258,9 @@ def _base_document(fit: "sv.RigFit", arm: str) -> dict[str, Any]:
     first = next(iter(fit.bases))
     base = fit.base(first, arm)
     return {
-        "cameras": [name for name, own in fit.arms.items() if arm in sv.dataset.arms_of(own)],
+        "cameras": [
+            name for name, of_camera in fit.arms.items() if arm in sv.dataset.arms_of(of_camera)
+        ],
         f"base_{first}_from_base": transform_document(base.transform),
         "std": {"translation": base.std[:3].tolist(), "rotation": base.std[3:].tolist()},
     }

@@ -272,9 +272,9 @@ def parse_rig_start(
     folders = [Path(text) for text in texts if "=" not in text]
     if len(folders) > 1:
         raise ValueError(f"--start: one folder of calibrations, found {folders[1]} too")
-    own: dict[str, list[str]] = {name: [] for name in mounts}
+    entries: dict[str, list[str]] = {name: [] for name in mounts}
     for folder in folders:
-        for name, listed in own.items():
+        for name, listed in entries.items():
             file = folder / f"{name}.yaml"
             if not file.is_file():
                 raise ValueError(f"--start: {file}: missing, the calibration of camera {name}")
@@ -283,13 +283,13 @@ def parse_rig_start(
         if "=" not in text:
             continue
         name, _, transform = text.partition(".")
-        if name not in own or "=" in name:
+        if name not in entries or "=" in name:
             raise ValueError(
-                f"--start: expected CAMERA.TRANSFORM=... with a camera of {', '.join(own)}, found "
-                f"{text!r}"
+                f"--start: expected CAMERA.TRANSFORM=... with a camera of {', '.join(entries)}, "
+                f"found {text!r}"
             )
-        own[name].append(transform)
-    starts = {name: _parse_start(listed, mounts[name]) for name, listed in own.items()}
+        entries[name].append(transform)
+    starts = {name: _parse_start(listed, mounts[name]) for name, listed in entries.items()}
     return {name: start for name, start in starts.items() if start is not None} or None
 
 

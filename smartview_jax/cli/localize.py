@@ -99,8 +99,8 @@ def localize(
         cameras = sv.modeling.SeenViews.of(loaded, command).cameras
         with progress_line() as progress:
             pictures = [
-                sv.detection.read_picture(path, own.image_size)
-                for path, own in zip(paths, cameras, strict=True)
+                sv.detection.read_picture(path, camera.image_size)
+                for path, camera in zip(paths, cameras, strict=True)
             ]
             evidence = _evidence(pictures, paths, cameras, progress)
             progress("searching")

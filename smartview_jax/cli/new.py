@@ -62,9 +62,10 @@ def new(
         places = {name: images / name for name in names} or {"": images}
         pictures = {name: sv.io.found_pictures(place) for name, place in places.items()}
         sizes = {
-            name: found.image_size if found else DEFAULT_SIZE for name, found in pictures.items()
+            name: content.image_size if content else DEFAULT_SIZE
+            for name, content in pictures.items()
         }
-        suffixes = {found.suffix for found in pictures.values() if found}
+        suffixes = {content.suffix for content in pictures.values() if content}
         if len(suffixes) > 1:
             raise ValueError(
                 f"{images}: expected pictures with one suffix for all cameras, found "
@@ -74,9 +75,9 @@ def new(
         path = sv.io.write_new_dataset(
             folder, robot, target, mount, sizes if names else sizes[""], suffix, arm_of
         )
-        for name, found in pictures.items():
-            if found:
-                _print_pictures(places[name], found)
+        for name, content in pictures.items():
+            if content:
+                _print_pictures(places[name], content)
         typer.echo(f"{path}: written; next steps:")
         complete = all(pictures.values())
         each = f"{images}, a folder for each camera" if names else str(images)
@@ -102,14 +103,14 @@ def _step_of_poses(folder: Path, several: bool, arm_of: dict[str, str] | None) -
     return f"write {what} into {tables}{each}"
 
 
-def _print_pictures(folder: Path, found: "sv.io.FoundPictures") -> None:
+def _print_pictures(folder: Path, content: "sv.io.FoundPictures") -> None:
     """Print what kind of pictures a folder has already."""
-    width, height = found.image_size
+    width, height = content.image_size
     typer.echo(
-        f"{folder}: {found.picture_count} pictures named *{found.suffix}, {width} x {height} px"
+        f"{folder}: {content.picture_count} pictures named *{content.suffix}, {width} x {height} px"
     )
-    if found.others:
-        typer.echo(f"{folder}: other files: {', '.join(found.others[:5])}")
+    if content.others:
+        typer.echo(f"{folder}: other files: {', '.join(content.others[:5])}")
 
 
 def _camera_names(text: str) -> list[str]:

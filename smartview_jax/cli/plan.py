@@ -207,10 +207,10 @@ def next_views(
     _, readings = robot.arm_and_readings(estimate.calibration)
     progress("computing what the views so far tell")
     with errors_at(paths[0]):
-        found = sv.viewpoints.situation_of_estimate(
+        situation = sv.viewpoints.situation_of_estimate(
             estimate, np.asarray(data.points[0]), limits, readings
         )
-    return found, data.view_ids
+    return situation, data.view_ids
 
 
 def first_views(

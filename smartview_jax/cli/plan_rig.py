@@ -66,7 +66,7 @@ def plan_rig(
         calibration = next(iter(estimate.calibrations.values()))
         arm, readings = robot.arm_and_readings(calibration)
         progress("computing what the states so far tell")
-        found = sv.viewpoints.plan_states(
+        state_plan = sv.viewpoints.plan_states(
             sv.viewpoints.RigInformationModel.from_estimate(estimate, rig, sigmas),
             limits,
             stop,
@@ -74,16 +74,16 @@ def plan_rig(
             near=readings,
             progress=progress,
         )
-    plan = found.plan
+    plan = state_plan.plan
     goal_mm = None if stop.goal is None else 1e3 * stop.goal
-    names = new_names(rig.view_ids, len(found.view_of))
+    names = new_names(rig.view_ids, len(state_plan.view_of))
     words = plan_words(plan, stop.least_gain, goal_mm, first=False)
-    views = _seen_words(found, names)
+    views = _seen_words(state_plan, names)
     sheet = CommandSheet(
-        robot, calibration, names, found.commands, arm, sv.viewpoints.SAFETY_CHECKS
+        robot, calibration, names, state_plan.commands, arm, sv.viewpoints.SAFETY_CHECKS
     )
     say = partial(typer.echo, "\n".join([*views, *words]))
-    entries = {**plan_entries(plan), "words": words, "seen": found.seen}
+    entries = {**plan_entries(plan), "words": words, "seen": state_plan.seen}
     if names:
         sheet.give("plan", json, say, **entries)
     else:
@@ -105,13 +105,13 @@ def _arm_of(rig: "sv.Rig", estimate: "sv.joint.RigEstimate", paths: Sequence[Pat
     )
 
 
-def _seen_words(found: "sv.viewpoints.StatePlan", names: Sequence[str]) -> list[str]:
+def _seen_words(state_plan: "sv.viewpoints.StatePlan", names: Sequence[str]) -> list[str]:
     """Return which cameras see their target in each state."""
     lines = []
-    for row, (name, camera) in enumerate(zip(names, found.view_of, strict=True)):
+    for row, (name, camera) in enumerate(zip(names, state_plan.view_of, strict=True)):
         others = [
             f"{other} sees {fractions[row]:.0%}"
-            for other, fractions in found.seen.items()
+            for other, fractions in state_plan.seen.items()
             if other != camera
         ]
         rest = f"; of the target {', '.join(others)}" if others else ""

@@ -119,13 +119,13 @@ def camera_problem(
         fit_with: function from a lens's name to the common camera with it, and the poses.
         observations, used: as for `camera_misfit`.
     """
-    left = f"with a free pose in every view it leaves {_in_pixels(misfit.common)} in the median"
+    misfits = f"with a free pose in every view it leaves {_in_pixels(misfit.common)} in the median"
     alone = f"a camera of its own in each view leaves {_in_pixels(misfit.single)}"
     if is_known:
         return (
-            f"the known camera does not fit these pictures: {left}, where {alone}. Is it of this "
-            "camera, at this zoom and focus, and are the pictures as it took them, not undistorted "
-            "or scaled? Leave out camera= (--camera) to have it found"
+            f"the known camera does not fit these pictures: {misfits}, where {alone}. Is it of "
+            "this camera, at this zoom and focus, and are the pictures as it took them, not "
+            "undistorted or scaled? Leave out camera= (--camera) to have it found"
         )
     name = lens if isinstance(lens, str) else lens_name(lens)
     best, nearest = name, misfit.common
@@ -137,7 +137,7 @@ def camera_problem(
         best, nearest = min((best, nearest), (other, distance), key=lambda entry: entry[1])
     if nearest < MAX_MISFIT_RATIO * misfit.common:
         return (
-            f"the lens {name} does not fit these pictures: {left}, where {best} leaves "
+            f"the lens {name} does not fit these pictures: {misfits}, where {best} leaves "
             f"{_in_pixels(nearest)}: use lens='{best}' (--lens {best})"
         )
     return (

@@ -75,10 +75,10 @@ def ranked_hypotheses(
     alike = errors[:, 0] < ANGLE_TOLERANCE
     moving_alike = RelativeMotions(*(values[alike, None] for values in corrected))
     in_units[alike] = closure_errors(moving_alike, scales)
-    for mistake, error, own in zip(possible, errors.tolist(), in_units.tolist(), strict=True):
+    for mistake, error, by_unit in zip(possible, errors.tolist(), in_units.tolist(), strict=True):
         alone = ClosureError(*error)
         hypotheses.append(ConventionHypothesis(mistake.name, mistake.description, alone))
-        for words, unit_alone, numbers in zip(units, of_units, own, strict=True):
+        for words, unit_alone, numbers in zip(units, of_units, by_unit, strict=True):
             combined = ClosureError(*numbers)
             # Two mistakes at once are considered only if they leave less than a tenth of the
             # closure error of either alone.

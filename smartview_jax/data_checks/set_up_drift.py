@@ -141,7 +141,7 @@ def find_drift(
     kernels = pose_kernels(robot)
     smooth = seen.likeliest(calibration, kernels)
     given, given_score = mean_size(at_mount - calibration @ without.numbers, distance)
-    found = []
+    candidates = []
     for kind, drift in drifts.items():
         if _odds(smooth, seen.likeliest(models[kind], kernels)) <= limit:
             continue
@@ -151,8 +151,8 @@ def find_drift(
         if size > options.min_size:
             ends = int(views[0]), int(views[-1])
             sizes = translation, rotation, misfit, given, score, given_score
-            found.append(SetUpDrift(kind, ends, *sizes))
-    return min(found, key=lambda drift: drift.score, default=None)
+            candidates.append(SetUpDrift(kind, ends, *sizes))
+    return min(candidates, key=lambda drift: drift.score, default=None)
 
 
 def _odds(without: LinearFit, drifting: LinearFit) -> float:

@@ -101,8 +101,8 @@ def find_shifted_numbering(
     ways = 2.0 * float(np.sum(np.log([len(choice) for choice in choices])))
     gain = evidence(error_variances(errors_of(given)), errors_of(corrected), 0) - ways
     is_likely = gain > 2.0 * np.log(options.min_odds)
-    left = np.linalg.norm(_offsets(robot, camera, everything, chosen, centres) - chosen, axis=1)
-    is_resolved = left[shifted] < MAX_DISTANCE_TO_SHIFT * np.linalg.norm(chosen[shifted], axis=1)
+    miss = np.linalg.norm(_offsets(robot, camera, everything, chosen, centres) - chosen, axis=1)
+    is_resolved = miss[shifted] < MAX_DISTANCE_TO_SHIFT * np.linalg.norm(chosen[shifted], axis=1)
     if (
         is_likely
         and is_resolved.all()

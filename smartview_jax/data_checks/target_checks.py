@@ -52,7 +52,7 @@ def mismatched_views(
     """
     limit = MAX_MISFIT * max(image_size)
     points, pixels = np.asarray(observations.points), np.asarray(observations.pixels)
-    visible, found = np.asarray(observations.visible), {}
+    visible, mismatches = np.asarray(observations.visible), {}
     # Negated, so that a NaN error is asked about too.
     for view in np.flatnonzero(used & ~(rms <= limit)):
         seen = visible[view]
@@ -60,11 +60,11 @@ def mismatched_views(
         # Where its points are too few to tell a lens, the fit of Step 1 decides.
         misfit = float(rms[view]) if fit is None else median_distance(fit)
         if not misfit <= limit:
-            found[int(view)] = (
+            mismatches[int(view)] = (
                 f"its points are not the target's: {misfit:.0f} px from the best view of "
                 "it by any lens, in the median: wrongly detected or numbered?"
             )
-    return found
+    return mismatches
 
 
 def fit_of_any_lens(

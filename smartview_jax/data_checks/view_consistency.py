@@ -191,11 +191,11 @@ def stale_views(
     misfit = fit_transforms(robot, camera, unrepeated).misfit
     distance = np.linalg.norm(np.asarray(camera_from_world.wxyz_xyz)[:, 4:], axis=1)
     score = misfit[:, 0] / distance + misfit[:, 1]
-    found = {}
+    stale = {}
     for group in groups:
         right = group[int(np.argmin(score[list(group)]))]
-        found |= {view: right for view in group if view != right}
-    return found
+        stale |= {view: right for view in group if view != right}
+    return stale
 
 
 def median_reprojection_errors(

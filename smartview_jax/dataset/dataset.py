@@ -246,9 +246,9 @@ class Dataset(HostModule):
                 data set whose target is not seen from a hand, or that has an arm's joints.
         """
         if self.mount != "eye_in_hand" or self.joints is not None:
-            found = self.mount if self.joints is None else "a data set with joints"
+            kind = self.mount if self.joints is None else "a data set with joints"
             raise ValueError(
-                f"between_hands: expected an eye_in_hand data set without joints, found {found}"
+                f"between_hands: expected an eye_in_hand data set without joints, found {kind}"
             )
         matrices = pose_matrices(other_base_from_other_tool, self.view_count)
         masked = {view for view, _ in self.masked_views}
@@ -268,7 +268,7 @@ class Dataset(HostModule):
         """The assumed base of the other arm in the base of the camera's; None for one arm."""
         if self.hands is None:
             return None
-        own, other, relative = (
+        this_arm, other, relative = (
             host_matrices(SE3(np.asarray(poses.wxyz_xyz)[0]))  # pyright: ignore[reportArgumentType]
             for poses in (
                 self.hands.base_from_tool,
@@ -276,7 +276,7 @@ class Dataset(HostModule):
                 self.base_from_tool,
             )
         )
-        return as_se3(own @ np.linalg.inv(relative) @ np.linalg.inv(other))
+        return as_se3(this_arm @ np.linalg.inv(relative) @ np.linalg.inv(other))
 
     def with_bases(self, base_from_other_base: SE3) -> "Dataset":
         """Return the data set of two arms with their bases at given places; of one arm as it is.

@@ -191,7 +191,7 @@ def _affine_fit(
     chosen = np.random.default_rng(0).random((_SUBSETS, len(depths))).argsort(axis=1)[:, :rank]
     candidates = (np.linalg.pinv(design[chosen], rtol=1e-9) @ depths[chosen][..., None])[..., 0]
     off = np.abs(depths - candidates @ design.T)
-    best = np.argmin([_robust_std(one, rank) for one in off])
+    best = np.argmin([_robust_std(offsets, rank) for offsets in off])
     values, kept = candidates[best], np.zeros(len(depths), dtype=bool)
     for _ in range(_ROUNDS):
         off = np.abs(depths - design @ values)

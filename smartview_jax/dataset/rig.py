@@ -140,7 +140,7 @@ class Rig:
         )
         place = {state: k for k, state in enumerate(self.view_ids)}
         self.state_index: Mapping[str, Int[np.ndarray, "views"]] = {
-            name: np.array([place[state] for state in own]) for name, own in ids.items()
+            name: np.array([place[state] for state in states]) for name, states in ids.items()
         }
         self.base_from_tool: SE3 = host_transforms(self._state_poses())
         self._require_equal_reports()
@@ -254,11 +254,11 @@ class Rig:
         poses = np.full((len(self.view_ids), 4, 4), np.nan)
         first: dict[int, str] = {}
         for name, data in self.cameras.items():
-            own = host_matrices(data.base_from_tool)
+            reported = host_matrices(data.base_from_tool)
             for view, state in enumerate(self.state_index[name]):
                 if state not in first:
-                    first[state], poses[state] = name, own[view]
-                difference = float(np.abs(poses[state] - own[view]).max())
+                    first[state], poses[state] = name, reported[view]
+                difference = float(np.abs(poses[state] - reported[view]).max())
                 if difference > SAME_POSE_TOLERANCE:
                     raise ValueError(
                         f"Rig: view {self.view_ids[state]!r} is one state of the robot, but its "
@@ -290,8 +290,8 @@ class Rig:
         if len(known) < len(self.cameras):
             return None
         joints = np.zeros((len(self.view_ids), np.shape(known[0])[1]))
-        for (name, _), own in zip(self.cameras.items(), known, strict=True):
-            joints[self.state_index[name]] = np.asarray(own)
+        for (name, _), angles in zip(self.cameras.items(), known, strict=True):
+            joints[self.state_index[name]] = np.asarray(angles)
         return joints
 
 
@@ -388,7 +388,8 @@ def _common_arm(cameras: Mapping[str, Dataset]) -> SerialArm | None:
         return None
     leaves = [jax.tree.leaves(arm) for arm in known]
     equal = all(
-        len(own) == len(leaves[0]) and all(map(np.array_equal, own, leaves[0])) for own in leaves
+        len(arm_leaves) == len(leaves[0]) and all(map(np.array_equal, arm_leaves, leaves[0]))
+        for arm_leaves in leaves
     )
     if not equal:
         raise ValueError(

@@ -118,7 +118,7 @@ def points_at_pixels(
         raise ValueError(f"pixels: expected shape (points, 2), found {pixels.shape}")
     if radius < 1:
         raise ValueError(f"radius: expected 1 px or more, found {radius}")
-    found = np.full((len(pixels), 3), np.nan)
+    measured = np.full((len(pixels), 3), np.nan)
     for k, (u, v) in enumerate(pixels):
         if not np.isfinite(u + v):
             continue
@@ -130,8 +130,8 @@ def points_at_pixels(
         known = np.isfinite(patch).all(axis=2)
         if known.sum() >= MIN_SHARE * (2 * radius + 1) ** 2:
             offsets = np.column_stack([left + x[known] - u, top + y[known] - v])
-            found[k] = _value_in_the_middle(offsets, patch[known])
-    return found
+            measured[k] = _value_in_the_middle(offsets, patch[known])
+    return measured
 
 
 def _value_in_the_middle(

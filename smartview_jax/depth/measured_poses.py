@@ -253,8 +253,8 @@ def _refuse_other_unit(
 ) -> None:
     """Raise a ValueError where the target's size in the measured points is another by far."""
     ratios = []
-    for own, is_seen in zip(points, seen, strict=True):
-        measured, true = own[is_seen], target[is_seen]
+    for seen_points, is_seen in zip(points, seen, strict=True):
+        measured, true = seen_points[is_seen], target[is_seen]
         ratios.append(
             np.linalg.norm(measured - np.median(measured, axis=0), axis=1).sum()
             / np.linalg.norm(true - np.median(true, axis=0), axis=1).sum()
@@ -335,11 +335,11 @@ def _aligned(
     Points far from the others are left out in three rounds.
     """
     poses = np.tile(np.eye(4), (len(measured), 1, 1))
-    for k, (own, is_seen) in enumerate(zip(measured, seen, strict=True)):
+    for k, (seen_points, is_seen) in enumerate(zip(measured, seen, strict=True)):
         kept = is_seen
         for _ in range(3):
-            poses[k] = host_nearest_pose(target[kept], own[kept])
-            distance = np.linalg.norm(own - host_transformed(poses[k], target), axis=1)
+            poses[k] = host_nearest_pose(target[kept], seen_points[kept])
+            distance = np.linalg.norm(seen_points - host_transformed(poses[k], target), axis=1)
             limit = 3.0 * np.median(distance[is_seen])
             fewer = is_seen & (distance <= limit)
             kept = fewer if fewer.sum() >= MIN_POINTS else kept

@@ -287,19 +287,19 @@ def _check_png_size(data: bytes, packed: list[memoryview]) -> None:
         expected += rows * (1 + -(-columns * bits // 8)) if columns > 0 and rows > 0 else 0
     # Some programs write a few bytes too many; a row too many is another picture's.
     most = expected + -(-width * bits // 8)
-    unpacker, found = zlib.decompressobj(), 0
+    unpacker, unpacked = zlib.decompressobj(), 0
     try:
         for part in packed:
             rest: bytes | memoryview = part
-            while rest and found <= most and not unpacker.eof:
-                found += len(unpacker.decompress(rest, _UNPACKED_AT_ONCE))
+            while rest and unpacked <= most and not unpacker.eof:
+                unpacked += len(unpacker.decompress(rest, _UNPACKED_AT_ONCE))
                 rest = unpacker.unconsumed_tail
-        while found <= most and (more := unpacker.decompress(b"", _UNPACKED_AT_ONCE)):
-            found += len(more)
+        while unpacked <= most and (more := unpacker.decompress(b"", _UNPACKED_AT_ONCE)):
+            unpacked += len(more)
     except zlib.error as error:
         raise ValueError(f"its pixels cannot be unpacked: {error}") from error
-    if not expected <= found <= most:
-        relation = "more" if found > most else "fewer"
+    if not expected <= unpacked <= most:
+        relation = "more" if unpacked > most else "fewer"
         raise ValueError(f"it has {relation} pixels than the {width} x {height} of its header")
 
 

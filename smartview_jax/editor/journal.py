@@ -125,14 +125,14 @@ class Journal:
                 file.truncate(size)
             os.fsync(file.fileno())
 
-    def _check_header(self, found: dict[str, Any], expected: dict[str, Any]) -> None:
+    def _check_header(self, header: dict[str, Any], expected: dict[str, Any]) -> None:
         """Raise an error if a journal belongs to other views."""
-        if "smartview_journal" not in found:
+        if "smartview_journal" not in header:
             raise ValueError(f"{self.path}: line 1: not a journal of the object-model editor")
         for key, value in expected.items():
-            if found.get(key) != value:
+            if header.get(key) != value:
                 raise ValueError(
-                    f"{self.path}: {key} differ: {found.get(key)!r} in the journal, {value!r} in "
+                    f"{self.path}: {key} differ: {header.get(key)!r} in the journal, {value!r} in "
                     "this session: choose another file, or the data set of that journal"
                 )
 

@@ -183,8 +183,8 @@ class AbstractProblem(HostModule):
             return blocks.shared
         # I_v = A_v - B_v^T D_v^-1 B_v, the Schur complement of a single view; D_v has the prior of
         # the view's own parameters.
-        border, own = blocks.border, jnp.eye(6)[None] * self._per_view_precision[:, None]
-        gain = jnp.linalg.solve(blocks.per_view + own, border)
+        border, prior = blocks.border, jnp.eye(6)[None] * self._per_view_precision[:, None]
+        gain = jnp.linalg.solve(blocks.per_view + prior, border)
         return blocks.shared - jnp.swapaxes(border, 1, 2) @ gain
 
     def _take_free(self, shared: Float[Array, "*batch shared"]) -> Float[Array, "*batch free"]:

@@ -127,7 +127,7 @@ def build_arms(
     first, *others = rig.robot_names
     bases = {arm: step_names(base_path(first, arm)) for arm in others}
     of_arms = (name for part in parts for name in part.names_of_all)
-    of_bases = [name for own in bases.values() for name in own]
+    of_bases = [name for of_base in bases.values() for name in of_base]
     names = tuple(dict.fromkeys((*of_arms, *of_bases)))
     place = {name: k for k, name in enumerate(names)}
 
@@ -294,7 +294,7 @@ class _Part(NamedTuple):
     @property
     def is_moved(self) -> Bool[np.ndarray, "own"]:
         """Mask of the linked poses that are no parameters of all arms."""
-        return np.isin(list(self.names), [name for own in self.moved.values() for name in own])
+        return np.isin(list(self.names), [name for group in self.moved.values() for name in group])
 
     @property
     def names_of_all(self) -> list[str]:
@@ -304,8 +304,8 @@ class _Part(NamedTuple):
 
     def indices(self, linked: str) -> Int[np.ndarray, "6"]:
         """Return the indices of a linked pose among the arm's own parameters."""
-        own = list(self.names)
-        return np.array([own.index(name) for name in self.poses[linked]])
+        all_names = list(self.names)
+        return np.array([all_names.index(name) for name in self.poses[linked]])
 
     def solved_pose(self, linked: str) -> Float[np.ndarray, "4 4"]:
         """Return a linked pose by the arm's own solution."""
@@ -317,10 +317,10 @@ class _Part(NamedTuple):
 def _names_of_arm(rig: Rig, arm: str, starts: Mapping[str, Calibration]) -> dict[str, str]:
     """Return the name among the parameters of all arms of each of one arm's."""
     of_all, part = rig_parameter_names(rig, starts), rig.of_arm(arm)
-    own = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
+    names_by_camera = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
     return {
         name: given
-        for camera, names in own.items()
+        for camera, names in names_by_camera.items()
         for name, given in zip(names, of_all[camera], strict=True)
     }
 

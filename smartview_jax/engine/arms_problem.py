@@ -68,9 +68,9 @@ class ArmInRig(eqx.Module):
     def own_step(self, shared: Float[Array, "shared"]) -> Float[Array, "own"]:
         """Return the step of the arm's own parameters at a step of all arms' parameters."""
         with_first_base = jnp.append(shared, jnp.zeros(6))
-        own = with_first_base[self.parameter_index]
+        of_arm = with_first_base[self.parameter_index]
         if not len(self.linked_poses):
-            return own
+            return of_arm
         base = retract_transform(self.first_base_from_base, with_first_base[self.base_index])
 
         def of_linked(step: Float[Array, "6"], first: SE3, start: SE3) -> Float[Array, "6"]:
@@ -80,9 +80,9 @@ class ArmInRig(eqx.Module):
             return jnp.append(pose.translation() - start.translation(), turn)
 
         steps = jax.vmap(of_linked)(
-            own[self.linked_poses], self.first_base_from_linked, self.base_from_linked
+            of_arm[self.linked_poses], self.first_base_from_linked, self.base_from_linked
         )
-        return own.at[self.linked_poses].set(steps)
+        return of_arm.at[self.linked_poses].set(steps)
 
     def host_jacobian(self, shared: Float[np.ndarray, "shared"]) -> Float[np.ndarray, "own shared"]:
         """Return the derivative of `own_step`, computed with NumPy."""
@@ -146,9 +146,9 @@ class ArmsProblem(AbstractRigProblem):
         """Return the values of the shared parameters at the start."""
         values = jnp.zeros(self.parameter_count + 6)
         for arm in self.arms:
-            own = arm.problem.start_values()
-            own = own.at[arm.linked_poses].set(_values_of(arm.first_base_from_linked))
-            values = values.at[arm.parameter_index].set(own)
+            of_arm = arm.problem.start_values()
+            of_arm = of_arm.at[arm.linked_poses].set(_values_of(arm.first_base_from_linked))
+            values = values.at[arm.parameter_index].set(of_arm)
             values = values.at[arm.base_index].set(_values_of(arm.first_base_from_base))
         return values[:-6]
 
@@ -156,12 +156,12 @@ class ArmsProblem(AbstractRigProblem):
         """Return `start_values`, computed with NumPy."""
         values = np.zeros(self.parameter_count + 6)
         for arm in self.arms:
-            own, linked = arm.problem.host_start_values(), np.asarray(arm.linked_poses)
+            of_arm, linked = arm.problem.host_start_values(), np.asarray(arm.linked_poses)
             for index, pose in zip(
                 linked, np.asarray(arm.first_base_from_linked.wxyz_xyz), strict=True
             ):
-                own[index] = [*pose[4:], 0.0, 0.0, 0.0]
-            values[np.asarray(arm.parameter_index)] = own
+                of_arm[index] = [*pose[4:], 0.0, 0.0, 0.0]
+            values[np.asarray(arm.parameter_index)] = of_arm
             place = np.asarray(arm.first_base_from_base.wxyz_xyz)[4:]
             values[np.asarray(arm.base_index)] = [*place, 0.0, 0.0, 0.0]
         return values[:-6]
@@ -182,11 +182,11 @@ class ArmsProblem(AbstractRigProblem):
 
     def observation_residuals(self, z: Step) -> tuple[Any, ...]:
         """Return the whitened residuals of each arm's observations."""
-        return tuple(arm.problem.observation_residuals(own) for arm, own in self._own_steps(z))
+        return tuple(arm.problem.observation_residuals(step) for arm, step in self._own_steps(z))
 
     def chain(self, z: Step) -> tuple[tuple[FittedChain, ...], ...]:
         """Return the chains of each arm's cameras at a scaled step."""
-        return tuple(arm.problem.chain(own) for arm, own in self._own_steps(z))
+        return tuple(arm.problem.chain(step) for arm, step in self._own_steps(z))
 
     def normal_equations_without_priors(self, z: Step) -> NormalEquations:
         """Return the normal equations of the observations alone, without priors."""
@@ -196,17 +196,17 @@ class ArmsProblem(AbstractRigProblem):
         shared, per_view = jnp.zeros((size, size)), jnp.zeros((states, 6, 6))
         border = jnp.zeros((states, 6, size))
         step = self.unscaled_step(z)
-        for (arm, own), rows in zip(self._own_steps(z), self.states_of_arms, strict=True):
-            found = arm.problem.normal_equations_without_priors(own)
+        for (arm, arm_step), rows in zip(self._own_steps(z), self.states_of_arms, strict=True):
+            equations = arm.problem.normal_equations_without_priors(arm_step)
             by_all = jax.jacfwd(arm.own_step)(step.shared)
-            cost = cost + found.cost
+            cost = cost + equations.cost
             gradient = Step(
-                gradient.shared + found.gradient.shared @ by_all,
-                gradient.per_view.at[rows].set(found.gradient.per_view),
+                gradient.shared + equations.gradient.shared @ by_all,
+                gradient.per_view.at[rows].set(equations.gradient.per_view),
             )
-            shared = shared + by_all.T @ found.matrix.shared @ by_all
-            per_view = per_view.at[rows].set(found.matrix.per_view)
-            border = border.at[rows].set(found.matrix.border @ by_all)
+            shared = shared + by_all.T @ equations.matrix.shared @ by_all
+            per_view = per_view.at[rows].set(equations.matrix.per_view)
+            border = border.at[rows].set(equations.matrix.border @ by_all)
         matrix = BlockArrow(shared, border, per_view)
         return self.of_free_parameters(NormalEquations(cost, gradient, matrix))
 

@@ -53,21 +53,24 @@ class DepthEquations(eqx.Module):
     def blocks(self) -> ViewBlocks:
         """The terms of each view."""
         products = self.matrix @ self.by_parameters
-        own, corrected = jnp.swapaxes(self.per_view, 1, 2), len(self.per_view)
+        transposed, corrected = jnp.swapaxes(self.per_view, 1, 2), len(self.per_view)
         return ViewBlocks(
             jnp.swapaxes(self.by_parameters, 1, 2) @ products,
-            own @ products[:corrected, -6:],
-            own @ self.matrix[:corrected, -6:, -6:] @ self.per_view,
+            transposed @ products[:corrected, -6:],
+            transposed @ self.matrix[:corrected, -6:, -6:] @ self.per_view,
         )
 
     def added_to(self, equations: NormalEquations) -> NormalEquations:
         """Return normal equations of pixels with the terms of the depths."""
         blocks, gradient, matrix = self.blocks, equations.gradient, equations.matrix
         corrected = len(self.per_view)
-        own = jnp.einsum("vki,vk->vi", self.per_view, self.gradient[:corrected, -6:])
+        by_depth = jnp.einsum("vki,vk->vi", self.per_view, self.gradient[:corrected, -6:])
         return NormalEquations(
             equations.cost + jnp.sum(self.cost),
-            Step(gradient.shared + jnp.sum(self.shared_gradients, axis=0), gradient.per_view + own),
+            Step(
+                gradient.shared + jnp.sum(self.shared_gradients, axis=0),
+                gradient.per_view + by_depth,
+            ),
             BlockArrow(
                 matrix.shared + jnp.sum(blocks.shared, axis=0),
                 matrix.border + blocks.border,

@@ -118,11 +118,13 @@ def build_rig(
     }
     rig = _with_bases_of(rig, starts)
     camera_names = rig_parameter_names(rig, starts)
-    names = tuple(dict.fromkeys(name for own in camera_names.values() for name in own))
+    names = tuple(dict.fromkeys(name for of_camera in camera_names.values() for name in of_camera))
     error = next(iter(starts.values())).robot_error
     prepared = prepare_poses(error, rig.command)
     place = {name: k for k, name in enumerate(names)}
-    index = {camera: [place[name] for name in own] for camera, own in camera_names.items()}
+    index = {
+        camera: [place[name] for name in of_camera] for camera, of_camera in camera_names.items()
+    }
     relative = dict.fromkeys(rig.cameras, 1.0) | dict(relative_sigmas or {})
     weighed = {
         name: with_known_depth_noise(data, noise, relative[name])
@@ -279,9 +281,9 @@ def _grouped(
         views, points = (int(count) for count in shapes.max(axis=0))
         problems, states = [], []
         for camera in cameras:
-            own = np.full(views, len(rig.view_ids))
-            own[: rig.cameras[camera].view_count] = rig.state_index[camera]
-            states.append(own)
+            states_of_views = np.full(views, len(rig.view_ids))
+            states_of_views[: rig.cameras[camera].view_count] = rig.state_index[camera]
+            states.append(states_of_views)
             problems.append(
                 _camera_alone(
                     rig, camera, starts[camera], prepared, relative_sigmas[camera], (views, points)

@@ -81,8 +81,8 @@ class RigProblem(AbstractRigProblem):
         """Return the values of the shared parameters at the start."""
         values = jnp.zeros(self.parameter_count)
         for group in self.groups:
-            own = jax.vmap(lambda problem: problem.start_values())(group.problems)
-            values = values.at[group.parameter_index].set(own)
+            starts = jax.vmap(lambda problem: problem.start_values())(group.problems)
+            values = values.at[group.parameter_index].set(starts)
         return values
 
     def host_start_values(self) -> Float[np.ndarray, "shared"]:
@@ -102,11 +102,11 @@ class RigProblem(AbstractRigProblem):
 
     def observation_residuals(self, z: Step) -> tuple[Any, ...]:
         """Return the whitened residuals of each group's pixels, and of its depths if it has any."""
-        return self._by_group(z, lambda problem, own: problem.observation_residuals(own))
+        return self._by_group(z, lambda problem, step: problem.observation_residuals(step))
 
     def chain(self, z: Step) -> tuple[FittedChain, ...]:
         """Return the chains of each group's cameras, stacked, at a scaled step."""
-        return self._by_group(z, lambda problem, own: problem.chain(own))
+        return self._by_group(z, lambda problem, step: problem.chain(step))
 
     def normal_equations_without_priors(self, z: Step) -> NormalEquations:
         """Return the normal equations of the observations alone, without priors."""
@@ -115,19 +115,19 @@ class RigProblem(AbstractRigProblem):
         gradient = Step(jnp.zeros(size), jnp.zeros((states, 6)))
         shared, per_view = jnp.zeros((size, size)), jnp.zeros((states, 6, 6))
         border = jnp.zeros((states, 6, size))
-        for group, found in zip(self.groups, self._camera_equations(z), strict=True):
+        for group, equations in zip(self.groups, self._camera_equations(z), strict=True):
             place, state = group.parameter_index, group.state_index
-            cost = cost + jnp.sum(found.cost)
+            cost = cost + jnp.sum(equations.cost)
             # Padding of the views has a state after the last one.
             gradient = Step(
-                gradient.shared.at[place].add(found.gradient.shared),
-                gradient.per_view.at[state].add(found.gradient.per_view, mode="drop"),
+                gradient.shared.at[place].add(equations.gradient.shared),
+                gradient.per_view.at[state].add(equations.gradient.per_view, mode="drop"),
             )
-            shared = shared.at[place[:, :, None], place[:, None]].add(found.matrix.shared)
-            per_view = per_view.at[state].add(found.matrix.per_view, mode="drop")
+            shared = shared.at[place[:, :, None], place[:, None]].add(equations.matrix.shared)
+            per_view = per_view.at[state].add(equations.matrix.per_view, mode="drop")
             rows = jnp.arange(6)[None, None, :, None]
             border = border.at[state[:, :, None, None], rows, place[:, None, None]].add(
-                found.matrix.border, mode="drop"
+                equations.matrix.border, mode="drop"
             )
         matrix = BlockArrow(shared, border, per_view)
         return self.of_free_parameters(NormalEquations(cost, gradient, matrix))
@@ -137,8 +137,8 @@ class RigProblem(AbstractRigProblem):
         size, states = self.parameter_count, len(self.per_view_free)
         shared, per_view = jnp.zeros((states, size, size)), jnp.zeros((states, 6, 6))
         border = jnp.zeros((states, 6, size))
-        found = self._by_group(z, lambda problem, own: problem.blocks_by_view(own))
-        for group, blocks in zip(self.groups, found, strict=True):
+        by_group = self._by_group(z, lambda problem, step: problem.blocks_by_view(step))
+        for group, blocks in zip(self.groups, by_group, strict=True):
             place, state = group.parameter_index[:, None], group.state_index
             # Padding of the views has a state after the last one.
             by_row = state[..., None, None]
@@ -157,15 +157,17 @@ class RigProblem(AbstractRigProblem):
         if a view agrees with the others. It is NaN for a view whose points do not tell its pose.
         """
         distances = []
-        for found in self._camera_equations(z):
-            gradient, matrix = found.gradient.per_view, found.matrix.per_view
+        for equations in self._camera_equations(z):
+            gradient, matrix = equations.gradient.per_view, equations.matrix.per_view
             whitened = jnp.linalg.solve(matrix, gradient[..., None])[..., 0]
             distances.append(jnp.sum(gradient * whitened, axis=-1))
         return tuple(distances)
 
     def _camera_equations(self, z: Step) -> tuple[NormalEquations, ...]:
         """Return the normal equations of each group's cameras alone, stacked."""
-        return self._by_group(z, lambda problem, own: problem.normal_equations_without_priors(own))
+        return self._by_group(
+            z, lambda problem, step: problem.normal_equations_without_priors(step)
+        )
 
     def _by_group(self, z: Step, evaluate: Callable[[JointProblem, Step], Any]) -> tuple[Any, ...]:
         """Evaluate every camera's problem at its own part of a step; stacked for each group."""
@@ -174,8 +176,8 @@ class RigProblem(AbstractRigProblem):
         def of_camera(camera: CameraGroup) -> Any:
             """Evaluate one camera; a correction of padding is zero."""
             corrections = step.per_view.at[camera.state_index].get(mode="fill", fill_value=0.0)
-            own = Step(step.shared[camera.parameter_index], corrections)
-            return evaluate(camera.problems, own)
+            of_one_camera = Step(step.shared[camera.parameter_index], corrections)
+            return evaluate(camera.problems, of_one_camera)
 
         return tuple(jax.lax.map(of_camera, self._with_sigmas(group)) for group in self.groups)
 

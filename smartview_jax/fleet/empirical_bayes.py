@@ -97,23 +97,28 @@ def fleet_prior(fits: Iterable[JointFit], general: RobotPrior | None = None) -> 
     members = np.ones(len(evidence))
     priors, best = dict.fromkeys(models, general), models[0]
     for k in range(ROUNDS):
-        found = {model: _sizes_of_all(evidence, model, priors[model]) for model in models}
-        logs = {model: np.array([one.log_evidence for one in found[model]]) for model in models}
+        sizes_by_model = {model: _sizes_of_all(evidence, model, priors[model]) for model in models}
+        logs = {
+            model: np.array([entry.log_evidence for entry in sizes_by_model[model]])
+            for model in models
+        }
         best = max(models, key=lambda model: float(logs[model] @ members))
         # In the first round the prior of the type is still the general one.
         members = (
             _shares(np.stack([logs[best], any_robot]))[1][0]
             if k > 0
-            else _most_alike(found[best], *_sizes_of_any_robot(evidence[0].groups(best), general))
+            else _most_alike(
+                sizes_by_model[best], *_sizes_of_any_robot(evidence[0].groups(best), general)
+            )
         )
         for model in models:
             groups = evidence[0].groups(model)
-            estimate = _prior_of(found[model], members, groups, general)
+            estimate = _prior_of(sizes_by_model[model], members, groups, general)
             priors[model] = estimate if k == 0 else _halfway(priors[model], estimate)
     # The next robot has one prior for all models.
     prior = priors[best]
     sizes = [_sizes_of_all(evidence, model, prior) for model in models]
-    logs = np.array([[one.log_evidence for one in of_model] for of_model in sizes])
+    logs = np.array([[entry.log_evidence for entry in of_model] for of_model in sizes])
     shares, _ = _shares(logs, members)
     of_type = np.logaddexp.reduce(logs + np.log(shares)[:, None], axis=0)
     members = _shares(np.stack([of_type, any_robot]))[1][0]
@@ -131,8 +136,8 @@ def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
     likelihoods are far from Gaussian, and look different from either side.
     """
 
-    def mean(one: float, other: float) -> float:
-        return float(np.sqrt(one * other))
+    def mean(first: float, other: float) -> float:
+        return float(np.sqrt(first * other))
 
     stds = first.geometric_std_by_name
     return dataclasses.replace(
@@ -224,13 +229,13 @@ def _prior_of(
     """Return the prior of a type from its robots' likelihoods, weighted by membership."""
     names = ["translation", "rotation", *groups]
     mean, log_std = _common_sizes(sizes, members, *_sizes_of_any_robot(groups, general))
-    found = dict(zip(names, map(float, np.exp(mean)), strict=True))
+    medians = dict(zip(names, map(float, np.exp(mean)), strict=True))
     stds = dict(zip(names, map(float, np.exp(log_std)), strict=True))
     return dataclasses.replace(
         general,
-        translation_median=found["translation"],
-        rotation_median=found["rotation"],
-        group_medians={**general.group_medians, **{name: found[name] for name in groups}},
+        translation_median=medians["translation"],
+        rotation_median=medians["rotation"],
+        group_medians={**general.group_medians, **{name: medians[name] for name in groups}},
         geometric_std_by_name={**general.geometric_std_by_name, **stds},
     )
 
@@ -257,8 +262,8 @@ def _most_alike(
     precision = np.diag(general_std**-2)
     estimates = np.array(
         [
-            np.linalg.solve(one.information + precision, one.vector + precision @ general_mean)
-            for one in sizes
+            np.linalg.solve(robot.information + precision, robot.vector + precision @ general_mean)
+            for robot in sizes
         ]
     )
     distances = np.sum(((estimates - np.median(estimates, axis=0)) / general_std) ** 2, axis=1)
@@ -278,8 +283,8 @@ def _common_sizes(
         members: weight of each robot.
         general_mean, general_std: of the sizes of a robot of any type.
     """
-    information = np.stack([one.information for one in sizes])
-    vector = np.stack([one.vector for one in sizes])
+    information = np.stack([robot.information for robot in sizes])
+    vector = np.stack([robot.vector for robot in sizes])
     count = len(general_mean)
     is_pose = np.arange(count) < 2
 
@@ -306,7 +311,7 @@ def _common_sizes(
         for chosen in (is_pose, ~is_pose)
     ]
     start = [np.mean(bound) for bound in bounds]
-    found = minimize(lambda x: estimate(x)[0], start, method="L-BFGS-B", bounds=bounds)
-    _, mean, precision = estimate(found.x)
-    variance = np.where(is_pose, *np.exp(2.0 * found.x))
+    optimum = minimize(lambda x: estimate(x)[0], start, method="L-BFGS-B", bounds=bounds)
+    _, mean, precision = estimate(optimum.x)
+    variance = np.where(is_pose, *np.exp(2.0 * optimum.x))
     return mean, np.sqrt(variance + np.diagonal(np.linalg.inv(precision)))

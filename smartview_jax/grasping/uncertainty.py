@@ -65,8 +65,10 @@ def gripper_errors(
     root = np.pad(errors.root, ((0, 0), (0, errors.unknown.shape[2])))
     by_numbers = (errors.shared * errors.moves_tool) @ errors.root
     shared = to_gripper @ np.concatenate([by_numbers, errors.unknown], axis=2)
-    own = to_gripper @ errors.own
-    return tuple(GripperErrors(shared[k], own[k], root, errors.names) for k in range(count))
+    object_errors = to_gripper @ errors.own
+    return tuple(
+        GripperErrors(shared[k], object_errors[k], root, errors.names) for k in range(count)
+    )
 
 
 def error_covariance(

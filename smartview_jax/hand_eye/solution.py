@@ -210,23 +210,23 @@ def _search(
     records = tuple(
         SearchRecord(
             name,
-            pair_weight * found.initial_cost,
-            pair_weight * found.final_cost,
-            found.converged,
+            pair_weight * end.initial_cost,
+            pair_weight * end.final_cost,
+            end.converged,
             # Closed forms give NaN for degenerate motions.
             "the start is not finite: the motions do not determine it"
             if not np.isfinite(start).all()
             else "converged"
-            if found.converged
+            if end.converged
             else "did not converge",
         )
-        for (name, start), found in zip(starts.items(), solutions, strict=True)
+        for (name, start), end in zip(starts.items(), solutions, strict=True)
     )
     # Costs that are equal to rounding go to the earlier start, so that the paper's own start is
     # named if it suffices.
-    lowest = min(found.final_cost for found in solutions)
+    lowest = min(end.final_cost for end in solutions)
     best = next(
-        k for k, found in enumerate(solutions) if found.final_cost <= lowest * (1.0 + 1e-9) + 1e-24
+        k for k, end in enumerate(solutions) if end.final_cost <= lowest * (1.0 + 1e-9) + 1e-24
     )
     return solutions[best].pose, records, records[best]
 
@@ -283,10 +283,10 @@ def _search_from(
     BFGS stops where rounding hides differences of the cost; the gradient is then still far above
     its own rounding. Gauss-Newton steps, which need no cost, bring it down.
     """
-    found = minimize(
+    optimum = minimize(
         cost, np.zeros(6), jac=True, method="BFGS", options={"gtol": tolerance, "maxiter": 300}
     )
-    parameters, (least, slope) = found.x, cost(found.x)
+    parameters, (least, slope) = optimum.x, cost(optimum.x)
     gradient = float(np.abs(slope).max())
     for _ in range(_MAX_GAUSS_NEWTON_STEPS):
         entries, slopes = _turn_and_slopes(parameters)
@@ -297,7 +297,7 @@ def _search_from(
         if not trial_gradient < gradient or trial_cost > least * (1.0 + 1e-12):
             break
         parameters, least, gradient = trial, trial_cost, trial_gradient
-    return _SearchEnd(parameters, least, gradient, bool(found.success))
+    return _SearchEnd(parameters, least, gradient, bool(optimum.success))
 
 
 _GRADIENT_TOLERANCES = (1e-4, 1e-10)

@@ -119,8 +119,8 @@ def _points_from_array(path: Path) -> np.ndarray:
             return content.astype(float)
         with content:
             if len(content.files) != 1:
-                found = ", ".join(content.files) or "none"
-                raise ValueError(f"expected one array, found {found}")
+                names = ", ".join(content.files) or "none"
+                raise ValueError(f"expected one array, found {names}")
             return content[content.files[0]].astype(float)
     except ImportError:
         raise

@@ -147,10 +147,10 @@ def refuse_unmatched_pictures(
 def _lost_zeros(wanted: Collection[Path], others: Sequence[str]) -> str:
     """Return a clause if a missing picture is there with leading zeros; else nothing."""
     missing = {path.stem.lstrip("0") for path in wanted if not path.exists()}
-    found = [name for name in others if Path(name).stem.lstrip("0") in missing]
-    if not found:
+    shortened = [name for name in others if Path(name).stem.lstrip("0") in missing]
+    if not shortened:
         return ""
-    return f", or did a spreadsheet remove leading zeros from the names, such as {found[0]}?"
+    return f", or did a spreadsheet remove leading zeros from the names, such as {shortened[0]}?"
 
 
 def pending_path(path: Path) -> Path:

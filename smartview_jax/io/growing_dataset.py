@@ -170,11 +170,11 @@ class GrowingDataset:
         """Raise a ValueError for a picture of another size than the description states."""
         width, height = self.description.image_size
         if picture.shape[:2] != (height, width):
-            found = f"[{picture.shape[1]}, {picture.shape[0]}]"
+            size = f"[{picture.shape[1]}, {picture.shape[0]}]"
             raise ValueError(
                 f"the camera's pictures have {picture.shape[1]} x {picture.shape[0]} px, "
                 f"{self.folder / DESCRIPTION_FILE} states {width} x {height}: write image_size: "
-                f"{found} there"
+                f"{size} there"
             )
 
     def _row(self, view: str, base_from_tool: SE3) -> str:

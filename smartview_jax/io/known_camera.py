@@ -63,18 +63,20 @@ def read_cameras(path: str | Path, names: Sequence[str]) -> dict[str, Camera]:
     if path.is_dir():
         present = sorted(path.iterdir())
         files = {name: [file for file in present if file.stem == name] for name in names}
-        for name, own in files.items():
-            if len(own) > 1:
-                found = ", ".join(file.name for file in own)
-                raise ValueError(f"{path}: expected one file for camera {name!r}, found {found}")
+        for name, candidates in files.items():
+            if len(candidates) > 1:
+                listed = ", ".join(file.name for file in candidates)
+                raise ValueError(f"{path}: expected one file for camera {name!r}, found {listed}")
         if not any(files.values()):
-            found = ", ".join(file.name for file in present) or "nothing"
+            listed = ", ".join(file.name for file in present) or "nothing"
             raise ValueError(
-                f"{path}: expected a file for a camera, such as {names[0]}.yaml; found {found}"
+                f"{path}: expected a file for a camera, such as {names[0]}.yaml; found {listed}"
             )
-        if lacking := [name for name, own in files.items() if not own]:
+        if lacking := [name for name, candidates in files.items() if not candidates]:
             _refuse_misnamed([file for file in present if file.stem not in names], lacking)
-        return {name: read_camera(own[0]) for name, own in files.items() if own}
+        return {
+            name: read_camera(candidates[0]) for name, candidates in files.items() if candidates
+        }
     if not _is_camchain(read_text(path)):
         raise ValueError(
             f"{path}: expected a folder with a file for each camera, such as {names[0]}.yaml, or "

@@ -357,8 +357,8 @@ def _check_ply(path: Path) -> None:
 def _row_length(row: list[bytes], is_list: list[bool]) -> int:
     """Return how many words a row has, in which each list begins with its length."""
     place = 0
-    for one in is_list:
-        if not one:
+    for value_is_list in is_list:
+        if not value_is_list:
             place += 1
         elif place < len(row) and row[place].isdigit():
             place += 1 + int(row[place])

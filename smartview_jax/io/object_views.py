@@ -148,24 +148,24 @@ def load_rig_object_views(folder: str | Path) -> RigObjectViews:
         content = {**described.content, "pictures": {"pattern": first}}
         readings = read_sound_readings(described._replace(content=content))
         states, command, notes = list(readings.view_ids), readings.command, readings.notes
-    found = [
+    entries = [
         (camera, k, folder / pattern.format(camera=camera, view=state))
         for k, state in enumerate(states)
         for camera in description.cameras
     ]
-    found = [entry for entry in found if entry[2].is_file()]
-    seen = {k for _, k, _ in found}
+    entries = [entry for entry in entries if entry[2].is_file()]
+    seen = {k for _, k, _ in entries}
     for k, state in enumerate(states):
         if k not in seen:
             raise FileNotFoundError(f"{folder / pattern}: no camera has a picture of view {state}")
     sizes = {name: entry.image_size for name, entry in description.cameras.items()}
-    rows = np.array([k for _, k, _ in found])
+    rows = np.array([k for _, k, _ in entries])
     return RigObjectViews(
-        tuple(f"{camera}/{states[k]}" for camera, k, _ in found),
-        tuple(camera for camera, _, _ in found),
+        tuple(f"{camera}/{states[k]}" for camera, k, _ in entries),
+        tuple(camera for camera, _, _ in entries),
         tuple(states[k] for k in rows),
-        tuple(file for _, _, file in found),
-        tuple(read_picture(file, (sizes[c][0], sizes[c][1])) for c, _, file in found),
+        tuple(file for _, _, file in entries),
+        tuple(read_picture(file, (sizes[c][0], sizes[c][1])) for c, _, file in entries),
         None if command is None else command_at(command, rows),
         notes,
     )

@@ -150,16 +150,16 @@ def header_formats(header: Sequence[str], named: PoseCodec | None = None) -> lis
     return list(formats.values())
 
 
-def stated_format(found: PoseFormat, stated: Mapping[str, Any], path: Path) -> PoseFormat:
+def stated_format(read_format: PoseFormat, stated: Mapping[str, Any], path: Path) -> PoseFormat:
     """Return the format of a file that states it; raise if a description contradicts it.
 
     Raises:
         ValueError: the description contradicts the file.
     """
-    problem = _contradiction(found, stated)
+    problem = _contradiction(read_format, stated)
     if problem is not None:
         raise ValueError(f"{path}: {problem}")
-    return found
+    return read_format
 
 
 def decoded_poses(
@@ -198,12 +198,17 @@ def _decode_differently(first: PoseFormat, second: PoseFormat) -> bool:
     return not np.allclose(*poses, rtol=0.0, atol=1e-9)
 
 
-def _contradiction(found: PoseFormat, stated: Mapping[str, Any]) -> str | None:
+def _contradiction(read_format: PoseFormat, stated: Mapping[str, Any]) -> str | None:
     """Return the contradiction between a description and a file's own format, or None."""
-    values = (found.codec.name, found.length_unit, found.angle_unit, found.direction)
+    values = (
+        read_format.codec.name,
+        read_format.length_unit,
+        read_format.angle_unit,
+        read_format.direction,
+    )
     for key, value in zip(_STATED, values, strict=True):
         # The unit of angle is irrelevant to quaternions.
-        if key == "angle_unit" and not found.codec.angle_columns:
+        if key == "angle_unit" and not read_format.codec.angle_columns:
             continue
         if stated.get(key) not in (None, value):
             return f"{key} is {value} in the file but {stated[key]} in the description"

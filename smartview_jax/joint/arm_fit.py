@@ -105,25 +105,25 @@ def fit_arm(
     }
     rig = rig.with_cameras(weighed)
     # The noise is estimated again without a wrong pose, since one inflates it for all states.
-    found, left_out = fit_once(rig), []
-    while (estimate := found.estimate) is not None:
-        wrong = contradiction(*found.at_optimum)
+    fitted, left_out = fit_once(rig), []
+    while (estimate := fitted.estimate) is not None:
+        wrong = contradiction(*fitted.at_optimum)
         if wrong is not None:
-            found = fit_once(_without(found.rig, wrong))
+            fitted = fit_once(_without(fitted.rig, wrong))
         else:
             # One wrong pose may inflate the noise so much that no state fails the test.
             plausible = is_plausible(estimate.noise, options.robot_prior)
-            suspect = None if plausible else suspect_state(*found.at_optimum)
+            suspect = None if plausible else suspect_state(*fitted.at_optimum)
             if suspect is None:
                 break
-            refitted = fit_once(_without(found.rig, suspect))
+            refitted = fit_once(_without(fitted.rig, suspect))
             assert refitted.estimate is not None
             reason = inflation_reason(estimate.noise, refitted.estimate.noise)
             if reason is None:
                 break
-            found, wrong = refitted, suspect._replace(reason=reason)
+            fitted, wrong = refitted, suspect._replace(reason=reason)
         left_out += [(name, Rejection(wrong.view_id, None, wrong.reason)) for name in wrong.cameras]
-    return found._replace(rejected=tuple(left_out))
+    return fitted._replace(rejected=tuple(left_out))
 
 
 def _built(

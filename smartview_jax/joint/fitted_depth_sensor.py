@@ -31,9 +31,9 @@ def fitted_depth_sensor(
     bias, noise = calibration.depth_bias, data.depth_noise
     if bias is None or noise is None:
         return None
-    own = [f"{camera}{name}" for name in DEPTH_BIAS_NAMES]
+    bias_names = [f"{camera}{name}" for name in DEPTH_BIAS_NAMES]
     # A held parameter has no uncertainty.
-    rows = [names.index(name) if name in names else -1 for name in own]
+    rows = [names.index(name) if name in names else -1 for name in bias_names]
     padded = np.pad(covariance, (0, 1))
     scale_std, offset_std = map(float, np.sqrt(np.diagonal(padded)[rows]))
     product = scale_std * offset_std

@@ -188,8 +188,8 @@ def held_camera_warnings(arm: SolvedArm) -> tuple[str, ...]:
         arm: the fit of the cameras of one arm.
     """
     problem, z = arm.built.problem, arm.solution.z
-    own = arm.built.camera_names.values()
-    names = tuple(dict.fromkeys(name for of_camera in own for name in of_camera))
+    by_camera = arm.built.camera_names.values()
+    names = tuple(dict.fromkeys(name for of_camera in by_camera for name in of_camera))
     free = np.asarray(problem.free)
     # One or two views do not tell a lens.
     told = tuple(
@@ -283,12 +283,12 @@ def _refit(
     variance = 2.0 * cost / freedom * np.diagonal(np.linalg.inv(correlation)) / norms**2
     if not (variance > 0.0).all():
         return None
-    own = np.array(names)[free].tolist()
+    free_names = np.array(names)[free].tolist()
     return _Refit(
         released,
         solution.chain,
-        dict(zip(own, map(float, estimate - start[free]), strict=True)),
-        dict(zip(own, map(float, np.sqrt(variance)), strict=True)),
+        dict(zip(free_names, map(float, estimate - start[free]), strict=True)),
+        dict(zip(free_names, map(float, np.sqrt(variance)), strict=True)),
         cost,
         freedom,
     )

@@ -135,7 +135,7 @@ def fit_many(
     if noise == "estimated":
         raise ValueError("fit_many takes the noise as given; calibrate_many estimates it")
     field, choice = checked_field_choice(field), ParameterChoice.of(fixed, free, priors)
-    starts = [with_field(with_lens(one, lens), field) for one in starts]
+    starts = [with_field(with_lens(given, lens), field) for given in starts]
     checked, held, warnings, errors = _with_checked_poses(data, starts, choice)
     choice = choice.holding(*held)
     options = {"noise": noise, "loss": loss, "field": field, **choice._asdict()}

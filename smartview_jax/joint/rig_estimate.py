@@ -69,7 +69,7 @@ class RigEstimate(NamedTuple):
         if arm not in fit.noises:
             raise ValueError(f"expected an arm of {', '.join(fit.noises)}, found {arm!r}")
         names, covariance, std = fit.of_arm(arm)
-        undetermined = [n for n, own in zip(names, std, strict=True) if not np.isfinite(own)]
+        undetermined = [n for n, sigma in zip(names, std, strict=True) if not np.isfinite(sigma)]
         if undetermined:
             raise ValueError(
                 f"the data do not determine {', '.join(undetermined)}; add views or a prior"
@@ -81,7 +81,7 @@ class RigEstimate(NamedTuple):
 
 def _calibrations_of(fit: "RigFit", arm: str) -> dict[str, Calibration]:
     """Return the calibrations of one arm's cameras."""
-    return {name: own for name, own in fit.calibrations.items() if fit.arms[name] == arm}
+    return {name: entry for name, entry in fit.calibrations.items() if fit.arms[name] == arm}
 
 
 def _camera_names(fit: "RigFit", arm: str) -> dict[str, tuple[str, ...]]:
@@ -113,7 +113,9 @@ def save_rig(fit: "RigFit", folder: Path, run: str | None) -> None:
             "smartview_rig": 1,
             "run": run,
             "cameras": {name: f"{name}.yaml" for name in _calibrations_of(fit, arm)},
-            "parameters_of": {name: list(own) for name, own in _camera_names(fit, arm).items()},
+            "parameters_of": {
+                name: list(listed) for name, listed in _camera_names(fit, arm).items()
+            },
             "uncertainty": rig_uncertainty_to_dict(fit, arm) if known else None,
             "end": END_MARK,
         }
@@ -178,8 +180,10 @@ def load_calibrated_rig(
 
     file = Path(path) / RIG_FILE if Path(path).is_dir() else Path(path)
     content = validate_content(read_yaml(file), CALIBRATED_RIG_SCHEMA, file)
-    calibrations = {n: Calibration.load(file.parent / own) for n, own in content.cameras.items()}
-    of_cameras = {name: tuple(own) for name, own in content.parameters_of.items()}
+    calibrations = {
+        n: Calibration.load(file.parent / listed) for n, listed in content.cameras.items()
+    }
+    of_cameras = {name: tuple(listed) for name, listed in content.parameters_of.items()}
     for name, calibration in calibrations.items():
         expected = len(parameter_names(calibration))
         if len(of_cameras[name]) != expected:

@@ -180,8 +180,8 @@ class RigFit(eqx.Module):
         calibration = self.calibrations[self._checked(camera)]
         built = self.built_by_arm[self.arms[camera]]
         names, known, std = self.of_arm(self.arms[camera])
-        own, alone = built.camera_names[camera], parameter_names(built.starts[camera])
-        local = dict(zip(own, alone, strict=True))
+        names_in_rig, alone = built.camera_names[camera], parameter_names(built.starts[camera])
+        local = dict(zip(names_in_rig, alone, strict=True))
         kept = [k for k, name in enumerate(names) if name in local]
         open_names = [local[names[k]] for k in kept if not np.isfinite(std[k])]
         directions = tuple(
@@ -215,13 +215,13 @@ class RigFit(eqx.Module):
         if isinstance(self.built, BuiltRig):
             return self.parameter_names, common, std
         jacobian = own_jacobians(self.built, self.solution)[arm]
-        own = jacobian @ common @ jacobian.T
+        covariance = jacobian @ common @ jacobian.T
         # A parameter is as little determined as those that it depends on.
         is_open = (jacobian != 0.0) @ ~np.isfinite(std)
         return (
             self.built.arms[arm].shared_names,
-            own,
-            np.where(is_open, np.inf, np.sqrt(np.diagonal(own))),
+            covariance,
+            np.where(is_open, np.inf, np.sqrt(np.diagonal(covariance))),
         )
 
     def on_one_mount(self, first: str, second: str) -> bool:

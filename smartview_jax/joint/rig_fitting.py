@@ -105,7 +105,7 @@ def fit_rig(
     require_instance("rig", rig, Rig)
     choice, prior = ParameterChoice.of(**parameters), robot_prior or RobotPrior()
     require_starts(rig, starts)
-    starts = {name: with_depth_bias(own, rig.cameras[name]) for name, own in starts.items()}
+    starts = {name: with_depth_bias(given, rig.cameras[name]) for name, given in starts.items()}
     several, arms = len(rig.arm_names) > 1, {}
     choices = choices_of_arms(rig, starts, choice)
     for arm in rig.arm_names:
@@ -184,10 +184,10 @@ def _assembled(
             if estimate is not None and (error := calibration.robot_error) is not None:
                 fitted = None if estimate.field is None else error.converted_to(estimate.field)
                 calibration = dataclasses.replace(calibration, robot_error=fitted)
-            own = _residuals_at(chain, data)
+            by_point = _residuals_at(chain, data)
             pixel_sigmas[name] = sigma * relative.get(name, 1.0)
             gate = MAX_INLIER_CHI_SQUARE * pixel_sigmas[name] ** 2
-            inliers[name] = np.asarray(data.visible) & (np.sum(own**2, axis=-1) <= gate)
+            inliers[name] = np.asarray(data.visible) & (np.sum(by_point**2, axis=-1) <= gate)
             residuals[name] = to_device(chain_residuals(calibration, data.observations))
             calibrations[name] = with_region(calibration, data)
             sensor = fitted_depth_sensor(data, calibration, built.shared_names, common, f"{name}.")

@@ -106,10 +106,10 @@ def _worst_state(
 
 def _distances_by_view(built: BuiltRig, z: Step) -> dict[str, Float[np.ndarray, "views"]]:
     """Return the distance of each camera's views from what all others say (`view_distances`)."""
-    found = _view_distances(built.problem, jax.tree.map(to_device, z))
+    by_group = _view_distances(built.problem, jax.tree.map(to_device, z))
     return {
         name: np.nan_to_num(np.asarray(distances)[row])
-        for cameras, distances in zip(built.cameras, found, strict=True)
+        for cameras, distances in zip(built.cameras, by_group, strict=True)
         for row, name in enumerate(cameras)
     }
 

@@ -110,8 +110,8 @@ def own_jacobians(built: BuiltArms, solution: Solution) -> dict[str, Float[np.nd
     """Return the derivative of each arm's free parameters by the free parameters of all."""
     shared, free = _all_parameters(built, solution), np.asarray(built.problem.free)
     return {
-        name: arm.host_jacobian(shared)[np.ix_(np.asarray(own.problem.free), free)]
-        for (name, own), arm in zip(built.arms.items(), built.problem.arms, strict=True)
+        name: arm.host_jacobian(shared)[np.ix_(np.asarray(arm_names.problem.free), free)]
+        for (name, arm_names), arm in zip(built.arms.items(), built.problem.arms, strict=True)
     }
 
 

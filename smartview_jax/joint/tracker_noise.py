@@ -168,19 +168,19 @@ def with_noise(
         covariance: m and rad.
         factor: see above.
     """
-    own = in_tracker_units(covariance, factor)
-    size = UNIT_TRANSLATION**2 / np.diagonal(own, axis1=1, axis2=2)[:, :3].mean()
-    return dataclasses.replace(data, covariance=to_device(size * own))
+    in_tracker_frame = in_tracker_units(covariance, factor)
+    size = UNIT_TRANSLATION**2 / np.diagonal(in_tracker_frame, axis1=1, axis2=2)[:, :3].mean()
+    return dataclasses.replace(data, covariance=to_device(size * in_tracker_frame))
 
 
 def in_tracker_units(
     covariance: Float[np.ndarray, "views 6 6"], factor: float
 ) -> Float[np.ndarray, "views 6 6"]:
     """Return covariances in m and rad for translations in units of `factor` metres."""
-    own = covariance.copy()
-    own[:, :3] /= factor
-    own[:, :, :3] /= factor
-    return own
+    scaled = covariance.copy()
+    scaled[:, :3] /= factor
+    scaled[:, :, :3] /= factor
+    return scaled
 
 
 def scaled_pairs(

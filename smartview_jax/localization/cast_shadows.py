@@ -103,16 +103,16 @@ def _log_odds_of_other_edges(
     """
     on_face = np.asarray(wireframe.edge_faces)[np.asarray(wireframe.sample_edges), face]
     on_face &= np.asarray(wireframe.sample_chains) >= 0
-    found = np.isfinite(lines.distances)
-    is_other = ~on_face & ~(found & _near(lines, shadow))
+    has_edge = np.isfinite(lines.distances)
+    is_other = ~on_face & ~(has_edge & _near(lines, shadow))
     visible_px = float((lines.sample_px * is_other).sum())
-    explained_px = float((lines.sample_px * (is_other & found)).sum())
+    explained_px = float((lines.sample_px * (is_other & has_edge)).sum())
     likelihood = log_likelihood_of(explained_px / max(visible_px, 1.0), visible_px)
-    curves = np.broadcast_to(samples_in_views(lines, wireframe)[1], found.shape)
+    curves = np.broadcast_to(samples_in_views(lines, wireframe)[1], has_edge.shape)
     offsets = [
         lines.offsets[view, curve]
         for view, of_view in enumerate(curves)
-        for curve in np.unique(of_view[is_other[view] & found[view]])
+        for curve in np.unique(of_view[is_other[view] & has_edge[view]])
         if lines.measured[view, curve]
     ]
     distances = np.linalg.norm(np.reshape(offsets, (-1, 2)), axis=1)

@@ -251,10 +251,13 @@ def supported_lengths(
         slope = (f * d[:, :2] - ideal * d[:, 2:]) / p[:, 2:]
         scale = np.linalg.norm(slope, axis=1)
         gap, nearest = tree.query(ideal, distance_upper_bound=options.gate)
-        found = np.isfinite(gap)
-        n = picture.normals[np.where(found, nearest, 0)]
+        is_supported = np.isfinite(gap)
+        n = picture.normals[np.where(is_supported, nearest, 0)]
         across = np.abs(n[:, 0] * slope[:, 1] - n[:, 1] * slope[:, 0])
-        found &= across > options.min_alignment * scale
+        is_supported &= across > options.min_alignment * scale
         px = scale * seen.lengths
-        totals[k] = px.sum(), (px * found * (1.0 - np.minimum(gap / options.gate, 1.0) ** 2)).sum()
+        totals[k] = (
+            px.sum(),
+            (px * is_supported * (1.0 - np.minimum(gap / options.gate, 1.0) ** 2)).sum(),
+        )
     return totals

@@ -60,8 +60,8 @@ def together_with(
                 f"previous: its views are of camera {chain.camera!r}, which the rig of the new "
                 f"views does not have: {', '.join(calibration.calibrations)}"
             )
-        own = command_at(previous.command, chain.views)
-        _check_same(earlier.calibrations[chain.camera], now, own, f" of {chain.camera!r}")
+        of_camera = command_at(previous.command, chain.views)
+        _check_same(earlier.calibrations[chain.camera], now, of_camera, f" of {chain.camera!r}")
     return earlier.followed_by(poses[0], calibration, poses[1]), joined
 
 
@@ -74,7 +74,7 @@ def _check_same(earlier: Calibration, now: Calibration, command: Command, whose:
         command: reported poses of the earlier views.
         whose: the camera in words, or empty.
     """
-    poses = [SeenViews.of(one, command).camera_from_world for one in (earlier, now)]
+    poses = [SeenViews.of(calibration, command).camera_from_world for calibration in (earlier, now)]
     difference = _camera_difference(earlier.camera, now.camera)
     if not difference and not np.allclose(*poses, rtol=0.0, atol=SAME_CALIBRATION):
         shift = np.linalg.norm(poses[0][:, :3, 3] - poses[1][:, :3, 3], axis=1).max()

@@ -181,8 +181,8 @@ def _evidence(view: int, picture: np.ndarray | PictureEvidence, camera: Camera) 
     if isinstance(picture, PictureEvidence):
         expected = scaled_camera(camera, picture.scale).image_size
         if picture.features.image_size != expected:
-            found, wanted = ("x".join(map(str, s)) for s in (picture.features.image_size, expected))
-            raise ValueError(f"view {view}: evidence of a picture of {found} px, expected {wanted}")
+            size, wanted = ("x".join(map(str, s)) for s in (picture.features.image_size, expected))
+            raise ValueError(f"view {view}: evidence of a picture of {size} px, expected {wanted}")
         return picture
     if not isinstance(picture, np.ndarray):
         raise ValueError(

@@ -110,12 +110,12 @@ def _are_behind(
     return jax.vmap(from_centre)(centres)
 
 
-def _one_place(one: Localization, other: Localization) -> bool:
+def _one_place(first: Localization, other: Localization) -> bool:
     """Return whether two localizations are at the same place."""
-    sigmas = [surface_sigma(obj.model, obj.covariance) for obj in (one, other)]
+    sigmas = [surface_sigma(obj.model, obj.covariance) for obj in (first, other)]
     return in_one_place(
-        one.model,
-        one.world_from_object,
+        first.model,
+        first.world_from_object,
         other.model,
         other.world_from_object,
         overlap_tolerance(*sigmas),

@@ -218,14 +218,14 @@ def line_equations(
                 continue
             # A sample between two vertices moves with both, in proportion to its nearness to
             # each. The vertices of a smooth surface count as exact where it has an outline.
-            for own in np.unique(owners[is_used & (chains >= 0)]):
-                part = np.flatnonzero(is_used & (owners == own))
+            for owner in np.unique(owners[is_used & (chains >= 0)]):
+                part = np.flatnonzero(is_used & (owners == owner))
                 places = places_on_edges(model, samples[seen][part], owners[part])
                 gradient = np.einsum(
                     "si,sij->sj", lines.normals[v, part], projected[seen].by_point[v, part] @ R
                 )
                 mixed = lines.combination[v][:, part]
-                for vertex, share in zip(model.edges[own], (1.0 - places, places), strict=True):
+                for vertex, share in zip(model.edges[owner], (1.0 - places, places), strict=True):
                     columns = slice(3 * vertex, 3 * vertex + 3)
                     by_vertices[rows, columns] += mixed @ (share[:, None] * gradient)
     return PoseEquations(
@@ -266,17 +266,17 @@ def explained_edge_points(
     They lie within `EXPLAINED_REACH` of the edge through a measured point, as far along it as the
     point's sample reaches, and have the same direction.
     """
-    found = np.flatnonzero(np.isfinite(lines.distances[view]))
-    if not len(found):
+    with_edge = np.flatnonzero(np.isfinite(lines.distances[view]))
+    if not len(with_edge):
         return np.zeros(0, dtype=int)
     # Points between two samples of an edge were not measured, but are explained too: each sample
     # stands for a part of its edge, along which further places are `EXPLAINED_REACH` apart.
-    half_px = 0.5 * lines.sample_px[view][found]
+    half_px = 0.5 * lines.sample_px[view][with_edge]
     most = int(np.ceil(half_px.max() / EXPLAINED_REACH))
     offsets = EXPLAINED_REACH * np.arange(-most, most + 1)
     sample, k = np.nonzero(np.abs(offsets) <= half_px[:, None])
-    measured = lines.points[view][found][sample]
-    n = lines.normals[view][found][sample]
+    measured = lines.points[view][with_edge][sample]
+    n = lines.normals[view][with_edge][sample]
     along = np.column_stack([n[:, 1], -n[:, 0]])
     tree = KDTree(points.pixels[measured] + offsets[k, None] * along)
     gap, nearest = tree.query(points.pixels, distance_upper_bound=EXPLAINED_REACH)

@@ -254,11 +254,11 @@ def _largest_relative_error(
     """Return the two views whose relative pose is off most, over what is usual; shift and turn."""
     given = views.camera_from_world
     true = host_exponentials(errors) @ given
-    found = []
+    ranked = []
     for i, j in combinations(range(len(given)), 2):
         # first_from_second, the true one over the given one.
         relative = [cameras[i] @ np.linalg.inv(cameras[j]) for cameras in (true, given)]
         twist = host_logarithms(relative[0] @ np.linalg.inv(relative[1]))
         sizes = np.linalg.norm(twist.reshape(2, 3), axis=1)
-        found.append((max(sizes / medians), (i, j), *sizes.tolist()))
-    return max(found)[1:]
+        ranked.append((max(sizes / medians), (i, j), *sizes.tolist()))
+    return max(ranked)[1:]

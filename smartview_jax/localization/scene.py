@@ -148,7 +148,7 @@ def explained_among(lines: EdgeLines, usable: Sequence[Bool[np.ndarray, "_"]]) -
     """Return the length that lines explain with usable edge points, all views together, px."""
     total = 0.0
     for view, is_usable in enumerate(usable):
-        found = np.isfinite(lines.distances[view])
-        kept = is_usable[lines.points[view][found]]
-        total += float(lines.sample_px[view][found][kept].sum())
+        has_edge = np.isfinite(lines.distances[view])
+        kept = is_usable[lines.points[view][has_edge]]
+        total += float(lines.sample_px[view][has_edge][kept].sum())
     return total

@@ -102,8 +102,8 @@ def stacked_maps(
     """Return the maps of pictures of any sizes, with a value where the smaller ones end."""
     rows, columns = np.max([view.shape[1:] for view in maps], axis=0)
     stacked = np.full((len(maps), len(maps[0]), rows, columns), value, maps[0].dtype)
-    for view, own in enumerate(maps):
-        stacked[view, :, : own.shape[1], : own.shape[2]] = own
+    for view, of_view in enumerate(maps):
+        stacked[view, :, : of_view.shape[1], : of_view.shape[2]] = of_view
     return stacked
 
 

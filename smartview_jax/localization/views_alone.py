@@ -95,9 +95,9 @@ def _best_in_one_view(
     lookups: Sequence[EdgeLookup],
 ) -> Float[np.ndarray, "4 4"]:
     """Return the pose near one of some poses at which a view alone shows most edges."""
-    found = [poses_on_edges(entry.coarse, views, lookup, starts) for lookup in lookups]
-    poses = np.concatenate([each for each, _ in found])
-    explained = np.concatenate([lengths[:, 1] for _, lengths in found])
+    by_lookup = [poses_on_edges(entry.coarse, views, lookup, starts) for lookup in lookups]
+    poses = np.concatenate([each for each, _ in by_lookup])
+    explained = np.concatenate([lengths[:, 1] for _, lengths in by_lookup])
     return poses[int(explained.argmax())]
 
 

@@ -256,10 +256,10 @@ def _smooth_edges(
             edges has a quarter of them around its extent: each is tested against all its faces.
     """
     length = curves.lengths.sum() or 4.0 * np.pi * model.extent
-    found = OutlineSamples.of(model, samples / length)
-    if found is None:
+    outline = OutlineSamples.of(model, samples / length)
+    if outline is None:
         return None, 0
-    M = _rounded(len(found.points) + 1, MIN_SMOOTH)
+    M = _rounded(len(outline.points) + 1, MIN_SMOOTH)
     corners, triangle_faces, face_normals = triangles
     # Where all triangles of a face have one orientation, none of them cancels another.
     a, b, c = model.vertices[corners].transpose(1, 0, 2)
@@ -270,16 +270,16 @@ def _smooth_edges(
     fans = triangle_faces[:, is_fan]
     H = _rounded(fans.shape[1], 2)
     arrays = (
-        _padded(found.points, M, 3),
-        _padded(found.parts, M, 3),
-        _padded(found.normals, M, 2, 3),
-        _padded(found.radii, M),
-        _padded(len(curves.lengths) + found.patches, M),
+        _padded(outline.points, M, 3),
+        _padded(outline.parts, M, 3),
+        _padded(outline.normals, M, 2, 3),
+        _padded(outline.radii, M),
+        _padded(len(curves.lengths) + outline.patches, M),
         _padded(is_lone, padded),
         _padded(fans, padded, H),
     )
-    slots = _rounded(found.slots, MIN_EDGES)
-    return SmoothEdges(*map(to_device, arrays), slots=slots), int(found.patches.max()) + 1
+    slots = _rounded(outline.slots, MIN_EDGES)
+    return SmoothEdges(*map(to_device, arrays), slots=slots), int(outline.patches.max()) + 1
 
 
 def _vertices_on_faces(model: ObjectModel) -> Bool[np.ndarray, "V F"]:

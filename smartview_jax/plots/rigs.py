@@ -96,7 +96,7 @@ def pose_uncertainties(poses: Sequence[PoseUncertainty]) -> PlotFigure:
         for k, cause in enumerate(causes):
             squares = np.array(
                 [
-                    sum(getattr(own, part) ** 2 for own in pose.causes if own.name == cause)
+                    sum(getattr(entry, part) ** 2 for entry in pose.causes if entry.name == cause)
                     for pose in poses
                 ]
             )

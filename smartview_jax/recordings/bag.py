@@ -69,17 +69,17 @@ class Bag:
         Raises:
             ValueError: the bag has no such topic, or its messages are of another type.
         """
-        found = next((name for name in (topic, f"/{topic}") if name in self.kinds), None)
-        if found is None:
+        present = next((name for name in (topic, f"/{topic}") if name in self.kinds), None)
+        if present is None:
             raise ValueError(
                 f"{self.path}: {purpose}: no topic {topic}; the bag has {self.listed_topics()}"
             )
-        if self.kinds[found] not in kinds:
+        if self.kinds[present] not in kinds:
             raise ValueError(
-                f"{self.path}: {purpose}: topic {found} has messages of {self.kinds[found]}; "
+                f"{self.path}: {purpose}: topic {present} has messages of {self.kinds[present]}; "
                 f"expected {' or '.join(kinds)}"
             )
-        return found
+        return present
 
     def listed_topics(self) -> str:
         """Return all topics with their types as text."""

@@ -165,7 +165,7 @@ class _ContentReader:
             assert sources.arm is not None
             self._joints = bag.required(sources.joints, (JOINT_STATE,), "joints")
             self._joint_record = JointRecord(self._joint_names(), sources.arm)
-        found = {self._image, self._info, self._tag, self._robot, self._joints} - {None}
+        wanted = {self._image, self._info, self._tag, self._robot, self._joints} - {None}
         if sources.base is not None or self._tag_is_frame:
             tf = bag.topics_of(TF_KINDS)
             if not tf and (self._joints is None or self._tag_is_frame):
@@ -173,8 +173,8 @@ class _ContentReader:
                     f"{bag.path}: no topic of tf ({TF_KINDS[0]}), where the frames would be; the "
                     f"bag has {bag.listed_topics()}"
                 )
-            found |= set(tf)
-        return {topic for topic in found if topic is not None}
+            wanted |= set(tf)
+        return {topic for topic in wanted if topic is not None}
 
     def _joint_names(self) -> tuple[str, ...]:
         """Return the names of the arm's joints; a ValueError lists the topic's."""

@@ -135,24 +135,26 @@ class LeRobotDataset:
         """
         columns = ["episode_index", "frame_index", "timestamp", feature]
         tables = [self._columns(file, columns) for file in self._files("data", "frames")]
-        found = {key: np.concatenate([t[key] for t in tables]) for key in columns}
-        all_episodes = found["episode_index"].astype(np.int64)
+        table = {key: np.concatenate([t[key] for t in tables]) for key in columns}
+        all_episodes = table["episode_index"].astype(np.int64)
         if missing := sorted(set(episodes) - set(all_episodes.tolist())):
             raise ValueError(
                 f"{self.path}: no episode {missing[0]}; there are {len(np.unique(all_episodes))}, "
                 "from 0"
             )
         used = np.isin(all_episodes, list(episodes) or all_episodes)
-        order = np.lexsort((found["frame_index"][used], all_episodes[used]))
-        episode, number, time, states = (found[key][used][order] for key in columns)
+        order = np.lexsort((table["frame_index"][used], all_episodes[used]))
+        episode, number, time, states = (table[key][used][order] for key in columns)
         time = time.astype(float)
         if not np.isfinite(time).all():
             raise ValueError(f"{self.path}: timestamp: expected numbers, found NaN")
         begins, stamps = 0.0, np.zeros(len(time), dtype=np.int64)
         for each in np.unique(episode):
-            own = episode == each
-            stamps[own] = np.round(NANOSECONDS * (begins + time[own])).astype(np.int64)
-            begins += float(time[own].max()) + EPISODE_GAP
+            in_episode = episode == each
+            stamps[in_episode] = np.round(NANOSECONDS * (begins + time[in_episode])).astype(
+                np.int64
+            )
+            begins += float(time[in_episode].max()) + EPISODE_GAP
         return Frames(
             stamps, episode.astype(np.int64), number.astype(np.int64), time, states.astype(float)
         )
@@ -196,15 +198,15 @@ class LeRobotDataset:
         """Return the video of each episode and where in it the episode begins, s; of version 3."""
         prefix = f"videos/{feature}"
         keys = [f"{prefix}/{part}" for part in ("chunk_index", "file_index", "from_timestamp")]
-        found = {}
+        places = {}
         for file in self._files("meta/episodes", "episodes"):
             table = self._columns(file, ["episode_index", *keys])
             for episode, chunk, number, begin in zip(*table.values(), strict=True):
                 path = self._video_file(
                     video_key=feature, chunk_index=int(chunk), file_index=int(number)
                 )
-                found[int(episode)] = (path, float(begin))
-        return found
+                places[int(episode)] = (path, float(begin))
+        return places
 
     def _video_file(self, **parts: str | int) -> Path:
         """Return the file of a video by the description's pattern."""
@@ -239,10 +241,10 @@ class LeRobotDataset:
 
     def _files(self, folder: str, meaning: str) -> list[Path]:
         """Return the tables in a folder, in order."""
-        found = sorted((self.path / folder).rglob("*.parquet"))
-        if not found:
+        files = sorted((self.path / folder).rglob("*.parquet"))
+        if not files:
             raise FileNotFoundError(f"{self.path / folder}: no tables (.parquet) of the {meaning}")
-        return found
+        return files
 
     def _columns(
         self, file: Path, names: Sequence[str], rows: Sequence[int] | None = None
@@ -260,7 +262,7 @@ class LeRobotDataset:
             table = table if rows is None else table.take(rows)
         except arrow.ArrowException as error:
             raise ValueError(f"{file}: no readable table: {error}") from error
-        found = {}
+        columns = {}
         for name in names:
             values = table.column(name).to_pylist()
             is_list = bool(values) and isinstance(values[0], list)
@@ -268,8 +270,8 @@ class LeRobotDataset:
             if len(lengths) > 1:
                 raise ValueError(f"{file}: {name}: rows of {sorted(lengths)} numbers")
             is_object = bool(values) and isinstance(values[0], dict)
-            found[name] = np.array(values, dtype=object if is_object else None)
-        return found
+            columns[name] = np.array(values, dtype=object if is_object else None)
+        return columns
 
 
 def _frames_of_video(

@@ -127,7 +127,7 @@ def rig_budget_rows(budget: RigErrorBudget) -> list[tuple[str, ...]]:
 
     Causes are in the order of their largest error; a camera without a cause has an empty entry.
     """
-    of_cameras = [{c.name: c.rms for c in own.causes} for own in budget.cameras.values()]
+    of_cameras = [{c.name: c.rms for c in entry.causes} for entry in budget.cameras.values()]
     names = dict.fromkeys(name for causes in of_cameras for name in causes)
     largest = {name: max(causes.get(name, 0.0) for causes in of_cameras) for name in names}
     return [
@@ -303,7 +303,9 @@ def _budget_sections(budget: RigErrorBudget) -> list[Section]:
             header=("cause", *budget.cameras),
             rows=rig_budget_rows(budget),
         ),
-        Section("What to do", rows=[(name, own.summary) for name, own in budget.cameras.items()]),
+        Section(
+            "What to do", rows=[(name, entry.summary) for name, entry in budget.cameras.items()]
+        ),
         Section(
             "What limits each pose",
             "Standard deviations of all axes together.",
@@ -356,9 +358,9 @@ def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]
         seeing = ", ".join(name for name in rig.cameras if rig.targets[name] == target)
         facts.append((f"target {target}", f"seen by {seeing}"))
     for arm in fit.bases:
-        moved = ", ".join(name for name, own in fit.arms.items() if arm in arms_of(own))
+        moved = ", ".join(name for name, sensor in fit.arms.items() if arm in arms_of(sensor))
         facts.append((f"arm {arm}", f"of the cameras {moved}"))
-    facts += [(f"depth sensor of {name}", own.described) for name, own in fit.sensors.items()]
+    facts += [(f"depth sensor of {name}", sensor.described) for name, sensor in fit.sensors.items()]
     facts.append(("joint fit", fit.result.message))
     for arm, estimate in fit.noise_estimates.items():
         robot = arm if fit.bases else "the robot"

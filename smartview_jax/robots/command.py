@@ -43,11 +43,11 @@ class HandPoses(HostModule):
 
     def host_other_tool_from_tool(self, base_from_other_base: SE3) -> SE3:
         """Return `other_tool_from_tool`, computed with NumPy."""
-        base, own, other = map(
+        base, this_tool, other = map(
             host_matrices,
             (base_from_other_base, self.base_from_tool, self.other_base_from_other_tool),
         )
-        return host_transforms(np.linalg.inv(base @ other) @ own)
+        return host_transforms(np.linalg.inv(base @ other) @ this_tool)
 
 
 class Command(HostModule):

@@ -41,7 +41,7 @@ class CalibratedRigFile(Entry):
                 f"parameters_of: expected the cameras {', '.join(self.cameras)}, found "
                 f"{', '.join(self.parameters_of)}"
             )
-        known = {name for own in self.parameters_of.values() for name in own}
+        known = {name for names in self.parameters_of.values() for name in names}
         for name in () if self.uncertainty is None else self.uncertainty.parameters:
             if name not in known:
                 raise ValueError(f"uncertainty: no camera has a parameter {name!r}")

@@ -44,12 +44,12 @@ class Entry(BaseModel):
         known = list(cls.model_fields)
         unknown = [key for key in content if key not in known] if isinstance(content, dict) else []
         if unknown and cls.model_config.get("extra") == "forbid":
-            own, other = (
+            this_kind, other = (
                 next((key for key in keys if str(key).startswith(_KIND_PREFIX)), None)
                 for keys in (known, unknown)
             )
-            if own is not None and other is not None and own not in content:
-                raise ValueError(f"a file of the kind {own} is expected, found {other}")
+            if this_kind is not None and other is not None and this_kind not in content:
+                raise ValueError(f"a file of the kind {this_kind} is expected, found {other}")
             raise PydanticCustomError(
                 "unknown_entry",
                 "no entry is called {key}{hint} It has {known}",

@@ -153,14 +153,14 @@ class RigFile(RobotEntries):
                         f"found {arm!r}"
                     )
         for arm, entries in self.arms.items():
-            own = {
+            mounts_of_arm = {
                 mounts[name]
                 for name, camera in self.cameras.items()
                 if arm in (camera.arm, camera.target_arm)
             }
             with errors_at(f"arms.{arm}"):
-                entries.check_robot(own)
-            if not own:
+                entries.check_robot(mounts_of_arm)
+            if not mounts_of_arm:
                 raise ValueError(f"arms.{arm}: no camera names this arm")
 
     def _check_targets(self) -> None:

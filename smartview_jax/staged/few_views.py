@@ -60,11 +60,11 @@ def start_by_target(data: Dataset, camera: Camera, holder_from_world: PoseLike) 
     if not used.any():
         reasons = "; ".join(f"view {data.view_ids[k]}: {text}" for k, text in unusable.items())
         raise ValueError(f"no view with {minimum_points(camera)} points ({reasons or 'no views'})")
-    poses, rms, found = estimate_view_poses(observations, camera)
+    poses, rms, has_pose = estimate_view_poses(observations, camera)
     visible = np.asarray(observations.visible)
     # Any pose passes through three points exactly: of few points none is said to lie apart.
     unchecked = visible.sum(axis=1) <= MAX_UNCHECKED_POINTS
-    inliers = visible & (np.asarray(found) | unchecked[:, None])
+    inliers = visible & (np.asarray(has_pose) | unchecked[:, None])
     observations = eqx.tree_at(lambda o: o.visible, observations, to_device(inliers))
     views = np.flatnonzero(used)
     robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))[views]

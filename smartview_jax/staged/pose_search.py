@@ -122,11 +122,11 @@ def ranked_hand_eyes(
 ) -> list[Transforms]:
     """Return different hand-eye transforms for a target whose place is known, the best first."""
     squares = squared_distances(cameras, robot, np.broadcast_to(world, cameras.shape), sight)
-    found = [
-        Transforms(camera, world, *_scale_and_deviance(own, sight, sigma))
-        for camera, own in zip(cameras, squares, strict=True)
+    answers = [
+        Transforms(camera, world, *_scale_and_deviance(of_camera, sight, sigma))
+        for camera, of_camera in zip(cameras, squares, strict=True)
     ]
-    return _different_answers(sorted(found, key=lambda pair: pair.deviance))
+    return _different_answers(sorted(answers, key=lambda pair: pair.deviance))
 
 
 def _different_answers(ranked: Sequence[Transforms]) -> list[Transforms]:
@@ -350,11 +350,11 @@ def _scale_and_deviance(
     return float(scales[best, 0]), float(sums[best])
 
 
-def _is_same_answer(one: Transforms, other: Transforms) -> bool:
+def _is_same_answer(answer: Transforms, other: Transforms) -> bool:
     """Return whether two pairs of transforms are one answer."""
     return all(
         host_rotation_angles(first, second) < SAME_ANSWER
-        for first, second in ((one.camera, other.camera), (one.world, other.world))
+        for first, second in ((answer.camera, other.camera), (answer.world, other.world))
     )
 
 

@@ -165,8 +165,8 @@ def _homography(
     zero = np.zeros_like(x)
     rows = np.concatenate([np.hstack([x, zero, -u * x]), np.hstack([zero, x, -v * x])])
     # The columns of the plane's axes do not depend on its origin, and on its unit alike.
-    found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    return found / np.linalg.norm(found[:, :2])
+    homography = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    return homography / np.linalg.norm(homography[:, :2])
 
 
 def _equations(columns: Float[np.ndarray, "views 3 2"]) -> Float[np.ndarray, "equations 5"]:

@@ -119,8 +119,8 @@ def _rotations(
         )
         start = Rotation.from_matrix(np.stack([x, tried[k], z.T])).as_rotvec().ravel()
         results.append(least_squares(misses, start, loss="soft_l1", f_scale=0.01))
-    found = min(results, key=lambda result: result.cost)
-    return Rotation.from_rotvec(found.x.reshape(3, 3)).as_matrix()
+    likeliest = min(results, key=lambda result: result.cost)
+    return Rotation.from_rotvec(likeliest.x.reshape(3, 3)).as_matrix()
 
 
 def _translations(

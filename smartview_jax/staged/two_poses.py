@@ -123,14 +123,14 @@ def choose_poses(
     known = tuple(None if pose is None else host_matrices(pose) for pose in start)
     plain = np.flatnonzero(~asked)
     searched = np.arange(len(views)) if len(plain) < MIN_PLAIN_VIEWS else spaced_views(plain)
-    found = ranked_transforms(
+    ranked = ranked_transforms(
         candidates[:, searched],
         robot[searched],
         Sight(*(part[searched] for part in sight)),
         sigma,
         (known[0], known[1]),
     )
-    best = found[0]
+    best = ranked[0]
     chosen = nearer_poses(candidates, best.camera @ robot @ best.world)
     exchanged = views[(chosen == 1) & asked]
     numbers = np.array(camera_from_world.wxyz_xyz)
@@ -142,7 +142,7 @@ def choose_poses(
         best.scale < EXPLAINED_SHARE * _angular_size(sight),
         {int(views[k]): text for k, text in _outlying(best, robot, sight, alpha).items()},
         _rival_warning(
-            found,
+            ranked,
             alpha,
             "Say roughly which (start=), tilt the target more, or use a larger one",
         ),
@@ -176,9 +176,9 @@ def hand_eye_at_target(
     poses = host_matrices(camera_from_world)[views]
     candidates, _, sight = _both_poses(observations, camera, poses, views, sigma)
     tried = (candidates @ np.linalg.inv(robot @ holder_from_world)).reshape(-1, 4, 4)
-    found = ranked_hand_eyes(tried, robot, holder_from_world, sight, sigma)
+    ranked = ranked_hand_eyes(tried, robot, holder_from_world, sight, sigma)
     advice = "Take another view in which the target is tilted more"
-    return candidates, found[0].camera, _rival_warning(found, alpha, advice)
+    return candidates, ranked[0].camera, _rival_warning(ranked, alpha, advice)
 
 
 def _both_poses(
@@ -230,10 +230,10 @@ def _is_ambiguous(
     # of the sums of squares varies by twice its root.
     rays = np.where(seen[..., None], p[..., :2] / np.maximum(p[..., 2:], MIN_DEPTH), 0.0)
     exact = Sight(points, rays, seen)
-    other, left = refined_poses(mirrored_poses(poses, exact), exact, STEPS_TO_ASK)
+    other, misfit = refined_poses(mirrored_poses(poses, exact), exact, STEPS_TO_ASK)
     return (
         flat
-        & (np.sqrt(left) < 2.0 * MAX_SEPARATION * sigma)
+        & (np.sqrt(misfit) < 2.0 * MAX_SEPARATION * sigma)
         & (host_rotation_angles(other, poses) > 1e-3)
     )
 
@@ -262,13 +262,13 @@ def _angular_size(sight: Sight) -> float:
     return float(np.median(distance[sight.seen]))
 
 
-def _rival_warning(found: list[Transforms], alpha: float, advice: str) -> str:
+def _rival_warning(ranked: list[Transforms], alpha: float, advice: str) -> str:
     """Return a sentence if another answer explains the pictures about as well as the first.
 
     It ends with the advice.
     """
-    best = found[0]
-    rivals = [pair for pair in found[1:] if pair.deviance - best.deviance < RIVAL_DEVIANCE]
+    best = ranked[0]
+    rivals = [pair for pair in ranked[1:] if pair.deviance - best.deviance < RIVAL_DEVIANCE]
     if not rivals:
         return ""
     rival = min(rivals, key=lambda pair: pair.deviance)

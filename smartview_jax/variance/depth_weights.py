@@ -83,11 +83,11 @@ def _refuse_other_unit(
     """Raise a ValueError for depths far from where the pixels put the target."""
     if not len(measured):
         return
-    found, predicted = np.median(measured), np.median(expected)
-    if not 1.0 / LARGEST_RATIO < found / predicted < LARGEST_RATIO:
+    read, predicted = np.median(measured), np.median(expected)
+    if not 1.0 / LARGEST_RATIO < read / predicted < LARGEST_RATIO:
         raise ValueError(
             f"depths: expected about {predicted:.3g} m, where the pixels put the target, found "
-            f"{found:.3g} (medians): are they metres along the optical axis?"
+            f"{read:.3g} (medians): are they metres along the optical axis?"
         )
 
 
@@ -120,8 +120,10 @@ def _common_std(
     means = (share * np.asarray(data.depths.measured)[views]).sum(axis=1)
     predicted = (share * placed[views, :, 2]).sum(axis=1)
     variances = 1.0 / weight.sum(axis=1) + [
-        _variance_by_pixels(placed[view], np.asarray(data.visible)[view], own, camera, pixel_sigma)
-        for view, own in zip(views, share, strict=True)
+        _variance_by_pixels(
+            placed[view], np.asarray(data.visible)[view], view_share, camera, pixel_sigma
+        )
+        for view, view_share in zip(views, share, strict=True)
     ]
     design = np.column_stack([np.ones(len(views)), predicted - predicted.mean()])
 
@@ -137,11 +139,11 @@ def _common_std(
     smallest, largest = np.log(COMMON_STD_RANGE)
     # The deviance may be flat where the error is negligible: the search begins at the best of some.
     tried = np.linspace(smallest, largest, 40)
-    best = tried[int(np.argmin([deviance(one) for one in tried]))]
+    best = tried[int(np.argmin([deviance(candidate) for candidate in tried]))]
     step = tried[1] - tried[0]
     bounds = max(best - step, smallest), min(best + step, largest)
-    found = minimize_scalar(deviance, bounds=bounds, method="bounded")
-    log_std = float(found.x)  # pyright: ignore[reportAttributeAccessIssue]
+    optimum = minimize_scalar(deviance, bounds=bounds, method="bounded")
+    log_std = float(optimum.x)  # pyright: ignore[reportAttributeAccessIssue]
     return 0.0 if deviance(smallest) <= deviance(log_std) else float(np.exp(log_std))
 
 

@@ -435,10 +435,10 @@ def _information(
     """
     views = len(marginal.gain)
     whitened_gain = marginal.gain @ marginal.shared_whitening.T
-    own = np.eye(6) - marginal.per_view_covariance
+    reduction = np.eye(6) - marginal.per_view_covariance
     common = whitened_gain @ whitened_gain.swapaxes(1, 2)
     # tr(P A P B) is a quadratic form in the entries of A and B.
-    flat = [blocks.reshape(views, 36) for blocks in (own, common)]
+    flat = [blocks.reshape(views, 36) for blocks in (reduction, common)]
     form = flat[0].T @ flat[0] - flat[1].T @ flat[1]
     # F_ijkl = sum_v P_ij P_kl, and tr(P A P B) = P_ij A_jk P_kl B_li.
     partial = np.tensordot(by_entry, form.reshape(6, 6, 6, 6), axes=((1, 2), (1, 2)))

@@ -92,8 +92,8 @@ def between_directions_covariance(
         averaged: result of `averaged_models`.
     """
     estimate = marginalise(views, averaged).step.shared
-    one = np.array(1.0)
-    of_hypothesis = averaged._replace(translation=one, rotation=one)
+    unit = np.array(1.0)
+    of_hypothesis = averaged._replace(translation=unit, rotation=unit)
     to_own = np.linalg.inv(directions.roots)
     result = np.zeros((len(estimate), len(estimate)))
     for name, probability in directions.probabilities.items():

@@ -252,7 +252,7 @@ def likeliest_variances(
         return float(value), slopes
 
     widest = -2.0 * np.log(SMALLEST_PART)
-    found = minimize(
+    optimum = minimize(
         deviance,
         np.log(start),
         jac=True,
@@ -260,7 +260,7 @@ def likeliest_variances(
         bounds=[(-widest, widest)] * len(start),
         options={"ftol": DEVIANCE_TOLERANCE},
     )
-    return LikeliestVariances(np.exp(found.x), float(found.fun), pairs, priors)
+    return LikeliestVariances(np.exp(optimum.x), float(optimum.fun), pairs, priors)
 
 
 def _information(

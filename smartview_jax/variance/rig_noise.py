@@ -185,7 +185,7 @@ def _compare(
     """
     requested = RequestedModels.of(field, rig, len(rig.view_ids), prior)
     names = rig_parameter_names(rig, starts)
-    sizes = {name: None for own in names.values() for name in own if is_size(name)}
+    sizes = {name: None for of_camera in names.values() for name in of_camera if is_size(name)}
     tested, basis = tested_sizes(sizes, choice, prior, rig), requested.basis
     # In units of each camera's own noise, so that none outweighs the others.
     reference = float(np.sqrt(np.mean([camera.pixel_sigma**2 for camera in cameras.values()])))

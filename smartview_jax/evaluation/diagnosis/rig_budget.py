@@ -133,15 +133,15 @@ def pose_uncertainties(fit: RigFit) -> tuple[PoseUncertainty, ...]:
     """Return the uncertainty of each hand-eye transform and each relative pose, by cause."""
     by_cause = covariance_by_cause(fit)
     calibrations, names = fit.calibrations, fit.parameter_names
-    place, found = {name: k for k, name in enumerate(names)}, []
+    place, poses = {name: k for k, name in enumerate(names)}, []
     for name, calibration in calibrations.items():
         path = f"{name}.{calibration.transform_names[0]}"
         # A parameter that was held has the variance that is appended.
-        rows = [place.get(own, -1) for own in step_names(path)]
+        rows = [place.get(step_name, -1) for step_name in step_names(path)]
         variances = {
             cause: np.append(np.diagonal(matrix), 0.0)[rows] for cause, matrix in by_cause.items()
         }
-        found.append(_pose_uncertainty(path, variances))
+        poses.append(_pose_uncertainty(path, variances))
     for first, second in combinations(calibrations, 2):
         if fit.on_one_mount(first, second):
             covariances = {
@@ -149,8 +149,8 @@ def pose_uncertainties(fit: RigFit) -> tuple[PoseUncertainty, ...]:
                 for cause, matrix in by_cause.items()
             }
             variances = {cause: np.diagonal(matrix) for cause, matrix in covariances.items()}
-            found.append(_pose_uncertainty(f"{second} in {first}", variances))
-    return tuple(found)
+            poses.append(_pose_uncertainty(f"{second} in {first}", variances))
+    return tuple(poses)
 
 
 def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]]:
@@ -170,11 +170,11 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     # state's own parameters. A prior's whitened error has the covariance 1:
     #     of shared parameters P W^2 P, with W its weights; of states P sum_s K_s^T W_s^2 K_s P.
     weight = np.asarray(problem.prior_weight.shared)[np.asarray(problem.free)]
-    own = np.where(problem.per_view_free, np.asarray(problem.prior_weight.per_view), 0.0)
+    noise_std = np.where(problem.per_view_free, np.asarray(problem.prior_weight.per_view), 0.0)
     is_field = np.array([ROBOT_ERROR in name.split(".") for name in names], dtype=bool)
     of_size = np.array([is_size(name) for name in names], dtype=bool)
     precisions = {
-        ROBOT_NOISE: np.einsum("ski,sk,skj->ij", gain, own**2, gain),
+        ROBOT_NOISE: np.einsum("ski,sk,skj->ij", gain, noise_std**2, gain),
         SYSTEMATIC_ROBOT_ERROR: np.diag(np.where(is_field, weight, 0.0) ** 2),
         TARGET_SIZE: np.diag(np.where(of_size, weight, 0.0) ** 2),
         OTHER_PRIORS: np.diag(np.where(is_field | of_size, 0.0, weight) ** 2),
@@ -192,9 +192,11 @@ def _pose_uncertainty(
 ) -> PoseUncertainty:
     """Return the uncertainty of a pose from the variances of its parameters due to each cause."""
     # Of translation and rotation, all axes together.
-    sums = {cause: own.reshape(2, 3).sum(axis=1) for cause, own in variances.items()}
+    sums = {cause: variance.reshape(2, 3).sum(axis=1) for cause, variance in variances.items()}
     # Rounding may make the part of a cause without effect slightly negative.
-    causes = [PoseCause(cause, *np.sqrt(own.clip(0.0)).tolist()) for cause, own in sums.items()]
+    causes = [
+        PoseCause(cause, *np.sqrt(variance.clip(0.0)).tolist()) for cause, variance in sums.items()
+    ]
     causes.sort(key=lambda cause: -cause.translation)
     places, turns = np.sqrt(np.sum(list(sums.values()), axis=0))
     return PoseUncertainty(name, float(places), float(turns), tuple(causes))

@@ -209,7 +209,11 @@ def _without_views(data: Dataset | Rig, hidden: Sequence[int]) -> Dataset | Rig:
     part = data.mask_views(hidden)
     if isinstance(part, Dataset):
         return part
-    seeing = {name: own for name, own in part.cameras.items() if len(own.usable_views())}
+    seeing = {
+        name: camera_data
+        for name, camera_data in part.cameras.items()
+        if len(camera_data.usable_views())
+    }
     return part.with_cameras(seeing) if 0 < len(seeing) < len(part.cameras) else part
 
 

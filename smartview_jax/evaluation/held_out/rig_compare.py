@@ -104,10 +104,10 @@ def _fits_together(
     progress: Callable[[str], None],
 ) -> dict[str, FoldedFits | ValueError]:
     """Fit all cameras of the rig at once, and return the part of each."""
-    found = folded_fits(rig, fitter, split, progress)
-    if isinstance(found, ValueError):
-        return dict.fromkeys(rig.cameras, found)
+    folded = folded_fits(rig, fitter, split, progress)
+    if isinstance(folded, ValueError):
+        return dict.fromkeys(rig.cameras, folded)
     return {
-        name: FoldedFits(camera_of_rig(found.fit, name), folds_of_camera(found.refits, rig, name))
+        name: FoldedFits(camera_of_rig(folded.fit, name), folds_of_camera(folded.refits, rig, name))
         for name in rig.cameras
     }
