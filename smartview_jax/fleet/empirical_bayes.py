@@ -136,8 +136,8 @@ def _halfway(first: RobotPrior, second: RobotPrior) -> RobotPrior:
     likelihoods are far from Gaussian, and look different from either side.
     """
 
-    def mean(first: float, other: float) -> float:
-        return float(np.sqrt(first * other))
+    def mean(value: float, other: float) -> float:
+        return float(np.sqrt(value * other))
 
     stds = first.geometric_std_by_name
     return dataclasses.replace(

@@ -5,8 +5,9 @@ an image stabiliser shifts the picture, which looks like a turned camera. Within
 pose takes up nearly all of either, so that the robot seems to err. But a robot knows nothing of the
 optical axis: its errors are as large along it as across it. So the corrections of the poses are
 seen from the camera, and their variances along and across the axis compared by an F test. A robot
-that sags or has a worn lift errs along or about an axis of its base, which a camera that looks down
-sees nearly as its own: where the ratio is larger for an axis of the base, the robot errs.
+that sags or has a worn lift errs along or about an axis of its base, which a camera on its hand
+that looks down sees nearly as its own: where the ratio is larger for an axis of the base, the robot
+errs. Of a camera next to the robot, the axes are the tool's, which turn in front of it.
 """
 
 from typing import NamedTuple
@@ -33,7 +34,8 @@ class SeenErrors(NamedTuple):
     Attributes:
         shifts: motion of the target's middle in the camera's frame, m.
         turns: rotation vectors in the camera's frame, rad.
-        camera_from_holder: rotation of the frame in which the target is fixed.
+        camera_from_holder: rotation of the frame in which the target is fixed: the base's, or the
+            tool's for a target on the hand.
     """
 
     shifts: Float[np.ndarray, "views 3"]
@@ -105,7 +107,7 @@ def _lie_by_camera(
     camera_from_holder: Float[np.ndarray, "views 3 3"],
     sign: float,
 ) -> bool:
-    """Return whether errors lie along the optical axis more than along an axis of the holder.
+    """Return whether errors lie along the optical axis more than along any axis of the holder.
 
     Args:
         errors: in the camera's frame.

@@ -133,7 +133,7 @@ def tracker_drift(
 
 @on_one_blas_thread
 def likeliest_drift(chain: TrackedChain, noise: TrackerNoise) -> LikeliestDrift:
-    """Return the drift, if the evidence is for one; the arguments are as in `tracker_drift`."""
+    """Return the likelier answer to whether a tracker drifts; arguments as in `tracker_drift`."""
     probability = chain.tracker_prior.drift_probability
     steady, drifting = _Chain(chain, noise), _Chain(chain, noise)
     without = steady.evidence(_priors(chain, noise, False), False)

@@ -243,9 +243,9 @@ def fit_joint(
     accepted, matrix = fit_once(used_data)
     first, first_data, judging = accepted, used_data, robot_prior
     estimate = accepted.noise_estimate
-    if not keeps_all and estimate is not None and estimate.alike is not None:
-        # A wrong pose looks like errors along its direction: views are judged by errors that are
-        # alike in all.
+    if estimate is not None and estimate.alike is not None:
+        # A wrong pose, and a wrong value that is held, look like errors along one direction: views
+        # and values are judged by errors that are alike in all.
         judging = _alike(robot_prior)
         accepted, matrix = fit_once(used_data, judging, estimate.alike)
     while not keeps_all:
@@ -266,7 +266,6 @@ def fit_joint(
     judged = accepted
     if judging is not robot_prior:
         accepted = first if used_data is first_data else fit_once(used_data)[0]
-    # A wrong value that is held looks like errors along one direction, too.
     contradicted = () if isinstance(used_data, PoseDataset) else held_value_warnings(judged)
     return _finish_fit(accepted, used_data, all_data, contradicted)
 

@@ -260,7 +260,7 @@ def _shape_warnings(fit: JointFit) -> list[str]:
 def _scale_warnings(fit: JointFit, values_are_wrong: bool) -> list[str]:
     """Return warnings about the stated size of the target.
 
-    It is a consequence where the pictures contradict values that the user stated.
+    Where the pictures contradict values that the user stated, a wrong size may follow from these.
     """
     scale = None if fit.noise_estimate is None else fit.noise_estimate.target_scale
     if scale is None or scale.probability < MIN_SCALE_PROBABILITY:
@@ -312,7 +312,8 @@ def _mount_by_size(fit: JointFit, scale: TargetScaleEvidence) -> str:
 def _robot_warnings(fit: JointFit, values_are_wrong: bool) -> list[str]:
     """Return warnings about the robot's errors: implausibly large sigmas or corrections.
 
-    They do not tell how the camera changes where it is wrong in all views alike.
+    Where the pictures contradict values that the user stated, the camera is wrong in all views
+    alike, and no warning says that it changes.
     """
     if fit.noise_estimate is None or fit.noise is None:
         return []

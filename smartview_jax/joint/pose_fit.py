@@ -280,8 +280,8 @@ def fit_poses(
     fit = dataclasses.replace(fit, warnings=(*ambiguities, *fit.warnings))
     covariance = used.covariance
     if drift is not None:
-        in_tracker_frame = in_tracker_units(drift.covariance, float(calibration.target_scale))
-        covariance = to_device(in_tracker_frame)
+        scaled = in_tracker_units(drift.covariance, float(calibration.target_scale))
+        covariance = to_device(scaled)
     data = dataclasses.replace(data, covariance=covariance)
     return PoseFit.of(fit, data, has_camera, drift)
 

@@ -85,7 +85,8 @@ class RelativePose(NamedTuple):
             "covariance": np.asarray(self.covariance).tolist(),
             # JSON has no infinity.
             "degrees_of_freedom": [
-                float(own) if np.isfinite(own) else None for own in self.degrees_of_freedom
+                float(freedom) if np.isfinite(freedom) else None
+                for freedom in self.degrees_of_freedom
             ],
             "end": "smartview_relative_pose",
         }
@@ -105,8 +106,8 @@ class RelativePose(NamedTuple):
         content = validate_content(read_yaml(path), RELATIVE_POSE_SCHEMA, path)
         pose = transform_from_dict(f"{path}: pose", content.first_from_second.model_dump())
         known = content.degrees_of_freedom or [None] * 6
-        freedom = tuple(np.inf if own is None else own for own in known)
-        return cls(pose, np.array(content.covariance, dtype=float), freedom)
+        degrees_of_freedom = tuple(np.inf if freedom is None else freedom for freedom in known)
+        return cls(pose, np.array(content.covariance, dtype=float), degrees_of_freedom)
 
 
 def relative_pose(
@@ -212,11 +213,11 @@ def _with_covariance(
     indices = [place[name] for name in names if name in place]
     jacobian = np.linalg.solve(twist_by_step(matrix), np.hstack(by_steps))[:, free]
     known = np.asarray(covariance)[np.ix_(indices, indices)]
-    own = jacobian @ known @ jacobian.T
+    of_pose = jacobian @ known @ jacobian.T
     if correction is None:
-        return RelativePose(host_transforms(matrix), own)
+        return RelativePose(host_transforms(matrix), of_pose)
     part = correction.subset(np.array(indices, dtype=int))
     added = jacobian @ part.added_covariance @ jacobian.T
-    joined = joined_corrections([(part, jacobian)], np.diagonal(own - added))
+    joined = joined_corrections([(part, jacobian)], np.diagonal(of_pose - added))
     freedom = tuple(joined.degrees_of_freedom.tolist())
-    return RelativePose(host_transforms(matrix), own, freedom)
+    return RelativePose(host_transforms(matrix), of_pose, freedom)

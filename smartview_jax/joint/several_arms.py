@@ -61,6 +61,7 @@ class JoinedArms(NamedTuple):
             first, *others = arms_of(name)
             step = shared[np.asarray(arm.base_index)]
             result[first] = host_retract_transform(arm.first_base_from_base, step)
+            # The linked pose of a pair is its other base; the linked poses of one arm are targets.
             for other, rows in zip(others, np.asarray(arm.linked_poses), strict=False):
                 start = SE3(arm.first_base_from_linked.wxyz_xyz[0])
                 step = shared[np.asarray(arm.parameter_index)[rows]]

@@ -168,9 +168,9 @@ def with_noise(
         covariance: m and rad.
         factor: see above.
     """
-    in_tracker_frame = in_tracker_units(covariance, factor)
-    size = UNIT_TRANSLATION**2 / np.diagonal(in_tracker_frame, axis1=1, axis2=2)[:, :3].mean()
-    return dataclasses.replace(data, covariance=to_device(size * in_tracker_frame))
+    scaled = in_tracker_units(covariance, factor)
+    size = UNIT_TRANSLATION**2 / np.diagonal(scaled, axis1=1, axis2=2)[:, :3].mean()
+    return dataclasses.replace(data, covariance=to_device(size * scaled))
 
 
 def in_tracker_units(

@@ -97,8 +97,8 @@ class RobotPrior:
         wrong_lens_probability: probability that the lens deviates from its model; zero skips this
             hypothesis. The covariance of the transforms includes the effect of such a lens.
         directional_probability: probability that poses without a smooth error err more in some
-            directions than in others, as those of a SCARA arm, a lift, or an arm with a worn joint
-            do; zero skips this hypothesis.
+            directions than in others, as with a SCARA arm, a lift, or an arm with a worn joint;
+            zero skips this hypothesis.
         directional_geometric_std: exp of the standard deviation of the logarithm of the error along
             an axis of such a robot, about the mean over its axes.
         model_odds: prior odds of the models of the robot error by name (`"white"` for noise of the

@@ -126,7 +126,7 @@ def average_over_models(
     free_sizes = {size for model in probabilities for size in model.free_sizes}
     tested_sizes = tuple(filter(is_size, first.views.group_names))
     sizes = tuple(size for size in tested_sizes if size in free_sizes)
-    field_probabilities = _by_field(probabilities)
+    field_probabilities = probabilities_by_field(probabilities)
     listed = ", ".join(f"{name} {p:.2f}" for name, p in field_probabilities.items())
     report_progress(f"errors of the robot: {listed}")
     fitted_field = (
@@ -160,7 +160,7 @@ def average_over_models(
     return SecondPass(field_probabilities, fitted_field, built, views, average, comparison)
 
 
-def _by_field(probabilities: Mapping[ModelName, float]) -> dict[str, float]:
+def probabilities_by_field(probabilities: Mapping[ModelName, float]) -> dict[str, float]:
     """Return the probabilities of the fields, whatever the target's size."""
     fields: dict[str, float] = {}
     for model, probability in probabilities.items():

@@ -6,7 +6,12 @@ from jaxtyping import Float
 from ..engine import JointProblem, host_step
 from ..geometry import host_matrices
 from ..robot_errors import RobotPrior
-from .averaged_fit import AveragedFit, SecondPass, iterate_to_convergence
+from .averaged_fit import (
+    AveragedFit,
+    SecondPass,
+    iterate_to_convergence,
+    probabilities_by_field,
+)
 from .directional_noise import (
     DirectionalNoise,
     DirectionalPrior,
@@ -22,6 +27,8 @@ DIRECTIONAL_FITS = 2
 
 def fit_by_direction(second: SecondPass, prior: RobotPrior) -> SecondPass | None:
     """Return the fit with errors of poses that differ by direction; None if they are alike in all.
+
+    It is None, too, if no model of the robot's error remains possible with these errors.
 
     Args:
         second: the fit for errors that are alike in all directions.
@@ -52,18 +59,20 @@ def fit_by_direction(second: SecondPass, prior: RobotPrior) -> SecondPass | None
             return None
         twists = views.corrections(np.asarray(average.z.per_view))
         views = views.with_correction_roots(directions.roots)
-        own = np.linalg.solve(directions.roots, twists[..., None])[..., 0]
+        per_view = np.linalg.solve(directions.roots, twists[..., None])[..., 0]
         if average.shape is not None:
             views = views.with_shape(average.shape)
         average = iterate_to_convergence(
             views,
-            host_step(np.asarray(average.z.shared), own),
+            host_step(np.asarray(average.z.shared), per_view),
             sigmas._replace(
                 translation=np.asarray(directions.translation),
                 rotation=np.asarray(directions.rotation),
             ),
             second.comparison,
         )
+        if not average.fitted:
+            return None
         average = _in_mean_sizes(average, directions)
         assert average.directions is not None
         views = views.with_correction_roots(average.directions.roots)
@@ -77,9 +86,7 @@ def _is_white(average: AveragedFit) -> bool:
     not the axes of the robot: on rct_circle10x10 an ellipsoid of it predicts unseen views a fifth
     worse.
     """
-    probabilities: dict[str, float] = {}
-    for model, probability in average.probabilities.items():
-        probabilities[model.field] = probabilities.get(model.field, 0.0) + probability
+    probabilities = probabilities_by_field(average.probabilities)
     return max(probabilities, key=lambda name: probabilities[name]) == WHITE_NOISE
 
 

@@ -137,17 +137,29 @@ class DirectionalNoise(NamedTuple):
     def with_sizes(self, sizes: Float[np.ndarray, "2"]) -> "DirectionalNoise":
         """Return the noise whose independent parameters have other standard deviations.
 
-        They are given for the present `roots`. Those of the result are again the roots of the mean
-        variances, which differ from these where rotations are correlated with translations.
+        The hypotheses grow with their average. `translation` and `rotation` of the result are
+        again the roots of the mean variances, and differ from the given standard deviations where
+        rotations are correlated with translations; its `roots` make up for the difference.
 
         Args:
-            sizes: standard deviations of the first and the last three parameters, m and rad.
+            sizes: standard deviations of the first and the last three parameters of the present
+                `roots`, m and rad.
         """
         covariance = (self.roots * np.repeat(sizes**2, 3)) @ self.roots.swapaxes(1, 2)
         translation, rotation = _mean_sizes(covariance)
         factors = np.repeat(sizes / [translation, rotation], 3)
+        # Twists with the new sizes, by twists with the present ones.
+        growth = np.repeat(sizes / [self.translation, self.rotation], 3)
+        grown = (self.roots * growth) @ np.linalg.inv(self.roots)
+        transposed = grown.swapaxes(1, 2)
         return self._replace(
-            translation=float(translation), rotation=float(rotation), roots=self.roots * factors
+            translation=float(translation),
+            rotation=float(rotation),
+            roots=self.roots * factors,
+            covariances={
+                name: grown @ each @ transposed for name, each in self.covariances.items()
+            },
+            slopes=grown[None] @ self.slopes @ transposed[None],
         )
 
 

@@ -166,8 +166,14 @@ def _degrees_of_freedom(
     # Satterthwaite: Var(log v_i) = a_i^T W a_i for the variance v_i of parameter i, with
     # W = `log_excess_covariance` and a_i = `log_variance_gradient[i]`, the derivatives of log(v_i)
     # by log(excess).
-    log_variance_gradient = np.diagonal(covariance_derivatives, axis1=1, axis2=2).T
-    log_variance_gradient = log_variance_gradient / variance[:, None]
+    # What was held has no variance, and so none that was estimated.
+    gradient = np.diagonal(covariance_derivatives, axis1=1, axis2=2).T
+    log_variance_gradient = np.divide(
+        gradient,
+        variance[:, None],
+        out=np.zeros_like(gradient),
+        where=variance[:, None] > 0.0,
+    )
     # The logarithm of a variance with n degrees of freedom has variance 2 / n.
     log_variance_variance = np.sum(
         (log_variance_gradient @ log_excess_covariance) * log_variance_gradient, axis=1

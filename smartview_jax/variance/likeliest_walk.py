@@ -52,7 +52,7 @@ def likeliest_walk(
     deviance = _posterior_deviance(walk, priors)
     largest = np.full(len(start), -np.log(SMALLEST_PART))
     smallest, largest[len(walk.pairs.parts)] = -largest, MAX_LOG_FIELD
-    found = minimize(
+    optimum = minimize(
         deviance,
         start,
         jac=True,
@@ -60,7 +60,7 @@ def likeliest_walk(
         bounds=list(zip(smallest, largest, strict=True)),
         options={"ftol": DEVIANCE_TOLERANCE / max(abs(deviance(start)[0]), 1.0)},
     )
-    return LikeliestWalk(found.x, float(found.fun), solved_walk(walk, found.x).fit)
+    return LikeliestWalk(optimum.x, float(optimum.fun), solved_walk(walk, optimum.x).fit)
 
 
 def walk_log_evidence(walk: Walk, likeliest: LikeliestWalk, priors: LogNormalPriors) -> float:

@@ -185,10 +185,18 @@ def solved_walk(walk: Walk, logarithms: Float[np.ndarray, "kinds"]) -> SolvedWal
         normal = normal - _sum_of_products(right, eliminated)
         deviance += log_determinant
     inverse, log_determinant = _inverse(normal[:-1, :-1] + prior)
-    found = inverse @ normal[:-1, -1]
-    deviance += log_determinant + float(normal[-1, -1] - normal[:-1, -1] @ found)
+    coefficients = inverse @ normal[:-1, -1]
+    deviance += log_determinant + float(normal[-1, -1] - normal[:-1, -1] @ coefficients)
     return SolvedWalk(
-        walk, logarithms, deviance, information, numbers, eliminated, inverse, found, factor
+        walk,
+        logarithms,
+        deviance,
+        information,
+        numbers,
+        eliminated,
+        inverse,
+        coefficients,
+        factor,
     )
 
 

@@ -99,6 +99,17 @@ def test_a_wrong_focal_length_is_named_before_the_target_that_it_makes_look_wron
     assert not any("focus or zoom change" in warning for warning in fit.warnings)
 
 
+def test_a_wrong_focal_length_is_named_where_all_views_are_kept(scene):
+    """Its errors look like a robot's that errs in some directions, by which it is not judged."""
+    true = float(scene.calibration.camera.alpha_u)
+    wrong = jnp.asarray(0.98 * true)
+    start = start_with(scene, alpha_u=wrong, alpha_v=wrong)
+    fit = fit_joint(scene.data, start, fixed=("camera",), gross_errors="keep")
+    (sentence,) = contradictions(fit)
+    wanted, std = value_and_std(sentence, "camera.alpha_u")
+    assert abs(wanted - true) < 4.0 * std
+
+
 def test_a_prior_that_the_pictures_contradict_is_named(scene):
     true = float(scene.calibration.camera.u0)
     prior = Prior(mean=true + 20.0, std=2.0)

@@ -1,6 +1,7 @@
 """The pose of one camera in the frame of another: its intervals, and its file."""
 
 import numpy as np
+import pytest
 from rig_pair import stereo_pair
 from scipy.stats import norm
 from scipy.stats import t as student
@@ -53,3 +54,21 @@ def test_the_interval_of_a_relative_pose_is_students(tmp_path):
     np.testing.assert_allclose(known.half_widths(), pose.std * norm.ppf(0.975))
     known.save(tmp_path / "known.json")
     assert RelativePose.load(tmp_path / "known.json").degrees_of_freedom == (np.inf,) * 6
+
+
+@pytest.mark.parametrize("free", [3, 0])
+def test_what_was_held_has_no_interval(free):
+    """The rotations of both cameras, or all of them, were known."""
+    names = tuple(f"{c}.camera_from_tool.{step}" for c in ("a", "b") for step in STEP_NAMES[:free])
+    count = len(names)
+    correction = SmallSampleCorrection(
+        np.array([0.1]),
+        np.zeros((count, count)),
+        np.full(count, 200.0),
+        np.array([[0.01]]),
+        2.0 * np.eye(count)[None],
+    )
+    calibrations = dict(zip("ab", stereo_pair().values(), strict=True))
+    pose = relative_pose(calibrations, names, np.eye(count), "a", "b", correction)
+    np.testing.assert_allclose(pose.degrees_of_freedom, [50.0] * free + [np.inf] * (6 - free))
+    np.testing.assert_allclose(pose.half_widths()[free:], 0.0, atol=1e-12)

@@ -27,7 +27,7 @@ def scene():
     return scene_of(3, MANY_VIEWS)
 
 
-def test_the_size_of_rotations_is_theirs_whatever_the_translations_tell(scene):
+def test_the_size_of_rotations_counts_what_translations_tell_too(scene):
     """A worn joint turns the tool about an axis 0.3 m away: its translations tell its rotations."""
     rng = np.random.default_rng(1)
     worn = np.outer(rng.normal(0.0, 5e-3, MANY_VIEWS), [0.0, 0.3, 0.0, 0.0, 0.0, 1.0])

@@ -151,6 +151,20 @@ def test_sizes_are_means_over_axes_where_rotations_follow_translations(world):
         )
 
 
+def test_hypotheses_grow_with_their_average(world):
+    """And their slopes, which are as large relative to the covariance as before."""
+    _, _, noise = estimated(world, 2, in_base(JOINT))
+    resized = noise.with_sizes(np.array([2.0 * noise.translation, 0.5 * noise.rotation]))
+    averaged = sum(p * resized.covariances[name] for name, p in noise.probabilities.items())
+    np.testing.assert_allclose(averaged, resized.covariance, rtol=1e-9, atol=1e-12)
+    before, after = (
+        np.linalg.eigvalsh(inverse @ each.slopes @ inverse.swapaxes(1, 2))
+        for each in (noise, resized)
+        for inverse in [np.linalg.inv(np.linalg.cholesky(each.covariance))]
+    )
+    np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-9)
+
+
 def test_the_worst_direction_is_the_one_in_which_draws_scatter_most(world):
     _, _, noise = estimated(world, 1, in_base(AXES))
     ways = np.random.default_rng(0).normal(size=(2000, 3))

@@ -85,7 +85,7 @@ def test_the_drift_goes_on_through_views_that_are_not_used(walk):
 
 
 @pytest.mark.parametrize("drifts", [True, False])
-def test_the_slopes_are_those_of_the_likelihood_by_differences(walk, drifts):
+def test_slopes_agree_with_differences_of_the_likelihood(walk, drifts):
     """Also through views that are not used."""
     walk = walk._replace(drifts=drifts)
     logarithms = LOGARITHMS if drifts else LOGARITHMS[:6]
