@@ -44,7 +44,7 @@ def distorted():
 
 
 def contradictions(fit):
-    return [one for one in fit.warnings if "pictures contradict" in one]
+    return [warning for warning in fit.warnings if "pictures contradict" in warning]
 
 
 def value_and_std(sentence, name):

@@ -323,7 +323,7 @@ def test_a_robot_that_errs_along_its_tool_alone_is_taken_for_what_it_is():
     errors = [np.asarray(each.pose_corrections) - drawn for each in (fit, equal)]
     across, across_of_equal = (np.sqrt(np.mean(each[:, :2] ** 2)) for each in errors)
     assert across < 0.5 * across_of_equal
-    # Their standard deviations are those of twists.
+    # They have standard deviations of twists, not of the parameters along the axes.
     stated = [
         [fit.std[f"pose_corrections.{view}.translation.{axis}"] for axis in "xyz"]
         for view in fit.view_ids

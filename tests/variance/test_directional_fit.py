@@ -54,5 +54,6 @@ def test_an_error_along_one_axis_is_judged_by_its_size_there(scene):
     drawn = rng.normal(size=(MANY_VIEWS, 6)) * [5e-5, 5e-5, 1.6e-3, 5e-5, 5e-5, 5e-5]
     drawn[:, 2] *= 1.6e-3 / np.sqrt(np.mean(drawn[:, 2] ** 2))
     fit = fit_joint(with_errors(scene, drawn), scene.calibration)
-    assert fit.noise.translation < 1.004e-3
+    # Three standard deviations of the prior above its median.
+    assert fit.noise.translation < 5e-5 * np.exp(3.0)
     assert "translation of reported poses in their worst direction" in " ".join(fit.warnings)

@@ -80,8 +80,8 @@ def expected_reprojection_errors(
 
     Args:
         fit: a joint fit, or a saved one; the prediction is for views that it never used.
-            data: any views. The result is infinite for unpredictable points, and NaN for points not
-        seen.
+        data: any views. The result is infinite for unpredictable points, and NaN for points not
+            seen.
 
     Raises:
         ValueError: the fit's data leave a parameter undetermined, or its noise leaves the poses
