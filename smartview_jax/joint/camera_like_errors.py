@@ -5,9 +5,9 @@ an image stabiliser shifts the picture, which looks like a turned camera. Within
 pose takes up nearly all of either, so that the robot seems to err. But a robot knows nothing of the
 optical axis: its errors are as large along it as across it. So the corrections of the poses are
 seen from the camera, and their variances along and across the axis compared by an F test. A robot
-that sags or has a worn lift errs along or about an axis of its base, which a camera on its hand
-that looks down sees nearly as its own: where the ratio is larger for an axis of the base, the robot
-errs. Of a camera next to the robot, the axes are the tool's, which turn in front of it.
+that sags or has a worn lift errs along or about an axis of its base, which a camera that looks down
+sees nearly as its own: where the ratio is larger for an axis of the base, the robot errs. In front
+of a camera next to the robot the tool turns, and the axes of both are compared with the camera's.
 """
 
 from typing import NamedTuple
@@ -34,13 +34,13 @@ class SeenErrors(NamedTuple):
     Attributes:
         shifts: motion of the target's middle in the camera's frame, m.
         turns: rotation vectors in the camera's frame, rad.
-        camera_from_holder: rotation of the frame in which the target is fixed: the base's, or the
-            tool's for a target on the hand.
+        camera_from_frames: rotations of the frames along whose axes a robot may err: the base and,
+            for a camera next to the robot, the tool.
     """
 
     shifts: Float[np.ndarray, "views 3"]
     turns: Float[np.ndarray, "views 3"]
-    camera_from_holder: Float[np.ndarray, "views 3 3"]
+    camera_from_frames: tuple[Float[np.ndarray, "views 3 3"], ...]
 
 
 def camera_like_errors(fit: JointFit) -> list[str]:
@@ -56,7 +56,7 @@ def camera_like_errors(fit: JointFit) -> list[str]:
         return []
     seen = _seen_errors(fit)
     across, along = (seen.shifts[:, :2], seen.shifts[:, 2:])
-    if _is_larger(along, across) and _lie_by_camera(seen.shifts, seen.camera_from_holder, 1.0):
+    if _is_larger(along, across) and _lie_by_camera(seen.shifts, seen.camera_from_frames, 1.0):
         return [
             "the errors that seem to be the robot's move the target along the optical axis, by "
             f"{1e3 * _rms(along):.2g} mm and only {1e3 * _rms(across):.2g} mm across it: rather "
@@ -64,7 +64,7 @@ def camera_like_errors(fit: JointFit) -> list[str]:
             "again"
         ]
     tilts, rolls = (seen.turns[:, :2], seen.turns[:, 2:])
-    if _is_larger(tilts, rolls) and _lie_by_camera(seen.turns, seen.camera_from_holder, -1.0):
+    if _is_larger(tilts, rolls) and _lie_by_camera(seen.turns, seen.camera_from_frames, -1.0):
         return [
             "the errors that seem to be the robot's tilt the camera, by "
             f"{np.rad2deg(_rms(tilts)):.2g} degrees, but turn it by only "
@@ -99,29 +99,32 @@ def _seen_errors(fit: JointFit) -> SeenErrors:
     middles = np.einsum("vij,vj->vi", camera_from_world[:, :3, :3], middles)
     middles = middles + camera_from_world[:, :3, 3]
     shifts = seen[:, :3] + np.cross(seen[:, 3:], middles)
-    return SeenErrors(shifts, seen[:, 3:], camera_from_holder[:, :3, :3])
+    frames = [camera_from_holder[:, :3, :3]]
+    if mount_frames(calibration.mount)[0] == "base":
+        frames.append(np.broadcast_to(camera_from_mount[:3, :3], frames[0].shape))
+    return SeenErrors(shifts, seen[:, 3:], tuple(frames))
 
 
 def _lie_by_camera(
     errors: Float[np.ndarray, "views 3"],
-    camera_from_holder: Float[np.ndarray, "views 3 3"],
+    camera_from_frames: tuple[Float[np.ndarray, "views 3 3"], ...],
     sign: float,
 ) -> bool:
-    """Return whether errors lie along the optical axis more than along any axis of the holder.
+    """Return whether errors lie along the optical axis more than along any axis of other frames.
 
     Args:
-        errors: in the camera's frame.
-        camera_from_holder: rotations.
+        errors: in the camera's frame, m or rad.
+        camera_from_frames: rotations from these frames.
         sign: 1 for errors that lie along an axis, -1 for those that lie across it.
     """
-    of_holder = np.einsum("vij,vi->vj", camera_from_holder, errors)
 
     def shares(vectors: np.ndarray) -> np.ndarray:
         """Return how much of the squares lies along each axis."""
         squares = np.mean(vectors**2, axis=0)
         return sign * squares / squares.sum()
 
-    return bool(shares(errors)[2] > shares(of_holder).max())
+    in_frames = [np.einsum("vij,vi->vj", turns, errors) for turns in camera_from_frames]
+    return all(shares(errors)[2] > shares(vectors).max() for vectors in in_frames)
 
 
 def _rms(errors: np.ndarray) -> float:

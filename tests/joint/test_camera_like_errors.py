@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from fit_scenes import MANY_VIEWS, scene_of
 from scipy.spatial.transform import Rotation
+from two_hands_scene import BOARD, FIXED_CAMERA, two_hands
 
-from smartview_jax import fit_joint, fit_staged
+from smartview_jax import Calibration, fit_joint, fit_staged
 from smartview_jax.geometry import as_se3, host_matrices
+from smartview_jax.simulation import random_target_scene
 
 ROBOT = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
 MIDDLE = np.array([320.0, 240.0])
@@ -50,14 +52,44 @@ def test_a_weak_robot_is_no_camera_that_changes(seed):
     assert "stabiliser" not in text
 
 
-def test_a_robot_that_sags_is_no_stabiliser(scene):
-    """Its tool tilts about horizontal axes, as the picture would if the camera looked down."""
-    reported = host_matrices(scene.data.base_from_tool).copy()
+def sagging(data):
+    """The data of a robot whose tool tilts about horizontal axes."""
+    reported = host_matrices(data.base_from_tool).copy()
     tilts = np.random.default_rng(0).normal(0.0, 0.5, (MANY_VIEWS, 3)) * [1.0, 1.0, 0.0]
     sag = Rotation.from_rotvec(tilts, degrees=True).as_matrix()
     reported[:, :3, :3] = sag @ reported[:, :3, :3]
-    data = dataclasses.replace(scene.data, base_from_tool=as_se3(reported))
+    return dataclasses.replace(data, base_from_tool=as_se3(reported))
+
+
+def test_a_robot_that_sags_is_no_stabiliser(scene):
+    """Its tool tilts as the picture would if the camera looked down."""
+    data = sagging(scene.data)
     staged = fit_staged(data, "radial").calibration
     text = " ".join(fit_joint(data, staged, noise="estimated").warnings)
     assert "implausibly large error of the robot" in text
+    assert "stabiliser" not in text
+
+
+@pytest.fixture(scope="module")
+def fixed():
+    """A camera next to the robot that looks down at a target on its hand."""
+    hands = two_hands(0, MANY_VIEWS).calibration
+    return Calibration.eye_to_hand(hands.camera, FIXED_CAMERA, hands.other_tool_from_world)
+
+
+def test_a_robot_that_sags_under_a_fixed_camera_is_no_stabiliser(fixed):
+    data = sagging(random_target_scene(3, MANY_VIEWS, BOARD, fixed).data)
+    text = " ".join(fit_joint(data, fixed, noise="estimated").warnings)
+    assert "implausibly large error of the robot" in text
+    assert "stabiliser" not in text
+
+
+def test_an_autofocus_of_a_fixed_camera_is_named(fixed):
+    data = random_target_scene(3, MANY_VIEWS, BOARD, fixed).data
+    zoom = 1.0 + np.random.default_rng(0).normal(0.0, 0.01, (MANY_VIEWS, 1, 1))
+    middle = np.array([float(fixed.camera.u0), float(fixed.camera.v0)])
+    pixels = middle + zoom * (np.asarray(data.pixels) - middle)
+    data = dataclasses.replace(data, pixels=jnp.asarray(pixels))
+    text = " ".join(fit_joint(data, fixed, noise="estimated").warnings)
+    assert "did focus or zoom change between the pictures" in text
     assert "stabiliser" not in text
