@@ -200,6 +200,15 @@ def test_a_view_without_its_target_has_the_pose_of_its_state():
         alone.between_hands(np.eye(4))
 
 
+def test_starts_of_another_mount_and_without_bases_are_named():
+    rig, truths = hands_rig(0)
+    with pytest.raises(ValueError, match="'wrist' is hand_to_hand, its start eye_to_hand"):
+        sv.fit_rig(rig, dict.fromkeys(truths, truths["fixed"]), **OPTIONS)
+    apart = dataclasses.replace(truths["wrist"], base_from_other_base=None)
+    with pytest.raises(ValueError, match="camera 'wrist' is on one of two arms: give their bases"):
+        sv.fit_rig(rig.of_arm("left+right"), {"wrist": apart}, noise=NOISE)
+
+
 def test_arms_of_a_camera_between_hands_are_named():
     rig, _ = hands_rig(0)
     wrist, fixed = rig.cameras["wrist"], rig.cameras["fixed"]
