@@ -19,7 +19,7 @@ from .rig_arms import (
     arms_of,
     checked_arms,
     is_pair,
-    reported_poses,
+    poses_of_arms,
     require_connected_arms,
     require_each_camera,
     with_equal_bases,
@@ -105,8 +105,8 @@ class Rig:
         Raises:
             TypeError: a data set of another type.
             ValueError: no camera; an unusable name; states whose poses differ; one arm with
-                different joints; one target at two places or of two sizes; or arms without a target
-                in common.
+                different joints; one target at two places or of two sizes; or arms that no target
+                connects.
         """
         if not cameras:
             raise ValueError("Rig: expected at least one camera, found none")
@@ -273,7 +273,7 @@ class Rig:
         if len(self.robot_names) == 1:
             return
         for name, data in self.cameras.items():
-            for arm, poses in zip(arms_of(self.arms[name]), reported_poses(data), strict=True):
+            for arm, poses in zip(arms_of(self.arms[name]), poses_of_arms(data), strict=True):
                 for view, pose in zip(data.view_ids, poses, strict=True):
                     other, known = first.setdefault((arm, view), (name, pose))
                     difference = float(np.abs(known - pose).max())
@@ -290,7 +290,7 @@ class Rig:
         if len(known) < len(self.cameras):
             return None
         joints = np.zeros((len(self.view_ids), np.shape(known[0])[1]))
-        for (name, _), angles in zip(self.cameras.items(), known, strict=True):
+        for name, angles in zip(self.cameras, known, strict=True):
             joints[self.state_index[name]] = np.asarray(angles)
         return joints
 
@@ -311,10 +311,10 @@ def _checked_targets(
     require_each_camera("targets", cameras, targets)
     mount_of: dict[str, str] = {}
     hand_of: dict[str, str] = {}
-    robots = {arm for own in arms.values() for arm in arms_of(own)}
+    robots = {arm for moving in arms.values() for arm in arms_of(moving)}
     names = {*cameras, *(robots if len(robots) > 1 else ())}
     for name, target in targets.items():
-        # A target on a hand is one for cameras next to this arm and on another hand.
+        # Cameras next to an arm and cameras on another hand may see the same target on its hand.
         mount, hand = _TARGET_MOUNT[cameras[name].mount], arms_of(arms[name])[-1]
         if not NAME.fullmatch(target) or target in names:
             raise ValueError(
@@ -363,7 +363,7 @@ def _default_targets(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) ->
     """Return one target for all cameras on hands, and one on the hand of each arm."""
     mounts = {name: _TARGET_MOUNT[data.mount] for name, data in cameras.items()}
     several_mounts = len(set(mounts.values())) > 1
-    several_arms = len({arm for own in arms.values() for arm in arms_of(own)}) > 1
+    several_arms = len({arm for moving in arms.values() for arm in arms_of(moving)}) > 1
     return {
         name: "_".join(
             [
