@@ -112,7 +112,9 @@ def _row(robot: str, views: int, mount: str, seeds: int) -> tuple[float, float]:
         staged = sv.fit_staged(data, "radial").calibration
         fits = (sv.fit_joint(data, staged), sv.fit_joint(data, staged, robot_prior=ALIKE))
         judged.append([_judged(fit, truth) for fit in fits])
-    errors, held, nees = (np.array([[entry[k] for entry in pair] for pair in judged]) for k in range(3))
+    errors, held, nees = (
+        np.array([[entry[k] for entry in pair] for pair in judged]) for k in range(3)
+    )
     # Per fit: RMS over the seeds of the lengths of translation and rotation.
     rms = np.sqrt(np.mean(np.sum(errors.reshape(seeds, 2, 2, 3) ** 2, axis=3), axis=0))
     ratio, coverage = rms[0] / rms[1], held.mean(axis=(0, 2))

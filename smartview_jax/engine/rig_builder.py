@@ -114,8 +114,8 @@ def build_rig(
     if field == "auto":
         _require_one_robot_error(starts)
     starts = {
-        name: with_depth_bias(with_field(start, field), rig.cameras[name])
-        for name, start in starts.items()
+        name: with_depth_bias(with_field(starts[name], field), data)
+        for name, data in rig.cameras.items()
     }
     rig = _with_bases_of(rig, starts)
     camera_names = rig_parameter_names(rig, starts)
@@ -237,6 +237,8 @@ def _require_one_robot_error(starts: Mapping[str, Calibration]) -> None:
 def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str, tuple[str, ...]]:
     """Return the name among a rig's parameters of each of a camera's, by the camera's name.
 
+    Cameras are in the order of the rig, whatever the order of the starts.
+
     Raises:
         ValueError: starts that do not belong to the rig.
     """
@@ -244,9 +246,9 @@ def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str
     several = len(set(rig.targets.values())) > 1
     several_arms = len(rig.arm_names) > 1
     of_cameras: dict[str, tuple[str, ...]] = {}
-    for camera, start in starts.items():
+    for camera, arm in rig.arms.items():
+        start = starts[camera]
         target = f"{rig.targets[camera]}." if several else ""
-        arm = rig.arms[camera]
         mount, holder = start.transform_names
         # Of several arms, the hand that a camera of a pair sees is one that others see too.
         on_hand = is_pair(arm) and several_arms
