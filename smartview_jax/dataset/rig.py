@@ -142,8 +142,8 @@ class Rig:
         self.state_index: Mapping[str, Int[np.ndarray, "views"]] = {
             name: np.array([place[state] for state in states]) for name, states in ids.items()
         }
-        self.base_from_tool: SE3 = host_transforms(self._state_poses())
         self._require_equal_reports()
+        self.base_from_tool: SE3 = host_transforms(self._state_poses())
         one_arm = len(self.arm_names) == 1
         self.arm: SerialArm | None = _common_arm(cameras) if one_arm else None
         self.joints: Float[np.ndarray, "states joints"] | None = (
@@ -246,40 +246,24 @@ class Rig:
         )
 
     def _state_poses(self) -> Float[np.ndarray, "states 4 4"]:
-        """Return the reported pose of each state.
-
-        Raises:
-            ValueError: two data sets have different poses for a state.
-        """
-        poses = np.full((len(self.view_ids), 4, 4), np.nan)
-        first: dict[int, str] = {}
-        for name, data in self.cameras.items():
-            reported = host_matrices(data.base_from_tool)
-            for view, state in enumerate(self.state_index[name]):
-                if state not in first:
-                    first[state], poses[state] = name, reported[view]
-                difference = float(np.abs(poses[state] - reported[view]).max())
-                if difference > SAME_POSE_TOLERANCE:
-                    raise ValueError(
-                        f"Rig: view {self.view_ids[state]!r} is one state of the robot, but its "
-                        f"pose in {name!r} differs from {first[state]!r}'s by {difference:.2g}; "
-                        "give views of different states different ids"
-                    )
+        """Return the reported pose of each state, by the first camera that has it."""
+        poses = np.zeros((len(self.view_ids), 4, 4))
+        for name in reversed(tuple(self.cameras)):
+            poses[self.state_index[name]] = host_matrices(self.cameras[name].base_from_tool)
         return poses
 
     def _require_equal_reports(self) -> None:
-        """Raise a ValueError if an arm alone and in a pair has two poses for one state."""
+        """Raise a ValueError if two data sets have different poses of an arm for one state."""
         first: dict[tuple[str, str], tuple[str, np.ndarray]] = {}
-        if len(self.robot_names) == 1:
-            return
         for name, data in self.cameras.items():
             for arm, poses in zip(arms_of(self.arms[name]), poses_of_arms(data), strict=True):
                 for view, pose in zip(data.view_ids, poses, strict=True):
                     other, known = first.setdefault((arm, view), (name, pose))
                     difference = float(np.abs(known - pose).max())
                     if difference > SAME_POSE_TOLERANCE:
+                        robot = "robot" if len(self.robot_names) == 1 else f"arm {arm}"
                         raise ValueError(
-                            f"Rig: view {view!r} is one state of the arm {arm}, but its pose in "
+                            f"Rig: view {view!r} is one state of the {robot}, but its pose in "
                             f"{name!r} differs from {other!r}'s by {difference:.2g}; give views of "
                             "different states different ids"
                         )
