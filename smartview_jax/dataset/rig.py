@@ -184,7 +184,10 @@ class Rig:
             )
 
     def of_arm(self, name: str) -> "Rig":
-        """Return the rig of one arm alone, with its cameras.
+        """Return the rig of one arm, or of one pair of arms, with its cameras alone.
+
+        Args:
+            name: one of `arm_names`.
 
         Raises:
             ValueError: there is no such arm.
