@@ -80,6 +80,8 @@ def test_two_processes_find_what_one_device_finds():
         assert gap.max() < 1e-3
         np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
         np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
+        # Devices exchange sums over the views, and nothing of single views.
+        assert answer["exchanges"] == ["all-reduce"]
         of_rig = answer["rig"]
         assert of_rig["converged"]
         assert of_rig["cost"] == pytest.approx(rig["cost"], rel=1e-11)
