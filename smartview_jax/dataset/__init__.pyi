@@ -28,7 +28,7 @@ from .rig import Rig as Rig
 from .rig_arms import ONE_ARM as ONE_ARM
 from .rig_arms import arms_of as arms_of
 from .rig_arms import is_pair as is_pair
-from .rig_arms import poses_of_arms as poses_of_arms
+from .rig_arms import reported_poses as reported_poses
 from .robot_motion import contradictory_views as contradictory_views
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import given_places as given_places

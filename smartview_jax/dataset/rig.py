@@ -19,7 +19,7 @@ from .rig_arms import (
     arms_of,
     checked_arms,
     is_pair,
-    poses_of_arms,
+    reported_poses,
     require_connected_arms,
     require_each_camera,
     with_equal_bases,
@@ -259,7 +259,7 @@ class Rig:
         """Raise a ValueError if two data sets have different poses of an arm for one state."""
         first: dict[tuple[str, str], tuple[str, np.ndarray]] = {}
         for name, data in self.cameras.items():
-            for arm, poses in zip(arms_of(self.arms[name]), poses_of_arms(data), strict=True):
+            for arm, poses in zip(arms_of(self.arms[name]), reported_poses(data), strict=True):
                 for view, pose in zip(data.view_ids, poses, strict=True):
                     other, known = first.setdefault((arm, view), (name, pose))
                     difference = float(np.abs(known - pose).max())

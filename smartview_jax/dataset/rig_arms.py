@@ -30,7 +30,7 @@ def arms_of(arm: str) -> tuple[str, ...]:
     return tuple(arm.split(PAIR_MARK))
 
 
-def poses_of_arms(data: Dataset) -> list[Float[np.ndarray, "views 4 4"]]:
+def reported_poses(data: Dataset) -> list[Float[np.ndarray, "views 4 4"]]:
     """Return the poses that each arm of a data set reported: of one arm, or of a pair's two."""
     if data.hands is None:
         return [host_matrices(data.base_from_tool)]

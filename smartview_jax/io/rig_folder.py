@@ -60,7 +60,7 @@ from jaxtyping import Float
 
 from .. import schemas
 from ..argument_checks import errors_at
-from ..dataset import ONE_ARM, Dataset, Rig, arms_of, poses_of_arms
+from ..dataset import ONE_ARM, Dataset, Rig, arms_of, reported_poses
 from ..detection import DetectionLimits
 from ..files import file_transaction
 from ..geometry import host_transforms
@@ -333,7 +333,7 @@ def _states(rig: Rig, arm: str) -> dict[str, Float[np.ndarray, "4 4"]]:
     """Return the pose that an arm reported in each of its states, by the view's name."""
     states: dict[str, Float[np.ndarray, "4 4"]] = {}
     for name, data in rig.cameras.items():
-        for own, poses in zip(arms_of(rig.arms[name]), poses_of_arms(data), strict=True):
+        for own, poses in zip(arms_of(rig.arms[name]), reported_poses(data), strict=True):
             if own == arm:
                 for view, pose in zip(data.view_ids, poses, strict=True):
                     states.setdefault(view, pose)
