@@ -105,14 +105,16 @@ def run(smoke: bool = False, seeds: int = SEEDS, views: Collection[int] = VIEWS)
 
 
 def _row(robot: str, views: int, mount: str, seeds: int) -> tuple[float, float]:
-    """Print a row; return the coverage, and the ratio of errors to those of alike directions."""
+    """Print a row; return the coverage, and the ratio of the errors to the other fit's."""
     judged = []
     for seed in range(seeds):
         data, truth = simulated(robot, views, mount, seed)
         staged = sv.fit_staged(data, "radial").calibration
         fits = (sv.fit_joint(data, staged), sv.fit_joint(data, staged, robot_prior=ALIKE))
         judged.append([_judged(fit, truth) for fit in fits])
-    errors, held, nees = (np.array([[one[k] for one in pair] for pair in judged]) for k in range(3))
+    errors, held, nees = (
+        np.array([[entry[k] for entry in pair] for pair in judged]) for k in range(3)
+    )
     # Per fit: RMS over the seeds of the lengths of translation and rotation.
     rms = np.sqrt(np.mean(np.sum(errors.reshape(seeds, 2, 2, 3) ** 2, axis=3), axis=0))
     ratio, coverage = rms[0] / rms[1], held.mean(axis=(0, 2))

@@ -51,7 +51,7 @@ class _Errors(NamedTuple):
         translation, rotation: of the hand-eye transforms, m and rad, for each camera.
         nees: of the hand-eye transforms, for each camera.
         between: of the relative translation, m.
-        scale: of the depths, found minus true; NaN without depths.
+        scale: estimated minus true scale of the depths; NaN without depths.
         sensor: NEES of scale and offset of the depths; NaN without depths.
     """
 
@@ -144,10 +144,10 @@ def _draw(seed: int) -> dict[str, _Errors]:
 
 def _errors(fit: sv.RigFit, truths: dict[str, Calibration]) -> _Errors:
     """Return the errors of a fit of both cameras."""
-    found = {
+    errors = {
         name: _against_stated(fit, name, truth.camera_from_mount) for name, truth in truths.items()
     }
-    translation, rotation, nees = zip(*found.values(), strict=True)
+    translation, rotation, nees = zip(*errors.values(), strict=True)
     a, b = (host_matrices(truth.camera_from_mount) for truth in truths.values())
     between = host_matrices(fit.relative("left", "right").transform) - a @ np.linalg.inv(b)
     distance = float(np.linalg.norm(between[:3, 3]))
@@ -155,8 +155,8 @@ def _errors(fit: sv.RigFit, truths: dict[str, Calibration]) -> _Errors:
     if sensor is None:
         return _Errors(translation, rotation, nees, distance, np.nan, np.nan)
     off = np.array([sensor.scale - float(BIAS.scale), sensor.offset - float(BIAS.offset)])
-    own = float(off @ np.linalg.solve(sensor.covariance, off))
-    return _Errors(translation, rotation, nees, distance, float(off[0]), own)
+    sensor_nees = float(off @ np.linalg.solve(sensor.covariance, off))
+    return _Errors(translation, rotation, nees, distance, float(off[0]), sensor_nees)
 
 
 def _against_stated(fit: sv.RigFit, name: str, truth: SE3) -> tuple[float, float, float]:

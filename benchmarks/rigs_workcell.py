@@ -81,17 +81,18 @@ def _few_states(
         for k in CAMERAS:
             ids = data[f"camera{k}"].view_ids
             drawn[f"camera{k}"] = _data(k, set(rng.choice(ids, STATES, replace=False)))
-        found = sv.calibrate(sv.Rig(drawn), lens="pinhole")
+        together = sv.calibrate(sv.Rig(drawn), lens="pinhole").calibrations
         for name, place in truth.items():
             alone = sv.calibrate(drawn[name], lens="pinhole").calibration
-            distances["together"].append(_distance(_pose(found.calibrations[name]), place)[0])
+            distances["together"].append(_distance(_pose(together[name]), place)[0])
             distances["alone"].append(_distance(_pose(alone), place)[0])
-    together, alone = (float(np.median(distances[kind])) for kind in ("together", "alone"))
+    median, median_alone = (float(np.median(distances[kind])) for kind in ("together", "alone"))
+    ratio = median / median_alone
     print(
-        f"  {draws} draws of {STATES} states for each camera: median {together:.2f} mm together, "
-        f"{alone:.2f} alone: {together / alone:.2f} (claim <= {MAX_RATIO})"
+        f"  {draws} draws of {STATES} states for each camera: median {median:.2f} mm together, "
+        f"{median_alone:.2f} alone: {ratio:.2f} (claim <= {MAX_RATIO})"
     )
-    return together <= MAX_RATIO * alone
+    return ratio <= MAX_RATIO
 
 
 def _data(number: int, kept: Collection[str] | None = None) -> sv.Dataset:
@@ -130,9 +131,9 @@ def _distance(camera_from_base: np.ndarray, true: np.ndarray) -> tuple[float, fl
         camera_from_base: the calibrated pose.
         true: `base_from_camera`.
     """
-    found = np.linalg.inv(camera_from_base)
-    turn = Rotation.from_matrix(true[:3, :3].T @ found[:3, :3]).magnitude()
-    return 1e3 * float(np.linalg.norm(found[:3, 3] - true[:3, 3])), float(np.degrees(turn))
+    pose = np.linalg.inv(camera_from_base)
+    turn = Rotation.from_matrix(true[:3, :3].T @ pose[:3, :3]).magnitude()
+    return 1e3 * float(np.linalg.norm(pose[:3, 3] - true[:3, 3])), float(np.degrees(turn))
 
 
 def _given_square_pixels(fit: sv.RigFit, truth: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -162,14 +163,14 @@ def _given_square_pixels(fit: sv.RigFit, truth: Mapping[str, np.ndarray]) -> dic
         poses[name] = host_matrices(host_retract_transform(start, step[index]))
         widths = np.array([fit.confidence_half_width(path) for path in paths])
         narrowed = widths * np.sqrt(np.diagonal(given)[index] / np.diagonal(covariance)[index])
-        for kind, pose, own in (
+        for kind, pose, half_widths in (
             ("as fitted", host_matrices(start), widths),
             ("given square pixels", poses[name], narrowed),
         ):
             true = np.linalg.inv(place)
             turn = Rotation.from_matrix(pose[:3, :3] @ true[:3, :3].T).as_rotvec()
             error = np.concatenate([pose[:3, 3] - true[:3, 3], turn])
-            shares[kind].append(float((np.abs(error) / own).max()))
+            shares[kind].append(float((np.abs(error) / half_widths).max()))
     for kind, largest in shares.items():
         text = " and ".join(f"{share:.2f}" for share in largest)
         print(f"  largest error over the half width of its 95 % interval, {kind}: {text}")
@@ -189,8 +190,8 @@ def _scipy(
     poses = {name: _pose(start) for name, start in starts.items()}
     target = host_matrices(next(iter(starts.values())).tool_from_world)
     seen = {
-        name: (np.asarray(own.points), np.asarray(own.pixels), host_matrices(own.base_from_tool))
-        for name, own in data.items()
+        name: (np.asarray(d.points), np.asarray(d.pixels), host_matrices(d.base_from_tool))
+        for name, d in data.items()
     }
     first = 1 if square else 0
     size = 6 + 4 - first
@@ -204,12 +205,12 @@ def _scipy(
 
     def residuals(x: np.ndarray) -> np.ndarray:
         """Return all residuals, px."""
-        own_target, rest = moved(target, x[:6]), x[6:].reshape(-1, size)
+        held_target, rest = moved(target, x[:6]), x[6:].reshape(-1, size)
         missed = []
-        for own, (name, (points, pixels, arm)) in zip(rest, seen.items(), strict=True):
-            chain = moved(poses[name], own[:6]) @ arm @ own_target
+        for values, (name, (points, pixels, arm)) in zip(rest, seen.items(), strict=True):
+            chain = moved(poses[name], values[:6]) @ arm @ held_target
             place = np.einsum("vij,vpj->vpi", chain[:, :3, :3], points) + chain[:, None, :3, 3]
-            numbers = np.append(own[6], own[6:]) if square else own[6:]
+            numbers = np.append(values[6], values[6:]) if square else values[6:]
             focal, centre = 1e3 * numbers[:2], 1e3 * numbers[2:]
             missed.append(pixels - focal * place[..., :2] / place[..., 2:] - centre)
         return np.concatenate([part.ravel() for part in missed])

@@ -119,7 +119,7 @@ def chain_of_matrices(
     mount: str,
     base_from_tool: Float[Array, "*views 4 4"],
 ) -> Float[Array, "*views 4 4"]:
-    """Return the extrinsics of `chain_of_transforms` at actual poses, all of them as matrices."""
+    """Return the extrinsics at actual poses, which have the robot's error, as matrices."""
     tool_moves_camera = mount_frames(mount)[0] == "tool"
     mount_from_holder = inverse_matrices(base_from_tool) if tool_moves_camera else base_from_tool
     return pose_matrices(camera_from_mount) @ mount_from_holder @ pose_matrices(holder_from_world)

@@ -22,12 +22,12 @@ from .dataset_text import dataset_text
 from .depth_readings import DepthNoise, DepthReadings, depth_readings
 from .input_checks import (
     check_forward_kinematics,
+    checked_matrices,
     checked_view_ids,
     finite_views,
     forward_kinematics,
     pixel_problems,
     points_per_view,
-    pose_matrices,
     visibility_mask,
 )
 from .observations import Observations
@@ -148,7 +148,7 @@ class Dataset(HostModule):
         ids = checked_view_ids(view_ids, view_count)
         if base_from_tool is None:
             base_from_tool = forward_kinematics(joints, arm, ids)
-        matrices = pose_matrices(base_from_tool, view_count)
+        matrices = checked_matrices("base_from_tool", base_from_tool, view_count)
         is_visible = visibility_mask(visible, pixels, ids)
 
         # The caller's reason takes precedence over a reason found here.
@@ -250,13 +250,17 @@ class Dataset(HostModule):
             raise ValueError(
                 f"between_hands: expected an eye_in_hand data set without joints, found {kind}"
             )
-        matrices = pose_matrices(other_base_from_other_tool, self.view_count)
+        matrices = checked_matrices(
+            "other_base_from_other_tool", other_base_from_other_tool, self.view_count
+        )
         masked = {view for view, _ in self.masked_views}
-        for view, text in check_rigid(matrices, self.view_ids).items():
+        wrong = check_rigid(matrices, self.view_ids)
+        for view, text in wrong.items():
             if view not in masked:
                 raise ValueError(f"other_base_from_other_tool: view {view}: {text}")
-        unmasked = np.array([view not in masked for view in self.view_ids], dtype=bool)
-        matrices = np.where(unmasked[:, None, None], matrices, np.eye(4))
+        # Another camera may have seen its target in a state whose view is masked here.
+        is_pose = np.array([view not in wrong for view in self.view_ids], dtype=bool)
+        matrices = np.where(is_pose[:, None, None], matrices, np.eye(4))
         hands = HandPoses(self.base_from_tool, as_se3(matrices))
         between = dataclasses.replace(self, mount="hand_to_hand", hands=hands)
         return between.with_bases(

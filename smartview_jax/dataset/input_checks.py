@@ -83,17 +83,17 @@ def check_forward_kinematics(
             )
 
 
-def pose_matrices(base_from_tool: PoseLike, view_count: int) -> np.ndarray:
-    """Return poses as `(views, 4, 4)` matrices, or raise a ValueError for another shape."""
+def checked_matrices(argument: str, poses: PoseLike, view_count: int) -> np.ndarray:
+    """Return poses as `(views, 4, 4)` matrices, or raise a ValueError that names the argument."""
     # Matrices are not converted to SE3 first: that would normalise their rotations and hide from
     # `check_rigid` the matrices that are not rigid.
-    if not isinstance(base_from_tool, SE3):
-        matrices = np.asarray(base_from_tool, dtype=float)
+    if not isinstance(poses, SE3):
+        matrices = np.asarray(poses, dtype=float)
     else:
-        matrices = host_matrices(base_from_tool)
+        matrices = host_matrices(poses)
     if matrices.shape != (view_count, 4, 4):
         raise ValueError(
-            f"base_from_tool: expected shape ({view_count}, 4, 4), one pose per view; "
+            f"{argument}: expected shape ({view_count}, 4, 4), one pose per view; "
             f"found {matrices.shape}"
         )
     return matrices

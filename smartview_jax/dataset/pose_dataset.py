@@ -22,7 +22,7 @@ from ..schemas.covariances import (
 )
 from .dataset import Dataset, of_views
 from .depth_sensor import DepthSensor
-from .input_checks import checked_view_ids, finite_views, forward_kinematics, pose_matrices
+from .input_checks import checked_matrices, checked_view_ids, finite_views, forward_kinematics
 from .pose_observations import PAIRS, PoseObservations
 
 UNIT_TRANSLATION = 1e-3
@@ -92,8 +92,8 @@ class PoseDataset(Dataset):
         ids = checked_view_ids(view_ids, count)
         if base_from_tool is None:
             base_from_tool = forward_kinematics(joints, arm, ids)
-        robot = pose_matrices(base_from_tool, count)
-        measured = pose_matrices(camera_from_world, count)
+        robot = checked_matrices("base_from_tool", base_from_tool, count)
+        measured = checked_matrices("camera_from_world", camera_from_world, count)
         reasons = dict(masked_views)
         seen = finite_views(measured)[:, 0, 0] & [view not in reasons for view in ids]
         measured = np.where(seen[:, None, None], measured, np.eye(4))

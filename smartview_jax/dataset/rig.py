@@ -105,8 +105,8 @@ class Rig:
         Raises:
             TypeError: a data set of another type.
             ValueError: no camera; an unusable name; states whose poses differ; one arm with
-                different joints; one target at two places or of two sizes; or arms without a target
-                in common.
+                different joints; one target at two places or of two sizes; or arms that no target
+                connects.
         """
         if not cameras:
             raise ValueError("Rig: expected at least one camera, found none")
@@ -142,8 +142,8 @@ class Rig:
         self.state_index: Mapping[str, Int[np.ndarray, "views"]] = {
             name: np.array([place[state] for state in states]) for name, states in ids.items()
         }
-        self.base_from_tool: SE3 = host_transforms(self._state_poses())
         self._require_equal_reports()
+        self.base_from_tool: SE3 = host_transforms(self._state_poses())
         one_arm = len(self.arm_names) == 1
         self.arm: SerialArm | None = _common_arm(cameras) if one_arm else None
         self.joints: Float[np.ndarray, "states joints"] | None = (
@@ -184,7 +184,10 @@ class Rig:
             )
 
     def of_arm(self, name: str) -> "Rig":
-        """Return the rig of one arm alone, with its cameras.
+        """Return the rig of one arm, or of one pair of arms, with its cameras alone.
+
+        Args:
+            name: one of `arm_names`.
 
         Raises:
             ValueError: there is no such arm.
@@ -246,40 +249,24 @@ class Rig:
         )
 
     def _state_poses(self) -> Float[np.ndarray, "states 4 4"]:
-        """Return the reported pose of each state.
-
-        Raises:
-            ValueError: two data sets have different poses for a state.
-        """
-        poses = np.full((len(self.view_ids), 4, 4), np.nan)
-        first: dict[int, str] = {}
-        for name, data in self.cameras.items():
-            reported = host_matrices(data.base_from_tool)
-            for view, state in enumerate(self.state_index[name]):
-                if state not in first:
-                    first[state], poses[state] = name, reported[view]
-                difference = float(np.abs(poses[state] - reported[view]).max())
-                if difference > SAME_POSE_TOLERANCE:
-                    raise ValueError(
-                        f"Rig: view {self.view_ids[state]!r} is one state of the robot, but its "
-                        f"pose in {name!r} differs from {first[state]!r}'s by {difference:.2g}; "
-                        "give views of different states different ids"
-                    )
+        """Return the reported pose of each state, by the first camera that has it."""
+        poses = np.zeros((len(self.view_ids), 4, 4))
+        for name in reversed(tuple(self.cameras)):
+            poses[self.state_index[name]] = host_matrices(self.cameras[name].base_from_tool)
         return poses
 
     def _require_equal_reports(self) -> None:
-        """Raise a ValueError if an arm alone and in a pair has two poses for one state."""
+        """Raise a ValueError if two data sets have different poses of an arm for one state."""
         first: dict[tuple[str, str], tuple[str, np.ndarray]] = {}
-        if len(self.robot_names) == 1:
-            return
         for name, data in self.cameras.items():
             for arm, poses in zip(arms_of(self.arms[name]), reported_poses(data), strict=True):
                 for view, pose in zip(data.view_ids, poses, strict=True):
                     other, known = first.setdefault((arm, view), (name, pose))
                     difference = float(np.abs(known - pose).max())
                     if difference > SAME_POSE_TOLERANCE:
+                        robot = "robot" if len(self.robot_names) == 1 else f"arm {arm}"
                         raise ValueError(
-                            f"Rig: view {view!r} is one state of the arm {arm}, but its pose in "
+                            f"Rig: view {view!r} is one state of the {robot}, but its pose in "
                             f"{name!r} differs from {other!r}'s by {difference:.2g}; give views of "
                             "different states different ids"
                         )
@@ -290,7 +277,7 @@ class Rig:
         if len(known) < len(self.cameras):
             return None
         joints = np.zeros((len(self.view_ids), np.shape(known[0])[1]))
-        for (name, _), angles in zip(self.cameras.items(), known, strict=True):
+        for name, angles in zip(self.cameras, known, strict=True):
             joints[self.state_index[name]] = np.asarray(angles)
         return joints
 
@@ -311,10 +298,10 @@ def _checked_targets(
     require_each_camera("targets", cameras, targets)
     mount_of: dict[str, str] = {}
     hand_of: dict[str, str] = {}
-    robots = {arm for own in arms.values() for arm in arms_of(own)}
+    robots = {arm for moving in arms.values() for arm in arms_of(moving)}
     names = {*cameras, *(robots if len(robots) > 1 else ())}
     for name, target in targets.items():
-        # A target on a hand is one for cameras next to this arm and on another hand.
+        # Cameras next to an arm and cameras on another hand may see the same target on its hand.
         mount, hand = _TARGET_MOUNT[cameras[name].mount], arms_of(arms[name])[-1]
         if not NAME.fullmatch(target) or target in names:
             raise ValueError(
@@ -363,7 +350,7 @@ def _default_targets(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) ->
     """Return one target for all cameras on hands, and one on the hand of each arm."""
     mounts = {name: _TARGET_MOUNT[data.mount] for name, data in cameras.items()}
     several_mounts = len(set(mounts.values())) > 1
-    several_arms = len({arm for own in arms.values() for arm in arms_of(own)}) > 1
+    several_arms = len({arm for moving in arms.values() for arm in arms_of(moving)}) > 1
     return {
         name: "_".join(
             [

@@ -31,11 +31,12 @@ def arms_of(arm: str) -> tuple[str, ...]:
 
 
 def reported_poses(data: Dataset) -> list[Float[np.ndarray, "views 4 4"]]:
-    """Return what each arm of a data set reported: of one arm, or of the two of a pair."""
+    """Return the poses that each arm of a data set reported: of one arm, or of a pair's two."""
     if data.hands is None:
         return [host_matrices(data.base_from_tool)]
     hands = data.hands
-    return [host_matrices(p) for p in (hands.base_from_tool, hands.other_base_from_other_tool)]
+    both = hands.base_from_tool, hands.other_base_from_other_tool
+    return [host_matrices(poses) for poses in both]
 
 
 def with_equal_bases(cameras: Mapping[str, Dataset], arms: Mapping[str, str]) -> dict[str, Dataset]:
@@ -105,10 +106,10 @@ def require_connected_arms(targets: Mapping[str, str], arms: Mapping[str, str]) 
     Arms are connected by a target that cameras of both see, and by a camera on one hand that sees
     a target on the other.
     """
-    names = list(dict.fromkeys(arm for own in arms.values() for arm in arms_of(own)))
+    names = list(dict.fromkeys(arm for moving in arms.values() for arm in arms_of(moving)))
     connected = {names[0]}
     while True:
-        reached = {camera for camera, own in arms.items() if connected.intersection(arms_of(own))}
+        reached = {name for name, moving in arms.items() if connected.intersection(arms_of(moving))}
         seen = {targets[camera] for camera in reached}
         reached |= {camera for camera in arms if targets[camera] in seen}
         more = connected | {arm for camera in reached for arm in arms_of(arms[camera])}

@@ -69,8 +69,8 @@ def choices_of_arms(
         return {rig.arm_names[0]: choice}
     names = {arm: _names_of_arm(rig, arm, starts) for arm in rig.arm_names}
     for arm in rig.arm_names:
-        moved = {name for own in _moved_poses(rig, arm, starts).values() for name in own}
-        names[arm] = {own: name for own, name in names[arm].items() if own not in moved}
+        moved = {name for pose in _moved_poses(rig, arm, starts).values() for name in pose}
+        names[arm] = {alone: name for alone, name in names[arm].items() if alone not in moved}
     bases = [base_path(rig.robot_names[0], arm) for arm in rig.robot_names[1:]]
     of_bases = step_names(*bases)
     for path in choice.fixed:
@@ -79,7 +79,7 @@ def choices_of_arms(
     for path, prior in choice.priors.items():
         if path.partition(".")[0] in bases and prior.mean is None:
             raise ValueError(f"prior on {path!r}: a base has no start; give the mean")
-    everything = [*of_bases, *(name for own in names.values() for name in own.values())]
+    everything = [*of_bases, *(name for of_arm in names.values() for name in of_arm.values())]
 
     def own_paths(arm: str, path: str) -> list[str]:
         """Return the arm's own names of the parameters that a path selects."""
@@ -88,13 +88,17 @@ def choices_of_arms(
             # The coefficients of its error are not known before the views are compared.
             return [rest] if first == arm else []
         parameter_mask(everything, (path,))
-        return [own for own, name in names[arm].items() if f"{name}.".startswith(f"{path}.")]
+        return [alone for alone, name in names[arm].items() if f"{name}.".startswith(f"{path}.")]
 
     return {
         arm: ParameterChoice(
-            tuple(own for path in choice.fixed for own in own_paths(arm, path)),
-            tuple(own for path in choice.free for own in own_paths(arm, path)),
-            {own: prior for path, prior in choice.priors.items() for own in own_paths(arm, path)},
+            tuple(alone for path in choice.fixed for alone in own_paths(arm, path)),
+            tuple(alone for path in choice.free for alone in own_paths(arm, path)),
+            {
+                alone: prior
+                for path, prior in choice.priors.items()
+                for alone in own_paths(arm, path)
+            },
         )
         for arm in rig.arm_names
     }
@@ -298,7 +302,7 @@ class _Part(NamedTuple):
 
     @property
     def names_of_all(self) -> list[str]:
-        """The names of parameters of all arms: without a pair's bases, which other parts name."""
+        """The part's names among all arms' parameters, without a pair's bases."""
         is_kept = ~self.is_moved if is_pair(self.arm) else np.ones(len(self.names), dtype=bool)
         return [name for name, kept in zip(self.names.values(), is_kept, strict=True) if kept]
 
@@ -328,15 +332,15 @@ def _names_of_arm(rig: Rig, arm: str, starts: Mapping[str, Calibration]) -> dict
 def _linked_poses(
     rig: Rig, arm: str, starts: Mapping[str, Calibration]
 ) -> dict[str, tuple[str, ...]]:
-    """Return an arm's own names of each linked pose: by its target, or a pair's other arm."""
+    """Return an arm's own names of each linked pose, by its target, or by a pair's other arm."""
     if is_pair(arm):
         first, other = arms_of(arm)
         return {other: step_names(base_path(first, other))}
-    others = {rig.targets[camera] for camera, own in rig.arms.items() if own != arm}
+    others = {rig.targets[camera] for camera, name in rig.arms.items() if name != arm}
     part = rig.of_arm(arm)
-    own = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
+    names = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
     return {
-        target: tuple(name for name in own[camera] if BASE_FROM_WORLD in name.split("."))
+        target: tuple(name for name in names[camera] if BASE_FROM_WORLD in name.split("."))
         for camera, target in part.targets.items()
         if target in others and part.cameras[camera].mount == "eye_in_hand"
     }

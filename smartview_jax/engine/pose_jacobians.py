@@ -44,7 +44,11 @@ class PoseJacobians(eqx.Module):
 
 
 def linearise_poses(
-    parameters: Parameters, step: Step, command: Command, prepared_poses: PreparedPoses | None
+    parameters: Parameters,
+    step: Step,
+    command: Command,
+    prepared_poses: PreparedPoses | None,
+    on_devices: bool = False,
 ) -> PoseJacobians:
     """Compute all camera poses and their derivatives at a step from the start.
 
@@ -53,6 +57,7 @@ def linearise_poses(
         step: step from the start.
         command: what the robot reported, batch shape `(views)`.
         prepared_poses: precomputed quantities of the robot error field; None without a field.
+        on_devices: whether the views are distributed over several devices.
     """
     calibration, corrections = parameters.retract(step)
     layout, hands, bases = parameters.layout, command.hands, calibration.base_from_other_base
@@ -63,11 +68,16 @@ def linearise_poses(
     signed_corrections = corrections if eye_in_hand else -corrections
 
     # exp(c + dc) = exp(J_l(c) dc) @ exp(c), for the rotations of the transforms' steps and for the
-    # views' corrections. One call for all of them makes a smaller program than several.
+    # views' corrections. One call for all of them makes a smaller program than two, but it would
+    # exchange the views' corrections between devices.
     places = (layout.mount, layout.holder, *(() if bases is None else (layout.bases,)))
     turns = jnp.pad(jnp.stack([step.shared[place][3:] for place in places]), ((0, 0), (3, 0)))
-    left_jacobians = se3_left_jacobian(jnp.concatenate([turns, signed_corrections]))
-    by_turns, left_jacobian = left_jacobians[: len(places), 3:, 3:], left_jacobians[len(places) :]
+    if on_devices:
+        by_turns, left_jacobian = map(se3_left_jacobian, (turns, signed_corrections))
+    else:
+        of_all = se3_left_jacobian(jnp.concatenate([turns, signed_corrections]))
+        by_turns, left_jacobian = of_all[: len(places)], of_all[len(places) :]
+    by_turns = by_turns[:, 3:, 3:]
 
     # actual pose = reported @ exp(-correction) @ tool_error
     # camera_from_world = camera_from_mount @ before @ correction @ after @ holder_from_world

@@ -341,6 +341,7 @@ class JointProblem(AbstractProblem):
             self._twist_step(z),
             self.observations.command,
             self.prepared_poses,
+            on_devices=self.mesh is not None,
         )
 
     def _view_normal_equations(

@@ -110,11 +110,12 @@ def build_rig(
     choice = ParameterChoice.of(**parameters)
     rig.require_one_arm("build_rig")
     field = checked_field_choice(field)
+    require_starts(rig, starts)
     if field == "auto":
         _require_one_robot_error(starts)
     starts = {
-        name: with_depth_bias(with_field(start, field), rig.cameras[name])
-        for name, start in starts.items()
+        name: with_depth_bias(with_field(starts[name], field), data)
+        for name, data in rig.cameras.items()
     }
     rig = _with_bases_of(rig, starts)
     camera_names = rig_parameter_names(rig, starts)
@@ -188,13 +189,12 @@ def _with_bases_of(rig: Rig, starts: Mapping[str, Calibration]) -> Rig:
     """
     if not is_pair(rig.arm_names[0]):
         return rig
-    require_starts(rig, starts)
     bases = {name: starts[name].base_from_other_base for name in rig.cameras}
     first, *others = bases
     placed = bases[first]
     assert placed is not None
     for name in others:
-        if not equal_on_host(bases[first], bases[name]):
+        if not equal_on_host(placed, bases[name]):
             raise ValueError(
                 f"starts: the base of {' in the base of '.join(arms_of(rig.arms[name])[::-1])} is "
                 f"elsewhere in {name!r} than in {first!r}"
@@ -203,11 +203,18 @@ def _with_bases_of(rig: Rig, starts: Mapping[str, Calibration]) -> Rig:
 
 
 def require_starts(rig: Rig, starts: Mapping[str, Calibration]) -> None:
-    """Raise a ValueError unless there is one start for each camera of a rig."""
+    """Raise a ValueError unless there is one start for each camera of a rig, with its mount."""
     if set(starts) != set(rig.cameras):
         raise ValueError(
             f"starts: expected the cameras {', '.join(rig.cameras)}, found {', '.join(starts)}"
         )
+    for name, data in rig.cameras.items():
+        if starts[name].mount != data.mount:
+            raise ValueError(
+                f"starts: camera {name!r} is {data.mount}, its start {starts[name].mount}"
+            )
+        if data.hands is not None and starts[name].base_from_other_base is None:
+            raise ValueError(f"starts: camera {name!r} is on one of two arms: give their bases")
 
 
 def camera_mask(names: Sequence[str]) -> Bool[np.ndarray, "shared"]:
@@ -230,6 +237,8 @@ def _require_one_robot_error(starts: Mapping[str, Calibration]) -> None:
 def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str, tuple[str, ...]]:
     """Return the name among a rig's parameters of each of a camera's, by the camera's name.
 
+    Cameras are in the order of the rig, whatever the order of the starts.
+
     Raises:
         ValueError: starts that do not belong to the rig.
     """
@@ -237,13 +246,9 @@ def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str
     several = len(set(rig.targets.values())) > 1
     several_arms = len(rig.arm_names) > 1
     of_cameras: dict[str, tuple[str, ...]] = {}
-    for camera, start in starts.items():
-        if start.mount != rig.cameras[camera].mount:
-            raise ValueError(
-                f"starts: camera {camera!r} is {rig.cameras[camera].mount}, its start {start.mount}"
-            )
+    for camera, arm in rig.arms.items():
+        start = starts[camera]
         target = f"{rig.targets[camera]}." if several else ""
-        arm = rig.arms[camera]
         mount, holder = start.transform_names
         # Of several arms, the hand that a camera of a pair sees is one that others see too.
         on_hand = is_pair(arm) and several_arms

@@ -4,14 +4,13 @@ Every camera's views are dealt out to the devices. The robot's states, of which 
 most, are on all of them: what cameras tell of one state is added up there.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Array
 
@@ -22,9 +21,10 @@ from .arms_problem import ArmsProblem
 from .parameters import Step
 from .problem import VIEW_AXIS
 from .rig_problem import CameraGroup, RigProblem
+from .sharding import on_devices, view_arrays
 from .solver import Solution, equations_without_padding, solve, step_without_padding
 
-_Tree = TypeVar("_Tree")
+_Module = TypeVar("_Module", bound=eqx.Module)
 
 
 def solve_rig_on(
@@ -42,7 +42,7 @@ def solve_rig_on(
     if devices is None:
         return solve(problem, start=start)
     solution, equations = solve(shard_rig(problem, devices), start=start)
-    # On the default device, or on the host.
+    # The chains are moved to the default device.
     chain = jax.tree.map(lambda x: to_device(np.asarray(x)), solution.chain)
     solution = solution._replace(z=step_without_padding(solution.z, problem), chain=chain)
     return solution, equations_without_padding(equations, problem)
@@ -56,20 +56,17 @@ def shard_rig(
     Views without points are added to make their number divisible by the number of devices.
     """
     mesh = Mesh(np.array(devices), (VIEW_AXIS,))
-    if isinstance(problem, ArmsProblem):
-        arms = [
-            dataclasses.replace(_replicated(arm, mesh), problem=_sharded(arm.problem, mesh))
-            for arm in problem.arms
-        ]
-        return dataclasses.replace(_replicated(problem, mesh), arms=tuple(arms), mesh=mesh)
-    return _sharded(problem, mesh)
+    if isinstance(problem, RigProblem):
+        return _sharded(problem, mesh)
+    arms = [_replicated(arm, mesh, problem=_sharded(arm.problem, mesh)) for arm in problem.arms]
+    return with_fields(_replicated(problem, mesh, arms=tuple(arms)), mesh=mesh)
 
 
 def _sharded(problem: RigProblem, mesh: Mesh) -> RigProblem:
     """Distribute the views of one arm's cameras."""
     states = len(problem.per_view_free)
     groups = tuple(_sharded_group(group, states, mesh) for group in problem.groups)
-    return dataclasses.replace(_replicated(problem, mesh), groups=groups, mesh=mesh)
+    return with_fields(_replicated(problem, mesh, groups=groups), mesh=mesh)
 
 
 def _sharded_group(group: CameraGroup, states: int, mesh: Mesh) -> CameraGroup:
@@ -91,13 +88,12 @@ def _sharded_group(group: CameraGroup, states: int, mesh: Mesh) -> CameraGroup:
         jax.tree.map(lambda _: P(), arrays),
         jax.tree.map(lambda _: P(None, VIEW_AXIS), _view_arrays(arrays)),
     )
-    on_devices = jax.tree.map(lambda x, spec: _put(x, spec, mesh), arrays, specs)
-    sharded = eqx.combine(on_devices, rest)
-    return dataclasses.replace(sharded, problems=dataclasses.replace(sharded.problems, mesh=mesh))
+    sharded = eqx.combine(on_devices(arrays, specs, mesh), rest)
+    return with_fields(sharded, problems=with_fields(sharded.problems, mesh=mesh))
 
 
 def _last_set(values: np.ndarray, extra: int, value: bool | int) -> np.ndarray:
-    """Return an array with a value in the last views of all cameras."""
+    """Return `(cameras, views, ...)` numbers with a value in each camera's last `extra` views."""
     result = np.array(values)
     result[:, result.shape[1] - extra :] = value
     return result
@@ -105,17 +101,7 @@ def _last_set(values: np.ndarray, extra: int, value: bool | int) -> np.ndarray:
 
 def _view_arrays(group: CameraGroup) -> tuple[Any, ...]:
     """Return the arrays whose second axis is the views."""
-    problems = group.problems
-    return (
-        problems.observations,
-        problems.prepared_poses,
-        problems.correction_roots,
-        problems.per_view_free,
-        problems.prior_mean.per_view,
-        problems.prior_weight.per_view,
-        problems.scale.per_view,
-        group.state_index,
-    )
+    return *view_arrays(group.problems), group.state_index
 
 
 def _with_view_arrays(group: CameraGroup, arrays: tuple[Any, ...]) -> CameraGroup:
@@ -123,16 +109,8 @@ def _with_view_arrays(group: CameraGroup, arrays: tuple[Any, ...]) -> CameraGrou
     return eqx.tree_at(_view_arrays, group, arrays, is_leaf=lambda x: x is None)
 
 
-def _replicated(tree: _Tree, mesh: Mesh) -> _Tree:
-    """Put all arrays on all devices of a mesh."""
-    arrays, rest = eqx.partition(tree, eqx.is_array)
-    return eqx.combine(jax.tree.map(lambda x: _put(x, P(), mesh), arrays), rest)
-
-
-def _put(x: Array, spec: P, mesh: Mesh) -> Array:
-    """Put an array on the devices of a mesh."""
-    whole = np.asarray(x)
-    # Every process holds the whole array, and hands over only the parts of its own devices.
-    return jax.make_array_from_callback(
-        whole.shape, NamedSharding(mesh, spec), lambda index: whole[index]
-    )
+def _replicated(module: _Module, mesh: Mesh, **parts: Any) -> _Module:
+    """Put a module whole on each device of a mesh, except for parts, which are there already."""
+    arrays, rest = eqx.partition(with_fields(module, **dict.fromkeys(parts)), eqx.is_array)
+    whole = on_devices(arrays, jax.tree.map(lambda _: P(), arrays), mesh)
+    return with_fields(eqx.combine(whole, rest), **parts)

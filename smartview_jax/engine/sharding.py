@@ -6,7 +6,7 @@ matrix. The result is the same as on a single device, up to rounding.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -29,6 +29,8 @@ from .solver import (
     solve,
     step_without_padding,
 )
+
+_Tree = TypeVar("_Tree")
 
 
 def solve_on(
@@ -64,25 +66,30 @@ def shard(problem: JointProblem, devices: Sequence[Any]) -> JointProblem:
     extra = -len(problem.observations.visible) % len(devices)
     # Arrays of the views are split along their first axis; all others are replicated, P().
     arrays, rest = eqx.partition(problem, eqx.is_array)
-    arrays = _with_view_arrays(arrays, _pad_views(_view_arrays(arrays), extra))
+    arrays = _with_view_arrays(arrays, _pad_views(view_arrays(arrays), extra))
     specs = _with_view_arrays(
         jax.tree.map(lambda _: P(), arrays),
-        jax.tree.map(lambda x: P(VIEW_AXIS) if len(x) else P(), _view_arrays(arrays)),
+        jax.tree.map(lambda x: P(VIEW_AXIS) if len(x) else P(), view_arrays(arrays)),
     )
 
-    def to_devices(x: Array, spec: P) -> Array:
-        """Put an array on the devices."""
+    return dataclasses.replace(eqx.combine(on_devices(arrays, specs, mesh), rest), mesh=mesh)
+
+
+def on_devices(arrays: _Tree, specs: _Tree, mesh: Mesh) -> _Tree:
+    """Put arrays on the devices of a mesh, each split as its `PartitionSpec` says."""
+
+    def put(x: Array, spec: P) -> Array:
+        """Put one array on the devices."""
         whole = np.asarray(x)
         # Every process holds the whole array, and hands over only the parts of its own devices.
         return jax.make_array_from_callback(
             whole.shape, NamedSharding(mesh, spec), lambda index: whole[index]
         )
 
-    sharded = jax.tree.map(to_devices, arrays, specs)
-    return dataclasses.replace(eqx.combine(sharded, rest), mesh=mesh)
+    return jax.tree.map(put, arrays, specs)
 
 
-def _view_arrays(problem: JointProblem) -> tuple[Any, ...]:
+def view_arrays(problem: JointProblem) -> tuple[Any, ...]:
     """Return the arrays whose first axis is the views."""
     return (
         problem.observations,
@@ -96,9 +103,9 @@ def _view_arrays(problem: JointProblem) -> tuple[Any, ...]:
 
 
 def _with_view_arrays(problem: JointProblem, arrays: tuple[Any, ...]) -> JointProblem:
-    """Replace the arrays that `_view_arrays` returns."""
+    """Replace the arrays that `view_arrays` returns."""
     # Without a robot error field, `prepared_poses` is None.
-    return eqx.tree_at(_view_arrays, problem, arrays, is_leaf=lambda x: x is None)
+    return eqx.tree_at(view_arrays, problem, arrays, is_leaf=lambda x: x is None)
 
 
 def _pad_views(arrays: tuple[Any, ...], extra: int) -> tuple[Any, ...]:

@@ -10,18 +10,21 @@ from jaxtyping import Float
 
 
 def host_matrices(poses: SE3) -> Float[np.ndarray, "*batch 4 4"]:
-    """Return transforms `(*batch)` as 4x4 matrices, NaN where a transform is not finite."""
+    """Return transforms `(*batch)` as 4x4 matrices.
+
+    A matrix is NaN where a transform is not finite, or where its quaternion is zero.
+    """
     numbers = np.asarray(poses.wxyz_xyz)
     matrices = np.full((*numbers.shape[:-1], 4, 4), np.nan)
-    finite = np.isfinite(numbers).all(axis=-1)
-    if finite.any():
-        rotations = _rotations_of_quaternions(numbers[finite][:, :4])
-        matrices[finite] = host_poses(rotations, numbers[finite][:, 4:])
+    given = np.isfinite(numbers).all(axis=-1) & numbers[..., :4].any(axis=-1)
+    if given.any():
+        rotations = _rotations_of_quaternions(numbers[given][:, :4])
+        matrices[given] = host_poses(rotations, numbers[given][:, 4:])
     return matrices
 
 
 def _rotations_of_quaternions(wxyz: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
-    """Return the rotation matrices of quaternions of any length, with the real part first."""
+    """Return the rotation matrices of quaternions, real part first, of any length but zero."""
     # R = I + 2 (w [v] + [v]^2) / |q|^2 for q = (w, v), with [v] the matrix of v x.
     cross = host_cross_matrices(wxyz[:, 1:])
     turned = wxyz[:, 0, None, None] * cross + cross @ cross

@@ -13,7 +13,7 @@ from .left_jacobians import exponential_factors
 
 
 def pose_matrices(transforms: SE3) -> Float[Array, "*batch 4 4"]:
-    """Return transforms `(*batch)` as 4x4 matrices."""
+    """Return transforms `(*batch)`, whose quaternions have length one, as 4x4 matrices."""
     numbers = jnp.asarray(transforms.wxyz_xyz)
     batch, quaternion = numbers.shape[:-1], numbers[..., :4]
     products = quaternion[..., :, None] * quaternion[..., None, :]
@@ -88,7 +88,7 @@ def quaternion_product(
 
 
 def _like(matrix: Float[np.ndarray, "rows columns"], axes: int) -> Float[Array, "..."]:
-    """Return a matrix with so many more axes in front."""
+    """Return a matrix with so many axes of length one in front."""
     return jnp.asarray(matrix.reshape((1,) * axes + matrix.shape))
 
 

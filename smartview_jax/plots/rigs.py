@@ -65,7 +65,7 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
 
 
 def _mount_frame(fit: RigFit, camera: str) -> str:
-    """Return the name of the frame that a camera is mounted in; of several arms, with the arm's."""
+    """Return the name of a camera's mount, with the name of the arm if there are several."""
     fixed = fit.calibrations[camera].mount == "eye_to_hand"
     frame = MOUNTS["eye_to_hand" if fixed else "eye_in_hand"]
     return f"{frame} of {arms_of(fit.arms[camera])[0]}" if fit.bases else frame

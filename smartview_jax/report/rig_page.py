@@ -358,7 +358,7 @@ def _facts(fit: RigFit, rig: Rig, origin: Origin | None) -> list[tuple[str, str]
         seeing = ", ".join(name for name in rig.cameras if rig.targets[name] == target)
         facts.append((f"target {target}", f"seen by {seeing}"))
     for arm in fit.bases:
-        moved = ", ".join(name for name, sensor in fit.arms.items() if arm in arms_of(sensor))
+        moved = ", ".join(name for name, moving in fit.arms.items() if arm in arms_of(moving))
         facts.append((f"arm {arm}", f"of the cameras {moved}"))
     facts += [(f"depth sensor of {name}", sensor.described) for name, sensor in fit.sensors.items()]
     facts.append(("joint fit", fit.result.message))

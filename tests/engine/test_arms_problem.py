@@ -37,3 +37,22 @@ def test_scipy_finds_the_same_optimum_and_derivatives():
     step, arm = np.asarray(problem.unscaled_step(solution.z).shared), problem.arms[1]
     automatic = eqx.filter_jit(lambda arm, step: jax.jacfwd(arm.own_step)(step))(arm, step)
     np.testing.assert_allclose(arm.host_jacobian(step), automatic, atol=1e-9)
+
+
+def test_the_order_of_the_starts_changes_nothing():
+    """Each value belongs to its camera, in whichever order the cameras' starts are given."""
+    rig, truths = arms_scene(0, FOUR_CAMERAS, 4)
+
+    def values(starts):
+        """The start values of the free parameters by their names."""
+        arms = {}
+        for arm in rig.arm_names:
+            part = rig.of_arm(arm)
+            of_arm = {name: start for name, start in starts.items() if name in part.cameras}
+            built = build_rig(part, of_arm, noise=NOISE)
+            arms[arm] = built, built.problem.zero_step()
+        built, _ = build_arms(rig, arms)
+        free = np.asarray(built.problem.free)
+        return dict(zip(built.shared_names, built.problem.host_start_values()[free], strict=True))
+
+    assert values(dict(reversed(truths.items()))) == values(truths)

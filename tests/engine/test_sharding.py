@@ -1,17 +1,24 @@
 """Views dealt out to the devices of two processes, against one device."""
 
 import json
+import math
 import os
 import socket
 import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
+from arms_scene import NOISE as ARMS_NOISE
+from arms_scene import arms_scene
 from fits_to_compare import NOISE, described, described_rig, one_fit, rig_fit, sets, start
+from jax.sharding import PartitionSpec
 
 from smartview_jax import fit_joint
+from smartview_jax.engine import build_arms, build_rig
+from smartview_jax.engine.rig_sharding import shard_rig
 
 HERE = Path(__file__).parent
 
@@ -73,6 +80,8 @@ def test_two_processes_find_what_one_device_finds():
         assert gap.max() < 1e-3
         np.testing.assert_allclose(together["corrections"], alone["corrections"], atol=1e-7)
         np.testing.assert_allclose(together["std"], alone["std"], rtol=1e-5)
+        # Devices exchange sums over the views, and nothing of single views.
+        assert answer["exchanges"] == ["all-reduce"]
         of_rig = answer["rig"]
         assert of_rig["converged"]
         assert of_rig["cost"] == pytest.approx(rig["cost"], rel=1e-11)
@@ -83,3 +92,26 @@ def test_two_processes_find_what_one_device_finds():
         one = fit_joint(data, start(), noise=NOISE)
         # Another solver's last step: nothing next to the noise.
         assert abs(found - float(one.calibration.camera.alpha_u)) < 1e-3 * one.std["camera.alpha_u"]
+
+
+def test_only_arrays_without_views_are_whole_on_each_device(monkeypatch):
+    """The views of a rig need not fit on one device."""
+    rig, truths = arms_scene(0, views=7)
+    arms = {}
+    for arm in rig.arm_names:
+        part = rig.of_arm(arm)
+        built = build_rig(part, {name: truths[name] for name in part.cameras}, noise=ARMS_NOISE)
+        arms[arm] = built, built.problem.zero_step()
+    problem = build_arms(rig, arms)[0].problem
+    whole, put = [], jax.make_array_from_callback
+
+    def recorded(shape, sharding, part):
+        """Put an array on the devices, and keep its size if none is split."""
+        if sharding.spec == PartitionSpec():
+            whole.append(math.prod(shape))
+        return put(shape, sharding, part)
+
+    monkeypatch.setattr(jax, "make_array_from_callback", recorded)
+    shard_rig(problem, jax.devices()[:1])
+    pixels = problem.arms[0].problem.groups[0].problems.observations.pixels
+    assert 0 < max(whole) < pixels.size

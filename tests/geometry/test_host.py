@@ -58,6 +58,15 @@ def test_poses_that_are_not_finite_stay_marked_and_spoil_no_others():
         np.testing.assert_array_equal(np.isnan(found), np.broadcast_to(missing, found.shape))
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_quaternion_of_zeros_is_no_rotation_and_spoils_no_others():
+    """Trackers write it where they see nothing."""
+    numbers = np.array([[0.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3], [2.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3]])
+    matrices = host_matrices(SE3(jnp.asarray(numbers)))
+    assert np.isnan(matrices[0]).all()
+    np.testing.assert_array_equal(matrices[1, :3], np.c_[np.eye(3), [0.1, 0.2, 0.3]])
+
+
 def test_the_nearest_rotation_on_the_host_is_that_of_jax():
     matrices = RNG.normal(size=(4, 3, 3))
     found = host_nearest_rotation(matrices)

@@ -221,8 +221,10 @@ def test_wrong_arguments_are_named(fit):
     bent[2, 0, 0] *= 1.1
     with pytest.raises(ValueError, match=r"view b: tracker: .*rotation"):
         PoseDataset.from_poses(robot, bent, view_ids=["x", "a", "b", "c"])
-    with pytest.raises(ValueError, match=r"expected shape \(4, 4, 4\)"):
+    with pytest.raises(ValueError, match=r"base_from_tool: expected shape \(4, 4, 4\)"):
         PoseDataset.from_poses(robot[:3], measured)
+    with pytest.raises(ValueError, match=r"camera_from_world: expected shape \(4, 4, 4\)"):
+        PoseDataset.from_poses(robot, measured[:, :3, :3])
     with pytest.raises(ValueError, match="at least 3 pairs of poses, found 2"):
         sv.fit_poses(PoseDataset.from_poses(robot[:2], measured[:2]))
     data = data_of(0)

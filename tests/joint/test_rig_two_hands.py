@@ -182,6 +182,33 @@ def test_poses_of_one_state_are_one():
         sv.Rig({"wrist": wrist, "fixed": same}, arms=dict(rig.arms))
 
 
+def test_a_view_without_its_target_has_the_pose_of_its_state():
+    """A camera that did not see the target says nothing else about the robot than the others."""
+    wrist = hands_rig(0)[0].cameras["wrist"]
+    hands = wrist.hands
+    alone = dataclasses.replace(
+        wrist, mount="eye_in_hand", base_from_tool=hands.base_from_tool, hands=None
+    )
+    alone = dataclasses.replace(
+        alone.mask_views([2]), masked_views=((wrist.view_ids[2], "no target was found"),)
+    )
+    second = alone.between_hands(host_matrices(hands.other_base_from_other_tool))
+    both = {"wrist": wrist, "second": second}
+    rig = sv.Rig(both, arms=dict.fromkeys(both, ("left", "right")))
+    assert rig.view_ids == wrist.view_ids
+    with pytest.raises(ValueError, match="other_base_from_other_tool: expected shape"):
+        alone.between_hands(np.eye(4))
+
+
+def test_starts_of_another_mount_and_without_bases_are_named():
+    rig, truths = hands_rig(0)
+    with pytest.raises(ValueError, match="'wrist' is hand_to_hand, its start eye_to_hand"):
+        sv.fit_rig(rig, dict.fromkeys(truths, truths["fixed"]), **OPTIONS)
+    apart = dataclasses.replace(truths["wrist"], base_from_other_base=None)
+    with pytest.raises(ValueError, match="camera 'wrist' is on one of two arms: give their bases"):
+        sv.fit_rig(rig.of_arm("left+right"), {"wrist": apart}, noise=NOISE)
+
+
 def test_arms_of_a_camera_between_hands_are_named():
     rig, _ = hands_rig(0)
     wrist, fixed = rig.cameras["wrist"], rig.cameras["fixed"]
