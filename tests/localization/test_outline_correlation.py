@@ -1,6 +1,7 @@
 """Outlines that err alike: correlations against drawn lights, covariances against drawn errors."""
 
 import numpy as np
+import pytest
 
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.localization.heavy_tails import solve_heavy_tailed
@@ -82,3 +83,23 @@ def test_the_covariance_of_a_pose_has_what_neighbouring_outlines_have_in_common(
 
 def test_a_lone_outline_shares_nothing():
     assert variance_of_shared(np.ones(2), np.eye(2), np.ones(2), np.eye(2)) == 0.0
+
+
+def test_unknowns_with_a_prior_are_not_taken_for_what_neighbours_share():
+    """The pose is free, and two smooth errors of the calibration have a prior."""
+    rng, count = np.random.default_rng(3), 40
+    place = np.arange(count) / count
+    common = 1.5 * np.stack([np.sin(3.0 * place), np.cos(3.0 * place)], axis=1)
+    derivatives = np.hstack([rng.standard_normal((count, 6)), common])
+    variances = np.full(count, 4.0)
+    information = derivatives.T @ (derivatives / variances[:, None]) + np.diag([0] * 6 + [1] * 2)
+    remaining = np.eye(count) - derivatives @ np.linalg.solve(
+        information, derivatives.T / variances
+    )
+    shared = np.exp(-np.abs(place[:, None] - place) * count / 4.0)
+    sizes = []
+    for _ in range(1000):
+        errors = 2.0 * rng.standard_normal(count) + common @ rng.standard_normal(2)
+        errors += rng.multivariate_normal(np.zeros(count), 3.0 * shared)
+        sizes.append(variance_of_shared(remaining @ errors, remaining, variances, shared))
+    assert np.mean(sizes) == pytest.approx(3.0, rel=0.07)
