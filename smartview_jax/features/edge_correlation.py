@@ -1,16 +1,16 @@
 """Measure over what length along an edge the errors of its edge points are the same error.
 
 Smoothing gives neighbouring points the same noise, over `SMOOTHED_LENGTH`. Real edges are rough,
-too: what displaces a point, such as a worn corner, a grain of the surface or the blocks of a
-compressed picture, displaces the points next to it too. A line has as many independent points as
-its length contains such lengths.
+too: a worn corner, a grain of the surface or the blocks of a compressed picture displace
+neighbouring points together. A line has as many independent points as its length contains such
+lengths.
 
 Parabolas are fitted to the edge points along the segments of the picture, because lenses and round
 parts bend edges. The correlation of their residuals at each distance is the mean over all segments,
-and its sum over all distances the length (the integrated autocorrelation; Geyer, "Practical Markov
-chain Monte Carlo", 1992, who sums up to the first distance without correlation). A parabola follows
-the longest waves of the errors, so that a length of a tenth of the segments' comes out a third too
-short.
+and its sum over all distances the length: the integrated autocorrelation, summed as long as it is
+positive (as by Geyer, "Practical Markov chain Monte Carlo", 1992, who adds two distances at a
+time). A parabola follows the longest waves of the errors, so that a length of a tenth of the
+segments' comes out a third too short.
 """
 
 import numpy as np
@@ -42,7 +42,7 @@ MAX_SEGMENTS = 64
 def correlated_length(
     segments: Float[np.ndarray, "segments 2 2"], points: EdgePoints, lone: Bool[np.ndarray, "_"]
 ) -> float:
-    """Return the length along an edge of which the points count as one observation, px.
+    """Return the length of an edge whose points count as one observation, px.
 
     It is at least `SMOOTHED_LENGTH`.
 

@@ -87,7 +87,7 @@ class PictureEvidence(NamedTuple):
         grey: the picture as it was given; None if it is unknown.
         scale: size of the searched picture over the given one; all pixels above are of the searched
             picture, whose camera is `scaled_camera`.
-        correlated_length: length along an edge of which the points count as one observation, px.
+        correlated_length: length of an edge whose points count as one observation, px.
     """
 
     features: Features

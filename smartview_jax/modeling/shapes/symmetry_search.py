@@ -81,13 +81,13 @@ def shape_sigma(model: ObjectModel) -> float:
     """
     from scipy.spatial import KDTree
 
-    rotations = np.zeros((0, 3, 3)) if model.symmetry is None else model.symmetry.rotations[1:]
-    is_corner = _are_corners(model, list(rim_vertices(model)))
-    if not (model.is_exact and len(rotations) and is_corner.any()):
+    symmetry = model.symmetry
+    if symmetry is None or symmetry.order == 1 or not model.is_exact:
         return model.tolerance
-    assert model.symmetry is not None
-    corners = model.vertices[is_corner] - model.symmetry.centre
-    gaps, _ = KDTree(corners).query(corners @ rotations.swapaxes(1, 2))
+    corners = model.vertices[_are_corners(model, list(rim_vertices(model)))] - symmetry.centre
+    if not len(corners):
+        return model.tolerance
+    gaps, _ = KDTree(corners).query(corners @ symmetry.rotations[1:].swapaxes(1, 2))
     # A gap is the difference of two vertices, each with errors along three axes.
     return float(np.sqrt(model.tolerance**2 + np.square(gaps).mean() / 6.0))
 
