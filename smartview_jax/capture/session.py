@@ -365,7 +365,7 @@ class CaptureSession:
     # What is done in the background, and for the methods above.
 
     def _is_fit_wanted(self) -> bool:
-        """Return whether enough views were taken, and some are in no fit or all proposals failed."""
+        """Return whether there are enough views, and some are in no fit or all proposals failed."""
         if len(self._views) < self.options.first_fit:
             return False
         ran_out = not self._proposals and self._planned_without < len(self._failed)

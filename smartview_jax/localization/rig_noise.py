@@ -127,7 +127,7 @@ def rig_noise(
     if not by_object:
         return None
     residuals, by_errors = (np.concatenate(part) for part in zip(*by_object, strict=True))
-    # An orthogonal transform leaves unit noise as it is, and the errors only in as many residuals as
+    # An orthogonal transform leaves unit noise as it is, and the errors in no more residuals than
     # there are errors: many objects take no more memory than a few.
     orthogonal, triangular = np.linalg.qr(by_errors)
     equations = _Equations(orthogonal.T @ residuals, triangular)
