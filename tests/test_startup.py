@@ -110,7 +110,7 @@ def test_packages_load_none_of_their_files_until_a_name_is_used():
     assert run(loaded).stdout == "['smartview_jax.runtime.double_precision']\n"
 
 
-def test_a_public_name_is_that_of_its_room():
+def test_the_package_and_its_rooms_show_the_same_objects():
     assert sv.Camera is importlib.import_module("smartview_jax.cameras").Camera
     assert sv.cameras is importlib.import_module("smartview_jax.cameras")
     assert sv.held_out is importlib.import_module("smartview_jax.evaluation").held_out

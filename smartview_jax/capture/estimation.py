@@ -111,7 +111,7 @@ class Estimate(NamedTuple):
 def is_near(
     pose: Float[np.ndarray, "*poses 4 4"], places: Float[np.ndarray, "places 4 4"]
 ) -> Bool[np.ndarray, "*poses"]:
-    """Return whether poses are too near to one of some places to be other views."""
+    """Return whether poses are so near to one of some places that they are no other views."""
     pose = pose[..., None, :, :]
     distance = np.linalg.norm(pose[..., :3, 3] - places[:, :3, 3], axis=-1)
     turn = host_rotation_angles(pose, places)
@@ -188,7 +188,7 @@ def _allowed(
 
     def allowed(base_from_tool: SE3) -> Bool[np.ndarray, "poses"]:
         poses = host_matrices(base_from_tool)
-        inside = np.array([motion is None or motion.is_inside(pose) for pose in poses])
+        inside = np.array([motion is None or motion.is_inside(pose) for pose in poses], dtype=bool)
         return inside if avoided is None else inside & ~is_near(poses, avoided)
 
     return allowed

@@ -166,7 +166,7 @@ class CaptureSession:
 
     @property
     def is_fitting(self) -> bool:
-        """Whether views were taken, or failed, of which no fit or plan knows yet."""
+        """Whether a fit is due: some views are in no fit, or all proposed views failed."""
         with self._state:
             return self._is_fit_wanted()
 
@@ -354,7 +354,7 @@ class CaptureSession:
             self._wanted.notify_all()
 
     def wait_for_fit(self, timeout: float) -> bool:
-        """Wait until a fit has seen all views; return False if that takes too long.
+        """Wait until no fit is due (`is_fitting`); return False if that takes too long.
 
         Args:
             timeout: longest time to wait, s.
@@ -365,7 +365,7 @@ class CaptureSession:
     # What is done in the background, and for the methods above.
 
     def _is_fit_wanted(self) -> bool:
-        """Return whether there are enough views, and some are in no fit or proposals ran out."""
+        """Return whether there are enough views, and some are in no fit or all proposals failed."""
         if len(self._views) < self.options.first_fit:
             return False
         ran_out = not self._proposals and self._planned_without < len(self._failed)

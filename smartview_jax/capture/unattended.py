@@ -121,7 +121,9 @@ def _next_view(session: CaptureSession, moves: bool) -> bool:
         session.move_to(proposal)
         _take_when_settled(session)
     except (MoveRefusedError, NotTakenError):
-        session.skip(proposal, failed=True)
+        # Where a person stopped the robot, it can go later.
+        if not session.is_stopped:
+            session.skip(proposal, failed=True)
         raise
     session.skip(proposal)
     return True

@@ -10,11 +10,10 @@ another (`other_arm.py`), whether the set-up changed between two views (`changes
 fit in `lag_fit.py`), the views agree in groups (`view_groups.py`) or the focus changes
 (`focus_changes.py`; `faults_of_many_views.py` asks all five, in the words of `change_texts.py`;
 positions alone are linear, `position_equations.py`), whether the target bends
-(`flexible_target.py`), and which single views
-are numbered wrongly (`shifted_numbering.py`) or contradict the others (`view_consistency.py`); all
-judge by transforms of their own (`transform_fit.py`), some by transforms of the views that agree
-(`largest_group.py`) or by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
-compares the cameras of a rig.
+(`flexible_target.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
+contradict the others (`view_consistency.py`). All judge by transforms of their own
+(`transform_fit.py`), some by transforms of the views that agree (`largest_group.py`) or by the odds
+of an explanation (`misfit_evidence.py`). `rig_checks.py` compares the cameras of a rig.
 """
 
 import lazy_loader as _lazy_loader

@@ -1,6 +1,5 @@
 from .appearance import Appearance as Appearance
 from .appearance import describe as describe
-from .edge_correlation import SMOOTHED_LENGTH as SMOOTHED_LENGTH
 from .edge_correlation import correlated_length as correlated_length
 from .edge_points import EdgePoints as EdgePoints
 from .edge_points import edge_map as edge_map
@@ -8,6 +7,7 @@ from .ellipses import EllipseOptions as EllipseOptions
 from .ellipses import find_ellipses as find_ellipses
 from .features import Features as Features
 from .features import find as find
+from .gradient import SMOOTHED_LENGTH as SMOOTHED_LENGTH
 from .gradient import SMOOTHING as SMOOTHING
 from .ideal_plane import IdealPlane as IdealPlane
 from .lone_edges import CLEARANCE as CLEARANCE

@@ -9,6 +9,13 @@ from jaxtyping import Float, Int
 SMOOTHING = 1.0
 """Standard deviation of the smoothing before the gradient is taken, px."""
 
+SMOOTHED_LENGTH = float(2.0 * np.sqrt(np.pi)) * SMOOTHING
+"""Length along an edge over which smoothing makes the noise of the gradient the same noise, px.
+
+White noise smoothed by s has the correlation exp(-d^2 / 4 s^2) at the distance d, whose integral
+over all d is 2 sqrt(pi) s. About as many edge points count as one observation.
+"""
+
 MIN_NOISE = 0.6
 """Smallest standard deviation of a picture's noise, grey levels; a smaller estimate is not used.
 

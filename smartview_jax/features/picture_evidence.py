@@ -17,10 +17,10 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
 from ..cameras import Camera, in_picture
-from .edge_correlation import SMOOTHED_LENGTH, correlated_length
+from .edge_correlation import correlated_length
 from .edge_points import EdgePoints, find_edge_points
 from .features import Features, features_from_edge_points
-from .gradient import Gradient
+from .gradient import SMOOTHED_LENGTH, Gradient
 from .ideal_plane import IdealPlane
 from .lone_edges import lone_points
 from .picture_checks import grey_levels
@@ -87,7 +87,7 @@ class PictureEvidence(NamedTuple):
         grey: the picture as it was given; None if it is unknown.
         scale: size of the searched picture over the given one; all pixels above are of the searched
             picture, whose camera is `scaled_camera`.
-        correlated_length: length along an edge of which the points count as one observation, px.
+        correlated_length: length of an edge whose points count as one observation, px.
     """
 
     features: Features

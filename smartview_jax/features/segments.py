@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .edge_points import EdgePoints
-from .gradient import SMOOTHING
+from .gradient import SMOOTHED_LENGTH
 from .ideal_plane import IdealPlane
 from .line_fits import (
     LineFits,
@@ -44,13 +44,6 @@ MAX_RMS = 0.5
 
 MAX_USED_FRACTION = 0.5
 """Fraction of a proposal's points in earlier segments above which it adds nothing."""
-
-CORRELATED_POINTS = 2.0 * np.sqrt(np.pi) * SMOOTHING
-"""Number of neighbouring points that count as one observation: smoothing correlates them.
-
-The noise of gradients d px apart has the correlation exp(-d^2 / (4 s^2)), whose sum over all d is
-2 sqrt(pi) s.
-"""
 
 MIN_POINT_SIGMA = 0.03
 """Smallest standard deviation of an edge point, px; a smaller estimate is not believed."""
@@ -154,8 +147,8 @@ def _lines(grid: PointGrid, fits: LineFits) -> tuple[Lines, Bool[np.ndarray, "li
     numbers = np.bincount(fitted.line, minlength=count)
     is_line = (lengths >= MIN_LENGTH) & (points >= MIN_DENSITY * lengths) & (numbers >= 4)
     is_line &= np.sqrt(variances) <= MAX_RMS
-    # One independent error per `CORRELATED_POINTS` points: variances grow by that factor.
-    point_variances = CORRELATED_POINTS * np.maximum(variances, MIN_POINT_SIGMA**2)
+    # One independent error per `SMOOTHED_LENGTH` points: variances grow by that factor.
+    point_variances = SMOOTHED_LENGTH * np.maximum(variances, MIN_POINT_SIGMA**2)
     offsets = point_variances / np.maximum(numbers, 1) + MODEL_SIGMA**2
     tilts = (2.0 * MODEL_SIGMA / np.maximum(lengths, MIN_LENGTH)) ** 2
     angles = point_variances / np.where(spreads > 0.0, spreads, 1.0) + tilts

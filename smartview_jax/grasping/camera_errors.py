@@ -30,7 +30,7 @@ def camera_covariance(
         ValueError: the estimate is of another calibration, or leaves something undetermined.
     """
     errors = camera_errors(calibration, estimate, command)
-    factor = np.concatenate([errors.shared @ errors.root, errors.unknown, errors.own], axis=2)
+    factor = np.concatenate([errors.shared @ errors.root, errors.unknown, errors.by_noise], axis=2)
     return factor @ factor.swapaxes(1, 2)
 
 
@@ -44,7 +44,7 @@ class CameraErrors(NamedTuple):
         root: steps of the numbers of one standard deviation each.
         unknown: twists by one standard deviation each of the robot error's coefficients, as far as
             the fitted coefficients do not apply at the command.
-        own: twists by one standard deviation each of the robot's noise in this motion.
+        by_noise: twists by one standard deviation each of the robot's noise in this motion.
     """
 
     names: tuple[str, ...]
@@ -52,7 +52,7 @@ class CameraErrors(NamedTuple):
     shared: Float[np.ndarray, "n 6 numbers"]
     root: Float[np.ndarray, "numbers directions"]
     unknown: Float[np.ndarray, "n 6 coefficients"]
-    own: Float[np.ndarray, "n 6 noise"]
+    by_noise: Float[np.ndarray, "n 6 noise"]
 
 
 def camera_errors(

@@ -122,11 +122,11 @@ def tool_commands(
     errors = gripper_errors(scene, Gripper(tool_from_gripper=np.eye(4)), commands.command)
     # One column for each direction of the calibration's own uncertainty.
     shared = np.stack([pose_errors.shared for pose_errors in errors])
-    count, noises = len(errors), errors[0].own.shape[1]
+    count, noises = len(errors), errors[0].by_noise.shape[1]
     # The robot's own noise is independent at every pose.
     noise_factor = np.zeros((count, 6, count * noises))
     for k, pose_errors in enumerate(errors):
-        noise_factor[k, :, k * noises : (k + 1) * noises] = pose_errors.own
+        noise_factor[k, :, k * noises : (k + 1) * noises] = pose_errors.by_noise
     factor = np.concatenate([shared, noise_factor], axis=2)
     return ToolCommands(world_from_tool, commands, factor, errors[0].names, errors[0].root)
 

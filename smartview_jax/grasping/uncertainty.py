@@ -29,14 +29,14 @@ class GripperErrors(NamedTuple):
 
     Attributes:
         shared: derivatives of tau by standard deviations of the calibration's numbers.
-        own: derivatives of tau by standard deviations of the robot's noise in this motion.
+        by_noise: derivatives of tau by standard deviations of the robot's noise in this motion.
         root: the numbers' steps of one standard deviation each; its rows belong to `shared`.
         names: names of the calibration's numbers, one for each row of `root`; of a rig, of the
             numbers of all its cameras.
     """
 
     shared: Float[np.ndarray, "6 directions"]
-    own: Float[np.ndarray, "6 noise"]
+    by_noise: Float[np.ndarray, "6 noise"]
     root: Float[np.ndarray, "numbers directions"]
     names: tuple[str, ...]
 
@@ -65,10 +65,8 @@ def gripper_errors(
     root = np.pad(errors.root, ((0, 0), (0, errors.unknown.shape[2])))
     by_numbers = (errors.shared * errors.moves_tool) @ errors.root
     shared = to_gripper @ np.concatenate([by_numbers, errors.unknown], axis=2)
-    object_errors = to_gripper @ errors.own
-    return tuple(
-        GripperErrors(shared[k], object_errors[k], root, errors.names) for k in range(count)
-    )
+    by_noise = to_gripper @ errors.by_noise
+    return tuple(GripperErrors(shared[k], by_noise[k], root, errors.names) for k in range(count))
 
 
 def error_covariance(
@@ -105,7 +103,7 @@ def error_covariance(
     blocks = [
         (to_gripper @ object_root, np.zeros_like(object_root)),
         (to_gripper @ shared + errors.shared, errors.shared),
-        (errors.own, errors.own),
+        (errors.by_noise, errors.by_noise),
     ]
     root = np.concatenate([np.concatenate(pair) for pair in blocks], axis=1)
     return root @ root.T

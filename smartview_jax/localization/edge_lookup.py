@@ -37,7 +37,7 @@ class EdgeLookup(eqx.Module):
         nearest: inverse depth of the nearest known surface in each cell, 1/m; zero where none is
             known.
         valid: False for padded views.
-        correlated_lengths: length along an edge of which the points count as one observation, px.
+        correlated_lengths: length of an edge whose points count as one observation, px.
     """
 
     cells: Int[Array, "views rows columns"]

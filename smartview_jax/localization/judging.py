@@ -227,7 +227,7 @@ class _Judging:
             moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
             # Within its tolerance the object has the model's dimensions.
             least = TOLERATED_SIGMAS * shape_sigma(entry.model)
-            if moved is None or moved.face is None or abs(moved.distance) >= least:
+            if moved.face is None or abs(moved.distance) >= least:
                 verdict = verdict_on(evidence._replace(moved=moved))
         scale = scene.pictures[0].scale
         return Localization(entry.model, best.model, refined, verdict, tuple(rivals), scale)

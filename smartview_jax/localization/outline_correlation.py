@@ -42,20 +42,21 @@ def variance_of_shared(
 ) -> float:
     """Return the size of an error that neighbours share, from the products of their residuals.
 
-    A fit absorbs a part of it. The products have their expected values for the size returned
-    (Rao, "Estimation of variance and covariance components - MINQUE theory", 1971).
+    A fit absorbs a part of it. The products of different residuals have their expected values for
+    the size returned (Rao, "Estimation of variance and covariance components - MINQUE theory",
+    1971).
 
     Args:
-        residuals: of a fit by generalised least squares.
+        residuals: of a fit by generalised least squares, of which some unknowns have a prior.
         remaining: share of an error that is left in the residuals.
         variances: of the independent errors.
-        shared: covariance of the shared errors for the size one; its diagonal is not looked at.
+        shared: covariance of the shared errors for the size one.
     """
-    # With the products S o (r r^T) / (v v^T), r = M (e + s): E = tr(T M (V + size S) M^T).
+    # Products weighted by T = S / (v v^T), zero on the diagonal, of r = M (G u + e + s). With the
+    # unknowns u of a prior P, M (V + G P G^T) M^T = M V, so that E = tr(T (M V + size M S M^T)).
     weights = shared / np.outer(variances, variances)
     np.fill_diagonal(weights, 0.0)
-    projected = remaining.T @ weights @ remaining
-    expected = np.diagonal(projected) @ variances
-    by_size = (projected * shared).sum()
+    expected = (weights * remaining * variances).sum()
+    by_size = ((remaining.T @ weights @ remaining) * shared).sum()
     excess = residuals @ weights @ residuals - expected
     return float(excess / by_size) if min(excess, by_size) > 0.0 else 0.0

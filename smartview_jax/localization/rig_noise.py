@@ -126,7 +126,11 @@ def rig_noise(
     by_object = [_equations(seen, views, uncertainty) for seen in usable if len(seen) > 1]
     if not by_object:
         return None
-    equations = _Equations(*(np.concatenate(part) for part in zip(*by_object, strict=True)))
+    residuals, by_errors = (np.concatenate(part) for part in zip(*by_object, strict=True))
+    # An orthogonal transform leaves unit noise as it is, and the errors in no more residuals than
+    # there are errors: many objects take no more memory than a few.
+    orthogonal, triangular = np.linalg.qr(by_errors)
+    equations = _Equations(orthogonal.T @ residuals, triangular)
     numbers = len(uncertainty.names)
     medians = _usual_medians(views, uncertainty, prior)
     log_std = float(np.log(prior.group_geometric_std))

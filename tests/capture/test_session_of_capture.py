@@ -207,6 +207,26 @@ def test_places_that_the_robot_does_not_reach_are_planned_around(tmp_path, rig):
     assert reason == "no more views can be proposed; out of reach"
 
 
+def test_a_place_at_which_a_person_stopped_the_robot_is_reached_later(tmp_path, rig):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder, goal=1e-3, motion=everywhere()) as session:
+        for rig.at in range(4):
+            session.take()
+        rig.finish.clear()
+        reasons = []
+        run = threading.Thread(target=lambda: reasons.append(capture_unattended(session).reason))
+        run.start()
+        assert rig.on_the_way.wait(PATIENCE)
+        session.stop()
+        run.join(PATIENCE)
+        assert reasons == ["stopped"]
+        rig.finish.set()
+        session.allow_motion()
+        capture_unattended(session, patience=PATIENCE)
+    # The views that the first plan proposes.
+    assert rig.moved_to[:2] == [4, 5]
+
+
 def test_an_unattended_run_gives_up_where_nothing_is_reached(tmp_path, rig, monkeypatch):
     folder = new_folder(tmp_path / "data")
     rig.unreachable, planned = set(range(15)), quick_fit(rig)

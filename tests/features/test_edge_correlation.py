@@ -1,5 +1,7 @@
 """How far along an edge its points err alike, against noise that SciPy smooths."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
@@ -52,3 +54,13 @@ def test_points_next_to_another_edge_do_not_count():
     kept = correlated_length(segments, spoilt, lone)
     assert kept == pytest.approx(correlated_length(segments, points, lone), rel=1e-9)
     assert kept == pytest.approx(2.0 * np.sqrt(np.pi) * 2.0, rel=0.2)
+
+
+def test_a_long_edge_takes_little_memory():
+    """A matrix of all pairs of its points would have 200 MB."""
+    segments, points = rough_edges(2.0, np.random.default_rng(4), count=1, length=5000)
+    tracemalloc.start()
+    measured = correlated_length(segments, points, np.ones(len(points.pixels), dtype=bool))
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+    assert measured == pytest.approx(2.0 * np.sqrt(np.pi) * 2.0, rel=0.2)

@@ -70,7 +70,7 @@ def test_where_the_gripper_goes_varies_as_it_is_said(setup):
     grippers = np.linalg.inv(true) @ actual @ GRIPPER.tool_from_gripper
     # exp(tau) gripper_from_world, of the truth over the estimate.
     taus = host_logarithms(np.linalg.inv(grippers) @ pose)
-    found = errors.shared @ errors.shared.T + errors.own @ errors.own.T
+    found = errors.shared @ errors.shared.T + errors.by_noise @ errors.by_noise.T
     # 4000 draws know a standard deviation to 1.1 %.
     ratio = np.sqrt(np.diagonal(np.cov(taus.T)) / np.diagonal(found))
     assert np.all(np.abs(ratio - 1.0) < 0.05)
@@ -97,7 +97,7 @@ def test_what_object_and_gripper_share_cancels(setup):
         calibration_names=errors.names,
     )
     together = error_covariance(known, gripper_from_object, errors)
-    left = together[:6, :6] - errors.own @ errors.own.T
+    left = together[:6, :6] - errors.by_noise @ errors.by_noise.T
     adjoint = host_adjoints(gripper_from_object)
     assert np.allclose(left, adjoint @ own @ adjoint.T, atol=1e-13)
     assert np.all(np.diagonal(alone)[:6] > np.diagonal(together)[:6])

@@ -72,7 +72,7 @@ def test_lines_are_as_exact_as_their_points_are_independent(views, wireframe):
     n = fine.found_px[long] / 5.0
     expected = (n - 2.0) / (0.5 * n - 2.0)
     found = rough.variances[long, 0] / fine.variances[long, 0]
-    # A line has a share of its own besides (`MODEL_SIGMA`).
+    # A line has a further error (`MODEL_SIGMA`).
     np.testing.assert_allclose(found, expected, rtol=0.01)
 
 

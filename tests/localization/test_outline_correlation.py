@@ -1,6 +1,7 @@
 """Outlines that err alike: correlations against drawn lights, covariances against drawn errors."""
 
 import numpy as np
+import pytest
 
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.localization.heavy_tails import solve_heavy_tailed
@@ -82,3 +83,21 @@ def test_the_covariance_of_a_pose_has_what_neighbouring_outlines_have_in_common(
 
 def test_a_lone_outline_shares_nothing():
     assert variance_of_shared(np.ones(2), np.eye(2), np.ones(2), np.eye(2)) == 0.0
+
+
+def test_unknowns_with_a_prior_are_not_taken_for_what_neighbours_share():
+    """The pose is free; an error with a prior moves each eight edges that follow one another."""
+    rng, count = np.random.default_rng(3), 400
+    common = np.kron(np.eye(count // 8), np.ones((8, 1)))
+    derivatives = np.hstack([rng.standard_normal((count, 6)), common])
+    variances = np.full(count, 4.0)
+    prior = np.diag(np.repeat([0.0, 1.0], [6, common.shape[1]]))
+    information = derivatives.T @ (derivatives / variances[:, None]) + prior
+    solved = np.linalg.solve(information, derivatives.T / variances)
+    remaining = np.eye(count) - derivatives @ solved
+    place = np.arange(count)
+    shared = np.exp(-np.abs(place[:, None] - place) / 4.0)
+    covariance = np.diag(variances) + common @ common.T + 4.0 * shared
+    errors = rng.standard_normal((150, count)) @ np.linalg.cholesky(covariance).T
+    sizes = [variance_of_shared(remaining @ e, remaining, variances, shared) for e in errors]
+    assert np.mean(sizes) == pytest.approx(4.0, rel=0.1)

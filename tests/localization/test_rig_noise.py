@@ -1,6 +1,7 @@
 """Errors of camera poses from objects that each view shows elsewhere, without pictures."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def disagreement(objects, uncertainty=EXACT, prior=DEFAULT_PRIOR):
 
 
 def dense(seen, uncertainty, sizes):
-    """Restricted log-likelihood of one object by all its differences."""
+    """Restricted log-likelihood of one object by all its differences, and the likeliest errors."""
     first, second = seen
     # The difference of the two poses contains all that does not depend on the object's pose.
     inverse = np.linalg.inv(first.world_from_object)
@@ -58,7 +59,8 @@ def dense(seen, uncertainty, sizes):
     )
     prior = block_diag(uncertainty.covariance, np.diag(np.tile(np.repeat(sizes, 3), 2) ** 2))
     covariance = first.covariance + second.covariance + by_errors @ prior @ by_errors.T
-    return multivariate_normal(np.zeros(6), covariance).logpdf(y)
+    likeliest = prior @ by_errors.T @ np.linalg.solve(covariance, y)
+    return multivariate_normal(np.zeros(6), covariance).logpdf(y), likeliest
 
 
 @pytest.mark.parametrize("uncertainty", [EXACT, UNCERTAIN])
@@ -70,9 +72,24 @@ def test_restricted_likelihood_is_the_likelihood_of_the_differences(uncertainty)
     sizes = np.array([[1e-4, 1e-3], [2e-3, 4e-3]])
     covariances = module._covariances(equations, uncertainty, sizes)
     first, second = module._log_likelihoods(equations.residuals, covariances)
-    expected = [dense(seen, uncertainty, size) for size in sizes]
+    expected = [dense(seen, uncertainty, size)[0] for size in sizes]
     # The likelihoods agree but for a constant.
     assert first - second == pytest.approx(expected[0] - expected[1])
+    noise = rig_noise([seen], VIEWS, uncertainty)
+    assert noise is not None
+    likeliest = dense(seen, uncertainty, (noise.translation, noise.rotation))[1]
+    np.testing.assert_allclose(noise.errors.ravel(), likeliest[-12:], rtol=1e-6, atol=1e-9)
+
+
+def test_many_objects_take_no_more_memory_than_a_few():
+    """Covariances of all their residuals, one for each size, would have 250 MB."""
+    objects, _ = seen_objects(np.random.default_rng(7), 1e-3, 5e-3, count=60)
+    tracemalloc.start()
+    noise = rig_noise(objects, VIEWS, EXACT)
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+    assert noise is not None
+    assert noise.disagreement.is_likely
 
 
 def test_a_right_rig_is_as_stated_and_a_wrong_one_is_not():

@@ -51,3 +51,13 @@ def test_claims_add_up_in_any_order(views, prepared):
     np.testing.assert_array_equal(one.cells, other.cells)
     np.testing.assert_array_equal(one.nearest, other.nearest)
     assert not np.array_equal(one.nearest, scene.lookup_among([first]).nearest)
+
+
+def test_lines_know_how_far_points_err_alike_in_each_picture(views):
+    pictures = [
+        picture._replace(correlated_length=5.0 + k)
+        for k, picture in enumerate(evidence(drawn(MODEL, views, POSE, 0.05)))
+    ]
+    lookup = Scene(views, pictures, np.zeros((0, 3, 3))).lookup
+    lengths = np.asarray(lookup.correlated_lengths)[: len(pictures)]
+    np.testing.assert_array_equal(lengths, 5.0 + np.arange(len(pictures)))

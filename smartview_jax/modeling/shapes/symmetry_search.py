@@ -81,13 +81,13 @@ def shape_sigma(model: ObjectModel) -> float:
     """
     from scipy.spatial import KDTree
 
-    rotations = np.zeros((0, 3, 3)) if model.symmetry is None else model.symmetry.rotations[1:]
-    is_corner = ~np.isin(np.arange(len(model.vertices)), list(rim_vertices(model)))
-    if not (model.is_exact and len(rotations) and is_corner.any()):
+    symmetry = model.symmetry
+    if symmetry is None or symmetry.order == 1 or not model.is_exact:
         return model.tolerance
-    assert model.symmetry is not None
-    corners = model.vertices[is_corner] - model.symmetry.centre
-    gaps, _ = KDTree(corners).query(corners @ rotations.swapaxes(1, 2))
+    corners = model.vertices[_are_corners(model, list(rim_vertices(model)))] - symmetry.centre
+    if not len(corners):
+        return model.tolerance
+    gaps, _ = KDTree(corners).query(corners @ symmetry.rotations[1:].swapaxes(1, 2))
     # A gap is the difference of two vertices, each with errors along three axes.
     return float(np.sqrt(model.tolerance**2 + np.square(gaps).mean() / 6.0))
 
@@ -147,12 +147,8 @@ class _Outline(NamedTuple):
             ValueError: its vertices are on one line.
         """
         rims = rim_vertices(model)
-        is_rim = np.isin(np.arange(len(model.vertices)), list(rims))
-        # Without a wireframe nothing tells smooth surfaces from flat faces.
-        on_edge = np.isin(np.arange(len(is_rim)), model.edges) | (len(model.edges) == 0)
-        is_loose = ~np.isin(np.arange(len(is_rim)), [v for f in model.faces for v in f.indices])
-        is_corner = ~is_rim & (on_edge | is_loose)
-        corners, round_points = model.vertices[is_corner], model.vertices[is_rim]
+        is_corner = _are_corners(model, list(rims))
+        corners, round_points = model.vertices[is_corner], model.vertices[list(rims)]
         neighbours = model.vertices[np.array(list(rims.values()), int).reshape(-1, 2)]
         before, after = np.moveaxis(neighbours - round_points[:, None], 1, 0)
         lengths = np.linalg.norm(before, axis=1) + np.linalg.norm(after, axis=1)
@@ -298,6 +294,18 @@ def rim_vertices(model: ObjectModel) -> dict[int, list[int]]:
             if _bends(before, after) < SHARP_ANGLE:
                 rims[vertex] = neighbours[vertex]
     return rims
+
+
+def _are_corners(model: ObjectModel, rims: list[int]) -> Bool[np.ndarray, "V"]:
+    """Return which vertices a symmetry maps onto each other.
+
+    They are neither on one of the rims nor inside a smooth or flat surface.
+    """
+    vertices = np.arange(len(model.vertices))
+    # Without a wireframe nothing tells smooth surfaces from flat faces.
+    on_edge = np.isin(vertices, model.edges) | (len(model.edges) == 0)
+    is_loose = ~np.isin(vertices, [v for face in model.faces for v in face.indices])
+    return ~np.isin(vertices, rims) & (on_edge | is_loose)
 
 
 def _bends(

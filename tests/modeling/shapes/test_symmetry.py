@@ -141,3 +141,14 @@ def test_sides_of_a_hole_that_do_not_meet_make_no_model_inexact():
     )
     assert shape_sigma(dataclasses.replace(measured, covariance=None)) > 1e-6
     assert shape_sigma(measured) == 0.0
+
+
+def test_a_vertex_inside_a_face_makes_no_model_inexact():
+    """A mesh may divide a flat side in any way; no turn has to map the parts onto each other."""
+    cube = box(0.03, 0.03, 0.03)
+    top = next(face for face in cube.faces if face.name == "top")
+    parts = [Face((*side, len(cube.vertices))) for side in top.directed_edges]
+    faces = (*(face for face in cube.faces if face is not top), *parts)
+    vertices = np.vstack([cube.vertices, [0.01, 0.008, 0.03]])
+    divided = ObjectModel(vertices, cube.edges, faces, symmetry=find_symmetry(cube))
+    assert shape_sigma(divided) < 1e-9
