@@ -252,11 +252,13 @@ class Dataset(HostModule):
             )
         matrices = pose_matrices(other_base_from_other_tool, self.view_count)
         masked = {view for view, _ in self.masked_views}
-        for view, text in check_rigid(matrices, self.view_ids).items():
+        wrong = check_rigid(matrices, self.view_ids)
+        for view, text in wrong.items():
             if view not in masked:
                 raise ValueError(f"other_base_from_other_tool: view {view}: {text}")
-        unmasked = np.array([view not in masked for view in self.view_ids], dtype=bool)
-        matrices = np.where(unmasked[:, None, None], matrices, np.eye(4))
+        # Another camera may have seen its target in a state whose view is masked here.
+        is_pose = np.array([view not in wrong for view in self.view_ids], dtype=bool)
+        matrices = np.where(is_pose[:, None, None], matrices, np.eye(4))
         hands = HandPoses(self.base_from_tool, as_se3(matrices))
         between = dataclasses.replace(self, mount="hand_to_hand", hands=hands)
         return between.with_bases(

@@ -362,7 +362,7 @@ def _with_fault_of_many_views(
     used: np.ndarray,
     camera_fits: bool,
 ) -> ConventionReport:
-    """Return the report with a change of the set-up or a lag of the poses, if there is one.
+    """Return the report with the one fault that makes many views wrong, if there is one.
 
     It is a problem where no calibration can be right with it, else a doubt. A camera that does not
     fit puts targets at wrong distances, so that nothing tells whether its focus changes.
