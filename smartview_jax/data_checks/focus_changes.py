@@ -29,8 +29,8 @@ class FocusOptions:
 
     Attributes:
         min_odds: smallest odds of them against errors alike in all directions, and against errors
-            along an axis of the robot's base; 150 are "very strong evidence" in the words of Kass and
-            Raftery, Bayes factors, 1995.
+            along an axis of the robot's base; 150 are "very strong evidence" in the words of Kass
+            and Raftery, Bayes factors, 1995.
         min_views: fewest views: transforms, size, focal length and variances have 10 numbers, 8
             views 24.
         min_size: smallest standard deviation of the focal length, relative. The default moves the

@@ -255,10 +255,12 @@ def fit_staged(
             common_fit.camera_from_world,
         )
         camera_doubts = () if bending is None else (bending.sentence,)
+    # A target that bends does not hide a mistake that explains how robot and camera move.
+    is_explained = report.explained or bool(report.change)
     findings = Findings(
         pose_findings(unusable | stale, data.view_ids),
         detection_findings(mismatched, data.view_ids),
-        camera_doubts,
+        () if camera_doubt is None and is_explained else camera_doubts,
         report.problems,
     )
     report = report._replace(problems=findings.problems)
