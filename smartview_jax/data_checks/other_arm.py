@@ -92,7 +92,7 @@ def find_other_arm(
     used: Bool[np.ndarray, "views"],
     options: OtherArmOptions | None = None,
 ) -> LinkLengths | None:
-    """Return the lengths of the arm's links where they explain the camera's motion, but not given.
+    """Return lengths of the arm's links that explain the camera's motion, if the described do not.
 
     Args:
         readings: joint readings, rad, or m for a prismatic joint.
