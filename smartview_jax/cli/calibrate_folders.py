@@ -21,7 +21,7 @@ from .calibrate_folder import CalibrateSettings, loaded_folder, run_name
 from .calibrate_pictures import CalibrateResult, calibrated_pictures
 from .calibrate_poses import PoseResult, calibrated_poses
 from .documents import print_document
-from .terminal import progress_line
+from .terminal import print_lines, progress_line
 
 FAILED_CODE, NOT_CONVERGED_CODE = 2, 1
 """Exit codes if a folder could not be calibrated, and if a fit did not converge."""
@@ -213,12 +213,12 @@ def _print_table(names: Sequence[str], results: "Sequence[sv.fleet.Outcome]", ou
             text = str(outcome.error)
             # Errors of files begin with a path.
             text = text if name in text else f"{name}: {text}"
-            console.print(text, highlight=False, markup=False)
+            print_lines(text)
     if any(outcome.result for outcome in results):
         file = {"px": "calibration.yaml", "mm": "hand_eye.calib"}
         files = ", ".join(file[unit] for unit in sorted(units, reverse=True))
         text = f"{out}: a folder for each, with {files} and report.html"
-        console.print(text, highlight=False, markup=False)
+        print_lines(text)
 
 
 def _cells(outcome: "sv.fleet.Outcome", with_unit: bool) -> tuple[str, ...]:

@@ -105,14 +105,14 @@ class RigResult(NamedTuple):
             for name, noise in fit.noises.items()
         }
         arms = {name: {**robots.pop(name, {}), **_base_document(fit, name)} for name in fit.bases}
-        pairs = {
+        relative = {
             f"{second} in {first}": _relative_document(fit.relative(first, second))
             for first, second in combinations(cameras, 2)
             if fit.on_one_mount(first, second)
         }
         return {
             "cameras": cameras,
-            "relative": pairs,
+            "relative": relative,
             **({"arms": arms} if arms else {"robot": next(iter(robots.values()))}),
             # Of pairs, whose poses are of one hand in the other's frame.
             **({"pairs": robots} if arms and robots else {}),

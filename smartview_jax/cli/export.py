@@ -124,7 +124,7 @@ def _camera_files(paths: list[Path]) -> list[Path]:
         rigs = sorted(path.glob(f"*{sv.joint.JOINT_SUFFIX}")) if path.is_dir() else []
         for rig in rigs:
             content = schemas.validate_content(read_yaml(rig), schemas.CALIBRATED_RIG_SCHEMA, rig)
-            files += [path / own for own in content.cameras.values()]
+            files += [path / name for name in content.cameras.values()]
         files += [] if rigs else [path]
     return files
 

@@ -84,7 +84,7 @@ def find_shared_fault(
     used: Bool[np.ndarray, "views"],
     agreeing: Bool[np.ndarray, "views"] | None = None,
 ) -> SharedFault | None:
-    """Return the change or drift of the set-up, or the lag of the poses, that explains most.
+    """Return the change, drift, lag, mixture of groups or change of focus that explains most.
 
     A change may look like another size of the target, and a target of another size may hide a
     change. So it is looked for with the robot's motion as reported, and as long as the camera's.
@@ -114,10 +114,12 @@ def find_shared_fault(
     # Groups of which one ends before the other begins are what a change leaves.
     if groups is not None and not (best is not None and best.first_view and groups.are_in_order):
         return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
-    # It has an error of its own in every view, with which it explains much of other faults.
+    # A focus has an error of its own in every view, which explains much of other faults as well.
     if groups is not None or poses.distances is None:
         return best
-    focus = find_focus_change(robot, poses.camera_from_world, used, poses.distances)
+    focus = find_focus_change(
+        robot, poses.camera_from_world, used, poses.distances, poses.mount
+    )
     return best if focus is None else SharedFault(focus.sentence, False, True)
 
 

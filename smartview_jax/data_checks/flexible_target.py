@@ -1,10 +1,10 @@
 """Find out that a target bends: a sheet or a thin board that has another shape in each view.
 
 A free pose in each view, the camera and one bow that is common to all views explain the pictures of
-any stiff target. A sheet that is lifted, taped or pressed anew bows otherwise in each view, which
-leaves several times the noise, and moves the poses of its views. With small errors the residuals
-are linear in all of these numbers, and least squares tells how much a bow of each view's own
-leaves. The camera's numbers are common: each view's own ones are eliminated first.
+any stiff target. A sheet that is lifted, taped or pressed bows otherwise in each view, which leaves
+several times the noise, and moves the poses of its views. With small errors the residuals are
+linear in all of these numbers, and least squares tells how much a bow of each view's own leaves.
+The numbers that each view has by itself are eliminated first, the camera's are common.
 """
 
 import dataclasses
@@ -32,11 +32,14 @@ class FlexibleOptions:
     Attributes:
         max_left_over: largest ratio of the squared residuals with a bow in each view to those with
             a common one: the bows explain more than all else together.
+        min_rms: smallest RMS of the residuals with a common bow, px. No detector is as good, so that
+            less is what rounding and steps of differences leave in rendered pictures.
         min_points: fewest points of a view, which has 9 numbers: noise alone leaves four fifths.
         min_views: fewest views that tell the common camera from their bows.
     """
 
     max_left_over: float = 0.5
+    min_rms: float = 1e-3
     min_points: int = 12
     min_views: int = 5
 
@@ -89,16 +92,18 @@ def find_flexible_target(
     offsets = points - points[0].mean(axis=0)
     half = float(np.abs(offsets).max())
     x, y = offsets[..., 0] / half, offsets[..., 1] / half
-    derivatives = _derivatives(
-        observations, camera, host_matrices(camera_from_world), np.stack([x * x, x * y, y * y])
-    )
+    # Of points behind the camera, differences of infinite residuals are none.
+    with np.errstate(invalid="ignore"):
+        derivatives = _derivatives(
+            observations, camera, host_matrices(camera_from_world), np.stack([x * x, x * y, y * y])
+        )
     equations = [
         _ViewEquations(
             *(part[view][seen[view]].reshape(2 * seen[view].sum(), -1) for part in derivatives)
         )
         for view in views
     ]
-    own = _least_squares(
+    bowed = _least_squares(
         [np.concatenate([view.by_pose, view.by_height], axis=1) for view in equations],
         [view.by_camera for view in equations],
         [view.residuals[:, 0] for view in equations],
@@ -109,13 +114,12 @@ def find_flexible_target(
         [view.residuals[:, 0] for view in equations],
     )
     count = sum(len(view.residuals) for view in equations)
-    left_over = own.squares / max(common.squares, 1e-300)
-    if left_over > options.max_left_over:
+    rms, given_rms = (float(np.sqrt(2.0 * fit.squares / count)) for fit in (bowed, common))
+    if given_rms < options.min_rms or bowed.squares > options.max_left_over * common.squares:
         return None
-    bows = np.array([view[6:] for view in own.by_view])
+    bows = np.array([view[6:] for view in bowed.by_view])
     # A bow of 1 lifts the rim by one metre over the middle; x y lifts corners alone.
     bow = float(np.sqrt(np.mean((bows - bows.mean(axis=0))[:, [0, 2]] ** 2)))
-    rms, given_rms = (float(np.sqrt(2.0 * fit.squares / count)) for fit in (own, common))
     return FlexibleTarget(bow, rms, given_rms)
 
 
@@ -139,9 +143,13 @@ def _derivatives(
     observations: Observations,
     camera: Camera,
     poses: Float[np.ndarray, "views 4 4"],
-    heights: Float[np.ndarray, "bows _ points"],
-) -> tuple[np.ndarray, ...]:
-    """Return the residuals and their derivatives as in `_ViewEquations`, for all views."""
+    heights: Float[np.ndarray, "bows views points"],
+) -> tuple[Float[np.ndarray, "views points 2 _"], ...]:
+    """Return the residuals and their derivatives as in `_ViewEquations`, for all views.
+
+    They are not finite where a point cannot be predicted, as behind the camera of a view that is
+    not used.
+    """
 
     def residuals(
         camera: Camera = camera,
@@ -199,10 +207,15 @@ def _least_squares(
 
     The views' own numbers are eliminated: what is perpendicular to their columns does not know
     them, and determines the shared ones.
+
+    Args:
+        by_view: derivatives of each view's residuals by its own numbers, `(rows, numbers)` each.
+        shared: the same by the numbers that all views share.
+        residuals: of each view, px, `(rows)` each.
     """
     reduced = []
-    for own, common, errors in zip(by_view, shared, residuals, strict=True):
-        basis = np.linalg.qr(own)[0]
+    for alone, common, errors in zip(by_view, shared, residuals, strict=True):
+        basis = np.linalg.qr(alone)[0]
         both = np.concatenate([common, errors[:, None]], axis=1)
         reduced.append(both - basis @ (basis.T @ both))
     # Columns of very different units; one that all poses explain has no length of its own.
@@ -212,8 +225,8 @@ def _least_squares(
     scaled = normal[:-1, :-1] / np.outer(sizes, sizes)
     numbers = -np.linalg.lstsq(scaled, normal[:-1, -1] / sizes, rcond=1e-10)[0] / sizes
     squares = sum(float(np.sum((part[:, -1] + part[:, :-1] @ numbers) ** 2)) for part in reduced)
-    own_numbers = [
-        -np.linalg.lstsq(own, errors + common @ numbers, rcond=1e-10)[0]
-        for own, common, errors in zip(by_view, shared, residuals, strict=True)
+    of_views = [
+        -np.linalg.lstsq(alone, errors + common @ numbers, rcond=1e-10)[0]
+        for alone, common, errors in zip(by_view, shared, residuals, strict=True)
     ]
-    return _Solution(squares, own_numbers)
+    return _Solution(squares, of_views)

@@ -17,6 +17,8 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
+from ..calibration import mount_frames
+from .misfit_evidence import MIN_VARIANCE
 from .position_equations import robot_column, transform_columns
 from .transform_fit import fit_transforms, median_distance, motions_of_views
 
@@ -27,8 +29,8 @@ class FocusOptions:
 
     Attributes:
         min_odds: smallest odds of them against errors alike in all directions, and against errors
-            along an axis of the robot; 150 are "very strong evidence" in the words of Kass and
-            Raftery, Bayes factors, 1995.
+            along an axis of the robot's base; 150 are "very strong evidence" in the words of Kass
+            and Raftery, Bayes factors, 1995.
         min_views: fewest views: transforms, size, focal length and variances have 10 numbers, 8
             views 24.
         min_size: smallest standard deviation of the focal length, relative. The default moves the
@@ -84,7 +86,14 @@ class SeenDistances(NamedTuple):
         visible: Bool[np.ndarray, "views points"],
         pixel_sigma: float,
     ) -> "SeenDistances":
-        """Return the middle of the points and the noise that the size of their pictures has."""
+        """Return the middle of the points and the noise that the size of their pictures has.
+
+        Args:
+            points: of the target, m.
+            pixels: where they are seen, px.
+            visible: mask of the points to use.
+            pixel_sigma: standard deviation of u and v, px.
+        """
         seen = np.where(visible[..., None], pixels, np.nan)
         with np.errstate(invalid="ignore"):
             count = np.maximum(visible.sum(axis=1), 1)[:, None, None]
@@ -98,6 +107,7 @@ def find_focus_change(
     camera_from_world: SE3,
     used: Bool[np.ndarray, "views"],
     seen: SeenDistances,
+    mount: str,
     options: FocusOptions | None = None,
 ) -> FocusChange | None:
     """Return the changes of the focal length, if errors lie along the optical axis.
@@ -107,6 +117,7 @@ def find_focus_change(
         camera_from_world: from the pictures alone, `(views)`.
         used: mask of the views to use.
         seen: what the pictures tell of the distances.
+        mount: where the camera is stated to be.
         options: which changes are named; by default `FocusOptions()`.
 
     Returns:
@@ -142,7 +153,10 @@ def find_focus_change(
     if size < options.min_size:
         return None
     alike = errors.likelihood(None)
-    axes = (camera_from_mount[:3, :3] @ robot[:, :3, :3]).transpose(2, 0, 1)
+    # The axes of the base: of the holder, or of the mount if the camera stands next to the arm.
+    is_on_base = mount_frames(mount)[0] == "base"
+    rotations = np.broadcast_to(np.eye(3), (len(views), 3, 3)) if is_on_base else robot[:, :3, :3]
+    axes = (camera_from_mount[:3, :3] @ rotations).transpose(2, 0, 1)
     rival = min(errors.likelihood(axis).deviance for axis in axes)
     numbers = np.log(3.0 * len(views))
     odds = min(alike.deviance - focus.deviance - numbers, rival - focus.deviance)
@@ -185,7 +199,9 @@ class _Positions(NamedTuple):
 
         def deviance(logarithms: np.ndarray) -> float:
             """Return minus twice the log likelihood of standard deviations, by their logarithms."""
-            covariance = np.exp(2.0 * logarithms[0]) * np.eye(3) + known
+            # Rendered views may leave nothing across the vectors.
+            variance = np.exp(2.0 * logarithms[0]) + MIN_VARIANCE
+            covariance = variance * np.eye(3) + known
             if outer is not None:
                 covariance = covariance + np.exp(2.0 * logarithms[1]) * outer
             whitening = np.linalg.inv(np.linalg.cholesky(covariance))
@@ -211,7 +227,7 @@ class _Positions(NamedTuple):
             ]
         best = min(
             (minimize(deviance, start, method="Nelder-Mead") for start in starts),
-            key=lambda found: found.fun,
+            key=lambda result: result.fun,
         )
         size = float(np.exp(best.x[1])) if vectors is not None else 0.0
         return _Likelihood(float(np.exp(best.x[0])), size, float(best.fun))

@@ -92,7 +92,7 @@ def find_other_arm(
     used: Bool[np.ndarray, "views"],
     options: OtherArmOptions | None = None,
 ) -> LinkLengths | None:
-    """Return the lengths of the arm's links where they explain the camera's motion, but not given.
+    """Return lengths of the arm's links that explain the camera's motion, if the described do not.
 
     Args:
         readings: joint readings, rad, or m for a prismatic joint.
@@ -124,15 +124,15 @@ def find_other_arm(
     fit = fit_transforms(robot, camera, every)
     turn_error = float(fit.misfit[:, 1].mean())
     positions, common = camera[:, :3, 3], transform_columns(robot, fit.camera_from_mount)
-    own = robot_column(robot, fit.camera_from_mount)
-    as_given = fit_positions(common, positions - own[..., 0])
-    of_other_size = fit_positions(np.concatenate([common, own], axis=2), positions)
+    reported = robot_column(robot, fit.camera_from_mount)
+    as_given = fit_positions(common, positions - reported[..., 0])
+    of_other_size = fit_positions(np.concatenate([common, reported], axis=2), positions)
     # Joints that are off by an angle move the tool by this angle times the reach.
     if of_other_size.mean_error < _reach(arm) * turn_error:
         return None
     of_lengths = _length_columns(readings, arm, mount, fit.camera_from_mount)[views]
     columns = np.concatenate([common, of_lengths], axis=2)
-    of_other_arm = fit_positions(columns, positions - own[..., 0])
+    of_other_arm = fit_positions(columns, positions - reported[..., 0])
     if of_other_arm.mean_error > MAX_CORRECTED_SCORE_RATIO * of_other_size.mean_error:
         return None
     rank = int(np.linalg.matrix_rank(columns.reshape(-1, columns.shape[2])))

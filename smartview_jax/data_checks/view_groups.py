@@ -177,7 +177,8 @@ def find_groups(
     # The kind that leaves the fewest views alone, with the fewest groups.
     kind = max(kinds, key=lambda kind: (sum(map(len, kinds[kind][1])), -len(kinds[kind][1])))
     closure, others = kinds[kind]
-    members = np.concatenate([np.flatnonzero(largest), *others])
+    # In the order of the views: errors of successive ones are alike.
+    members = np.sort(np.concatenate([np.flatnonzero(largest), *others]))
     if not others or len(members) < options.min_share * len(views):
         return None
     corrected = closure.copy()

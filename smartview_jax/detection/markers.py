@@ -65,9 +65,10 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
         marker_count = 0 if marker_ids is None else len(marker_ids)
         seen = f"{marker_count} markers of {target.dictionary} seen"
         if repeated := _repeated_markers(image, target):
+            # A reflection is none of them: mirrored markers are not recognised.
             seen = (
-                f"{repeated} markers are seen twice: are two such boards in view, or one and its "
-                "reflection? Cover one of them"
+                f"{repeated} markers are seen more than once: are two such boards in view? Cover "
+                "one of them"
             )
         return empty_detection(count, f"no ChArUco corner found ({seen})")
     return partial_detection(count, ids.ravel(), corners)
@@ -79,8 +80,8 @@ def _repeated_markers(image: np.ndarray, target: Charuco) -> int:
     _, ids, _ = detector.detectMarkers(image)
     if ids is None:
         return 0
-    squares = target.squares_x * target.squares_y
-    return int(np.count_nonzero(np.bincount(ids.ravel())[:squares] > 1))
+    numbers, counts = np.unique(ids, return_counts=True)
+    return int(np.count_nonzero(counts[np.isin(numbers, charuco_board(target).getIds())] > 1))
 
 
 def detect_tags(image: np.ndarray, target: TagGrid | AprilGrid) -> Detection:

@@ -163,7 +163,7 @@ def read_opencv_camera(path: str | Path) -> Camera:
 
 
 def _of_message(read: Any, path: str | Path) -> Any:
-    """Return the entries of a printed message of ROS's camera_info as those of its files.
+    """Return a printed message of ROS's camera_info as a file of it would be, and others as read.
 
     K is of the whole sensor; pictures are cut out of it, then binned.
     """
@@ -184,7 +184,7 @@ def _of_message(read: Any, path: str | Path) -> Any:
     matrix[:2] /= binning[:, None]
     matrix[:2, 2] -= 0.5
     width, height = (size // binning).tolist()
-    coefficients = message.d or [0.0] * 5
+    coefficients = message.d or [0.0] * (4 if message.distortion_model == "equidistant" else 5)
     return {
         "image_width": width,
         "image_height": height,

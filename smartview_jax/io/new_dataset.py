@@ -135,7 +135,7 @@ def new_pose_tables(arms: Mapping[str, str] | None) -> dict[str, str]:
     Args:
         arms: as in `write_new_dataset`.
     """
-    names = dict.fromkeys(arm for own in (arms or {}).values() for arm in arms_of(own))
+    names = dict.fromkeys(arm for entry in (arms or {}).values() for arm in arms_of(entry))
     tables = {arm: f"{arm}/{POSES_FILE}" for arm in names}
     return tables or {ONE_ARM: POSES_FILE}
 
@@ -177,9 +177,9 @@ def write_new_dataset(
         mount: `"eye_in_hand"` or `"eye_to_hand"`.
         image_sizes: width and height of the pictures, px; of several cameras by their names.
         suffix: of the pictures' names, with its dot.
-        arms: name of the arm that moves each of several cameras or, of a camera next to the arm,
-            its target, by the camera's name; `left+right` for a camera on the hand of left that
-            sees a target on the hand of right. None for one arm.
+        arms: name of each camera's arm, by the camera's name: the arm that moves the camera or, if
+            the camera stands next to it, the target; `left+right` for a camera on the hand of left
+            that sees a target on the hand of right. None for one arm.
 
     Returns:
         The path of the description.
@@ -192,6 +192,11 @@ def write_new_dataset(
     require_one_of("robot", robot, ROBOTS)
     require_one_of("target", target, TARGETS)
     require_one_of("mount", mount, ("eye_in_hand", "eye_to_hand"))
+    for name, entry in (arms or {}).items():
+        if len(set(arms_of(entry))) != len(arms_of(entry)) or len(arms_of(entry)) > 2:
+            raise ValueError(
+                f"arms: camera {name}: expected an arm, or two such as left+right, found {entry}"
+            )
     if arms and mount == "eye_to_hand" and not any(map(is_pair, arms.values())):
         raise ValueError(
             "arms: cameras next to several arms see no target in common, which would tell where "
@@ -237,9 +242,9 @@ def _cameras_text(
     for name, (width, height) in image_sizes.items():
         arm = ""
         if arms:
-            own, *other = arms_of(arms[name])
-            arm = f", mount: hand_to_hand, arm: {own}, target_arm: {other[0]}" if other else ""
-            arm = arm or f", arm: {own}"
+            first, *other = arms_of(arms[name])
+            pair = f", mount: hand_to_hand, arm: {first}, target_arm: {other[0]}" if other else ""
+            arm = pair or f", arm: {first}"
         rows.append(f"  {name}: {{image_size: [{width}, {height}]{arm}}}")
     return "\n".join(
         [

@@ -162,14 +162,13 @@ def _refuse_missing(pictures: Mapping[str, Sequence[Path]]) -> None:
         raise FileNotFoundError(f"{first}: no such picture: there is no folder {first.parent}")
     others = [file for file in sorted(first.parent.iterdir()) if is_picture_name(file)]
     content = f"such as {others[0].name}" if others else "no pictures"
-    below = sorted(
-        path for path in first.parent.glob(f"*/*{first.suffix}") if is_picture_name(path)
-    )
-    if not others and below:
-        content = (
-            f"none itself but in folders, such as {below[0].relative_to(first.parent)}: put them "
-            "all into one folder"
-        )
+    if not others:
+        below = sorted(filter(is_picture_name, first.parent.glob(f"*/*{first.suffix}")))
+        if below:
+            content = (
+                f"none itself but in folders, such as {below[0].relative_to(first.parent)}: put "
+                "them all into one folder"
+            )
     raise FileNotFoundError(
         f"{first}: no such picture, nor any other of {len(paths)}; {first.parent} has "
         f"{f'{len(others)} others, ' if others else ''}{content}: does the pattern have the right "

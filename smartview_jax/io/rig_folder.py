@@ -154,7 +154,8 @@ def load_rig(
     for name, camera in cameras.items():
         readings, robot = readings_of[arms[name]], robots[arms[name]]
         if (other := others[name]) is not None:
-            require_one_numbering(camera.target, described.path)
+            if pattern is not None:
+                require_one_numbering(camera.target, described.path)
             # The joints of one arm do not tell the pose of one hand in the other's frame.
             readings = readings._replace(joints=None, arm=None)
         report = None if progress is None else _named(progress, name)
@@ -182,7 +183,7 @@ def load_rig(
             table = robots[other].view_table
             data[name] = with_other_hand(data[name], readings_of[other], table)
     for arm, robot in robots.items():
-        seen = {name: own for name, own in data.items() if arm in (arms[name], others[name])}
+        seen = {name: data[name] for name in data if arm in (arms[name], others[name])}
         _refuse_unseen_states(readings_of[arm].view_ids, seen, robot.view_table)
     targets = {name: entry.target for name, entry in description.cameras.items()}
     known = {name: target for name, target in targets.items() if target is not None}
@@ -320,7 +321,7 @@ def _save_rig(rig: Rig, folder: Path, pose_format: str) -> None:
     for arm, place in places.items():
         poses = host_transforms(np.array(list(states[arm].values())))
         tables[robots[arm]["poses"]["file"]] = (tuple(states[arm]), poses)
-        alone = [name for name, own in rig.arms.items() if own == arm]
+        alone = [name for name, of_camera in rig.arms.items() if of_camera == arm]
         if set(states[arm]) == {view for name in alone for view in rig.cameras[name].view_ids}:
             # The joints of states that only a camera of a pair saw are not known.
             for name, entry in written_joints(folder / place, rig.of_arm(arm)).items():
@@ -333,8 +334,8 @@ def _states(rig: Rig, arm: str) -> dict[str, Float[np.ndarray, "4 4"]]:
     """Return the pose that an arm reported in each of its states, by the view's name."""
     states: dict[str, Float[np.ndarray, "4 4"]] = {}
     for name, data in rig.cameras.items():
-        for own, poses in zip(arms_of(rig.arms[name]), reported_poses(data), strict=True):
-            if own == arm:
+        for reporter, poses in zip(arms_of(rig.arms[name]), reported_poses(data), strict=True):
+            if reporter == arm:
                 for view, pose in zip(data.view_ids, poses, strict=True):
                     states.setdefault(view, pose)
     return states

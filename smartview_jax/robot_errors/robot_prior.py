@@ -98,7 +98,7 @@ class RobotPrior:
             hypothesis. The covariance of the transforms includes the effect of such a lens.
         directional_probability: probability that poses without a smooth error err more in some
             directions than in others, as with a SCARA arm, a lift, or an arm with a worn joint;
-            zero skips this hypothesis.
+            zero, or a fit without smooth errors (`field=None`), skips this hypothesis.
         directional_geometric_std: exp of the standard deviation of the logarithm of the error along
             an axis of such a robot, about the mean over its axes.
         model_odds: prior odds of the models of the robot error by name (`"white"` for noise of the

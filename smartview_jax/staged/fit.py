@@ -255,10 +255,12 @@ def fit_staged(
             common_fit.camera_from_world,
         )
         camera_doubts = () if bending is None else (bending.sentence,)
+    # A target that bends does not hide a mistake that explains how robot and camera move.
+    is_explained = report.explained or bool(report.change)
     findings = Findings(
         pose_findings(unusable | stale, data.view_ids),
         detection_findings(mismatched, data.view_ids),
-        camera_doubts,
+        () if camera_doubt is None and is_explained else camera_doubts,
         report.problems,
     )
     report = report._replace(problems=findings.problems)
@@ -362,7 +364,7 @@ def _with_fault_of_many_views(
     used: np.ndarray,
     camera_fits: bool,
 ) -> ConventionReport:
-    """Return the report with a change of the set-up or a lag of the poses, if there is one.
+    """Return the report with the one fault that makes many views wrong, if there is one.
 
     It is a problem where no calibration can be right with it, else a doubt. A camera that does not
     fit puts targets at wrong distances, so that nothing tells whether its focus changes.

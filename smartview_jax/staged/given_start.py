@@ -32,13 +32,14 @@ def _size_advice(known: tuple[int, int], given: tuple[int, int]) -> str:
     """Return what was done to pictures that have another size than a camera's, if it shows."""
     if tuple(known) == tuple(given)[::-1]:
         return ": were they turned by 90 degrees? Turn them back"
-    width, height = (ours / theirs for ours, theirs in zip(given, known, strict=True))
-    by_number = f"{1.0 / width:.3g}" if width < 1.0 else f"1 / {width:.3g}"
+    factor = given[0] / known[0]
+    binned = f"binned by {1.0 / factor:.3g} or " if factor < 1.0 else ""
     cut = "cut out (a region of interest has another u0 and v0, but the same focal length)"
-    if width != height:
+    # Programs round the size of a picture up or down.
+    if abs(given[1] - factor * known[1]) >= max(1.0, factor):
         return f": were they {cut}? Give a camera of these pictures, or leave it out"
     return (
-        f": were they binned or scaled by {by_number} (then focal length, u0 and v0 are, too), or "
+        f": were they {binned}scaled by {factor:.3g} (then focal length, u0 and v0 are, too), or "
         f"{cut}? Give a camera of these pictures, or leave it out"
     )
 

@@ -107,7 +107,8 @@ def estimate_noise(
         )
     mount = start.transform_names[0]
     alike = _estimate_of(first, second, prior, mount)
-    by_direction = fit_by_direction(second, prior)
+    # Where no smooth error was compared, what follows the views would be taken for directions.
+    by_direction = None if field is None else fit_by_direction(second, prior)
     if by_direction is None or not is_possible(by_direction.average.chain, data):
         return alike
     return _estimate_of(first, by_direction, prior, mount)._replace(alike=alike)

@@ -117,6 +117,20 @@ def test_several_cameras_have_a_folder_each(tmp_path):
     assert not (tmp_path / "b").exists()
 
 
+def test_a_camera_on_one_hand_that_sees_the_other_is_begun(tmp_path):
+    words = ["new", str(tmp_path / "cell"), "--cameras", "wrist,fixed", "--mount", "eye_to_hand"]
+    for wrong in ("a+,b", "a+wrist,b", "a+b"):
+        told = CliRunner().invoke(app, [*words, "--arms", wrong])
+        assert told.exit_code == 2
+        assert "--arms: expected an arm for each camera" in " ".join(told.stderr.split())
+    told = CliRunner().invoke(app, [*words, "--arms", "a+b,b"])
+    assert told.exit_code == 0, told.output
+    cameras = read_yaml(tmp_path / "cell/dataset.yaml")["cameras"]
+    assert [cameras["wrist"].get(name) for name in ("arm", "target_arm")] == ["a", "b"]
+    assert [cameras["fixed"].get(name) for name in ("arm", "target_arm")] == ["b", None]
+    assert {path.parent.name for path in tmp_path.glob("cell/*/poses.csv")} == {"a", "b"}
+
+
 def test_several_arms_can_be_filled_in_and_read(tmp_path):
     """With the sample's pictures and poses, which both arms are said to have."""
     sample, folder = sample_folder(), tmp_path / "cell"

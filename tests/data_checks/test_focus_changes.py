@@ -15,9 +15,9 @@ from smartview_jax.geometry import as_se3
 MIDDLE = np.array([0.1, 0.07, 0.0])
 
 
-def found(robot, camera, noise=1e-4):
-    seen = SeenDistances(MIDDLE, np.full(len(robot), noise))
-    return find_focus_change(as_se3(robot), as_se3(camera), np.ones(len(robot), dtype=bool), seen)
+def found(robot, camera, noise=1e-4, mount="eye_in_hand"):
+    seen, used = SeenDistances(MIDDLE, np.full(len(robot), noise)), np.ones(len(robot), dtype=bool)
+    return find_focus_change(as_se3(robot), as_se3(camera), used, seen, mount)
 
 
 def with_focal_lengths(camera, relative):
@@ -80,6 +80,23 @@ def test_a_robot_that_errs_along_an_axis_of_its_base_is_left_in_peace():
     for seed in range(4):
         assert found(*looking_down(seed, lift=5e-3)) is None
         assert found(*looking_down(seed, along=5e-3)) is not None
+
+
+def test_a_lift_below_a_camera_that_hangs_over_the_arm_is_left_in_peace():
+    """The base does not turn before the camera; the axes of the hand do."""
+    down = transform([180.0, 0.0, 0.0], [0.0, 0.0, 0.8])
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        robot, camera = np.empty((2, VIEWS, 4, 4))
+        for view in range(VIEWS):
+            robot[view] = transform(rng.normal(0.0, 12.0, 3), rng.normal(0.0, 0.1, 3))
+            true = transform([0, 0, 0], rng.normal(0.0, [2e-4, 2e-4, 5e-3])) @ robot[view]
+            camera[view] = down @ true @ transform([180, 0, 30], [0.02, 0.05, 0.1])
+        assert found(robot, camera, mount="eye_to_hand") is None
+
+
+def test_poses_without_noise_are_judged_as_well():
+    assert found(*looking_down(0, lift=5e-3, noise=0.0), noise=1e-12) is None
 
 
 def test_a_small_target_tells_its_distance_badly():

@@ -148,6 +148,13 @@ def test_two_boards_alike_in_one_picture_are_told_so():
     assert "two such boards" in str(detect(picture, target).reason)
     blurred = cv2.GaussianBlur(picture[:, :450], (0, 0), 8.0)
     assert "two such boards" not in str(detect(blurred, target).reason)
+    # The board has the markers 0 to 9; of others there may be any number.
+    other = cv2.aruco.generateImageMarker(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), 15, 120
+    )
+    picture[:] = 255
+    picture[60:180, 30:150] = picture[60:180, 470:590] = other
+    assert "two such boards" not in str(detect(picture, target).reason)
 
 
 def test_what_is_not_there_is_said():

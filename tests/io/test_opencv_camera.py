@@ -69,6 +69,21 @@ def test_a_printed_message_of_ros_is_the_camera_of_its_pictures(tmp_path, k, d):
     np.testing.assert_allclose(np.asarray(part.project(point)[0])[0], expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
+def test_a_message_without_coefficients_is_of_a_lens_without_distortion(tmp_path, model):
+    path = tmp_path / "info.yaml"
+    text = MESSAGE.format(k="k", d="d", f=900.0, binning=0, x=0, width=0)
+    text = text.replace("[-0.1, 0.03, 0.001, 0.002, 0.0]", "[]").replace("plumb_bob", model)
+    path.write_text(text)
+    camera = read_opencv_camera(path)
+    point = np.array([[0.1, -0.05, 1.0]])
+    expected = [640.0 + 90.0, 480.0 - 45.0]
+    if model == "equidistant":
+        distance = np.hypot(0.1, -0.05)
+        expected = 900.0 * np.arctan(distance) / distance * point[0, :2] + [640.0, 480.0]
+    np.testing.assert_allclose(np.asarray(camera.project(point)[0])[0], expected, atol=1e-9)
+
+
 def test_a_message_of_a_camera_that_was_not_calibrated_is_told_so(tmp_path):
     path = tmp_path / "info.yaml"
     path.write_text(MESSAGE.format(k="k", d="d", f=0.0, binning=0, x=0, width=0))

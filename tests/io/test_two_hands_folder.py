@@ -1,15 +1,19 @@
 """A folder of a camera on one hand and a target on another: two tables of poses."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import yaml
 from text_files import edit
 from two_hands_scene import hands_rig, two_hands
 
-from smartview_jax import Calibration, load_dataset, load_rig, save_dataset, save_rig
-from smartview_jax.geometry import host_matrices
+from smartview_jax import Calibration, Rig, load_dataset, load_rig, save_dataset, save_rig
+from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.io import write_new_dataset
 from smartview_jax.io.folder_description import read_folder_description
+from smartview_jax.simulation import random_two_hand_scene
+from smartview_jax.targets import Chessboard
 
 SIZES = {"eye": (640, 480)}
 """Of the pictures of one camera."""
@@ -118,6 +122,44 @@ def test_a_rig_with_a_camera_on_one_hand_is_read_again(tmp_path):
         np.testing.assert_allclose(read, written, atol=1e-12)
     fixed = loaded.cameras["fixed"]
     assert (fixed.mount, fixed.view_ids) == ("eye_to_hand", rig.cameras["fixed"].view_ids)
+
+
+def test_a_state_that_one_camera_cannot_use_keeps_its_pose_for_the_other(tmp_path):
+    """The left arm did not tell its pose in a state in which both cameras saw the right hand."""
+    rig, _ = hands_rig(0)
+    wrist = rig.cameras["wrist"]
+    right = host_matrices(wrist.hands.other_base_from_other_tool)[:6]
+    fixed = dataclasses.replace(
+        rig.cameras["fixed"], base_from_tool=as_se3(right), view_ids=wrist.view_ids[:6]
+    )
+    save_rig(Rig({"wrist": wrist, "fixed": fixed}, arms=dict(rig.arms)), tmp_path, "ur")
+    path = tmp_path / "left/poses.csv"
+    lines = path.read_text().splitlines()
+    view = lines[3].split(",")[0]
+    lines[3] = ",".join([view, *["nan"] * lines[3].count(",")])
+    path.write_text("\n".join(lines) + "\n")
+    loaded = load_rig(tmp_path, bad_views="mask")
+    assert [name for name, _ in loaded.cameras["wrist"].masked_views] == [view]
+    assert loaded.cameras["fixed"].masked_views == ()
+    read = host_matrices(loaded.cameras["wrist"].hands.other_base_from_other_tool)[:6]
+    np.testing.assert_allclose(read, right, atol=1e-12)
+
+
+def test_points_of_a_symmetric_board_that_are_numbered_are_read_again(tmp_path):
+    """A table of points says which is which, where pictures do not."""
+    board = Chessboard(6, 2, 0.0125)
+    assert len(board.symmetries) > 1
+    data = random_two_hand_scene(0, 4, board).data
+    save_rig(Rig({"eye": data}, arms={"eye": ("left", "right")}), tmp_path, "ur")
+    loaded = load_rig(tmp_path).cameras["eye"]
+    np.testing.assert_allclose(loaded.pixels, data.pixels, atol=1e-9)
+
+
+@pytest.mark.parametrize("arms", ["left+left", "left+right+third"])
+def test_arms_that_are_no_pair_are_refused_before_a_folder_is_begun(tmp_path, arms):
+    with pytest.raises(ValueError, match=r"camera eye: expected an arm, or two such as left\+right"):
+        write_new_dataset(tmp_path, "ur", "charuco", "eye_in_hand", SIZES, arms={"eye": arms})
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

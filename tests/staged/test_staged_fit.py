@@ -7,6 +7,7 @@ from shared_data import shared_pairs
 
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import reprojection_errors
+from smartview_jax.geometry import host_matrices
 from smartview_jax.simulation import paper_calibration, paper_scene, random_scene
 from smartview_jax.staged import fit_one_view_intrinsics, fit_staged
 
@@ -97,6 +98,27 @@ def test_wrong_poses_are_refused_or_reported():
     assert "inverted" in fit_staged(wrong, conventions="report").conventions.problems[0]
     with pytest.raises(ValueError, match="conventions is 'raise' or 'report'"):
         fit_staged(scene.data, conventions="shrug")
+
+
+def test_a_target_that_bends_hides_no_mistake_in_the_poses():
+    scene = random_scene(5, views=VIEWS)
+    points = np.asarray(scene.data.points)
+    poses = host_matrices(scene.calibration.camera_from_world(scene.base_from_tool))
+    across = points[..., 0] - points[..., 0].mean()
+    bows = np.random.default_rng(0).normal(0.0, 2e-3, VIEWS)
+    lifted = points.copy()
+    lifted[..., 2] += bows[:, None] * (across / np.abs(across).max()) ** 2
+
+    def pixels(shown):
+        in_camera = shown @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+        return np.asarray(scene.calibration.camera.project(in_camera)[0])
+
+    seen = np.asarray(scene.data.pixels) + pixels(lifted) - pixels(points)
+    bent = eqx.tree_at(lambda d: d.pixels, scene.data, jnp.asarray(seen))
+    assert any("the target bends" in text for text in fit_staged(bent).warnings)
+    wrong = eqx.tree_at(lambda d: d.base_from_tool, bent, bent.base_from_tool.inverse())
+    with pytest.raises(ValueError, match="but do if every pose is inverted"):
+        fit_staged(wrong)
 
 
 def test_too_few_views_say_why():

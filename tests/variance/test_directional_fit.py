@@ -57,3 +57,12 @@ def test_an_error_along_one_axis_is_judged_by_its_size_there(scene):
     # Three standard deviations of the prior above its median.
     assert fit.noise.translation < 5e-5 * np.exp(3.0)
     assert "translation of reported poses in their worst direction" in " ".join(fit.warnings)
+
+
+def test_without_smooth_errors_to_choose_directions_are_not_asked(scene):
+    """A smooth error taken for noise would seem to have directions."""
+    rng = np.random.default_rng(3)
+    drawn = rng.normal(size=(MANY_VIEWS, 6)) * [2e-3, 5e-5, 5e-5, 5e-5, 5e-5, 5e-5]
+    data = with_errors(scene, drawn)
+    assert fit_joint(data, scene.calibration).noise_estimate.directions is not None
+    assert fit_joint(data, scene.calibration, field=None).noise_estimate.directions is None
