@@ -6,6 +6,7 @@ from .line_jacobians import Lines as Lines
 from .line_triangulation import TriangulatedLines as TriangulatedLines
 from .line_triangulation import triangulate_lines as triangulate_lines
 from .matching.epipolar import EpipolarCurve as EpipolarCurve
+from .matching.epipolar import epipolar_curve as epipolar_curve
 from .matching.epipolar import epipolar_curves as epipolar_curves
 from .matching.proposal import ModelProposal as ModelProposal
 from .matching.proposal import propose_model as propose_model

@@ -49,6 +49,17 @@ class EpipolarCurve(NamedTuple):
     direction: Float[np.ndarray, "3"]
 
 
+def epipolar_curve(
+    calibration: AnyCalibration,
+    pose_a: CommandLike,
+    pixel: Float[np.ndarray, "2"] | Sequence[float],
+    pose_b: CommandLike,
+    depths: tuple[float, float],
+) -> EpipolarCurve:
+    """Return the curve of a pixel of view a in view b; arguments as in `epipolar_curves`."""
+    return epipolar_curves(calibration, pose_a, pixel, single_pose(pose_b), depths)[0]
+
+
 def epipolar_curves(
     calibration: AnyCalibration,
     pose_a: CommandLike,

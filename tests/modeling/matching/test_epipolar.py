@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.cameras import OpenCV5, Pinhole, Radial
-from smartview_jax.modeling import epipolar_curves
+from smartview_jax.modeling import epipolar_curve, epipolar_curves
 
 K = np.array([[600.0, 0.0, 310.0], [0.0, 620.0, 250.0], [0.0, 0.0, 1.0]])
 DISTORTION = np.array([-0.3, 0.12, 1e-3, -5e-4, -0.02])
@@ -15,11 +15,6 @@ B = np.eye(4)
 B[:3, :3] = Rotation.from_rotvec([0.05, -0.35, 0.2]).as_matrix()
 B[:3, 3] = [0.25, 0.03, -0.02]
 PIXEL = np.array([420.0, 150.0])
-
-
-def epipolar_curve(calibration, pose_a, pixel, pose_b, depths):
-    (curve,) = epipolar_curves(calibration, pose_a, pixel, pose_b[None], depths)
-    return curve
 
 
 def calibrated(lens):
