@@ -117,9 +117,7 @@ def find_shared_fault(
     # A focus has an error of its own in every view, which explains much of other faults as well.
     if groups is not None or poses.distances is None:
         return best
-    focus = find_focus_change(
-        robot, poses.camera_from_world, used, poses.distances, poses.mount
-    )
+    focus = find_focus_change(robot, poses.camera_from_world, used, poses.distances, poses.mount)
     return best if focus is None else SharedFault(focus.sentence, False, True)
 
 
