@@ -32,8 +32,8 @@ class FlexibleOptions:
     Attributes:
         max_left_over: largest ratio of the squared residuals with a bow in each view to those with
             a common one: the bows explain more than all else together.
-        min_rms: smallest RMS of the residuals with a common bow, px. No detector is as good, so that
-            less is what rounding and steps of differences leave in rendered pictures.
+        min_rms: smallest RMS of the residuals with a common bow, px. No detector is as good: less
+            is what rounding and steps of differences leave in rendered pictures.
         min_points: fewest points of a view, which has 9 numbers: noise alone leaves four fifths.
         min_views: fewest views that tell the common camera from their bows.
     """

@@ -199,11 +199,12 @@ class _Positions(NamedTuple):
 
         def deviance(logarithms: np.ndarray) -> float:
             """Return minus twice the log likelihood of standard deviations, by their logarithms."""
-            # Rendered views may leave nothing across the vectors.
-            variance = np.exp(2.0 * logarithms[0]) + MIN_VARIANCE
-            covariance = variance * np.eye(3) + known
+            covariance = np.exp(2.0 * logarithms[0]) * np.eye(3) + known
             if outer is not None:
                 covariance = covariance + np.exp(2.0 * logarithms[1]) * outer
+            # Rendered views may leave nothing across the vectors, where rounding would be negative.
+            floor = MIN_VARIANCE + 1e-12 * np.trace(covariance, axis1=1, axis2=2)
+            covariance = covariance + floor[:, None, None] * np.eye(3)
             whitening = np.linalg.inv(np.linalg.cholesky(covariance))
             matrix = (whitening @ self.columns).reshape(-1, self.columns.shape[2])
             target = np.einsum("vij,vj->vi", whitening, self.positions).ravel()

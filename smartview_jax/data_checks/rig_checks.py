@@ -104,8 +104,8 @@ def _copies(rig: Rig) -> list[str]:
     """Return a doubt for each pair of cameras whose pixels are equal in all common states."""
     doubts = []
     for first, second in combinations(rig.cameras, 2):
-        states = [rig.state_index[name] for name in (first, second)]
-        _, *common = np.intersect1d(*states, return_indices=True)
+        states, other_states = rig.state_index[first], rig.state_index[second]
+        _, *common = np.intersect1d(states, other_states, return_indices=True)
         seen = [
             np.where(np.asarray(data.visible)[..., None], data.pixels, np.nan)[views]
             for data, views in zip((rig.cameras[first], rig.cameras[second]), common, strict=True)
@@ -122,8 +122,8 @@ def _in_common(
     rig: Rig, first: str, second: str, seen: Mapping[str, SeenTarget]
 ) -> tuple[Poses, Poses]:
     """Return the target's poses in both cameras in the states that both saw."""
-    states = [rig.state_index[name][seen[name].views] for name in (first, second)]
-    _, in_first, in_second = np.intersect1d(*states, return_indices=True)
+    states, other_states = (rig.state_index[name][seen[name].views] for name in (first, second))
+    _, in_first, in_second = np.intersect1d(states, other_states, return_indices=True)
     return seen[first].camera_from_world[in_first], seen[second].camera_from_world[in_second]
 
 

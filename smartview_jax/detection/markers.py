@@ -65,7 +65,7 @@ def detect_charuco(image: np.ndarray, target: Charuco) -> Detection:
         marker_count = 0 if marker_ids is None else len(marker_ids)
         seen = f"{marker_count} markers of {target.dictionary} seen"
         if repeated := _repeated_markers(image, target):
-            # A reflection is none of them: mirrored markers are not recognised.
+            # A reflection does not do it: hardly any mirrored marker is recognised.
             seen = (
                 f"{repeated} markers are seen more than once: are two such boards in view? Cover "
                 "one of them"

@@ -118,7 +118,7 @@ def test_several_cameras_have_a_folder_each(tmp_path):
 
 
 def test_a_camera_on_one_hand_that_sees_the_other_is_begun(tmp_path):
-    words = ["new", str(tmp_path / "cell"), "--cameras", "wrist,fixed", "--mount", "eye_to_hand"]
+    words = ["new", str(tmp_path / "cell"), "--cameras", "wrist,fixed", "--eye-to-hand"]
     for wrong in ("a+,b", "a+wrist,b", "a+b"):
         told = CliRunner().invoke(app, [*words, "--arms", wrong])
         assert told.exit_code == 2

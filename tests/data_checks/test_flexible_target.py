@@ -1,4 +1,4 @@
-"""A sheet that bends otherwise in each view is told from a stiff board, and from a lens that is wrong.
+"""A sheet that bends otherwise in each view is told from a stiff board and from a wrong lens.
 
 Pixels and poses are OpenCV's.
 """

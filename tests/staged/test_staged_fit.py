@@ -8,8 +8,14 @@ from shared_data import shared_pairs
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.evaluation import reprojection_errors
 from smartview_jax.geometry import host_matrices
-from smartview_jax.simulation import paper_calibration, paper_scene, random_scene
+from smartview_jax.simulation import (
+    paper_calibration,
+    paper_scene,
+    random_scene,
+    random_target_scene,
+)
 from smartview_jax.staged import fit_one_view_intrinsics, fit_staged
+from smartview_jax.targets import Chessboard
 
 VIEWS = 8
 
@@ -101,7 +107,7 @@ def test_wrong_poses_are_refused_or_reported():
 
 
 def test_a_target_that_bends_hides_no_mistake_in_the_poses():
-    scene = random_scene(5, views=VIEWS)
+    scene = random_target_scene(5, VIEWS, Chessboard(6, 9, 0.0125))
     points = np.asarray(scene.data.points)
     poses = host_matrices(scene.calibration.camera_from_world(scene.base_from_tool))
     across = points[..., 0] - points[..., 0].mean()
