@@ -38,12 +38,14 @@ class SharedFault(NamedTuple):
         contradicts: whether no calibration can be right with it.
         explains_most: whether robot and camera agree far better without it.
         first_view: index of the first view after a change; 0 where every view is wrong.
+        may_be_zoom: whether a lens that zoomed once explains the views about as well.
     """
 
     sentence: str
     contradicts: bool
     explains_most: bool
     first_view: int = 0
+    may_be_zoom: bool = False
 
     def divides(self, agreeing: Bool[np.ndarray, "views"]) -> bool:
         """Return whether views that agree contain the fault, so that no majority is right.
@@ -118,7 +120,11 @@ def find_shared_fault(
     if groups is not None or poses.distances is None:
         return best
     focus = find_focus_change(robot, poses.camera_from_world, used, poses.distances, poses.mount)
-    return best if focus is None else SharedFault(focus.sentence, False, True)
+    if focus is None:
+        return best
+    # A lens that zoomed once is told from which view on.
+    zoomed = (fault for _, fault in faults if fault.may_be_zoom)
+    return next(zoomed, SharedFault(focus.sentence, False, True))
 
 
 def _score_of_all(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> float:
@@ -150,7 +156,13 @@ def _faults(
         sentence, best = change.sentence(mount, poses.view_ids), change.changes[0]
         yield (
             best.score,
-            SharedFault(sentence, change.contradicts, change.explains_most, best.first_view),
+            SharedFault(
+                sentence,
+                change.contradicts,
+                change.explains_most,
+                best.first_view,
+                may_be_zoom=any(named.kind == "zoom" for named in change.changes),
+            ),
         )
     if poses.drifts:
         return

@@ -13,7 +13,7 @@ from robot_motions import (
     transform,
 )
 
-from smartview_jax.data_checks import RobotAndCamera, find_shared_fault
+from smartview_jax.data_checks import RobotAndCamera, SeenDistances, find_shared_fault
 from smartview_jax.geometry import as_se3
 
 IDS = [f"v{view}" for view in range(VIEWS)]
@@ -21,11 +21,10 @@ EVERY_VIEW = np.ones(VIEWS, dtype=bool)
 AFTER = (np.arange(VIEWS) >= 8)[:, None, None]
 
 
-def fault_of(robot, camera, length_ratio=1.0, used=EVERY_VIEW):
-    poses = RobotAndCamera(
-        as_se3(np.linalg.inv(robot)), as_se3(camera), "eye_in_hand", IDS, length_ratio
-    )
-    return find_shared_fault(poses, used)
+def fault_of(robot, camera, length_ratio=1.0, distances=None):
+    reported = as_se3(np.linalg.inv(robot))
+    poses = RobotAndCamera(reported, as_se3(camera), "eye_in_hand", IDS, length_ratio)
+    return find_shared_fault(poses._replace(distances=distances), EVERY_VIEW)
 
 
 def test_a_target_of_another_size_is_no_change():
@@ -56,3 +55,12 @@ def test_a_change_with_views_that_fit_nothing_is_no_mixture():
         camera[view] = transform([1.0, -1.5, 0.5], [0.01, 0.02, -0.02]) @ camera[view]
     fault = fault_of(robot, camera)
     assert fault.sentence.startswith("from view v8 on")
+
+
+def test_a_lens_that_zoomed_once_is_not_one_that_changes_all_the_time():
+    """A weak robot's errors leave much with either: the zoom tells from which view on."""
+    robot, camera = moving_alike(0, noise=(4e-3, 0.4))
+    camera[8:, 2, 3] /= 1.08
+    distances = SeenDistances(np.zeros(3), np.full(VIEWS, 1e-4))
+    fault = fault_of(robot, camera, distances=distances)
+    assert "the lens had zoomed" in fault.sentence
