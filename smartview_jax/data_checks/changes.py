@@ -27,12 +27,11 @@ from .misfit_evidence import error_variances, errors_of, evidence
 from .transform_fit import (
     TransformFit,
     fit_transforms,
-    from_camera_to_target,
     mean_misfit,
     median_distance,
     misfit_text,
     misfits,
-    motions_of_views,
+    motions_from_camera_to_target,
 )
 
 MAX_ZOOM = 5.0
@@ -166,10 +165,12 @@ def find_change(
     views, fewest = np.flatnonzero(used), options.min_views_on_a_side
     if len(views) < 2 * fewest:
         return None
-    motions = motions_of_views(mount_from_holder, camera_from_world, views, length_ratio)
+    motions = motions_from_camera_to_target(
+        mount_from_holder, camera_from_world, views, length_ratio
+    )
     if motions is None:
         return None
-    robot, camera = from_camera_to_target(*motions), motions[1]
+    robot, camera = motions
     places = np.arange(fewest, len(views) - fewest + 1)
     search = _Search.of(robot, camera, len(places))
     misfit, score = mean_misfit(search.fit.closure, search.distance)
@@ -225,7 +226,7 @@ class _Search(NamedTuple):
     @classmethod
     def of(cls, robot: Poses, camera: Poses, place_count: int) -> "_Search":
         """Return the search in some views."""
-        fit = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool))
+        fit = fit_transforms(robot, camera)
         distance = median_distance(camera)
         variances = error_variances(errors_of(fit.closure))
         return cls(robot, camera, fit, distance, variances, place_count)
@@ -249,7 +250,7 @@ class _Search(NamedTuple):
             return
         camera = self.camera.copy()
         camera[:, 2, 3] *= np.where(after, after_factor, before_factor)
-        corrected = fit_transforms(self.robot, camera, np.ones(len(after), dtype=bool)).closure
+        corrected = fit_transforms(self.robot, camera).closure
         zoom = after_factor / before_factor
         yield self._change("zoom", place, (abs(zoom - 1.0) * self.distance, 0.0), zoom, corrected)
 

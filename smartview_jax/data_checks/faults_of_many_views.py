@@ -19,10 +19,9 @@ from .pose_lag import find_lag
 from .set_up_drift import find_drift
 from .transform_fit import (
     fit_transforms,
-    from_camera_to_target,
     mean_misfit,
     median_distance,
-    motions_of_views,
+    motions_from_camera_to_target,
 )
 from .view_groups import find_groups
 
@@ -113,7 +112,7 @@ def find_shared_fault(
         return best
     robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
     groups = find_groups(robot, poses.camera_from_world, used)
-    # Groups of which one ends before the other begins are what a change leaves.
+    # Groups that follow each other are what a change leaves.
     if groups is not None and not (best is not None and best.first_view and groups.are_in_order):
         return SharedFault(groups.sentence(poses.mount, poses.view_ids), True, True)
     # A focus has an error of its own in every view, which explains much of other faults as well.
@@ -131,12 +130,14 @@ def _score_of_all(poses: RobotAndCamera, used: Bool[np.ndarray, "views"]) -> flo
     """Return the score that a fit to all views leaves, without any fault; infinite without one."""
     robot = host_mount_from_holder(poses.mount, poses.base_from_tool)
     views = np.flatnonzero(used)
-    motions = motions_of_views(robot, poses.camera_from_world, views, poses.length_ratio)
-    if motions is None or len(views) < MIN_GROUP:
+    if len(views) < MIN_GROUP:
         return np.inf
-    robot = from_camera_to_target(*motions)
-    fit = fit_transforms(robot, motions[1], np.ones(len(views), dtype=bool))
-    return mean_misfit(fit.closure, median_distance(motions[1]))[1]
+    motions = motions_from_camera_to_target(
+        robot, poses.camera_from_world, views, poses.length_ratio
+    )
+    if motions is None:
+        return np.inf
+    return mean_misfit(fit_transforms(*motions).closure, median_distance(motions[1]))[1]
 
 
 def _faults(

@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from ..calibration import mount_frames
 from .misfit_evidence import MIN_VARIANCE
-from .position_equations import robot_column, transform_columns
+from .position_equations import fit_positions, robot_column, transform_columns
 from .transform_fit import fit_transforms, median_distance, motions_of_views
 
 
@@ -131,9 +131,7 @@ def find_focus_change(
     if motions is None:
         return None
     robot, camera = motions
-    camera_from_mount = fit_transforms(
-        robot, camera, np.ones(len(views), dtype=bool)
-    ).camera_from_mount
+    camera_from_mount = fit_transforms(robot, camera).camera_from_mount
     # The middle of the target: its corners are farther or nearer where its tilt is seen wrongly.
     positions = camera[:, :3, :3] @ seen.middle + camera[:, :3, 3]
     depths = positions[:, 2]
@@ -212,13 +210,7 @@ class _Positions(NamedTuple):
             determinants = -2.0 * np.log(np.diagonal(whitening, axis1=1, axis2=2)).sum()
             return float(errors @ errors + determinants)
 
-        plain = (
-            self.positions
-            - self.columns
-            @ np.linalg.lstsq(
-                self.columns.reshape(-1, self.columns.shape[2]), self.positions.ravel(), rcond=1e-9
-            )[0]
-        )
+        plain = fit_positions(self.columns, self.positions).errors
         sigma = np.log(max(float(np.sqrt(np.mean(plain**2))), 1e-9))
         starts = [np.array([sigma])]
         if vectors is not None:

@@ -87,7 +87,7 @@ class LagFit:
         self.data, self.fraction = data, 0.0
         self.camera = data.camera[data.views]
         robot = data.mount_from_holder(0.0)
-        chain = fit_transforms(robot, self.camera, np.ones(len(robot), dtype=bool))
+        chain = fit_transforms(robot, self.camera)
         self.camera_from_mount, self.holder_from_world, self.closure = chain
         self.free_steps = determined_steps(robot, undetermined_twists(robot))
 

@@ -120,8 +120,7 @@ def find_other_arm(
     if motions is None:
         return None
     robot, camera = motions
-    every = np.ones(len(views), dtype=bool)
-    fit = fit_transforms(robot, camera, every)
+    fit = fit_transforms(robot, camera)
     turn_error = float(fit.misfit[:, 1].mean())
     positions, common = camera[:, :3, 3], transform_columns(robot, fit.camera_from_mount)
     reported = robot_column(robot, fit.camera_from_mount)

@@ -135,7 +135,7 @@ def find_lag(
             continue
         fraction, std, errors, errors_without = fit.likeliest(first)
         holder = data.mount_from_holder(fraction)
-        closure = fit_transforms(holder, fit.camera, np.ones(len(holder), dtype=bool)).closure
+        closure = fit_transforms(holder, fit.camera).closure
         misfit, score = mean_misfit(closure, distance)
         odds = evidence(error_variances(errors_without), errors, 1)
         if (

@@ -35,7 +35,7 @@ class PositionFit(NamedTuple):
 
     @property
     def mean_error(self) -> float:
-        """Mean length of what is left over, m."""
+        """Mean length of the errors, m."""
         return float(np.linalg.norm(self.errors, axis=1).mean())
 
 

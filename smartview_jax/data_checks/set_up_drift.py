@@ -122,7 +122,7 @@ def find_drift(
         return None
     robot, camera = motions
     distance = median_distance(camera)
-    fit = fit_transforms(robot, camera, np.ones(len(robot), bool))
+    fit = fit_transforms(robot, camera)
     at_mount, calibration = host_logarithms(fit.closure), _by_calibration(robot)
     # Views that were left out passed time as well.
     time = 2.0 * (views - views[0]) / (views[-1] - views[0]) - 1.0

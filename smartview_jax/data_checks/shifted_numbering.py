@@ -61,7 +61,7 @@ def find_shifted_numbering(
     everything = np.ones(len(views), dtype=bool)
     if len(views) <= MIN_CERTAIN_VIEWS:
         return {}
-    given = fit_transforms(robot, camera, everything).closure
+    given = fit_transforms(robot, camera).closure
     distance = median_distance(camera)
     _, score = mean_misfit(given, distance)
     if score < options.min_score:
@@ -96,7 +96,7 @@ def find_shifted_numbering(
         if is_settled:
             break
     shifted = chosen.any(axis=1)
-    corrected = fit_transforms(robot, _renumbered(camera, chosen), everything).closure
+    corrected = fit_transforms(robot, _renumbered(camera, chosen)).closure
     # Every view might have been shifted in so many ways.
     ways = 2.0 * float(np.sum(np.log([len(choice) for choice in choices])))
     gain = evidence(error_variances(errors_of(given)), errors_of(corrected), 0) - ways

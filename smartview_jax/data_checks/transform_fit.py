@@ -92,25 +92,37 @@ def motions_of_views(
     return robot, camera
 
 
-def from_camera_to_target(mount_from_holder: Poses, camera_from_world: Poses) -> Poses:
-    """Return the robot's poses between frames at the camera and at the target.
+def motions_from_camera_to_target(
+    mount_from_holder: SE3,
+    camera_from_world: SE3,
+    views: Int[np.ndarray, "used"],
+    length_ratio: float,
+) -> tuple[Poses, Poses] | None:
+    """Return the motions of `motions_of_views`, the robot's between frames at camera and target.
 
     Where these are is what a fit to all views says. So which frames the controller calls tool and
     base changes nothing: at a tool far from the camera, small rotations are large translations.
     """
-    robot, everything = mount_from_holder, np.ones(len(mount_from_holder), dtype=bool)
+    motions = motions_of_views(mount_from_holder, camera_from_world, views, length_ratio)
+    if motions is None:
+        return None
+    robot, camera = motions
     # Frames that are far away spoil the first fit as well.
     for _ in range(2):
-        fit = fit_transforms(robot, camera_from_world, everything)
+        fit = fit_transforms(robot, camera)
         robot = fit.camera_from_mount @ robot @ fit.holder_from_world
-    return robot
+    return robot, camera
 
 
 def fit_transforms(
-    mount_from_holder: Poses, camera_from_world: Poses, used: Bool[np.ndarray, "views"]
+    mount_from_holder: Poses,
+    camera_from_world: Poses,
+    used: Bool[np.ndarray, "views"] | None = None,
 ) -> TransformFit:
-    """Compute both transforms from the used views in closed form."""
-    robot, camera = mount_from_holder[used], camera_from_world[used]
+    """Compute both transforms from the used views, by default from all, in closed form."""
+    robot, camera = mount_from_holder, camera_from_world
+    if used is not None:
+        robot, camera = robot[used], camera[used]
     if np.isfinite([robot, camera]).all() and len(undetermined_twists(robot)):
         # A closed form would divide by noise where the motion determines nothing.
         _, world = minimum_norm_transforms(robot, camera)

@@ -26,12 +26,11 @@ from .misfit_evidence import error_variances, errors_of, evidence
 from .transform_fit import (
     Matrix,
     fit_transforms,
-    from_camera_to_target,
     mean_misfit,
     median_distance,
     misfit_text,
     misfits,
-    motions_of_views,
+    motions_from_camera_to_target,
 )
 
 MAX_TURN_ERROR, MAX_TURN_SHIFT = float(np.deg2rad(2.0)), 0.05
@@ -157,12 +156,12 @@ def find_groups(
     views = np.flatnonzero(used)
     if len(views) < options.min_views:
         return None
-    motions = motions_of_views(mount_from_holder, camera_from_world, views, 1.0)
+    motions = motions_from_camera_to_target(mount_from_holder, camera_from_world, views, 1.0)
     if motions is None:
         return None
-    robot, camera = from_camera_to_target(*motions), motions[1]
+    robot, camera = motions
     distance = median_distance(camera)
-    closure = fit_transforms(robot, camera, np.ones(len(robot), dtype=bool)).closure
+    closure = fit_transforms(robot, camera).closure
     if mean_misfit(closure, distance)[1] < MAX_CLOSURE_SCORE:
         return None
     largest = largest_group(robot, camera, distance, options.tolerance)
