@@ -19,7 +19,6 @@ from ..cameras import Camera
 from ..dataset import Observations, view_residuals
 from ..geometry import host_matrices
 from ..runtime.array_namespace import to_device
-from ..runtime.modules import with_fields
 
 STEP = 1e-5
 """Step of the differences, m, rad, or relative to a camera's number and at least to 1."""
@@ -151,15 +150,19 @@ def _derivatives(
     not used.
     """
 
-    def residuals(
-        camera: Camera = camera,
-        poses: np.ndarray = poses,
-        observations: Observations = observations,
-    ) -> np.ndarray:
+    def residuals(camera: Camera = camera, poses: np.ndarray = poses) -> np.ndarray:
         """Return the residuals, px."""
         return np.asarray(view_residuals(camera, to_device(np.ones(())), poses, observations))
 
     given = residuals()
+    shifts = np.tile(np.eye(4), (3, 1, 1))
+    shifts[:, :3, 3] = STEP * np.eye(3)
+    by_point = np.stack([(residuals(poses=shift @ poses) - given) / STEP for shift in shifts], 3)
+    rotations = poses[:, :3, :3]
+    in_camera = np.asarray(observations.points) @ rotations.swapaxes(1, 2) + poses[:, None, :3, 3]
+    # A turn w moves a point p by w x p, a height h by h times the target's normal.
+    by_turn = np.cross(in_camera[:, :, None], by_point)
+    by_height = (by_point @ rotations[:, None, :, 2:])[..., 0]
     leaves, structure = jax.tree.flatten(camera)
     values = [np.asarray(leaf) for leaf in leaves]
     by_camera = []
@@ -169,23 +172,12 @@ def _derivatives(
             structure, [*leaves[:k], to_device(value + step), *leaves[k + 1 :]]
         )
         by_camera.append((residuals(camera=moved) - given) / step)
-    by_pose = []
-    for k in range(6):
-        motion = np.eye(4)
-        if k < 3:
-            motion[k, 3] = STEP
-        else:
-            first, second = (k - 2) % 3, (k - 1) % 3
-            motion[second, first], motion[first, second] = STEP, -STEP
-        by_pose.append((residuals(poses=motion @ poses) - given) / STEP)
-    by_height = []
-    points = np.asarray(observations.points)
-    for height in heights:
-        lifted = points.copy()
-        lifted[..., 2] += STEP * height
-        moved = with_fields(observations, points=to_device(lifted))
-        by_height.append((residuals(observations=moved) - given) / STEP)
-    return (given[..., None], *(np.stack(part, axis=3) for part in (by_camera, by_pose, by_height)))
+    return (
+        given[..., None],
+        np.stack(by_camera, axis=3),
+        np.concatenate([by_point, by_turn], axis=3),
+        np.stack([by_height * height[..., None] for height in heights], axis=3),
+    )
 
 
 class _Solution(NamedTuple):

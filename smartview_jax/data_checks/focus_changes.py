@@ -146,6 +146,12 @@ def find_focus_change(
         along[..., None],
     )
     errors = _Positions(np.concatenate(columns, axis=2), positions, along * seen.noise[views, None])
+    numbers = np.log(3.0 * len(views))
+    least_gain = 2.0 * np.log(options.min_odds)
+    # A good robot is done with here: searches for variances take much longer.
+    highest = errors.deviance(np.log([errors.sigma])) - numbers - least_gain
+    if errors.least_deviance(options.min_size * depths) > highest:
+        return None
     focus = errors.likelihood(along)
     size = focus.size
     if size < options.min_size:
@@ -156,9 +162,8 @@ def find_focus_change(
     rotations = np.broadcast_to(np.eye(3), (len(views), 3, 3)) if is_on_base else robot[:, :3, :3]
     axes = (camera_from_mount[:3, :3] @ rotations).transpose(2, 0, 1)
     rival = min(errors.likelihood(axis).deviance for axis in axes)
-    numbers = np.log(3.0 * len(views))
     odds = min(alike.deviance - focus.deviance - numbers, rival - focus.deviance)
-    if odds < 2.0 * np.log(options.min_odds):
+    if odds < least_gain:
         return None
     return FocusChange(size, size * median_distance(camera), focus.sigma)
 
@@ -190,28 +195,52 @@ class _Positions(NamedTuple):
     positions: Float[np.ndarray, "views 3"]
     noise: Float[np.ndarray, "views 3"]
 
+    @property
+    def sigma(self) -> float:
+        """Root mean square of the errors that least squares leaves, at least a nanometre, m."""
+        errors = fit_positions(self.columns, self.positions).errors
+        return max(float(np.sqrt(np.mean(errors**2))), 1e-9)
+
+    def deviance(self, logarithms: np.ndarray, outer: np.ndarray | None = None) -> float:
+        """Return minus twice the log likelihood of standard deviations.
+
+        Args:
+            logarithms: of the standard deviation in all directions, and along vectors if any.
+            outer: products of each view's vector with itself; None without vectors.
+        """
+        covariance = np.exp(2.0 * logarithms[0]) * np.eye(3)
+        covariance = covariance + np.einsum("vi,vj->vij", self.noise, self.noise)
+        if outer is not None:
+            covariance = covariance + np.exp(2.0 * logarithms[1]) * outer
+        # Rendered views may leave nothing across the vectors, where rounding would be negative.
+        floor = MIN_VARIANCE + 1e-12 * np.trace(covariance, axis1=1, axis2=2)
+        covariance = covariance + floor[:, None, None] * np.eye(3)
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+        matrix = (whitening @ self.columns).reshape(-1, self.columns.shape[2])
+        target = np.einsum("vij,vj->vi", whitening, self.positions).ravel()
+        errors = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0]
+        determinants = -2.0 * np.log(np.diagonal(whitening, axis1=1, axis2=2)).sum()
+        return float(errors @ errors + determinants)
+
+    def least_deviance(self, along: Float[np.ndarray, "views"]) -> float:
+        """Return what no deviance is below if errors along the optical axis are so large or larger.
+
+        Across the axis the errors are smallest where the positions along it count nothing.
+
+        Args:
+            along: standard deviations along the axis, m.
+        """
+        across = self.columns[:, :2].reshape(-1, self.columns.shape[2])
+        target = self.positions[:, :2].ravel()
+        errors = target - across @ np.linalg.lstsq(across, target, rcond=1e-9)[0]
+        # n log s^2 + |e|^2 / s^2 is least for s^2 = |e|^2 / n.
+        variance = max(float(np.mean(errors**2)), 1e-300)
+        return len(errors) * (np.log(variance) + 1.0) + 2.0 * float(np.sum(np.log(along)))
+
     def likelihood(self, vectors: Float[np.ndarray, "views 3"] | None) -> _Likelihood:
         """Return the likeliest errors that are alike in all directions, plus some along vectors."""
-        known = np.einsum("vi,vj->vij", self.noise, self.noise)
         outer = None if vectors is None else np.einsum("vi,vj->vij", vectors, vectors)
-
-        def deviance(logarithms: np.ndarray) -> float:
-            """Return minus twice the log likelihood of standard deviations, by their logarithms."""
-            covariance = np.exp(2.0 * logarithms[0]) * np.eye(3) + known
-            if outer is not None:
-                covariance = covariance + np.exp(2.0 * logarithms[1]) * outer
-            # Rendered views may leave nothing across the vectors, where rounding would be negative.
-            floor = MIN_VARIANCE + 1e-12 * np.trace(covariance, axis1=1, axis2=2)
-            covariance = covariance + floor[:, None, None] * np.eye(3)
-            whitening = np.linalg.inv(np.linalg.cholesky(covariance))
-            matrix = (whitening @ self.columns).reshape(-1, self.columns.shape[2])
-            target = np.einsum("vij,vj->vi", whitening, self.positions).ravel()
-            errors = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-9)[0]
-            determinants = -2.0 * np.log(np.diagonal(whitening, axis1=1, axis2=2)).sum()
-            return float(errors @ errors + determinants)
-
-        plain = fit_positions(self.columns, self.positions).errors
-        sigma = np.log(max(float(np.sqrt(np.mean(plain**2))), 1e-9))
+        sigma = np.log(self.sigma)
         starts = [np.array([sigma])]
         if vectors is not None:
             size = np.log(float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))))
@@ -219,7 +248,7 @@ class _Positions(NamedTuple):
                 np.array([sigma + a, sigma + b - size]) for a, b in ((0.0, -1.0), (-2.0, 0.0))
             ]
         best = min(
-            (minimize(deviance, start, method="Nelder-Mead") for start in starts),
+            (minimize(self.deviance, start, (outer,), "Nelder-Mead") for start in starts),
             key=lambda result: result.fun,
         )
         size = float(np.exp(best.x[1])) if vectors is not None else 0.0

@@ -149,3 +149,18 @@ def test_a_focal_length_that_is_wrong_in_all_views_alike_is_no_change():
     for seed in range(4):
         robot, camera = looking_down(seed)
         assert found(robot, with_focal_lengths(camera, np.full(VIEWS, 0.8))) is None
+
+
+def test_the_bound_that_ends_the_search_early_changes_no_answer(monkeypatch):
+    sizes, seeds = (0.0, 1e-3, 1.5e-3, 2e-3, 4e-3), range(4)
+    scenes = []
+    for seed in seeds:
+        robot, camera = moving_alike(seed)
+        changes = np.random.default_rng(seed).normal(size=VIEWS)
+        scenes += [(robot, with_focal_lengths(camera, 1.0 + size * changes)) for size in sizes]
+    answers = [found(*scene) for scene in scenes]
+    assert None in answers
+    assert any(answers)
+    bound = "smartview_jax.data_checks.focus_changes._Positions.least_deviance"
+    monkeypatch.setattr(bound, lambda *_: -np.inf)
+    assert answers == [found(*scene) for scene in scenes]
