@@ -5,41 +5,21 @@ The true poses are made by SciPy's rotations and plain products of matrices.
 
 import numpy as np
 import pytest
-from robot_motions import CAMERA_FROM_MOUNT, HOLDER_FROM_WORLD, transform
+from described_arm import A, camera_poses, described, readings
 
 from smartview_jax.data_checks import find_other_arm
 from smartview_jax.geometry import as_se3
-from smartview_jax.robots import SerialArm
 
 VIEWS = 15
 EVERY_VIEW = np.ones(VIEWS, dtype=bool)
-D = np.array([0.16, 0.0, 0.0, 0.13, 0.10, 0.10])
-A = np.array([0.0, -0.42, -0.39, 0.0, 0.0, 0.0])
-ALPHA = np.array([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
-JOINTS = np.deg2rad([10.0, -80.0, 100.0, -110.0, -85.0, 20.0]) + np.random.default_rng(0).normal(
-    0.0, 0.3, (VIEWS, 6)
-)
-
-
-def described(d=D, a=A):
-    return SerialArm(np.zeros(6), d, a, np.deg2rad(ALPHA))
+JOINTS = readings(VIEWS)
 
 
 def seen(mount, joints=JOINTS, size=1.0):
     """What the camera sees of an arm with these joints, by a target of another size than stated."""
-    rng = np.random.default_rng(1)
-    poses = []
-    for row in joints:
-        tool = np.eye(4)
-        for angle, d, a, alpha in zip(row, D, A, ALPHA, strict=True):
-            tool = tool @ transform([0, 0, np.rad2deg(angle)], [0, 0, d])
-            tool = tool @ transform([0, 0, 0], [a, 0, 0]) @ transform([alpha, 0, 0], [0, 0, 0])
-        tool = tool @ transform(rng.normal(0, 0.01, 3), rng.normal(0, 1e-4, 3))
-        mount_from_holder = np.linalg.inv(tool) if mount == "eye_in_hand" else tool
-        pose = CAMERA_FROM_MOUNT @ mount_from_holder @ HOLDER_FROM_WORLD
-        pose[:3, 3] /= size
-        poses.append(pose)
-    return as_se3(np.stack(poses))
+    poses = camera_poses(joints, mount)
+    poses[:, :3, 3] /= size
+    return as_se3(poses)
 
 
 @pytest.mark.parametrize("mount", ["eye_in_hand", "eye_to_hand"])
