@@ -129,45 +129,47 @@ def _calibrate_folder(paths: tuple[Path, Path], settings: CalibrateSettings) -> 
 def _summary_of_poses(result: PoseResult, document: dict[str, Any]) -> FolderResult:
     """Return the figures of a fit to tracked poses for a row of the table."""
     fit, held_out = result.fit, document["held_out_rms"]
-    translation, std = _hand_eye(fit)
-    return FolderResult(
-        int(fit.used_views.sum()),
-        document["fitted_rms"]["mm"],
-        "mm",
-        None if held_out is None else held_out["mm"],
-        translation,
-        std,
-        _outcome_words(fit.result.converged, len(fit.warnings)),
-        fit.result.converged,
-        document,
-    )
-
-
-def _hand_eye(fit: Any) -> tuple[tuple[float, float, float], float | None]:
-    """Return the hand-eye translation of a fit, and the length of its deviations, mm."""
-    mount_path = fit.calibration.transform_names[0]
-    stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
-    known = [std for std in stds if std is not None]
-    x, y, z = 1e3 * np.asarray(fit.calibration.camera_from_mount.translation())
-    return (float(x), float(y), float(z)), 1e3 * float(np.linalg.norm(known)) if known else None
+    held_out_mm = None if held_out is None else held_out["mm"]
+    errors = (int(fit.used_views.sum()), document["fitted_rms"]["mm"], "mm", held_out_mm)
+    return _row(fit, errors, len(fit.warnings), document)
 
 
 def _summary(result: CalibrateResult, document: dict[str, Any]) -> FolderResult:
     """Return the figures of a calibration for a row of the table."""
-    fit, errors = result.fit, document["errors"]
-    translation, std = _hand_eye(fit)
     # The staged fit comes first, then the joint fit, and last its chain without the correction.
-    joint = errors[1]
-    held_out = joint["held_out"]
+    joint = document["errors"][1]
+    held_out = None if joint["held_out"] is None else joint["held_out"]["rms_px"]
+    left_out = {entry["view"] for entry in document["left_out_views"]}
+    views = len(result.data.view_ids) - len(left_out)
+    errors = (views, joint["fitted"]["rms_px"], "px", held_out)
+    return _row(result.fit, errors, len(result.warnings), document)
+
+
+def _row(
+    fit: Any,
+    errors: tuple[int, float, str, float | None],
+    warnings: int,
+    document: dict[str, Any],
+) -> FolderResult:
+    """Return the row of a fit.
+
+    Args:
+        fit: to pictures or to tracked poses.
+        errors: number of views used, the error in them, its unit, and the error in unseen views.
+        warnings: how many warnings there are.
+        document: of the result.
+    """
+    mount_path = fit.calibration.transform_names[0]
+    stds = [fit.std.get(f"{mount_path}.translation.{axis}") for axis in "xyz"]
+    known = [std for std in stds if std is not None]
+    x, y, z = (1e3 * np.asarray(fit.calibration.camera_from_mount.translation())).tolist()
+    converged = fit.result.converged
     return FolderResult(
-        len(result.data.view_ids) - len({entry["view"] for entry in document["left_out_views"]}),
-        joint["fitted"]["rms_px"],
-        "px",
-        None if held_out is None else held_out["rms_px"],
-        translation,
-        std,
-        _outcome_words(fit.result.converged, len(result.warnings)),
-        fit.result.converged,
+        *errors,
+        (x, y, z),
+        1e3 * float(np.linalg.norm(known)) if known else None,
+        _outcome_words(converged, warnings),
+        converged,
         document,
     )
 
