@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..modeling import shape_sigma
 from .candidates import Candidate, Prepared, Query, measured_candidates
 from .cast_shadows import log_odds_to_shadow
 from .corrected_views import corrected_views
@@ -226,7 +225,7 @@ class _Judging:
         if verdict.decision == "accepted" and may_be_another_size(evidence, self._options):
             moved = likeliest_moved_face(pose, entry.model, lines, views, scene.lookup)
             # Within its tolerance the object has the model's dimensions.
-            least = TOLERATED_SIGMAS * shape_sigma(entry.model)
+            least = TOLERATED_SIGMAS * float(entry.fine.tolerance)
             if moved.face is None or abs(moved.distance) >= least:
                 verdict = verdict_on(evidence._replace(moved=moved))
         scale = scene.pictures[0].scale
