@@ -27,6 +27,9 @@ from .position_equations import (
 )
 from .transform_fit import Matrix, fit_transforms, motions_of_views
 
+MAX_NAMED_LENGTHS, MIN_NAMED_CHANGE = 4, 2e-3
+"""Largest number of lengths that a sentence names, and their smallest difference, m."""
+
 
 @dataclasses.dataclass(frozen=True)
 class OtherArmOptions:
@@ -78,10 +81,6 @@ class LinkLengths(NamedTuple):
             f"{1e3 * self.misfit:.3g} mm if {lengths}. (A target of another size would leave "
             f"{1e3 * self.size_misfit:.3g} mm.) Describe the arm that took these pictures"
         )
-
-
-MAX_NAMED_LENGTHS, MIN_NAMED_CHANGE = 4, 2e-3
-"""Largest number of lengths that a sentence names, and their smallest difference, m."""
 
 
 def find_other_arm(

@@ -17,7 +17,7 @@ NAME = re.compile(r"[\w-]+")
 """The names of cameras, targets and arms, which are parts of parameters' names."""
 
 PAIR_MARK = "+"
-"""Between the names of two arms of which one moves a camera and the other one its target."""
+"""Stands between the names of two arms, the camera's and the target's."""
 
 
 def is_pair(arm: str) -> bool:

@@ -1,7 +1,7 @@
 """The joint fit of several arms that see targets in common, as a least-squares problem.
 
-Each arm is a rig of its own (`rig_problem.py`), and so is each pair of arms of which one carries
-a camera and the other one its target. The pose of a target on the table that several arms see is a
+Each arm is a rig of its own (`rig_problem.py`), and so is each pair of arms, a camera's
+and its target's. The pose of a target on the table that several arms see is a
 parameter in the base of the first arm, and so is the base of every other arm. The pose of the
 target in another arm's base follows from both, and so does the base of a pair's other arm,
 

@@ -1,7 +1,7 @@
 """Run the fit of a rig on several devices or processes; each linearises a part of the views.
 
-Every camera's views are dealt out to the devices. The robot's states, of which there are as many at
-most, are on all of them: what cameras tell of one state is added up there.
+Every camera's views are dealt out to the devices. The robot's states, never more than the views,
+are on all of them: what cameras tell of one state is added up there.
 """
 
 from collections.abc import Sequence

@@ -42,7 +42,7 @@ class JoinedArms(NamedTuple):
         solution: the solution.
         equations: the normal equations at the solution.
         disagreement: what the arms say differently about their common targets; empty if nothing.
-        robots: names of the arms, the first of which has the base that is the reference.
+        robots: names of the arms; the base of the first is the reference.
     """
 
     built: BuiltArms

@@ -47,7 +47,7 @@ def variance_of_shared(
     1971).
 
     Args:
-        residuals: of a fit by generalised least squares, of which some unknowns have a prior.
+        residuals: of a fit by generalised least squares; some unknowns may have a prior.
         remaining: share of an error that is left in the residuals.
         variances: of the independent errors.
         shared: covariance of the shared errors for the size one.
