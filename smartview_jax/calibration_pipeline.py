@@ -1,13 +1,17 @@
 """Calibrate by the staged pipeline, then by the joint fit, with the command line's defaults."""
 
 import dataclasses
+import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Unpack, cast, overload
 
 import equinox as eqx
 import numpy as np
+
+import smartview_jax as sv
 
 from .argument_checks import require_instance, require_one_of
 from .calibration import Calibration, transform_names
@@ -72,26 +76,34 @@ class CalibrationFit(JointFit):
     Attributes:
         staged: the fit by the paper's pipeline.
         joint: the joint fit by itself.
+        data: the data set that was calibrated.
     """
 
     staged: StagedFit = eqx.field(kw_only=True)
     joint: JointFit = eqx.field(kw_only=True)
+    data: Dataset = eqx.field(kw_only=True)
 
     @classmethod
-    def of(
-        cls, staged: StagedFit, joint: JointFit, pose_format: str | None = None
-    ) -> "CalibrationFit":
+    def of(cls, staged: StagedFit, joint: JointFit, data: Dataset) -> "CalibrationFit":
         """Return the joint fit with the staged fit that it started from.
 
         Args:
             staged: the staged fit.
             joint: the joint fit.
-            pose_format: format in which the robot's controller writes poses.
+            data: the data set that both were fitted to.
         """
-        joint = with_fields(joint, pose_format=pose_format)
+        joint = with_fields(joint, pose_format=data.pose_format)
         values = {field.name: getattr(joint, field.name) for field in dataclasses.fields(JointFit)}
         values |= {"rejected": _all_rejected(staged, joint), "warnings": _warnings(staged, joint)}
-        return module_of(cls, values | {"staged": staged, "joint": joint})
+        return module_of(cls, values | {"staged": staged, "joint": joint, "data": data})
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Write a page with the result, its accuracy, its warnings and plots (HTML).
+
+        `report.write_page` also takes held-out errors and a diagnosis, as `smartview calibrate`
+        computes them.
+        """
+        sv.report.write_page(Path(path), self, self.data)
 
 
 def _all_rejected(staged: StagedFit, joint: JointFit) -> tuple[Rejection, ...]:
@@ -269,7 +281,7 @@ def calibrate(
         if not doubts:
             raise
         raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
-    return CalibrationFit.of(staged, joint, data.pose_format)
+    return CalibrationFit.of(staged, joint, data)
 
 
 def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, PoseLike]:

@@ -147,6 +147,7 @@ def calibrate_rig(
     ]
     return dataclasses.replace(
         fit,
+        data=rig,
         warnings=(*of_cameras, *findings.doubts, *fit.warnings),
         # Of the pictures with all their points, also those that were left out.
         picture_digests={name: digests_to_keep(data) for name, data in rig.cameras.items()},

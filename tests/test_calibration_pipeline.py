@@ -17,21 +17,46 @@ from smartview_jax import calibrate, fit_joint, fit_staged
 from smartview_jax.calibration_pipeline import refit_uncorrected
 from smartview_jax.engine import Prior, padded
 from smartview_jax.joint import needs_precompiling, precompile
+from smartview_jax.runtime.modules import with_fields
 from smartview_jax.runtime.padding import padded_counts
 from smartview_jax.simulation import simulate
 from smartview_jax.staged import with_start_doubts
 
 
-def test_calibrate_goes_all_the_way():
-    scene = scene_of(6, outlier_fraction=0.05)
-    messages = []
-    fit = calibrate(scene.data, progress=messages.append)
+@pytest.fixture(scope="module")
+def scene():
+    return scene_of(6, outlier_fraction=0.05)
+
+
+@pytest.fixture(scope="module")
+def messages():
+    return []
+
+
+@pytest.fixture(scope="module")
+def fit(scene, messages):
+    return calibrate(scene.data, progress=messages.append)
+
+
+def test_calibrate_goes_all_the_way(scene, fit, messages):
     assert fit.result.converged
     assert fit.staged.result.converged
     assert any(text.startswith("joint fit") for text in messages)
     assert not np.asarray(fit.inliers & scene.outliers).any()
     error = (fit.calibration.camera_from_tool.inverse() @ scene.calibration.camera_from_tool).log()
     assert float(jnp.linalg.norm(error[:3])) < 2e-3
+
+
+def test_a_calibration_writes_its_page(fit, tmp_path):
+    doubtful = dataclasses.replace(
+        fit, warnings=("the target bends",), data=with_fields(fit.data, notes=("no unit given",))
+    )
+    doubtful.report(tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    x, *_ = 1e3 * fit.calibration.camera_from_tool.translation()
+    assert f"{float(x):.1f}" in page
+    assert "<strong>First of all:</strong> the target bends." in page
+    assert "no unit given" in page
 
 
 def test_what_either_fit_left_out_is_listed_once():

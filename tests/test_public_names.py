@@ -12,6 +12,8 @@ CALLS = {
     "fit_staged": ("data", "lens"),
     "fit_joint": ("data", "start"),
     "calibrate": ("data",),
+    "calibration_pipeline.CalibrationFit.report": ("self", "path"),
+    "RigFit.report": ("self", "path"),
     "Noise": ("pixel", "translation", "rotation"),
     "Calibration.project": ("self", "base_from_tool", "points"),
     "Calibration.camera_from_world": ("self", "base_from_tool"),

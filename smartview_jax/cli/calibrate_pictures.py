@@ -107,7 +107,7 @@ class CalibrateResult(NamedTuple):
                 uncorrected = sv.calibration_pipeline.refit_uncorrected(self.data, fit)
                 uncorrected.save(folder / "calibration_uncorrected.yaml", run, pictures=pictures)
             judgement = sv.report.Judgement(
-                self.held_out_reports, self.split_half, self.budget, self.remarks
+                self.held_out_reports, self.split_half, self.budget, self.notes
             )
             origin = sv.report.Origin(self.name, command_line(), run, self.given)
             sv.report.write_page(

@@ -79,7 +79,7 @@ class PoseResult(NamedTuple):
             (folder / "hand_eye.calib").write_text(text, encoding="utf-8")
             origin = sv.report.Origin(self.name, command_line(), run, self.given)
             page = folder / "report.html"
-            sv.report.write_pose_page(page, fit, self.data, self.held_out, origin, self.remarks)
+            sv.report.write_pose_page(page, fit, self.data, self.held_out, origin, self.notes)
         return {out / name: text for name, text in RESULT_FILES.items() if (out / name).is_file()}
 
     def document(self, run: str, files: list[Path]) -> dict[str, Any]:

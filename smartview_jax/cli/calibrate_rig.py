@@ -80,7 +80,7 @@ class RigResult(NamedTuple):
             origin = sv.report.Origin(self.name, command_line(), run)
             page = folder / "report.html"
             sv.report.write_rig_page(
-                page, self.fit, self.rig, self.held_out, origin, self.remarks, self.budget
+                page, self.fit, self.rig, self.held_out, origin, self.notes, self.budget
             )
         files = {out / name: _what_it_holds(out / name, self.fit) for name in names[:-1]}
         return {**files, out / names[-1]: "the report: results and accuracy"}
@@ -160,7 +160,7 @@ def fitted_rig(
     rig: "sv.Rig", name: str, settings: CalibrateSettings, progress: Callable[[str], None]
 ) -> RigResult:
     """Fit a rig, and compute its held-out errors and the causes of its errors if requested."""
-    notes = [f"{camera}: {note}" for camera, data in rig.cameras.items() for note in data.notes]
+    notes = list(rig.notes)
     known = None
     if settings.known.camera is not None:
         known = sv.io.read_cameras(settings.known.camera, tuple(rig.cameras))

@@ -162,6 +162,10 @@ class Rig:
         arms = "" if len(self.arm_names) == 1 else f" of arms {', '.join(self.arm_names)}"
         return f"<Rig: {len(self.view_ids)} robot states{arms}; views of cameras {cameras}>"
 
+    def __reduce__(self):
+        # Read-only mappings cannot be pickled, and worker processes take rigs.
+        return Rig, (dict(self.cameras), dict(self.targets), dict(self.arms))
+
     @property
     def arm_names(self) -> tuple[str, ...]:
         """The names of the arms and pairs of arms that moved cameras or targets.
@@ -174,6 +178,13 @@ class Rig:
     def robot_names(self) -> tuple[str, ...]:
         """The names of all arms, each once; the base of the first is the reference of a fit."""
         return tuple(dict.fromkeys(arm for name in self.arm_names for arm in arms_of(name)))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The notes of all data sets, each with its camera."""
+        return tuple(
+            f"{camera}: {note}" for camera, data in self.cameras.items() for note in data.notes
+        )
 
     def require_one_arm(self, function: str) -> None:
         """Raise a ValueError if there are several arms, for a function that takes one."""

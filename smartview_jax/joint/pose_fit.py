@@ -6,13 +6,17 @@ is estimated with the robot's; `tracker_noise` finds the ratios of its parts.
 """
 
 import dataclasses
+import os
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
+
+import smartview_jax as sv
 
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration
@@ -79,12 +83,14 @@ class PoseFit(JointFit):
         drift: of the tracker; None if it has none. Its poses were fitted without it.
         pose_errors: distance (m) and angle (rad) of each measured pose from its prediction by the
             chain; NaN where the target was not seen.
+        data: the pairs of poses, with the noise that was found.
     """
 
     has_camera: bool = eqx.field(static=True, kw_only=True)
     tracker_noise: tuple[float, float] = eqx.field(static=True, kw_only=True)
     drift: TrackerDrift | None = eqx.field(kw_only=True)
     pose_errors: Float[np.ndarray, "views 2"] = eqx.field(kw_only=True)
+    data: PoseDataset = eqx.field(kw_only=True)
 
     @classmethod
     def of(
@@ -108,7 +114,12 @@ class PoseFit(JointFit):
             tracker_noise=(sigma * translation, sigma * rotation),
             drift=drift,
             pose_errors=errors,
+            data=data,
         )
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Write a page with the result, its errors, its warnings and plots (HTML)."""
+        sv.report.write_pose_page(Path(path), self, self.data)
 
     @property
     def fits_camera(self) -> bool:

@@ -2,14 +2,17 @@
 
 import dataclasses
 import os
+from pathlib import Path
 
 import equinox as eqx
 import numpy as np
 from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
+import smartview_jax as sv
+
 from ..calibration import Calibration
-from ..dataset import DepthSensor, arms_of
+from ..dataset import DepthSensor, Rig, arms_of
 from ..engine import (
     BuiltArms,
     BuiltRig,
@@ -64,6 +67,7 @@ class RigFit(eqx.Module):
         sensors: depth sensor of each camera that has one, by the camera's name.
         picture_digests: digests of each camera's pictures, by its name, by which
             `smartview evaluate` recognises them.
+        data: the data sets of the cameras.
 
     For example, with one camera in the place of two:
 
@@ -92,6 +96,7 @@ class RigFit(eqx.Module):
     result: FitResult = eqx.field(static=True)
     bases: dict[str, SE3]
     arms: dict[str, str] = eqx.field(static=True)
+    data: Rig
     warnings: tuple[str, ...] = eqx.field(static=True, default=())
     small_sample_correction: SmallSampleCorrection | None = None
     sensors: dict[str, DepthSensor] = eqx.field(static=True, default_factory=dict)
@@ -296,6 +301,10 @@ class RigFit(eqx.Module):
             level: probability that the interval contains the true value.
         """
         return half_width(self.std[name], self.degrees_of_freedom[name], level)
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Write a page with the result, its accuracy, its warnings and plots (HTML)."""
+        sv.report.write_rig_page(Path(path), self, self.data)
 
     def save(
         self,

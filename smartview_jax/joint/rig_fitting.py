@@ -221,6 +221,7 @@ def _assembled(
         result=solver_result(solution),
         bases=_bases_of_pair(rig, calibrations) if joined is None else joined.bases,
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
+        data=rig,
         small_sample_correction=correction,
         sensors=sensors,
     )

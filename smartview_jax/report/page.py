@@ -29,9 +29,6 @@ from .next_steps import hand_eye_sentence, next_steps
 from .story import PageFigure, Section, StoryFigure, get_template, page_figure, write_story
 from .tables import ErrorSummary
 
-WARNING = "warning: "
-"""Beginning of a note that is a reason to doubt the result; the gravest comes first."""
-
 
 class Origin(NamedTuple):
     """The data set and the command of a page, so that a reader can reproduce it.
@@ -71,13 +68,14 @@ class Judgement(NamedTuple):
             None if not computed.
         repeatability: result of `split_half_difference`; None if not computed.
         budget: result of `error_budget`; None if not computed.
-        notes: notes to print, such as results that could not be computed, with the reason.
+        notes: notes to print, such as results that could not be computed, with the reason; None
+            for the notes of the data set.
     """
 
     held_out_reports: dict[str, HeldOutReport] | None = None
     repeatability: SplitHalfDifference | None = None
     budget: ErrorBudget | None = None
-    notes: Sequence[str] = ()
+    notes: Sequence[str] | None = None
 
 
 def write_page(
@@ -104,15 +102,14 @@ def write_page(
     remarks = [
         tables.remarks(row.name, row.reprojection_errors, row.held_out_report) for row in rows
     ]
-    warnings = [note.removeprefix(WARNING) for note in notes if note.startswith(WARNING)]
-    other_notes = [note for note in notes if not note.startswith(WARNING)]
+    doubts_by_halves = () if repeatability is None else repeatability.warnings
     report_progress("drawing the report")
     page = get_template("page.html").render(
         title=page_title(origin),
         run_line=_run_line(origin),
         verdict=[hand_eye_sentence(fit.joint), tables.result_summary(rows, fit)],
         headline=tables.headline(rows, fit),
-        warnings=warnings,
+        warnings=[*fit.warnings, *doubts_by_halves],
         hand_eye_forms=hand_eye_forms(fit.joint),
         data_set="data given by a script" if origin is None else origin.source,
         next_steps=next_steps(fit, data, rows),
@@ -121,7 +118,10 @@ def write_page(
         table_rows=tables.table_rows(rows),
         budget=budget,
         budget_rows=[] if budget is None else tables.budget_rows(budget),
-        notes=[*other_notes, *(line for lines in remarks for line in lines)],
+        notes=[
+            *(data.notes if notes is None else notes),
+            *(line for lines in remarks for line in lines),
+        ],
         scale_hypothesis_rows=[] if budget is None else tables.scale_hypothesis_rows(budget),
         rejections=tables.rejections(fit, data),
         null_directions=[d.description for d in fit.joint.observability.null_directions],

@@ -11,7 +11,7 @@ from ..joint import PoseFit, estimate_groups, hand_eye_forms, pose_rms, tracked_
 from ..plots import pose_errors
 from .next_steps import hand_eye_sentence
 from .page import Origin, origin_facts, page_title
-from .story import Section, StoryFigure, write_story
+from .story import Section, StoryFigure, remarks_sections, write_story
 from .tables import rejections, robot_error_row
 
 
@@ -57,7 +57,7 @@ def write_pose_page(
     data: PoseDataset,
     held_out: HeldOutPoses | None = None,
     origin: Origin | None = None,
-    notes: Sequence[str] = (),
+    notes: Sequence[str] | None = None,
 ) -> None:
     """Write the report of a fit to tracked poses as an HTML page.
 
@@ -67,14 +67,13 @@ def write_pose_page(
         data: the pairs that it was given.
         held_out: result of `held_out_poses`; None if not computed.
         origin: data set and command of the page; None for a script's own data.
-        notes: notes and warnings to print.
+        notes: notes to print; None for the notes of `data`.
     """
     groups = [Section(heading, rows=rows) for heading, rows in estimate_groups(fit)]
     # The many numbers of an arm follow the errors.
     arm = [group for group in groups if group.title.startswith("arm")]
     sections = [group for group in groups if group not in arm]
-    if notes:
-        sections.append(Section("Warnings and notes", rows=[(note,) for note in notes]))
+    sections += remarks_sections(fit.warnings, data.notes if notes is None else notes)
     figure = StoryFigure(
         "Errors of the tracked poses.",
         "Distance and angle of each tracked pose from its prediction by the chain. A pair that "

@@ -19,7 +19,7 @@ from ..evaluation import (
 from ..geometry import host_matrices, vector_text
 from ..joint import RelativePose, RigFit, calibration_forms
 from .page import Origin, origin_facts, page_title, prediction_overlays
-from .story import Section, StoryFigure, write_story
+from .story import Section, StoryFigure, remarks_sections, write_story
 from .tables import ErrorSummary
 
 CAMERA_HEADINGS = (
@@ -200,7 +200,7 @@ def write_rig_page(
     rig: Rig,
     held_out: Mapping[str, HeldOutErrors] | None = None,
     origin: Origin | None = None,
-    notes: Sequence[str] = (),
+    notes: Sequence[str] | None = None,
     budget: RigErrorBudget | None = None,
 ) -> None:
     """Write the report of a rig's fit as an HTML page.
@@ -211,12 +211,10 @@ def write_rig_page(
         rig: the data that it was given.
         held_out: result of `held_out` for the rig; None if not computed.
         origin: data set and command of the page; None for a script's own data.
-        notes: notes and warnings to print.
+        notes: notes to print; None for the notes of the rig's data sets.
         budget: result of `error_budget` for the rig; None if not computed.
     """
-    sections = []
-    if notes:
-        sections.append(Section("Warnings and notes", rows=[(note,) for note in notes]))
+    sections = remarks_sections(fit.warnings, rig.notes if notes is None else notes)
     sections.append(
         Section(
             "Cameras",

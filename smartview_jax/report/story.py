@@ -61,6 +61,12 @@ class Section(NamedTuple):
     rows: Sequence[Sequence[str]] = ()
 
 
+def remarks_sections(warnings: Sequence[str], notes: Sequence[str]) -> list[Section]:
+    """Return the section of the reasons to doubt a result, then notes; none without either."""
+    rows = [(f"warning: {text}",) for text in warnings] + [(text,) for text in notes]
+    return [Section("Warnings and notes", rows=rows)] if rows else []
+
+
 def write_story(
     path: Path,
     title: str,

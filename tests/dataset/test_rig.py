@@ -1,4 +1,5 @@
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from jaxlie import SE3
 from tracked_scene import data_of
 
 from smartview_jax import Rig
+from smartview_jax.geometry import host_matrices
 
 
 @pytest.fixture(scope="module")
@@ -122,3 +124,13 @@ def test_one_target_has_one_size(data):
         Rig({"left": data, "right": larger})
     Rig({"left": data, "right": larger}, {"left": "table", "right": "wall"})
     Rig({"left": data, "right": dataclasses.replace(data, points=data.points + 0.1)})
+
+
+def test_a_rig_can_be_sent_to_another_process(data):
+    between = data.between_hands(host_matrices(data.base_from_tool))
+    arms = {"wrist": "left", "other": "right", "eye": ("left", "right")}
+    targets = {"wrist": "table", "other": "table", "eye": "tag"}
+    rig = Rig({"wrist": data, "other": data, "eye": between}, targets, arms)
+    copy = pickle.loads(pickle.dumps(rig))
+    assert (copy.arms, copy.targets, copy.view_ids) == (rig.arms, rig.targets, rig.view_ids)
+    np.testing.assert_array_equal(copy.cameras["eye"].pixels, between.pixels)

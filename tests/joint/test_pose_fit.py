@@ -44,6 +44,13 @@ def covariance_of(fit):
     return fit.covariance[np.ix_(rows, rows)]
 
 
+def test_the_fit_writes_its_page(fit, tmp_path):
+    dataclasses.replace(fit, warnings=("the tracker drifts",)).report(str(tmp_path / "page.html"))
+    page = (tmp_path / "page.html").read_text()
+    assert "warning: the tracker drifts" in page
+    assert f"{1e3 * float(fit.calibration.camera_from_mount.translation()[0]):.1f}" in page
+
+
 def test_the_optimum_is_scipys(fit):
     """With the standard deviations that were found; the robot's noise moves the prediction."""
     robot, measured = tracked(0)

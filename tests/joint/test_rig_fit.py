@@ -47,6 +47,13 @@ def fit(tmp_path_factory):
     return calibrated_rig(tmp_path_factory)
 
 
+def test_the_fit_writes_its_page(fit, tmp_path):
+    dataclasses.replace(fit, warnings=("left: moved",)).report(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "warning: left: moved" in page
+    assert all(f"{name}: " in page for name in fit.calibrations)
+
+
 def test_one_camera_is_fitted_as_alone():
     data, start = scene_of(0, translation_noise=1e-4).data, nudged(paper_calibration())
     alone = fit_joint(data, start, noise=NOISE)

@@ -165,7 +165,7 @@ def moved_view():
         gross_errors="leave_out",
         inliers=staged.inliers,
     )
-    return data, CalibrationFit.of(staged, joint)
+    return data, CalibrationFit.of(staged, joint, data)
 
 
 def test_a_view_that_was_rejected_does_not_count(moved_view):
@@ -229,11 +229,11 @@ def test_what_folds_and_halves_took_the_error_for_is_counted():
 
 def test_an_arms_own_errors_are_parameters_in_its_units(moved_view):
     """Zeros in degrees, of a joint that slides in mm; of other fields nothing."""
-    _, fit = moved_view
+    data, fit = moved_view
     arm = dataclasses.replace(six_axes(), prismatic=(False,) * 5 + (True,))
     error = RobotError(DHErrors(arm), jnp.full(24, 1e-3))
     bent = dataclasses.replace(fit.joint.calibration, robot_error=error)
-    known = CalibrationFit.of(fit.staged, dataclasses.replace(fit.joint, calibration=bent))
+    known = CalibrationFit.of(fit.staged, dataclasses.replace(fit.joint, calibration=bent), data)
     rows = {name: value for name, value, _ in parameter_rows(known)}
     assert rows["robot_error.joint_offset.1"] == "0.0572958 deg"
     assert rows["robot_error.joint_offset.6"] == "1 mm"
