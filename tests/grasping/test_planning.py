@@ -206,7 +206,7 @@ def test_the_reason_that_decided_comes_first(plan):
 
 
 def test_a_large_covariance_is_named_among_collisions(scene):
-    """Grasps from all sides, most of which the table refuses: two are stopped by the covariance."""
+    """The table refuses most grasps from all sides; two are stopped by the covariance."""
     plan = grasps_for(placed(200.0**2 * SMALL, BOX), GRIPPER, scene)
     assert not len(plan)
     assert "less than 50% chance" in plan.summary.split("; ")[1]
