@@ -85,7 +85,7 @@ def test_tracked_poses_tell_the_offset_too(tracked):
     assert isinstance(found.data, PoseDataset)
 
 
-def test_a_camera_beside_the_robot_gives_the_same_offset(tracked):
+def test_a_camera_next_to_the_robot_gives_the_same_offset(tracked):
     """Of a robot that carries the target by the same motion: all its poses are inverted."""
     data, trajectory, times = tracked
     on_hand = sv.estimate_time_offset(*tracked, max_offset=0.3)

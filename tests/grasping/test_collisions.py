@@ -38,7 +38,7 @@ def test_the_distance_to_a_table_is_that_of_the_tips():
     assert np.isclose(contact.clearance, 0.0123, atol=1e-6)
 
 
-def test_the_distance_to_a_wall_is_that_of_the_finger_beside_it():
+def test_the_distance_to_a_wall_is_from_the_finger_next_to_it():
     wall = Obstacle.box("wall", (0.01, 1.0, 0.1), at(x=0.1))
     # The right finger's outside is at 20 + 8 mm, the wall's at 95.
     contact = nearest([Obstacle.table(z=-1.0), wall], at(rotation=DOWN))

@@ -104,7 +104,7 @@ def test_a_fitted_error_of_the_arm_is_compensated(scene):
     )
 
 
-def test_it_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
+def test_a_grasp_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
     best = plan.best
     for name in ("grasp.csv", "grasp.json"):
         best.write(tmp_path / name)
@@ -334,7 +334,7 @@ def test_wrong_poses_and_covariances_are_named(wrong, named):
         grasps_for(placed()._replace(**wrong), GRIPPER, GraspScene(CALIBRATION))
 
 
-def test_a_camera_beside_the_arm_is_refused():
+def test_a_camera_next_to_the_arm_is_refused():
     fixed = sv.Calibration.eye_to_hand(
         CALIBRATION.camera, host_transforms(np.eye(4)), host_transforms(np.eye(4))
     )

@@ -191,7 +191,7 @@ def test_the_text_names_cameras_and_robot(fit):
     assert text.splitlines()[0].startswith("converged in ")
 
 
-def test_a_camera_on_the_hand_and_one_beside_the_arm_share_the_robots_states():
+def test_a_camera_on_the_hand_and_one_next_to_the_arm_share_the_robots_states():
     """Each has a target of its own; the robot moves the cameras against each other."""
     wrist = scene_of(0, translation_noise=1e-4)
     poses = wrist.base_from_tool

@@ -123,7 +123,7 @@ def test_noisy_junctions_give_about_the_pose_that_opencv_fits_to_all_vertices():
     assert np.quantile(gaps, 0.9) < 1.5
 
 
-def test_a_junction_beside_each_vertex_does_not_hide_the_vertex():
+def test_a_junction_next_to_each_vertex_does_not_hide_the_vertex():
     rng = np.random.default_rng(6)
     gaps = []
     for _ in range(20):

@@ -196,7 +196,7 @@ def test_an_arms_own_errors_are_made_up_for(arm_setting):
         viewpoint_commands(erring, wanted, POINTS)
 
 
-def test_a_camera_beside_the_arm():
+def test_a_camera_next_to_the_arm():
     """The target moves instead; the same picture comes about."""
     base = paper_calibration()
     fixed = Calibration.eye_to_hand(base.camera, base.base_from_world.inverse(), SE3.identity())

@@ -216,7 +216,7 @@ def test_a_box_leaves_out_what_is_outside_and_keeps_what_is_inside(views, found,
     assert (gap[top] < 5e-4).sum() >= 5
 
 
-def test_one_rectangle_leaves_out_what_is_beside_the_object_in_all_views(
+def test_one_rectangle_leaves_out_what_is_next_to_the_object_in_all_views(
     views, found, projected, proposal
 ):
     rectangle = around(projected[1])

@@ -72,7 +72,7 @@ FRICTION_LIMIT = WEIGHT / (2.0 * GRIP_FORCE)
 """Two fingers hold 2 mu F, N."""
 
 
-def test_a_grasp_at_the_object_lifts_it_and_one_beside_does_not():
+def test_a_grasp_at_the_object_lifts_it_and_one_next_to_it_does_not():
     """With twice the friction that its weight needs."""
     found = physics(CellObject("box", BOX, friction=2.0 * FRICTION_LIMIT))
     found.settle()

@@ -45,7 +45,7 @@ def view(cell, tilt=0.2, azimuth=0.5, distance=0.45):
     return host_matrices(cell.truth.calibration.uncorrected.command_for(pose))
 
 
-def test_it_is_a_cell(cell):
+def test_the_simulated_cell_is_a_cell(cell):
     assert isinstance(cell, Cell)
 
 
