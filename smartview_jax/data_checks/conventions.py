@@ -157,7 +157,7 @@ def check_conventions(
 
 
 class _ComparedChain(NamedTuple):
-    """How robot and camera move as given, and how well one hand-eye transform explains it.
+    """The motions of robot and camera as given, and their error with the best hand-eye transform.
 
     Attributes:
         given: poses of robot and camera.

@@ -156,31 +156,6 @@ def find_consistent_views(
     return ViewConsistency(consistent, reasons, tuple(uncertain))
 
 
-def _disagreement(
-    view: int,
-    fit: _JudgedFit,
-    errors: Float[np.ndarray, "views"] | None,
-    consistent: Bool[np.ndarray, "views"],
-) -> str:
-    """Return by how much a view disagrees with the consistent ones, as a clause.
-
-    Args:
-        view: index of the view.
-        fit: of the consistent views.
-        errors: reprojection errors of all views, px; None if unknown.
-        consistent: mask of the consistent views.
-    """
-    text = (
-        f"robot and camera disagree by {misfit_text(fit.misfit[view])} there, "
-        f"{fit.misfit_ratio[view]:.0f} times as much as in the median view"
-    )
-    if errors is None:
-        return text
-    where = f"{errors[view]:.3g} px off" if np.isfinite(errors[view]) else "out of the picture"
-    median_error = np.median(errors[consistent])
-    return f"{text}, and its points {where} (the median view's {median_error:.2g} px)"
-
-
 def stale_views(
     groups: Sequence[tuple[int, ...]],
     mount_from_holder: SE3,
@@ -241,6 +216,31 @@ class _JudgedFit(NamedTuple):
     misfit: Float[np.ndarray, "views 2"]
     misfit_ratio: Float[np.ndarray, "views"]
     misfit_scale: Float[np.ndarray, "views 2"]
+
+
+def _disagreement(
+    view: int,
+    fit: _JudgedFit,
+    errors: Float[np.ndarray, "views"] | None,
+    consistent: Bool[np.ndarray, "views"],
+) -> str:
+    """Return by how much a view disagrees with the consistent ones, as a clause.
+
+    Args:
+        view: index of the view.
+        fit: of the consistent views.
+        errors: reprojection errors of all views, px; None if unknown.
+        consistent: mask of the consistent views.
+    """
+    text = (
+        f"robot and camera disagree by {misfit_text(fit.misfit[view])} there, "
+        f"{fit.misfit_ratio[view]:.0f} times as much as in the median view"
+    )
+    if errors is None:
+        return text
+    where = f"{errors[view]:.3g} px off" if np.isfinite(errors[view]) else "out of the picture"
+    median_error = np.median(errors[consistent])
+    return f"{text}, and its points {where} (the median view's {median_error:.2g} px)"
 
 
 def _hidden_views(

@@ -40,7 +40,7 @@ deviations, which are understated there, since the poses of the views follow the
 
 
 class CameraSteps(NamedTuple):
-    """How Steps 1 and 2 are run.
+    """The lens, the camera and the options with which Steps 1 and 2 are run.
 
     Attributes:
         lens: a name or a lens.
@@ -57,7 +57,7 @@ class CameraSteps(NamedTuple):
     progress: Callable[[str], None] | None
 
     def say(self, text: str) -> None:
-        """Report progress."""
+        """Report a sentence about a step."""
         if self.progress is not None:
             self.progress(text)
 
@@ -79,7 +79,7 @@ class CameraSteps(NamedTuple):
 
 
 class PictureFit(NamedTuple):
-    """What the pictures tell without the robot: the answers of Steps 1 and 2.
+    """The answers of Steps 1 and 2, which need no robot.
 
     Attributes:
         steps: how they were run.

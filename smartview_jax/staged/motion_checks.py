@@ -56,7 +56,7 @@ class PairedViews(NamedTuple):
 
 
 class MotionChecks(NamedTuple):
-    """What is said of the pictures and of the motion.
+    """The report on the motion, and the doubts about camera and target.
 
     Attributes:
         report: how robot and camera move, and the problems of poses and pictures.
