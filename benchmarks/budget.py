@@ -26,7 +26,7 @@ CULPRITS = {
     ("koide_charuco", "20230920_"): (TOO_FEW_VIEWS,),
     ("lwr4_joint", ""): (SCALE_ERROR, SYSTEMATIC_ROBOT_ERROR, ROBOT_NOISE),
 }
-"""Causes, one of which has to come first in the budget."""
+"""Causes; one of them has to come first in the budget."""
 
 PRINTED = (0.977, 0.002)
 """Scale of rct_circle10x10's target, and how near to it the budget comes."""

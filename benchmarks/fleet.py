@@ -40,7 +40,7 @@ OTHER_TYPE_EVERY, OTHER_TYPE_SCALE = 25, 5.0
 VIEWS = 3
 
 MAX_ERROR_RATIO, COVERAGE = 0.6, (0.93, 0.97)
-"""Claims: median hand-eye error to that of independent fits, and coverage of 95 % intervals."""
+"""Claims: median hand-eye error over the independent fits', and coverage of 95 % intervals."""
 
 MIN_SETS_PER_MINUTE, MAX_GROWTH = 1000.0, 1.1
 """Claims: sets a minute on two processors, and memory at the end to memory after a fifth."""

@@ -204,7 +204,7 @@ def _time_limit() -> Iterator[None]:
 
 
 def values_of(found: Any) -> list[np.ndarray]:
-    """Return all numbers of what was read, in a fixed order; names are left out."""
+    """Return all numbers that were read, in a fixed order; names are left out."""
     if dataclasses.is_dataclass(found):
         parts = [getattr(found, field.name) for field in dataclasses.fields(found)]
     elif isinstance(found, Mapping):
@@ -218,7 +218,7 @@ def values_of(found: Any) -> list[np.ndarray]:
 
 
 def refuse_other_values(found: Sequence[np.ndarray], expected: Sequence[np.ndarray]) -> None:
-    """Raise an AssertionError for values that differ from those of the good file."""
+    """Raise an AssertionError for values that differ from the good file's."""
     sizes, wanted = [part.size for part in found], [part.size for part in expected]
     assert sizes == wanted, f"{sum(sizes)} numbers; the good file has {sum(wanted)}"
     for part, good in zip(found, expected, strict=True):

@@ -50,7 +50,7 @@ FIRST_SEED = 20_000
 """Seed of the first scene of each kind; nothing was tuned on seeds from here on."""
 
 SMOKE_SEED = FIRST_SEED + 3
-"""Seed of the scenes of a smoke run, none of which two views leave open: no third views are taken
+"""Seed of the scenes of a smoke run. Two views leave none of them open: no third views are taken
 (`localization_trials.VIEWED_EVERY`), for which all programs would be compiled again."""
 
 CELLS, FIRST_CELL = 4, 500

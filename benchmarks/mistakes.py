@@ -276,7 +276,7 @@ MISTAKES = (
 
 
 def run(smoke: bool = False) -> bool:
-    """Print the table and the sentences of what was not named; True where the claim holds."""
+    """Print the table and what was said of unnamed mistakes; True where the claim holds."""
     sets = data_sets(SMOKE_SETS if smoke else None)
     print(f"{'':28}" + "".join(f"{name:>14}" for name in sets))
     before = {name: sentences(data) for name, data in sets.items()}

@@ -181,7 +181,7 @@ def _relative_nees(
 
 
 def _stereo(seeds: int) -> bool:
-    """Print the errors of a stereo head's relative pose, and those of the peers."""
+    """Print the errors of a stereo head's relative pose, by this library and by the peers."""
     peers = {"OpenCV stereoCalibrate, Park": opencv_stereo}
     if HAS_VISION_CALIBRATION:
         peers["vision-calibration, rig"] = vision_calibration_rig

@@ -206,7 +206,7 @@ def run(smoke: bool = False, sets: int | None = None) -> bool:
     print(f"right {right} of {count}; wrong without a warning {silent}; right with one {also}")
     good = right >= count - (SETS - MIN_RIGHT) * count // SETS and silent == 0
     if not REAL_TAG.is_dir():
-        print("the real tag: not beside this checkout (shared/cases/single_tag_eye_to_hand)")
+        print("the real tag: not next to this checkout (shared/cases/single_tag_eye_to_hand)")
         return good
     data, camera = real_tag()
     error = np.abs(place_of_camera(sv.calibrate(data, camera=camera).calibration) - REAL_PLACE)

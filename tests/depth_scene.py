@@ -24,7 +24,7 @@ class DepthScene(NamedTuple):
 
 @functools.cache
 def depth_scene(seed, views=8, common=0.0, **noise):
-    """The standard scene with depths, a tenth of which are missing.
+    """The standard scene with depths, where a tenth is missing.
 
     Args:
         seed, views, noise: as in `scene_of`.

@@ -41,7 +41,7 @@ def test_data_of_a_package_are_sources(sources_of):
 
 
 def test_what_git_ignores_is_no_source(ci_sources, sources_of, tmp_path, monkeypatch):
-    """Found circles are kept beside the sample's pictures: a fresh clone has none."""
+    """Found circles are kept next to the sample's pictures: a fresh clone has none."""
     assert "smartview_jax/samples/rct_circle10x10/poses.csv" in sources_of("demo")
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     (tmp_path / ".gitignore").write_text("found.csv\n")

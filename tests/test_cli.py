@@ -45,7 +45,7 @@ def test_the_main_job_prints_the_table(result):
     assert joint < 0.5 * staged
 
 
-def test_it_says_what_it_is_doing(result):
+def test_progress_is_reported_step_by_step(result):
     lines = result.stderr.splitlines()
     for words in ("view 0 (1 of 15)", "Step 1", "Step 2", "Step 3", "joint fit", "fold 1 of 5"):
         assert len([line for line in lines if words in line]) == 1
@@ -261,7 +261,7 @@ def test_a_bad_view_is_an_error_or_masked_as_the_user_says(tmp_path, monkeypatch
     assert [view for view, _ in seen[0].masked_views] == ["3"]
 
 
-def test_version():
+def test_the_version_is_printed():
     assert "smartview_jax" in RUNNER.invoke(app, ["--version"]).output
 
 

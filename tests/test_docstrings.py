@@ -1,7 +1,7 @@
 """Every docstring begins with a sentence that says what the thing is or does.
 
 The rule is the same everywhere. A function's first sentence begins with a verb ("Return", "Fit",
-"Solve"); that of a property or of a class may name what it is ("The hand-eye transform.", "A lens
+"Solve"); a property's or a class's may name what it is ("The hand-eye transform.", "A lens
 with radial distortion."). No first sentence begins with a word that leaves open what is meant.
 """
 

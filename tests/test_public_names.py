@@ -44,7 +44,7 @@ CALLS = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_script_may_call_it(name):
+def test_a_public_name_can_be_called(name):
     value = sv
     for part in name.split("."):
         value = getattr(value, part)

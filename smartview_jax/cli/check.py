@@ -260,9 +260,7 @@ def _figures(data: "sv.Dataset") -> DatasetFigures:
     if len(used) < 2:
         return DatasetFigures(points, picture_used, len(used), None, None)
     poses = sv.geometry.host_matrices(data.base_from_tool)[used]
-    # trace(R_i^T R_j) = 1 + 2 cos(angle between them)
-    traces = np.einsum("iab,jab->ij", poses[:, :3, :3], poses[:, :3, :3])
-    largest = float(np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0)).max())
+    largest = float(sv.geometry.host_pairwise_rotation_angles(poses, poses).max())
     extent = tuple(np.ptp(poses[:, :3, 3], axis=0).tolist())
     one_axis = sv.dataset.turns_about_one_axis(poses)
     return DatasetFigures(points, picture_used, len(used), extent, largest, one_axis)

@@ -8,12 +8,12 @@ motions, `closure.py`) and tell a wrong mount at all (`inverted_poses.py`), whet
 another (`other_arm.py`), whether the set-up changed between two views (`changes.py`) or drifts
 (`set_up_drift.py`, beyond the errors of `smooth_errors.py`), the poses lag (`pose_lag.py`, by the
 fit in `lag_fit.py`), the views agree in groups (`view_groups.py`) or the focus changes
-(`focus_changes.py`; `faults_of_many_views.py` asks all five, in the words of `change_texts.py`;
-positions alone are linear, `position_equations.py`), whether the target bends
-(`flexible_target.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
-contradict the others (`view_consistency.py`). All judge by transforms of their own
-(`transform_fit.py`), some by transforms of the views that agree (`largest_group.py`) or by the odds
-of an explanation (`misfit_evidence.py`). `rig_checks.py` compares the cameras of a rig.
+(`focus_changes.py`; `faults_of_many_views.py` asks all five; positions alone are linear,
+`position_equations.py`), whether the target bends (`flexible_target.py`), and which single views
+are numbered wrongly (`shifted_numbering.py`) or contradict the others (`view_consistency.py`). All
+judge by transforms of their own (`transform_fit.py`), some by transforms of the views that agree
+(`largest_group.py`) or by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
+compares the cameras of a rig.
 """
 
 import lazy_loader as _lazy_loader

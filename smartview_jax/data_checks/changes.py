@@ -21,9 +21,8 @@ from jaxlie import SE3
 from jaxtyping import Bool, Float
 
 from ..geometry import mean_matrix
-from .change_texts import moved_text
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
-from .misfit_evidence import error_variances, errors_of, evidence
+from .misfit_evidence import STRONG_EVIDENCE, error_variances, errors_of, evidence
 from .transform_fit import (
     TransformFit,
     fit_transforms,
@@ -32,6 +31,7 @@ from .transform_fit import (
     misfit_text,
     misfits,
     motions_from_camera_to_target,
+    moved_text,
 )
 
 MAX_ZOOM = 5.0
@@ -43,8 +43,7 @@ class ChangeOptions:
     """Say where a change is looked for, and which one is named.
 
     Attributes:
-        min_odds: smallest odds of a change that is named; 20 are "strong evidence" in the words of
-            Kass and Raftery, Bayes factors, 1995.
+        min_odds: smallest odds of a change that is named.
         min_views_on_a_side: fewest views before and after a change. Of six good views of a real
             arm, three may agree with a moved camera by chance.
         max_rival_ratio: ratio to the smallest misfit up to which another kind of change explains
@@ -55,7 +54,7 @@ class ChangeOptions:
             places around the best of them, until none is left between.
     """
 
-    min_odds: float = 20.0
+    min_odds: float = STRONG_EVIDENCE
     min_views_on_a_side: int = 4
     max_rival_ratio: float = 2.0
     min_score: float = 2e-3

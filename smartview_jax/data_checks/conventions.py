@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..calibration import mount_frames
 from ..dataset import turns_about_one_axis, turns_about_one_point
@@ -122,85 +122,164 @@ def check_conventions(
         view_ids: names of the views in the sentences; by default numbers.
         tracked: whether a tracker gave the camera's poses, without pictures.
     """
-    in_hand = mount_frames(mount)[0] == "tool"
     robot, camera = host_matrices(base_from_tool), host_matrices(camera_from_world)
     used = np.ones(len(robot), dtype=bool) if weights is None else np.asarray(weights) > 0.0
     used = used & np.isfinite(robot).all(axis=(1, 2)) & np.isfinite(camera).all(axis=(1, 2))
-    compared = compared_views(used)
-    differences = angle_differences(robot, camera, used, compared)
+    differences = angle_differences(robot, camera, used, compared_views(used))
     mismatch = float(np.nanmedian(differences)) if used.sum() > 1 else 0.0
     # Two views give a single motion, which does not test the hand-eye transform.
     if used.sum() < 3:
         return ConventionReport((), (), mismatch, 1.0, (0.0, 0.0), ())
-    motions = motions_of_mount(robot, camera, used, in_hand)
-    # Turns that are noise seem to have many axes.
-    turned = not turns_about_one_axis(robot[used])
-    comparable = turned and motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO
-    given_error = closure_error(motions)
-    ratio, ratio_std = length_ratio(motions) if comparable else LengthRatio()
-    problems, hypotheses = (), ()
+    in_hand = mount_frames(mount)[0] == "tool"
     ids = [str(view) for view in range(len(robot))] if view_ids is None else view_ids
-    # The score divides lengths by the target's distance, so a wrong unit of the target can leave
-    # it small; the ratio of the motions shows it.
-    if not _is_better_scale(motions, given_error, ratio):
-        ratio, ratio_std = LengthRatio()
-    is_accepted = given_error.score < MAX_CLOSURE_SCORE and 0.2 < ratio < 5.0
-    if comparable and not (is_accepted and given_error.score < DOUBTED_SCORE):
-        possible = tuple(mistakes(in_hand, len(robot), turns, tracked))
-        given = GivenPoses(robot, camera)
-        hypotheses = ranked_hypotheses(given, used, in_hand, motions, possible)
-        hypotheses = naming_views(hypotheses, given, turns, used, ids)
-        # Of a hundred mistakes one may by chance close a little better than the truth.
-        certain = hypotheses[0].closure_error.score < MAX_CERTAIN_SCORE_RATIO * given_error.score
-        # A tracker may have any unit.
-        in_own_unit = tracked and not 0.2 < ratio < 5.0 and ratio > 0.0
-        if in_own_unit:
-            own_unit_score = closure_error(motions, ratio).score
-            in_own_unit = own_unit_score < hypotheses[0].closure_error.score
-        if in_own_unit or (is_accepted and not certain):
-            hypotheses = ()
+    chain = _ComparedChain.of(GivenPoses(robot, camera), used, in_hand, tracked, ids)
+    hypotheses = _likely_mistakes(chain, turns)
     suspicious = suspicious_views(differences)
-    if hypotheses:
-        angles = median_rotation_angles(robot, camera, compared)
-        # Positions that fit in another size of the target are not in another frame.
-        positions = not tracked and closure_error(motions, ratio).score > (
-            MAX_CORRECTED_SCORE_RATIO * given_error.score
-        )
-        problems = convention_problems(given_error, hypotheses, mismatch, angles, positions)
-    if problems and not is_explained(given_error, hypotheses):
-        views = [view for view, _ in suspicious]
-        rest = used & ~np.isin(np.arange(len(used)), views)
-        # Three views close with some wrong poses, too.
-        if 3 < rest.sum() < used.sum():
-            error = closure_error(motions_of_mount(robot, camera, rest, in_hand))
-            problems = problem_of_views(given_error, error, [ids[k] for k in views]) or problems
-    # A wrong convention distorts the length ratio too, so units are checked only without one.
-    if not problems:
-        problems = length_unit_problems(ratio, robot, camera, used, tracked)
-    ambiguities = ()
-    if comparable and is_accepted and not problems:
-        rival_score = MAX_RIVAL_SCORE_RATIO * max(given_error.score, CLOSURE_SCORE_FLOOR)
-        doubts = (
-            inverted_poses_doubt(robot, camera, used, in_hand, rival_score),
-            size_doubt(camera, used) if turns_about_one_point(robot[used]) else "",
-        )
-        ambiguities = tuple(doubt for doubt in doubts if doubt)
+    problems = _problems(chain, hypotheses, mismatch, [view for view, _ in suspicious])
+    ambiguities = () if problems else _ambiguities(chain)
     if tracked:
         problems, ambiguities = (
             tuple(map(of_tracked_poses, texts)) for texts in (problems, ambiguities)
         )
+    error = chain.error
     return ConventionReport(
         problems,
         suspicious,
         mismatch,
-        ratio,
-        (given_error.rotation, given_error.translation),
+        chain.ratio.value,
+        (error.rotation, error.translation),
         hypotheses,
-        is_explained(given_error, hypotheses),
-        ratio_std,
-        given_error.score if comparable else 0.0,
+        is_explained(error, hypotheses),
+        chain.ratio.std,
+        error.score if chain.comparable else 0.0,
         ambiguities=ambiguities,
     )
+
+
+class _ComparedChain(NamedTuple):
+    """The motions of robot and camera as given, and their error with the best hand-eye transform.
+
+    Attributes:
+        given: poses of robot and camera.
+        used: mask of the views to compare.
+        in_hand: whether the camera is stated to be on the hand.
+        tracked: whether a tracker gave the camera's poses.
+        ids: names of the views.
+        motions: between the views.
+        comparable: whether the motions determine a hand-eye rotation.
+        error: closure error.
+        ratio: camera motion over robot motion; 1 where it is not determined.
+    """
+
+    given: GivenPoses
+    used: Bool[np.ndarray, "views"]
+    in_hand: bool
+    tracked: bool
+    ids: Sequence[str]
+    motions: RelativeMotions
+    comparable: bool
+    error: ClosureError
+    ratio: LengthRatio
+
+    @classmethod
+    def of(
+        cls,
+        given: GivenPoses,
+        used: Bool[np.ndarray, "views"],
+        in_hand: bool,
+        tracked: bool,
+        ids: Sequence[str],
+    ) -> "_ComparedChain":
+        """Compare the motions of at least three views."""
+        motions = motions_of_mount(given.robot, given.camera, used, in_hand)
+        # Turns that are noise seem to have many axes.
+        turned = not turns_about_one_axis(given.robot[used])
+        comparable = turned and motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO
+        error = closure_error(motions)
+        ratio = length_ratio(motions) if comparable else LengthRatio()
+        # The score divides lengths by the target's distance, so a wrong unit of the target can
+        # leave it small; the ratio of the motions shows it.
+        if not _is_better_scale(motions, error, ratio.value):
+            ratio = LengthRatio()
+        return cls(given, used, in_hand, tracked, ids, motions, comparable, error, ratio)
+
+    @property
+    def is_alike_in_size(self) -> bool:
+        """Whether robot and camera seem to use one unit of length."""
+        return 0.2 < self.ratio.value < 5.0
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether robot and camera move alike as given."""
+        return self.error.score < MAX_CLOSURE_SCORE and self.is_alike_in_size
+
+
+def _likely_mistakes(
+    chain: _ComparedChain, turns: Float[np.ndarray, "turns 4 4"] | None
+) -> tuple[ConventionHypothesis, ...]:
+    """Return every mistake that was tried, the likeliest first; none for plausible poses."""
+    is_accepted, given_score = chain.is_accepted, chain.error.score
+    if not chain.comparable or (is_accepted and given_score < DOUBTED_SCORE):
+        return ()
+    possible = tuple(mistakes(chain.in_hand, len(chain.used), turns, chain.tracked))
+    hypotheses = ranked_hypotheses(chain.given, chain.used, chain.in_hand, chain.motions, possible)
+    hypotheses = naming_views(hypotheses, chain.given, turns, chain.used, chain.ids)
+    best_score, ratio = hypotheses[0].closure_error.score, chain.ratio.value
+    # Of a hundred mistakes one may by chance close a little better than the truth.
+    if is_accepted and not best_score < MAX_CERTAIN_SCORE_RATIO * given_score:
+        return ()
+    # A tracker may have any unit.
+    in_own_unit = chain.tracked and not chain.is_alike_in_size and ratio > 0.0
+    if in_own_unit and closure_error(chain.motions, ratio).score < best_score:
+        return ()
+    return hypotheses
+
+
+def _problems(
+    chain: _ComparedChain,
+    hypotheses: tuple[ConventionHypothesis, ...],
+    mismatch: float,
+    suspicious: Sequence[int],
+) -> tuple[str, ...]:
+    """Return what makes the data unusable as given, in sentences.
+
+    Args:
+        chain: the motions.
+        hypotheses: likely mistakes.
+        mismatch: median difference of the rotation angles, rad.
+        suspicious: views whose rotation angles differ.
+    """
+    robot, camera, used = chain.given.robot, chain.given.camera, chain.used
+    problems = ()
+    if hypotheses:
+        angles = median_rotation_angles(robot, camera, compared_views(used))
+        # Positions that fit in another size of the target are not in another frame.
+        positions = not chain.tracked and closure_error(chain.motions, chain.ratio.value).score > (
+            MAX_CORRECTED_SCORE_RATIO * chain.error.score
+        )
+        problems = convention_problems(chain.error, hypotheses, mismatch, angles, positions)
+    if problems and not is_explained(chain.error, hypotheses):
+        rest = used & ~np.isin(np.arange(len(used)), suspicious)
+        # Three views close with some wrong poses, too.
+        if 3 < rest.sum() < used.sum():
+            error = closure_error(motions_of_mount(robot, camera, rest, chain.in_hand))
+            names = [chain.ids[view] for view in suspicious]
+            problems = problem_of_views(chain.error, error, names) or problems
+    # A wrong convention distorts the length ratio too, so units are checked only without one.
+    return problems or length_unit_problems(chain.ratio.value, robot, camera, used, chain.tracked)
+
+
+def _ambiguities(chain: _ComparedChain) -> tuple[str, ...]:
+    """Return what these views cannot tell although robot and camera agree, in sentences."""
+    if not (chain.comparable and chain.is_accepted):
+        return ()
+    robot, camera, used = chain.given.robot, chain.given.camera, chain.used
+    rival_score = MAX_RIVAL_SCORE_RATIO * max(chain.error.score, CLOSURE_SCORE_FLOOR)
+    doubts = (
+        inverted_poses_doubt(robot, camera, used, chain.in_hand, rival_score),
+        size_doubt(camera, used) if turns_about_one_point(robot[used]) else "",
+    )
+    return tuple(doubt for doubt in doubts if doubt)
 
 
 def _is_better_scale(motions: RelativeMotions, given_error: ClosureError, ratio: float) -> bool:

@@ -7,7 +7,6 @@ linear in all of these numbers, and least squares tells how much a bow of each v
 The numbers that each view has by itself are eliminated first, the camera's are common.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -24,23 +23,19 @@ STEP = 1e-5
 """Step of the differences, m, rad, or relative to a camera's number and at least to 1."""
 
 
-@dataclasses.dataclass(frozen=True)
-class FlexibleOptions:
-    """Say which target is named as one that bends.
+MAX_LEFT_OVER = 0.5
+"""Largest ratio of the squared residuals with a bow in each view to those with a common one: the
+bows explain more than all else together."""
 
-    Attributes:
-        max_left_over: largest ratio of the squared residuals with a bow in each view to those with
-            a common one: the bows explain more than all else together.
-        min_rms: smallest RMS of the residuals with a common bow, px. No detector is as good: less
-            is what rounding and steps of differences leave in rendered pictures.
-        min_points: fewest points of a view, which has 9 numbers: noise alone leaves four fifths.
-        min_views: fewest views that tell the common camera from their bows.
-    """
+MIN_RMS = 1e-3
+"""Smallest RMS of the residuals with a common bow, px.
 
-    max_left_over: float = 0.5
-    min_rms: float = 1e-3
-    min_points: int = 12
-    min_views: int = 5
+No detector is as good: less is what rounding and steps of differences leave in rendered pictures.
+"""
+
+MIN_POINTS, MIN_VIEWS = 12, 5
+"""Fewest points of a view, which has 9 numbers: noise alone leaves four fifths; and fewest views
+that tell the common camera from their bows."""
 
 
 class FlexibleTarget(NamedTuple):
@@ -72,7 +67,6 @@ def find_flexible_target(
     inliers: Bool[np.ndarray, "views points"],
     camera: Camera,
     camera_from_world: SE3,
-    options: FlexibleOptions | None = None,
 ) -> FlexibleTarget | None:
     """Return how a flat target bends from view to view; None if it does not, or is not flat.
 
@@ -81,12 +75,10 @@ def find_flexible_target(
         inliers: mask of the points to use.
         camera: common to all views.
         camera_from_world: the pose of each view that fits best with this camera.
-        options: which target is named; by default `FlexibleOptions()`.
     """
-    options = options or FlexibleOptions()
     points, seen = np.asarray(observations.points), np.asarray(inliers)
-    views = np.flatnonzero(seen.sum(axis=1) >= options.min_points)
-    if len(views) < options.min_views or np.ptp(points[..., 2]) > STEP:
+    views = np.flatnonzero(seen.sum(axis=1) >= MIN_POINTS)
+    if len(views) < MIN_VIEWS or np.ptp(points[..., 2]) > STEP:
         return None
     offsets = points - points[0].mean(axis=0)
     half = float(np.abs(offsets).max())
@@ -114,7 +106,7 @@ def find_flexible_target(
     )
     count = sum(len(view.residuals) for view in equations)
     rms, given_rms = (float(np.sqrt(2.0 * fit.squares / count)) for fit in (bowed, common))
-    if given_rms < options.min_rms or bowed.squares > options.max_left_over * common.squares:
+    if given_rms < MIN_RMS or bowed.squares > MAX_LEFT_OVER * common.squares:
         return None
     bows = np.array([view[6:] for view in bowed.by_view])
     # A bow of 1 lifts the rim by one metre over the middle; x y lifts corners alone.

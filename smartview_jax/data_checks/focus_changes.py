@@ -9,7 +9,6 @@ criterion. Points in pictures tell the distance less well than the direction, by
 follows from their noise and is part of each kind.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -18,28 +17,18 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
 from ..calibration import mount_frames
-from .misfit_evidence import MIN_VARIANCE
+from .misfit_evidence import MIN_VARIANCE, VERY_STRONG_EVIDENCE
 from .position_equations import fit_positions, robot_column, transform_columns
 from .transform_fit import fit_transforms, median_distance, motions_of_views
 
+MIN_VIEWS = 8
+"""Fewest views: transforms, size, focal length and variances have 10 numbers, 8 views 24."""
 
-@dataclasses.dataclass(frozen=True)
-class FocusOptions:
-    """Say which changes of focus are named.
+MIN_SIZE = 1e-3
+"""Smallest standard deviation of the focal length, relative.
 
-    Attributes:
-        min_odds: smallest odds of them against errors alike in all directions, and against errors
-            along an axis of the robot's base; 150 are "very strong evidence" in the words of Kass
-            and Raftery, Bayes factors, 1995.
-        min_views: fewest views: transforms, size, focal length and variances have 10 numbers, 8
-            views 24.
-        min_size: smallest standard deviation of the focal length, relative. The default moves the
-            target by half a millimetre at half a metre, which no good robot errs by.
-    """
-
-    min_odds: float = 150.0
-    min_views: int = 8
-    min_size: float = 1e-3
+It moves the target by half a millimetre at half a metre, which no good robot errs by.
+"""
 
 
 class FocusChange(NamedTuple):
@@ -108,7 +97,6 @@ def find_focus_change(
     used: Bool[np.ndarray, "views"],
     seen: SeenDistances,
     mount: str,
-    options: FocusOptions | None = None,
 ) -> FocusChange | None:
     """Return the changes of the focal length, if errors lie along the optical axis.
 
@@ -118,14 +106,12 @@ def find_focus_change(
         used: mask of the views to use.
         seen: what the pictures tell of the distances.
         mount: where the camera is stated to be.
-        options: which changes are named; by default `FocusOptions()`.
 
     Returns:
         None if the focal length does not seem to change.
     """
-    options = options or FocusOptions()
     views = np.flatnonzero(used)
-    if len(views) < options.min_views:
+    if len(views) < MIN_VIEWS:
         return None
     motions = motions_of_views(mount_from_holder, camera_from_world, views, 1.0)
     if motions is None:
@@ -147,14 +133,14 @@ def find_focus_change(
     )
     errors = _Positions(np.concatenate(columns, axis=2), positions, along * seen.noise[views, None])
     numbers = np.log(3.0 * len(views))
-    least_gain = 2.0 * np.log(options.min_odds)
+    least_gain = 2.0 * np.log(VERY_STRONG_EVIDENCE)
     # A good robot is done with here: searches for variances take much longer.
     highest = errors.deviance(np.log([errors.sigma])) - numbers - least_gain
-    if errors.least_deviance(options.min_size * depths) > highest:
+    if errors.least_deviance(MIN_SIZE * depths) > highest:
         return None
     focus = errors.likelihood(along)
     size = focus.size
-    if size < options.min_size:
+    if size < MIN_SIZE:
         return None
     alike = errors.likelihood(None)
     # The axes of the base: of the holder, or of the mount if the camera stands next to the arm.

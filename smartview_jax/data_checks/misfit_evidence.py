@@ -16,6 +16,9 @@ from jaxtyping import Float
 from ..geometry import host_logarithms
 from .closure import Poses
 
+STRONG_EVIDENCE, VERY_STRONG_EVIDENCE = 20.0, 150.0
+"""Odds, in the words of Kass and Raftery, Bayes factors, 1995."""
+
 MIN_VARIANCE = 1e-18
 """Smallest variance of an error, m^2 and rad^2: a nanometre, for rendered views without any."""
 

@@ -17,6 +17,7 @@ from ..calibration import host_mount_from_holder, mount_frames
 from ..geometry import host_matrices
 from ..robots import SerialArm
 from .closure import MAX_CORRECTED_SCORE_RATIO
+from .misfit_evidence import VERY_STRONG_EVIDENCE
 from .position_equations import (
     Columns,
     PositionFit,
@@ -31,21 +32,14 @@ MAX_NAMED_LENGTHS, MIN_NAMED_CHANGE = 4, 2e-3
 """Largest number of lengths that a sentence names, and their smallest difference, m."""
 
 
-@dataclasses.dataclass(frozen=True)
-class OtherArmOptions:
-    """Say which differences of an arm from its description are named.
+MIN_LENGTH_CHANGE = 0.01
+"""Smallest difference of a length, m, that makes another arm.
 
-    Attributes:
-        min_odds: smallest odds of other lengths; 150 are "very strong evidence" in the words of
-            Kass and Raftery, Bayes factors, 1995.
-        min_length_change: smallest difference of a length, m. Arms of one type differ by less than
-            a millimetre, and types of one family by centimetres.
-        max_length_std: largest standard deviation of a length that is told, m.
-    """
+Arms of one type differ by less than a millimetre, and types of one family by centimetres.
+"""
 
-    min_odds: float = 150.0
-    min_length_change: float = 0.01
-    max_length_std: float = 0.01
+MAX_LENGTH_STD = 0.01
+"""Largest standard deviation of a length that is told, m."""
 
 
 class LinkLengths(NamedTuple):
@@ -89,7 +83,6 @@ def find_other_arm(
     camera_from_world: SE3,
     mount: str,
     used: Bool[np.ndarray, "views"],
-    options: OtherArmOptions | None = None,
 ) -> LinkLengths | None:
     """Return lengths of the arm's links that explain the camera's motion, if the described do not.
 
@@ -99,12 +92,10 @@ def find_other_arm(
         camera_from_world: from the pictures alone, `(views)`.
         mount: where the camera is stated to be.
         used: mask of the views to use.
-        options: which differences are named; by default `OtherArmOptions()`.
 
     Returns:
         None if the lengths as described, or a target of another size, explain the motion as well.
     """
-    options = options or OtherArmOptions()
     views = np.flatnonzero(used)
     # Positions, twice as many as both transforms, the size, and two lengths for each joint.
     if 3 * len(views) < 2 * (7 + 2 * arm.joint_count) or mount not in (
@@ -135,11 +126,11 @@ def find_other_arm(
         return None
     rank = int(np.linalg.matrix_rank(columns.reshape(-1, columns.shape[2])))
     odds = evidence_of_positions(of_other_size, of_other_arm, rank - 7)
-    if odds < 2.0 * np.log(options.min_odds):
+    if odds < 2.0 * np.log(VERY_STRONG_EVIDENCE):
         return None
-    told = _told_columns(columns, of_other_arm, options.max_length_std)[6:]
+    told = _told_columns(columns, of_other_arm, MAX_LENGTH_STD)[6:]
     changes = of_other_arm.numbers[6:][told]
-    if not (np.abs(changes) > options.min_length_change).any():
+    if not (np.abs(changes) > MIN_LENGTH_CHANGE).any():
         return None
     names = [f"{kind} of link {k + 1}" for kind in "da" for k in range(arm.joint_count)]
     given = np.concatenate([np.asarray(arm.d), np.asarray(arm.a)])[told]

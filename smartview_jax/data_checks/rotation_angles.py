@@ -6,6 +6,7 @@ The angle of a motion is the same in every frame, so this needs no hand-eye tran
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import host_pairwise_rotation_angles
 from .closure import Poses
 
 MAX_COMPARED_VIEWS = 200
@@ -33,7 +34,7 @@ def angle_differences(
     """
     inverse_robot, camera = np.linalg.inv(_replace_nonfinite(robot)), _replace_nonfinite(camera)
     robot_angles, camera_angles = (
-        _rotation_angles(poses, poses[compared]) for poses in (inverse_robot, camera)
+        host_pairwise_rotation_angles(poses, poses[compared]) for poses in (inverse_robot, camera)
     )
     unused = ~used[:, None] | (np.arange(len(used))[:, None] == compared)
     return np.where(unused, np.nan, np.abs(robot_angles - camera_angles))
@@ -44,9 +45,8 @@ def median_rotation_angles(
 ) -> tuple[float, float]:
     """Return the median rotation angle between two views, of robot and of camera, rad."""
     upper = np.triu_indices(len(compared), 1)
-    robot_angle, camera_angle = (
-        float(np.median(_rotation_angles(p[compared], p[compared])[upper])) for p in (robot, camera)
-    )
+    angles = [host_pairwise_rotation_angles(p[compared], p[compared]) for p in (robot, camera)]
+    robot_angle, camera_angle = (float(np.median(pairs[upper])) for pairs in angles)
     return robot_angle, camera_angle
 
 
@@ -66,15 +66,6 @@ def suspicious_views(angles: Float[np.ndarray, "views compared"]) -> tuple[tuple
         )
         for view in np.flatnonzero(median_differences > limit)
     )
-
-
-def _rotation_angles(
-    poses: Poses, others: Float[np.ndarray, "compared 4 4"]
-) -> Float[np.ndarray, "views compared"]:
-    """Return the angle of `R_i R_j^T` for every pair, rad: `2 cos(angle) + 1 = trace`."""
-    # trace(R_i R_j^T) is the sum of the products of their entries.
-    R, S = (p[:, :3, :3].reshape(len(p), 9) for p in (poses, others))
-    return np.arccos(np.clip(0.5 * (R @ S.T - 1.0), -1.0, 1.0))
 
 
 def _replace_nonfinite(poses: Poses) -> Poses:

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 from ..calibration import mount_frames
 from ..geometry import host_adjoints, host_logarithms
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, MAX_VIEWS, Poses
+from .misfit_evidence import VERY_STRONG_EVIDENCE
 from .smooth_errors import LinearFit, ViewErrors, pose_kernels
 from .transform_fit import fit_transforms, mean_size, median_distance, misfit_text, motions_of_views
 
@@ -31,14 +32,13 @@ class DriftOptions:
     """Say which drift of the set-up is named.
 
     Attributes:
-        min_odds: smallest odds of a drift that is named; 150 are "very strong evidence" in the
-            words of Kass and Raftery, Bayes factors, 1995.
+        min_odds: smallest odds of a drift that is named.
         min_views: fewest views: transforms, size and drift have 19 numbers, and 6 views 36.
         min_size: smallest drift from the first view to the last: rotation (rad) plus translation
             over the distance to the target. The default is 1 mm at half a metre.
     """
 
-    min_odds: float = 150.0
+    min_odds: float = VERY_STRONG_EVIDENCE
     min_views: int = 10
     min_size: float = 2e-3
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float, Int
 
+from ..calibration import mount_frames
 from ..dataset import undetermined_twists
 from ..geometry import host_logarithms, host_matrices, host_transforms
 from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
@@ -69,6 +70,25 @@ def median_distance(camera_from_world: Poses) -> float:
 def misfit_text(misfit: Float[np.ndarray, "2"] | tuple[float, float]) -> str:
     """Return a misfit in words, in degrees and millimetres."""
     return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"
+
+
+def moved_text(kind: str, mount: str, size: tuple[float, float]) -> str:
+    """Return what may have been moved, and by how much, as a clause.
+
+    Args:
+        kind: `"camera"` for the camera against its mount, `"target"` for the target against its
+            holder.
+        mount: where the camera is stated to be.
+        size: translation (m) and rotation (rad) of the change.
+    """
+    in_hand = mount_frames(mount)[0] == "tool"
+    if kind == "target":
+        held = "the target had been moved" + ("" if in_hand else " in the hand")
+        frame = "base" if in_hand else "tool"
+    else:
+        held = "the camera had been moved" + (" on the tool" if in_hand else "")
+        frame = "tool" if in_hand else "base"
+    return f"{held} (or the controller's {frame} frame changed) by {misfit_text(size)}"
 
 
 def motions_of_views(

@@ -147,22 +147,12 @@ def find_consistent_views(
     errors = errors_with(fit.transforms) if rejected else None
     reasons = {}
     for view in rejected:
-        text = (
-            f"robot and camera disagree by {misfit_text(fit.misfit[view])} there, "
-            f"{fit.misfit_ratio[view]:.0f} times as much as in the median view"
-        )
-        if errors is not None:
-            where = (
-                f"{errors[view]:.3g} px off" if np.isfinite(errors[view]) else "out of the picture"
-            )
-            median_error = np.median(errors[consistent])
-            text += f", and its points {where} (the median view's {median_error:.2g} px)"
         explanation = (
             OTHER_CORNER_TEXT
             if turns is not None and _fits_turned(view, fit, robot, camera, turns)
             else _matching_pose_text(view, fit, robot, camera, ids)
         )
-        reasons[view] = f"{text}: {explanation}"
+        reasons[view] = f"{_disagreement(view, fit, errors, consistent)}: {explanation}"
     return ViewConsistency(consistent, reasons, tuple(uncertain))
 
 
@@ -226,6 +216,31 @@ class _JudgedFit(NamedTuple):
     misfit: Float[np.ndarray, "views 2"]
     misfit_ratio: Float[np.ndarray, "views"]
     misfit_scale: Float[np.ndarray, "views 2"]
+
+
+def _disagreement(
+    view: int,
+    fit: _JudgedFit,
+    errors: Float[np.ndarray, "views"] | None,
+    consistent: Bool[np.ndarray, "views"],
+) -> str:
+    """Return by how much a view disagrees with the consistent ones, as a clause.
+
+    Args:
+        view: index of the view.
+        fit: of the consistent views.
+        errors: reprojection errors of all views, px; None if unknown.
+        consistent: mask of the consistent views.
+    """
+    text = (
+        f"robot and camera disagree by {misfit_text(fit.misfit[view])} there, "
+        f"{fit.misfit_ratio[view]:.0f} times as much as in the median view"
+    )
+    if errors is None:
+        return text
+    where = f"{errors[view]:.3g} px off" if np.isfinite(errors[view]) else "out of the picture"
+    median_error = np.median(errors[consistent])
+    return f"{text}, and its points {where} (the median view's {median_error:.2g} px)"
 
 
 def _hidden_views(

@@ -18,11 +18,10 @@ from jaxlie import SE3
 from jaxtyping import Bool, Int
 
 from ..geometry import host_rotation_vectors, mean_matrix
-from .change_texts import moved_text
 from .closure import MAX_CLOSURE_SCORE, MAX_CORRECTED_SCORE_RATIO, Poses
 from .convention_hypotheses import listed_views
 from .largest_group import MAX_DISAGREEMENT, MIN_GROUP, disagreements, largest_group
-from .misfit_evidence import error_variances, errors_of, evidence
+from .misfit_evidence import VERY_STRONG_EVIDENCE, error_variances, errors_of, evidence
 from .transform_fit import (
     Matrix,
     fit_transforms,
@@ -31,6 +30,7 @@ from .transform_fit import (
     misfit_text,
     misfits,
     motions_from_camera_to_target,
+    moved_text,
 )
 
 MAX_TURN_ERROR, MAX_TURN_SHIFT = float(np.deg2rad(2.0)), 0.05
@@ -47,14 +47,13 @@ class GroupOptions:
         min_share: smallest share of the views that the groups must contain.
         tolerance: largest disagreement of views of one group, rotation (rad) plus translation over
             the distance to the target.
-        min_odds: smallest odds of the groups; 150 are "very strong evidence" in the words of Kass
-            and Raftery, Bayes factors, 1995.
+        min_odds: smallest odds of the groups.
     """
 
     min_views: int = 7
     min_share: float = 0.85
     tolerance: float = MAX_DISAGREEMENT
-    min_odds: float = 150.0
+    min_odds: float = VERY_STRONG_EVIDENCE
 
 
 class ViewGroup(NamedTuple):

@@ -195,7 +195,7 @@ class ViewGeometry:
         Args:
             points: the clicks of all points of the constraints.
             positions: the points under the constraints, m.
-            constraints: facts, of which one contradicts the clicks.
+            constraints: facts; one of them contradicts the clicks.
 
         Returns:
             The index of the point and the name of the view of each.

@@ -15,7 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration, DepthBias, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..dataset import TYPICAL_OFFSET_STD, TYPICAL_SCALE_STD, Dataset, chain_residuals
+from ..dataset import (
+    TYPICAL_OFFSET_STD,
+    TYPICAL_SCALE_STD,
+    Dataset,
+    Observations,
+    chain_residuals,
+)
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..runtime.array_namespace import to_device, to_device_together
@@ -78,6 +84,18 @@ class BuiltProblem(AbstractBuiltProblem):
         """Return the problem with other axes of the views' own parameters."""
         return dataclasses.replace(self, problem=self.problem.with_correction_roots(roots))
 
+    def with_prior_centre(self, centre: Calibration) -> "BuiltProblem":
+        """Return the problem with the priors that have no mean centred there, not at the start."""
+        problem = self.problem
+        mean, weight = (np.array(s.shared) for s in (problem.prior_mean, problem.prior_weight))
+        about_start = np.isnan(mean) & (weight > 0.0)
+        if not about_start.any():
+            return self
+        centre = with_depth_bias(centre, problem.observations)
+        mean[about_start] = np.asarray(_values_at(problem.parameters, centre))[about_start]
+        centred = Step(to_device(mean), problem.prior_mean.per_view)
+        return with_fields(self, problem=with_fields(problem, prior_mean=centred))
+
     @property
     def sigma_known(self) -> bool:
         """Whether the pixel sigma is taken as given; if not, it is estimated from the residuals."""
@@ -100,14 +118,13 @@ def build_problem(
     noise: str | Noise = "trusted",
     loss: str | AbstractLoss | None = None,
     field: FieldChoice = "auto",
-    prior_centre: Calibration | None = None,
     **parameters: Unpack[ParameterOptions],
 ) -> BuiltProblem:
     """Build the least-squares problem of `fit_joint`; arguments and errors are as there.
 
-    Priors without a mean are centred at `prior_centre`, by default the start. The coefficients of a
-    robot error field begin at their values in the start if it has the same field, otherwise at
-    zero. With `field="auto"` the robot error of the start is held.
+    Priors without a mean are centred at the start. The coefficients of a robot error field begin at
+    their values in the start if it has the same field, otherwise at zero. With `field="auto"` the
+    robot error of the start is held.
 
     For example:
 
@@ -160,10 +177,6 @@ def build_problem(
         fitted_field,
         float(np.asarray(start.target_scale)),
     )
-    about_start = np.isnan(mean[:shared_size]) & (weight[:shared_size] > 0.0)
-    if prior_centre is not None and about_start.any():
-        centre = np.asarray(_values_at(shared, with_depth_bias(prior_centre, data)))
-        mean[:shared_size][about_start] = centre[about_start]
     if noise_model is not None:
         # The correction of a view with too few points to determine its pose is held, unless a prior
         # constrains it.
@@ -244,7 +257,7 @@ def with_field(start: Calibration, field: FieldChoice) -> Calibration:
     return with_fields(start, robot_error=RobotError.zero(field))
 
 
-def with_depth_bias(start: Calibration, data: Dataset) -> Calibration:
+def with_depth_bias(start: Calibration, data: Dataset | Observations) -> Calibration:
     """Return the start with a bias of depths where the data have depths, and without elsewhere."""
     if data.depths is None:
         return start if start.depth_bias is None else with_fields(start, depth_bias=None)

@@ -13,6 +13,7 @@ from .host import host_cross_matrices as host_cross_matrices
 from .host import host_exponentials as host_exponentials
 from .host import host_logarithms as host_logarithms
 from .host import host_matrices as host_matrices
+from .host import host_pairwise_rotation_angles as host_pairwise_rotation_angles
 from .host import host_poses as host_poses
 from .host import host_rotation_angles as host_rotation_angles
 from .host import host_rotation_vectors as host_rotation_vectors

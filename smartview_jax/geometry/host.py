@@ -132,6 +132,18 @@ def host_rotation_angles(
     return np.asarray(2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0)))
 
 
+def host_pairwise_rotation_angles(
+    first: Float[np.ndarray, "n 4 4"], second: Float[np.ndarray, "m 4 4"]
+) -> Float[np.ndarray, "n m"]:
+    """Return the angles between the rotations of every two poses, rad.
+
+    By `2 cos(angle) + 1 = trace(R S^T)`, the sum of the products of their entries: one product of
+    matrices for any number of pairs, to some 1e-8 rad.
+    """
+    R, S = (poses[:, :3, :3].reshape(len(poses), 9) for poses in (first, second))
+    return np.arccos(np.clip(0.5 * (R @ S.T - 1.0), -1.0, 1.0))
+
+
 def host_exponentials(tangents: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch 4 4"]:
     """Return the rigid 4x4 matrices of tangents as `SE3.exp` does, translation first."""
     v, w = tangents[..., :3], tangents[..., 3:]

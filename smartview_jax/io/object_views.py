@@ -32,15 +32,14 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from .. import schemas
 from ..argument_checks import require_distinct
 from ..detection import read_picture
 from ..files import dump_yaml, file_transaction, read_yaml, write_atomically
-from ..geometry import PoseLike, as_se3
 from ..modeling import command_at
-from ..robots import Command, SerialArm
+from ..robots import Command, CommandLike, SerialArm, as_command
 from .folder_description import DescribedFolder
 from .joints import joints_entry, write_joints
 from .poses import poses_entry, write_poses
@@ -175,10 +174,9 @@ def write_object_views(
     folder: str | Path,
     view_ids: Sequence[str],
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
-    base_from_tool: PoseLike,
+    command: CommandLike,
     suffix: str = ".png",
     pose_format: str = "matrix",
-    joints: Float[np.ndarray, "views joints"] | None = None,
     arm: SerialArm | None = None,
 ) -> Path:
     """Write pictures of an object and their poses as a folder that `load_object_views` reads.
@@ -187,26 +185,26 @@ def write_object_views(
         folder: folder to create.
         view_ids: names of the views, used as file names.
         pictures: one for each view, all of the same size.
-        base_from_tool: `(views)` poses that the robot reported.
+        command: poses that the robot reported, `(views)`; with joint readings if the calibration
+            corrects errors of the arm.
         suffix: format of the picture files; `".jpg"` is small, `".png"` lossless.
         pose_format: pose format of `poses.csv`: one of `POSE_CODECS`.
-        joints: joint readings, rad (m for a prismatic joint), needed if the calibration
-            corrects errors of the arm.
-        arm: the arm that has these readings.
+        arm: the arm that has the joint readings.
 
     Raises:
         ValueError: numbers of views, pictures, poses and readings differ, or the pictures' sizes
-            differ, or only one of `joints` and `arm` is given, or a view's name is invalid; nothing
-            is written.
+            differ, or only one of joint readings and `arm` is given, or a view's name is invalid;
+            nothing is written.
     """
-    folder, poses = Path(folder), as_se3(base_from_tool)
+    folder, command = Path(folder), as_command(command)
+    poses, joints = command.base_from_tool, command.joints
     if not len(view_ids) == len(pictures) == len(poses.wxyz_xyz) > 0:
         raise ValueError(
             f"found {len(view_ids)} views, {len(pictures)} pictures and {len(poses.wxyz_xyz)} "
             f"poses; expected one of each for every view"
         )
     if (joints is None) != (arm is None):
-        raise ValueError("joints and arm: give both, or neither")
+        raise ValueError("joint readings of the command, and arm: give both, or neither")
     if joints is not None and len(joints) != len(view_ids):
         raise ValueError(f"joints: expected {len(view_ids)} rows, found {len(joints)}")
     require_distinct("view_ids", view_ids)
@@ -228,7 +226,7 @@ def write_object_views(
         # First the table, which refuses names that lead out of the folder.
         write_poses(temporary, view_ids, poses, pose_format)
         if joints is not None and arm is not None:
-            write_joints(temporary, view_ids, joints, arm)
+            write_joints(temporary, view_ids, np.asarray(joints), arm)
         for view, picture in zip(view_ids, pictures, strict=True):
             encoded = cv2.imencode(suffix, picture)[1].tobytes()
             write_atomically(temporary / "images" / f"{view}{suffix}", encoded)

@@ -160,17 +160,7 @@ def load_rig(
             readings = readings._replace(joints=None, arm=None)
         report = None if progress is None else _named(progress, name)
         options = LoadOptions(bad_views, report, keep_detections, detection_limits)
-        if pattern is None:
-            readings = readings.of_views(_detected_views(camera, readings))
-            data[name] = detected_dataset(camera, readings, options, described.path)
-        else:
-            files = camera_pictures(camera, readings, robot, patterns[name])
-            files = {view: paths for view, paths in files.items() if any(p.exists() for p in paths)}
-            if not files:
-                path = described.folder / patterns[name]
-                raise FileNotFoundError(f"{path}: camera {name} has no picture")
-            readings = readings.of_views(list(files))
-            data[name] = camera_dataset(camera, readings, files, options, described.path)
+        data[name] = _views_of_camera(name, camera, readings, robot, patterns[name], options)
         entries = {**robot.content, **described.content["cameras"][name]}
         with errors_at(f"cameras.{name}"):
             data[name] = with_folder_depths(
@@ -197,6 +187,37 @@ def load_rig(
             for name, arm in arms.items()
         },
     )
+
+
+def _views_of_camera(
+    name: str,
+    camera: FolderDescription,
+    readings: RobotReadings,
+    robot: DescribedFolder,
+    pattern: str,
+    options: LoadOptions,
+) -> Dataset:
+    """Return the data set of one camera, of the states in which it took a picture.
+
+    Args:
+        name: of the camera.
+        camera: description of the camera.
+        readings: what the robot reported, in all states.
+        robot: description of its tables.
+        pattern: of the camera's pictures; empty where only detections are known.
+        options: of the loading.
+
+    Raises:
+        FileNotFoundError: the camera has no picture.
+    """
+    if not pattern:
+        readings = readings.of_views(_detected_views(camera, readings))
+        return detected_dataset(camera, readings, options, robot.path)
+    files = camera_pictures(camera, readings, robot, pattern)
+    files = {view: paths for view, paths in files.items() if any(p.exists() for p in paths)}
+    if not files:
+        raise FileNotFoundError(f"{robot.folder / pattern}: camera {name} has no picture")
+    return camera_dataset(camera, readings.of_views(list(files)), files, options, robot.path)
 
 
 def _cameras(

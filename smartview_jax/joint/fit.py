@@ -205,9 +205,9 @@ def fit_joint(
             loss=loss,
             **chosen._asdict(),
             field=error_field,
-            # The estimate of the noise moves the start, but not the centre of the priors.
-            prior_centre=start,
         )
+        # The estimate of the noise moves the start, but not the centre of the priors.
+        built = built.with_prior_centre(start)
         if noise_estimate is not None and noise_estimate.noise_corrections is not None:
             built = built.with_noise_corrections(noise_estimate.noise_corrections)
         if noise_estimate is not None and noise_estimate.directions is not None:

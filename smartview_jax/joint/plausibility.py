@@ -353,6 +353,23 @@ def _robot_warnings(fit: JointFit, values_are_wrong: bool) -> list[str]:
 
 def _mount_warnings(fit: JointFit) -> list[str]:
     """Return warnings about the hand-eye transform: wide intervals, or a large shift."""
+    warnings, coarse = _wide_mount_intervals(fit)
+    # A direction that is weak relative to others may still be determined well enough, so it is
+    # reported only if it contains a coarse component.
+    warnings += [
+        f"the data hardly determine: {direction.description}"
+        for direction in fit.observability.weak_directions
+        if coarse & {name for name, _ in direction.components}
+    ]
+    return warnings + _mount_shift_warnings(fit)
+
+
+def _wide_mount_intervals(fit: JointFit) -> tuple[list[str], set[str]]:
+    """Return warnings about wide intervals of the hand-eye transform, and its coarse parameters.
+
+    Parameters that the last joint's zero makes uncertain have a warning of their own, and are not
+    counted as coarse.
+    """
     mount = fit.calibration.transform_names[0]
     warnings, coarse_names = [], set()
     undetermined = {
@@ -395,26 +412,28 @@ def _mount_warnings(fit: JointFit) -> list[str]:
                 f"{worst} is known to +- {scale * coarse[worst]:.3g} {unit} only (95 %): "
                 f"take more views, turned about more axes"
             )
-    # A direction that is weak relative to others may still be determined well enough, so it is
-    # reported only if it contains a coarse component.
-    warnings += [
-        f"the data hardly determine: {direction.description}"
-        for direction in fit.observability.weak_directions
-        if coarse_names & {name for name, _ in direction.components}
+    return warnings, coarse_names
+
+
+def _mount_shift_warnings(fit: JointFit) -> list[str]:
+    """Return a warning if the correction of the robot moves the hand-eye transform far."""
+    if fit.noise_estimate is None or fit.noise_estimate.mount_displacement is None:
+        return []
+    shift, mount = (
+        np.array(fit.noise_estimate.mount_displacement),
+        fit.calibration.transform_names[0],
+    )
+    names = step_names(mount)
+    # Only parameters that are free and determined have a finite std.
+    determined = [k for k, name in enumerate(names) if np.isfinite(fit.std.get(name, np.inf))]
+    shift_in_stds = np.array([abs(shift[k]) / fit.std[names[k]] for k in determined])
+    if not len(shift_in_stds) or not shift_in_stds.max() > MAX_MOUNT_SHIFT_SIGMAS:
+        return []
+    return [
+        f"correcting the robot moves {mount} by {1e3 * np.linalg.norm(shift[:3]):.1f} mm "
+        f"and {np.rad2deg(np.linalg.norm(shift[3:])):.2f} degrees, "
+        f"{shift_in_stds.max():.0f} standard deviations"
     ]
-    if fit.noise_estimate is not None and fit.noise_estimate.mount_displacement is not None:
-        shift = np.array(fit.noise_estimate.mount_displacement)
-        names = step_names(mount)
-        # Only parameters that are free and determined have a finite std.
-        determined = [k for k, name in enumerate(names) if np.isfinite(fit.std.get(name, np.inf))]
-        shift_in_stds = np.array([abs(shift[k]) / fit.std[names[k]] for k in determined])
-        if len(shift_in_stds) and shift_in_stds.max() > MAX_MOUNT_SHIFT_SIGMAS:
-            warnings.append(
-                f"correcting the robot moves {mount} by {1e3 * np.linalg.norm(shift[:3]):.1f} mm "
-                f"and {np.rad2deg(np.linalg.norm(shift[3:])):.2f} degrees, "
-                f"{shift_in_stds.max():.0f} standard deviations"
-            )
-    return warnings
 
 
 def _half_widths_with_last_joint_held(fit: JointFit) -> dict[str, float]:

@@ -41,8 +41,8 @@ MIXTURE_ROUNDS = 20
 """Number of rounds in which errors and membership are estimated in turn."""
 
 PRIOR_NUMBERS = 3.0
-"""Weight of the usual noise of trackers in the estimate of the errors, in numbers observed: those
-of one pair, so that a triple that happens to fit exactly has no likelihood without bound."""
+"""Weight of the usual noise of trackers in the estimate of the errors, in numbers observed: as many
+as one pair has, so that a triple that happens to fit exactly has no likelihood without bound."""
 
 _Matrices = Float[np.ndarray, "views 4 4"]
 

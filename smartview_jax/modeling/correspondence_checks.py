@@ -161,17 +161,14 @@ def _deletions(
         if not (ok[column] and jacobians.valid[views, column].all()):
             results[k].append(_Deletion(v))
             continue
-        # r = J dx + A t + e with covariance R = C + A S A^T. With
-        #     Q = R^-1 - R^-1 J (J^T R^-1 J)^-1 J^T R^-1
-        # the chi-square is r^T Q r; all are whitened, so that C is the identity.
+        # r = J dx + A t + e with covariance R = C + A S A^T; all are whitened, so that C is the
+        # identity.
         count, whitening = 2 * len(views), check.whitening[views, k]
         residual = check.pixels[views, k] - jacobians.pixels[views, column]
         r = np.einsum("vij,vj->vi", whitening, residual).ravel()
         J = (whitening @ jacobians.by_point[views, column]).reshape(count, 3)
         A = (whitening @ sensitivity[views, column]).reshape(count, sensitivity.shape[3])
-        inverse = np.linalg.inv(np.eye(count) + A @ check.uncertainty.covariance @ A.T)
-        RJ = inverse @ J
-        Q = inverse - RJ @ np.linalg.pinv(J.T @ RJ, hermitian=True) @ RJ.T
+        Q = least_chi_square_matrix(np.eye(count) + A @ check.uncertainty.covariance @ A.T, J)
         place = int(np.flatnonzero(views == v)[0])
         without = deletion_of(Q, r, place)
         distance = float(np.linalg.norm(residual[place])) if len(views) > 2 else np.nan
@@ -218,6 +215,21 @@ class ClickDeletion(NamedTuple):
     rest: float
 
 
+def least_chi_square_matrix(
+    R: Float[np.ndarray, "rows rows"], J: Float[np.ndarray, "rows unknowns"]
+) -> Float[np.ndarray, "rows rows"]:
+    """Return the matrix Q of the least chi-square over all unknowns, `r^T Q r`.
+
+    Args:
+        R: covariance of the residuals r.
+        J: derivatives of the residuals by the unknowns.
+    """
+    # Q = R^-1 - R^-1 J (J^T R^-1 J)^-1 J^T R^-1
+    inverse = np.linalg.inv(R)
+    RJ = inverse @ J
+    return inverse - RJ @ np.linalg.pinv(J.T @ RJ, hermitian=True) @ RJ.T
+
+
 def deletion_of(
     Q: Float[np.ndarray, "rows rows"], r: Float[np.ndarray, "rows"], click: int
 ) -> ClickDeletion:
@@ -226,7 +238,7 @@ def deletion_of(
     Reference: Cook and Weisberg, Residuals and influence in regression, 1982, section 2.2.
 
     Args:
-        Q: matrix of the least chi-square over all unknowns, `r^T Q r`.
+        Q: from `least_chi_square_matrix`.
         r: residuals; each click has two rows.
         click: number of the click.
     """

@@ -5,7 +5,6 @@ duration are chosen where the log is complete, interpolated from their ends as i
 compared with the poses that were logged within.
 """
 
-import dataclasses
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -81,23 +80,16 @@ class Trajectory(NamedTuple):
         return host_poses(self.rotations(times).as_matrix(), self.positions(times))
 
 
-@dataclasses.dataclass(frozen=True)
-class GapLimits:
-    """Limits beyond which an interval between two logged poses is a gap.
+ALLOWED_ERROR = np.array([1e-4, 2e-4])
+"""Error of position, m, and angle, rad, that is always acceptable: robots repeat a pose to about
+this accuracy."""
 
-    Attributes:
-        position, angle: error that is always acceptable, m and rad; robots repeat a pose to about
-            this accuracy.
-        windows: largest number of windows in which the error is measured.
-    """
-
-    position: float = 1e-4
-    angle: float = 2e-4
-    windows: int = 200
+MAX_WINDOWS = 200
+"""Largest number of windows in which the error is measured."""
 
 
 def times_in_gaps(
-    trajectory: Trajectory, times: Float[np.ndarray, "views"], limits: GapLimits | None = None
+    trajectory: Trajectory, times: Float[np.ndarray, "views"]
 ) -> Bool[np.ndarray, "views"]:
     """Return which times are in a gap of the log, where the interpolated pose is not reliable.
 
@@ -108,15 +100,12 @@ def times_in_gaps(
     Args:
         trajectory: the logged poses.
         times: times within the log, s.
-        limits: by default `GapLimits()`.
     """
-    limits = limits or GapLimits()
     logged = trajectory.times
     usual = 2.0 * float(np.median(np.diff(logged)))
     # The error at twice the median interval, where the poses in the middle are logged, is larger
     # than the error at the median interval.
-    allowed = np.array([limits.position, limits.angle])
-    accepted = np.fmax(allowed, _interpolation_error(trajectory, usual, 0.5, usual, limits))
+    accepted = np.fmax(ALLOWED_ERROR, _interpolation_error(trajectory, usual, 0.5, usual))
     in_gap = np.zeros(len(times), dtype=bool)
     for k, time in enumerate(times):
         after = int(np.clip(np.searchsorted(logged, time), 1, len(logged) - 1))
@@ -124,16 +113,16 @@ def times_in_gaps(
         if duration <= usual or time in (start, logged[after]):
             continue
         ends = _motion(trajectory, np.array([after - 1]), np.array([after]))[0]
-        if (_sizes(ends) <= allowed).all():
+        if (_sizes(ends) <= ALLOWED_ERROR).all():
             continue
-        error = _interpolation_error(trajectory, duration, (time - start) / duration, usual, limits)
+        error = _interpolation_error(trajectory, duration, (time - start) / duration, usual)
         # Without a window of this duration the interpolation has no support.
         in_gap[k] = np.isnan(error).any() or (error > accepted).any()
     return in_gap
 
 
 def _interpolation_error(
-    trajectory: Trajectory, duration: float, fraction: float, usual: float, limits: GapLimits
+    trajectory: Trajectory, duration: float, fraction: float, usual: float
 ) -> Float[np.ndarray, "2"]:
     """Return the RMS error of position and angle of interpolation over a duration.
 
@@ -142,7 +131,6 @@ def _interpolation_error(
         duration: of the windows, s.
         fraction: place within the window where the pose is interpolated, 0 to 1.
         usual: longest interval at which a log is complete, s.
-        limits: number of windows, and the largest motion that counts as none.
 
     Returns:
         Position in m, angle in rad; NaN where the log has no complete window with motion.
@@ -158,10 +146,10 @@ def _interpolation_error(
     if not first.size:
         return np.full(2, np.nan)
     # Evenly over the log, so that every run uses the same windows.
-    chosen = np.unique(np.linspace(0, len(first) - 1, limits.windows).astype(int))
+    chosen = np.unique(np.linspace(0, len(first) - 1, MAX_WINDOWS).astype(int))
     first, last = first[chosen], last[chosen]
     ends = _motion(trajectory, first, last)
-    moved = (_sizes(ends) > [limits.position, limits.angle]).any(axis=1)
+    moved = (_sizes(ends) > ALLOWED_ERROR).any(axis=1)
     if not moved.any():
         return np.full(2, np.nan)
     first, last, ends = first[moved], last[moved], ends[moved]

@@ -1,7 +1,6 @@
 """Simulate a six-axis arm with kinematic errors that carries several cameras."""
 
 import dataclasses
-from collections.abc import Mapping
 
 import equinox as eqx
 import numpy as np
@@ -50,7 +49,6 @@ def six_axis_rig_scene(
     together: bool = False,
     error_scale: float = 1.0,
     *,
-    error_sigma: Mapping[str, float] = KINEMATIC_ERROR_SIGMA,
     outer_links: bool = False,
     **noise: float,
 ) -> RigScene:
@@ -61,8 +59,7 @@ def six_axis_rig_scene(
         cameras: number of cameras, called `camera1`, `camera2` and so on.
         states: number of states of the robot in which a camera sees the board.
         together: whether all cameras see the board in the same states; if not, each has its own.
-        error_scale: errors of the arm, as multiples of `error_sigma`.
-        error_sigma: standard deviations of the arm's errors, by the groups of `DHErrors`.
+        error_scale: errors of the arm, as multiples of `KINEMATIC_ERROR_SIGMA`.
         outer_links: whether the first and the last link have errors too.
         noise: the fields of `ArmNoise`.
 
@@ -72,7 +69,7 @@ def six_axis_rig_scene(
     sizes = ArmNoise(**noise)
     rng = np.random.default_rng((seed, 4))
     arm, board = six_axes(), board_points()
-    error = random_kinematic_errors(arm, rng, error_scale, error_sigma, outer_links)
+    error = random_kinematic_errors(arm, rng, error_scale, KINEMATIC_ERROR_SIGMA, outer_links)
     truths = {f"camera{k + 1}": _true_camera(k, cameras, rng) for k in range(cameras)}
     noise_sigma = np.repeat([sizes.translation_noise, sizes.rotation_noise], 3)
     data, reported, actual = {}, None, None

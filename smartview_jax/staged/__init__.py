@@ -4,11 +4,12 @@
     Step 2  one camera for all views, iterated Kalman filter  kalman*.py (Eq. 9)
     Step 3  hand-eye and world transforms, `A X = X B`        the room hand_eye (Eq. 17)
 
-`fit.py` runs the three, with the checks of the room data_checks between them; `picture_steps.py`
-holds what it needs of the pictures alone. `two_poses.py` lets the robot choose between the two
-poses of a small flat target; `start_checks.py` checks a given start; `few_views.py` places a camera
-by a target whose place is known; `two_hands.py` places the bases of two arms, one with the camera
-and one with the target; `interpolation.py` is the comparison method of the paper's Table 1.
+`fit.py` runs the three: Steps 1 and 2 in `common_camera.py`, by the parts in `picture_steps.py`,
+and the checks of the room data_checks before Step 3 in `motion_checks.py`. `two_poses.py` lets the
+robot choose between the two poses of a small flat target; `start_checks.py` checks a given start;
+`few_views.py` places a camera by a target whose place is known; `two_hands.py` places the bases of
+two arms, one with the camera and one with the target; `interpolation.py` is the comparison method
+of the paper's Table 1.
 """
 
 import lazy_loader as _lazy_loader

@@ -1,6 +1,6 @@
+from .common_camera import MAX_UNCHECKED_POINTS as MAX_UNCHECKED_POINTS
 from .few_views import FewViewsStart as FewViewsStart
 from .few_views import start_by_target as start_by_target
-from .fit import MAX_UNCHECKED_POINTS as MAX_UNCHECKED_POINTS
 from .fit import fit_one_view_intrinsics as fit_one_view_intrinsics
 from .fit import fit_staged as fit_staged
 from .given_start import check_start as check_start

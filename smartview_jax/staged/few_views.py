@@ -19,7 +19,7 @@ from ..dataset import Dataset
 from ..fit_result import Rejection
 from ..geometry import PoseLike, as_se3, host_matrices, host_transforms, mean_pose
 from ..runtime.array_namespace import to_device
-from .fit import MAX_UNCHECKED_POINTS
+from .common_camera import MAX_UNCHECKED_POINTS
 from .given_start import require_picture_size
 from .pose_search import nearer_poses
 from .staged_fit import with_region

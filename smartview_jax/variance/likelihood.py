@@ -108,9 +108,9 @@ class LinearisedViews(NamedTuple):
         """Return the views with other shared parameters held in each of several searches.
 
         Arrays that differ between the searches get these as their first axis. Parameters that all
-        searches hold are left out. One that a single search holds stays, as a number of which its
-        prior alone knows, so that it contributes nothing: no information, no offset, and a prior
-        with a known standard deviation of one.
+        searches hold are left out. One that a single search holds stays, known by its prior
+        alone, so that it contributes nothing: no information, no offset, and a prior with a known
+        standard deviation of one.
 
         Args:
             held: mask of the parameters to hold at their prior means.
@@ -167,8 +167,8 @@ class Kinds(NamedTuple):
 class StandardDeviations(NamedTuple):
     """The standard deviations of all errors, all positive.
 
-    Their squares are the variance components. Those of several searches are arrays with these as
-    first axis.
+    Their squares are the variance components. Of several searches they are arrays whose first axis
+    counts the searches.
 
     Attributes:
         pixel: effective pixel sigma, px.

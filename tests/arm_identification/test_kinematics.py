@@ -18,7 +18,7 @@ def positioner(prismatic=(False, False)):
 
 
 def measured(arm, joints, noise=0.0, seed=0):
-    """Poses of a target on an arm, seen from beside it."""
+    """Poses of a target on an arm, seen by a camera next to it."""
     twists = noise * SCALE * np.random.default_rng(seed).normal(size=(len(joints), 6))
     first, last = ENDS
     base_from_tool = host_matrices(arm.base_from_tool(joints))

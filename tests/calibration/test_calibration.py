@@ -122,7 +122,7 @@ def test_a_transform_that_the_mount_does_not_have(eye_in_hand, eye_to_hand):
         _ = eye_in_hand.tool_from_world
 
 
-def test_it_is_differentiable_and_batchable(eye_in_hand, views_and_points):
+def test_projection_is_differentiable_and_batchable(eye_in_hand, views_and_points):
     commands, points = views_and_points
 
     def total(calibration, commands):

@@ -60,7 +60,7 @@ def test_programs_get_a_document_for_each(folders, tmp_path):
 
 
 def test_tracked_poses_have_a_row_in_millimetres(folders, tmp_path):
-    """A file of samples and a folder of poses, beside pictures; a file without samples is named."""
+    """Files of samples and folders of poses next to pictures; a file without samples is named."""
     robot, measured = tracked(3)
     file, broken = tmp_path / "arm.samples", tmp_path / "broken.samples"
     write_easy_handeye(file, PoseSamples(as_se3(robot), as_se3(measured), "eye_in_hand"))

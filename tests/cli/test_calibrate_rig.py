@@ -152,7 +152,7 @@ def test_folders_of_the_cameras_are_one_rig(rig, folders):
 
 
 def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
-    """The fit and those of the folds hold the cameras, and have the starts."""
+    """The fit and the fits of the folds hold the cameras, and have the starts."""
     fit.calibrations["camera2"].save(tmp_path / "camera2.yaml")
     held, starts = [], []
 

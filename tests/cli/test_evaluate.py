@@ -1,4 +1,4 @@
-"""Figures on new pictures, from the command alone, against those of the library."""
+"""Figures on new pictures, from the command alone, against the library's."""
 
 import dataclasses
 import json

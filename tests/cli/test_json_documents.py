@@ -1,4 +1,4 @@
-"""With --json stdout is one document, whose numbers are those of the library."""
+"""With --json stdout is one document with the library's numbers."""
 
 import json
 import sys

@@ -85,20 +85,20 @@ def test_tracked_poses_tell_the_offset_too(tracked):
     assert isinstance(found.data, PoseDataset)
 
 
-def test_a_camera_beside_the_robot_gives_the_same_offset(tracked):
+def test_a_camera_next_to_the_robot_gives_the_same_offset(tracked):
     """Of a robot that carries the target by the same motion: all its poses are inverted."""
     data, trajectory, times = tracked
     on_hand = sv.estimate_time_offset(*tracked, max_offset=0.3)
     poses = data.base_from_tool.inverse(), as_se3(data.tracked_matrices)
-    beside = PoseDataset.from_poses(*poses, mount="eye_to_hand")
+    next_to_arm = PoseDataset.from_poses(*poses, mount="eye_to_hand")
     inverse = Trajectory.of(trajectory.times, np.linalg.inv(trajectory.base_from_tool))
-    other = sv.estimate_time_offset(beside, inverse, times, max_offset=0.3)
+    other = sv.estimate_time_offset(next_to_arm, inverse, times, max_offset=0.3)
     assert other.seconds == pytest.approx(on_hand.seconds, abs=0.5 * on_hand.std)
 
 
 @pytest.mark.parametrize("scatter", [0.0, 1.0, 4.0])
 def test_views_that_contradict_each_other_widen_the_interval(scatter):
-    """Four views, each of which tells the offset to 0.2 s and says another one."""
+    """Four views: each tells an offset to 0.2 s, and all tell different ones."""
     own = scatter * np.array([1.0, -1.0, -1.0, 1.0])
     # Newey and West's weights of the two lags are 2/3 and 1/3.
     long_run = 4.0 + 2.0 * (2.0 / 3.0 * -1.0 + 1.0 / 3.0 * -2.0)

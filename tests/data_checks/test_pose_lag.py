@@ -158,7 +158,7 @@ def test_a_target_of_another_size_hides_no_lag():
     assert lag.fraction == pytest.approx(0.04, abs=5e-4)
 
 
-def test_the_staged_fit_names_it(scene):
+def test_the_staged_fit_names_a_lag(scene):
     poses = lagging(host_matrices(scene.data.base_from_tool), 0.05)
     data = dataclasses.replace(scene.data, base_from_tool=as_se3(poses))
     report = fit_staged(data, conventions="report").conventions

@@ -30,7 +30,7 @@ def rig_of(pixels, states=12):
 
 
 def seen_by_both(displacement, rng, states=12, place_error=0.02):
-    """The poses of a target in two cameras, the second of which sees it displaced.
+    """The poses of a target in two cameras; the second sees it displaced.
 
     The places that each camera tells with its robot are wrong by centimetres.
     """

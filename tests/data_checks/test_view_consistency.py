@@ -156,7 +156,7 @@ FEW = 3
 
 @pytest.fixture(scope="module")
 def few_corners():
-    """Views of a chessboard, of which one shows twelve corners in one corner of it."""
+    """Views of a chessboard; one shows only twelve corners, in one corner of it."""
     board = Chessboard(7, 12, 0.002).points
     noise = {"pixel_noise": 0.3, "translation_noise": 1e-4, "rotation_noise": 2e-4}
     scene = random_scene(3, 8, board, **noise)

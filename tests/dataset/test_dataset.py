@@ -236,7 +236,7 @@ def test_joints_of_an_arm_take_the_place_of_poses(by_joints):
     assert data.observations.joints is data.joints
 
 
-def test_poses_beside_joints_must_be_the_arms(by_joints):
+def test_poses_next_to_joints_must_be_the_arms(by_joints):
     poses = np.array(kuka_lwr4().base_from_tool(by_joints["joints"]).as_matrix())
     poses[1, 0, 3] += 4e-4
     Dataset.from_arrays(**{**by_joints, "base_from_tool": poses})

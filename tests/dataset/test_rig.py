@@ -29,7 +29,7 @@ def test_views_with_one_id_are_one_state(data):
     np.testing.assert_allclose(rig.base_from_tool.wxyz_xyz, moved.wxyz_xyz, atol=1e-12)
 
 
-def test_cameras_on_the_hand_and_beside_the_arm_see_different_targets(data):
+def test_cameras_on_the_hand_and_next_to_the_arm_see_different_targets(data):
     fixed = dataclasses.replace(data, mount="eye_to_hand")
     rig = Rig({"wrist": data, "table": fixed})
     assert rig.targets == {"wrist": "target_eye_in_hand", "table": "target_eye_to_hand"}

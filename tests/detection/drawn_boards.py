@@ -47,11 +47,6 @@ def seen_in_perspective(board, points, size=(640, 480), seed=0, tilt=0.15, noise
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8), pixels
 
 
-def distance_to_nearest(pixels, truth):
-    """Distance of each pixel to the nearest true one, in whatever order they are."""
-    return np.linalg.norm(pixels[:, None] - truth[None], axis=-1).min(axis=1)
-
-
 def tag_print(
     rows, columns, side, gap, border_bits, turned=False, from_bottom=False, squares=False
 ):

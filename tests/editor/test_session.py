@@ -216,7 +216,7 @@ def test_pictures_are_read_from_files(scene, tmp_path):
 def test_clicks_snap_to_what_is_found(session, scene):
     corners = session.features("v1").corners
     near = np.linalg.norm(corners[:, None] - scene.pixels[0][None], axis=-1).min(axis=0)
-    # The floor's far corners are hidden; those of the roof and the near wall are seen.
+    # The floor's far corners are hidden; the corners of roof and near wall are seen.
     assert (near < 2.5).sum() >= 6
 
 

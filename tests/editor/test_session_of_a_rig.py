@@ -24,7 +24,7 @@ def rig():
 
 @pytest.fixture(scope="module")
 def poses():
-    """The hand in two states, in each of which both cameras take a picture."""
+    """The hand in two states; both cameras take a picture in each."""
     looking = host_matrices(look_at(np.zeros(3), np.array([[0.3, 0.2, -1], [-0.3, 0.3, -1]]), 0.4))
     return (BASE_FROM_WORLD @ np.linalg.inv(looking))[[0, 0, 1, 1]]
 

@@ -47,7 +47,7 @@ def test_scipy_finds_the_same_optimum(pair):
 
 
 def test_the_gradient_is_the_derivative_of_the_cost(pair):
-    """The cost is half the sum of squared residuals, so its derivative is that of the residuals."""
+    """The cost is half the sum of squared residuals, so both have one derivative."""
     z = jax.tree.map(lambda x: x + 1e-5, pair.zero_step())
     residuals, jacobian = map(np.asarray, residuals_and_jacobian(pair, ravel_pytree(z)[0]))
     # With an infinite tolerance the solver ends where it begins.

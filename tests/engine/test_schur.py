@@ -35,7 +35,7 @@ def solved(operator, damping, right):
 
 
 @pytest.mark.parametrize("views", [0, 1, 5])
-def test_it_solves_what_a_dense_solver_solves(views):
+def test_the_block_solver_solves_what_a_dense_solver_solves(views):
     operator, right = arrow(views), vector(views)
     matrix = np.asarray(operator.as_matrix())
     for damping in (0.0, 1e-6, 1.0, 1e6):
@@ -44,7 +44,7 @@ def test_it_solves_what_a_dense_solver_solves(views):
             np.testing.assert_allclose(ravel_pytree(found)[0], wanted, rtol=1e-10, atol=1e-12)
 
 
-def test_it_is_the_matrix_it_says():
+def test_products_and_the_dense_matrix_agree():
     operator, x = arrow(4), vector(4)
     dense = operator.as_matrix()
     np.testing.assert_allclose(dense, dense.T)

@@ -16,7 +16,7 @@ from smartview_jax.geometry import as_se3, host_exponentials
 CAMERA = Camera(1.0, 1.0, 0.0, 0.0, Pinhole(), (1, 1))
 
 
-def test_they_are_those_of_the_residuals():
+def test_normal_equations_are_made_of_the_residuals_derivatives():
     rng = np.random.default_rng(0)
     robot, measured = host_exponentials(rng.normal(0.0, 0.7, (2, 6, 6)))
     roots = 1e-2 * rng.normal(size=(6, 6, 6))

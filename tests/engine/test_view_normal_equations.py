@@ -136,7 +136,7 @@ def test_the_errors_of_an_arm(scene, mount, lens):
 
 
 def with_scale_and_priors(scene, mount, lens, coefficient):
-    """A problem with corrections, of which some are held, a free scale, and priors."""
+    """A problem with corrections, some of them held, a free scale, and priors."""
     data, start = mounted(scene, mount)
     return build_problem(
         data,

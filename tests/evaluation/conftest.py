@@ -33,7 +33,7 @@ def scene():
 
 @pytest.fixture(scope="session")
 def fitted_rig():
-    """Two cameras in one place, of which the second saw less; the robot may err smoothly."""
+    """Two cameras in one place; the second saw less, and the robot may err smoothly."""
     scene = random_scene(0, 8, POINTS, pixel_noise=0.0)
     right = scene.data.mask_views([3, 6, 7])
     rig = Rig({"left": scene.data, "right": right})

@@ -40,7 +40,7 @@ def found_in(picture):
 
 
 @pytest.mark.parametrize("rim", [0.5, 1.0, 1.5])
-def test_the_vertex_of_weak_edges_beside_a_patch_is_a_candidate(rim):
+def test_the_vertex_of_weak_edges_next_to_a_patch_is_a_candidate(rim):
     """The structure peaks in the patch, more than 1.5 px from where the edges meet."""
     corners, covariances = found_in(quadrilateral(20.0, rim))
     distance = np.linalg.norm(corners - VERTEX, axis=1)
@@ -54,7 +54,7 @@ def test_the_vertex_of_weak_edges_beside_a_patch_is_a_candidate(rim):
 
 
 @pytest.mark.parametrize("contrast", [40.0, 140.0])
-def test_the_vertex_of_two_edges_is_found_beside_the_peak_within(contrast):
+def test_the_vertex_of_two_edges_is_found_next_to_the_peak_within(contrast):
     found, _ = found_in(quadrilateral(contrast))
     distance = np.sort(np.linalg.norm(found - VERTEX, axis=1))
     assert distance[0] < 0.4

@@ -6,7 +6,7 @@ import pytest
 from smartview_jax.features.gradient import MIN_NOISE, SMOOTHING, Gradient
 
 
-def test_it_is_exact_on_a_plane_of_grey_levels():
+def test_the_gradient_is_exact_on_a_plane_of_grey_levels():
     v, u = np.mgrid[:40, :60].astype(float)
     gradient = Gradient.of(20.0 + 1.5 * u - 0.8 * v)
     inner = slice(6, -6), slice(6, -6)
@@ -17,7 +17,7 @@ def test_it_is_exact_on_a_plane_of_grey_levels():
 
 
 @pytest.mark.parametrize("noise", [2.0, 8.0])
-def test_its_noise_is_that_of_the_derivatives_of_a_noisy_picture(noise):
+def test_the_stated_noise_is_the_scatter_of_derivatives_of_a_noisy_picture(noise):
     v, u = np.mgrid[:300, :400].astype(float)
     ramp = 100.0 + 0.1 * u + 0.05 * v
     gradient = Gradient.of(ramp + np.random.default_rng(0).normal(0.0, noise, ramp.shape))

@@ -20,7 +20,7 @@ BLUR = 0.7
 """Blur of the drawn pictures, px, before the edges are found in them."""
 
 
-def beside_another(points):
+def next_to_another(points):
     """Which points have a point of another edge nearby, from the distances of all pairs."""
     found = np.zeros(len(points.pixels), dtype=bool)
     along = np.column_stack([-points.normals[:, 1], points.normals[:, 0]])
@@ -52,9 +52,9 @@ def polygons(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_they_are_those_of_all_pairs(seed):
+def test_lone_edges_are_found_as_by_all_pairs(seed):
     points = find_edge_points(Gradient.of(polygons(seed)))
-    expected = ~spread(points.cells, beside_another(points))
+    expected = ~spread(points.cells, next_to_another(points))
     assert 0.2 < expected.mean() < 0.98
     # Pixels that hold two points are seen once.
     assert (lone_points(points) == expected).mean() > 0.995

@@ -11,7 +11,7 @@ from fit_scenes import scene_of
 from smartview_jax import calibrate, calibrate_many
 
 
-def test_each_gets_its_calibration_or_an_error(tmp_path_factory):
+def test_each_data_set_gets_its_calibration_or_an_error(tmp_path_factory):
     """Of any number of views, as a folder or a data set; a failure is the data set's own."""
     folder, scene = board_folder(tmp_path_factory), scene_of(0)
     given = [scene.data, folder, scene.data.select(range(1)), folder.parent / "nowhere"]

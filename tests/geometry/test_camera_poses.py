@@ -45,7 +45,7 @@ def test_roll_turns_x_of_the_picture_towards_its_y():
     np.testing.assert_allclose(in_old_picture, [np.cos(0.1), np.sin(0.1), 0.0], atol=1e-12)
 
 
-def test_it_works_on_batches_under_jit_grad_and_vmap():
+def test_poses_are_found_in_batches_under_jit_grad_and_vmap():
     rng = np.random.default_rng(0)
     directions, rolls = rng.normal(size=(4, 3)), rng.normal(size=4)
     batch = jax.jit(look_at)(POINT, directions, 0.3, rolls)

@@ -2,12 +2,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3
+from scipy.spatial.transform import Rotation
 
 from smartview_jax.geometry import (
     host_exponentials,
     host_logarithms,
     host_matrices,
     host_nearest_rotation,
+    host_pairwise_rotation_angles,
     host_poses,
     host_rotation_angles,
     host_rotation_vectors,
@@ -43,6 +45,13 @@ def test_angles_between_rotations_keep_their_digits(angle):
     # The chord changes little with the angle near half a turn.
     np.testing.assert_allclose(angles, angle, rtol=1e-7, atol=1e-15)
     assert host_rotation_angles(start[:, None], start).shape == (2, 2)
+
+
+def test_angles_between_every_two_rotations_are_scipys():
+    first, second = host_exponentials(RNG.normal(size=(2, 3, 6)))
+    of_second = Rotation.from_matrix(second[:, :3, :3])
+    expected = [(Rotation.from_matrix(R) * of_second.inv()).magnitude() for R in first[:, :3, :3]]
+    np.testing.assert_allclose(host_pairwise_rotation_angles(first, second), expected, atol=1e-7)
 
 
 def test_poses_that_are_not_finite_stay_marked_and_spoil_no_others():

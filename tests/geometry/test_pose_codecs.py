@@ -57,7 +57,7 @@ rotation_matrix = jax.jit(lambda oat: rotation_from_oat(oat).as_matrix())
 
 @pytest.mark.parametrize("name", [*POSE_CODECS, *EULER_CODECS])
 @pytest.mark.parametrize("units", [("m", "rad"), ("mm", "deg")])
-def test_round_trip(name, units):
+def test_poses_are_read_as_they_were_written(name, units):
     codec = pose_codec(name)
     rows = codec.encode(POSES, *units)
     assert rows.shape == (len(MATRICES), len(codec.columns))

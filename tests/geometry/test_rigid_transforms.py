@@ -85,7 +85,7 @@ def test_what_is_not_rigid_is_named(spoil, words):
     assert words in problems["bad"]
 
 
-def test_points():
+def test_points_are_transformed_as_by_matrices():
     pose = as_se3(host_exponentials(np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.5])))
     points = jnp.asarray(RNG.normal(size=(4, 3)))
     np.testing.assert_allclose(

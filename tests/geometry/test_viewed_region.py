@@ -40,7 +40,7 @@ def test_cameras_in_one_place_know_a_tenth_of_the_distance():
 
 
 @pytest.mark.parametrize("tools", [None, CAMERAS])
-def test_it_is_written_and_read_back(tools):
+def test_a_region_is_written_and_read_back(tools):
     region = ViewedRegion.from_positions(CAMERAS, POINTS, tools)
     again = region_from_dict(region_to_dict(region))
     for name in ("side", "plane_z", "centroid", "radius", "distance_range", "min_tool_height"):

@@ -38,7 +38,7 @@ def test_the_distance_to_a_table_is_that_of_the_tips():
     assert np.isclose(contact.clearance, 0.0123, atol=1e-6)
 
 
-def test_the_distance_to_a_wall_is_that_of_the_finger_beside_it():
+def test_the_distance_to_a_wall_is_from_the_finger_next_to_it():
     wall = Obstacle.box("wall", (0.01, 1.0, 0.1), at(x=0.1))
     # The right finger's outside is at 20 + 8 mm, the wall's at 95.
     contact = nearest([Obstacle.table(z=-1.0), wall], at(rotation=DOWN))
@@ -124,8 +124,8 @@ def held_contact(obstacle, vertices, up=0.1):
     return contact.clearance
 
 
-def beside(gap, size=(0.1, 0.1, 0.3)):
-    """A block whose side is a gap away from that of a box of 60 mm x 40 mm x 30 mm."""
+def block_at(gap, size=(0.1, 0.1, 0.3)):
+    """A block at a gap from the side of a box of 60 mm x 40 mm x 30 mm."""
     return Obstacle.box("block", size, at(x=0.03 + gap + 0.5 * size[0]))
 
 
@@ -138,9 +138,9 @@ def test_a_held_object_may_touch_what_it_stands_on_and_leans_against():
     vertices = box(0.06, 0.04, 0.03).vertices
     # It lies on the table, and errors of its pose put it half a millimetre into its neighbour.
     assert np.isclose(held_contact(Obstacle.table(), vertices), 1e-3, atol=1e-6)
-    assert np.isclose(held_contact(beside(0.0), vertices), 1e-3, atol=1e-6)
-    assert np.isclose(held_contact(beside(-5e-4), vertices), 5e-4, atol=1e-6)
-    assert held_contact(beside(-1.5e-3), vertices) == 0.0
+    assert np.isclose(held_contact(block_at(0.0), vertices), 1e-3, atol=1e-6)
+    assert np.isclose(held_contact(block_at(-5e-4), vertices), 5e-4, atol=1e-6)
+    assert held_contact(block_at(-1.5e-3), vertices) == 0.0
 
 
 def test_a_held_object_meets_what_is_above_it():
@@ -156,8 +156,8 @@ def test_objects_that_are_thin_or_flat_are_swept_as_well():
     for vertices in (thin, flat[flat[:, 2] > 0.0], flat[flat[:, 0] > 0.0]):
         assert held_contact(Obstacle.table(), vertices) > 0.0
         assert held_contact(above(0.02), vertices) == 0.0
-        # Beside it all the same there is room.
-        assert held_contact(beside(0.01), vertices) > 9e-3
+        # Next to it there is room all the same.
+        assert held_contact(block_at(0.01), vertices) > 9e-3
 
 
 def test_links_are_swept_between_the_steps_of_a_motion():

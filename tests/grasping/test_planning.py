@@ -104,7 +104,7 @@ def test_a_fitted_error_of_the_arm_is_compensated(scene):
     )
 
 
-def test_it_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
+def test_a_grasp_is_written_for_robots_as_viewpoints_are(plan, tmp_path):
     best = plan.best
     for name in ("grasp.csv", "grasp.json"):
         best.write(tmp_path / name)
@@ -206,7 +206,7 @@ def test_the_reason_that_decided_comes_first(plan):
 
 
 def test_a_large_covariance_is_named_among_collisions(scene):
-    """Grasps from all sides, most of which the table refuses: two are stopped by the covariance."""
+    """The table refuses most grasps from all sides; two are stopped by the covariance."""
     plan = grasps_for(placed(200.0**2 * SMALL, BOX), GRIPPER, scene)
     assert not len(plan)
     assert "less than 50% chance" in plan.summary.split("; ")[1]
@@ -334,7 +334,7 @@ def test_wrong_poses_and_covariances_are_named(wrong, named):
         grasps_for(placed()._replace(**wrong), GRIPPER, GraspScene(CALIBRATION))
 
 
-def test_a_camera_beside_the_arm_is_refused():
+def test_a_camera_next_to_the_arm_is_refused():
     fixed = sv.Calibration.eye_to_hand(
         CALIBRATION.camera, host_transforms(np.eye(4)), host_transforms(np.eye(4))
     )

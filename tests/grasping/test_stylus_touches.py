@@ -1,4 +1,4 @@
-"""How far a stylus misses, against many draws of what may err, and against the simulated test."""
+"""How far a stylus misses, against many draws of all errors, and against the simulated test."""
 
 import numpy as np
 import pytest

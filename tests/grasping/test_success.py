@@ -49,7 +49,7 @@ def test_the_candidate_is_what_it_was_drawn_as(candidate):
 
 
 @pytest.mark.parametrize("sigma", [0.002, 0.005, 0.01])
-def test_beside_the_fingers_is_one_normal_integral(candidate, sigma):
+def test_next_to_the_fingers_is_one_normal_integral(candidate, sigma):
     # 5 mm of room on either side.
     expected = norm.cdf(0.005 / sigma) - norm.cdf(-0.005 / sigma)
     assert abs(probability(candidate, x=sigma) - expected) < DRAWS_ERROR

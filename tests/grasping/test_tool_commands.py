@@ -87,6 +87,6 @@ def test_what_is_out_of_reach_is_said():
     assert all("out of reach" in text for text in tool.refusals())
     with pytest.raises(ValueError, match="give near=joints"):
         tool_commands(CALIBRATION, far, arm=puma_560())
-    beside = dataclasses.replace(CALIBRATION, mount="eye_to_hand")
+    next_to_arm = dataclasses.replace(CALIBRATION, mount="eye_to_hand")
     with pytest.raises(ValueError, match="camera on the hand"):
-        tool_commands(beside, far)
+        tool_commands(next_to_arm, far)

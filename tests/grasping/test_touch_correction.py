@@ -100,7 +100,7 @@ def test_the_tool_s_later_error_falls_as_predicted(estimate, touches):
     assert np.mean(distances) == pytest.approx(12.0, abs=1.9)
 
 
-def test_it_is_the_least_squares_answer(estimate, touches):
+def test_the_correction_is_the_least_squares_answer(estimate, touches):
     """Prior and misses as rows of one system, solved by NumPy."""
     rng = np.random.default_rng(1)
     misses = 2e-4 * rng.standard_normal((4, 2))

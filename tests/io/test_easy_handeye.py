@@ -31,7 +31,7 @@ samples:
 """
 
 
-def test_a_file_as_ros_writes_it(tmp_path):
+def test_a_file_is_read_as_ros_writes_it(tmp_path):
     (tmp_path / "arm.samples").write_text(TWO)
     samples = read_easy_handeye(tmp_path / "arm.samples")
     quarter_about_y = [[0, 0, 1, 0.4], [0, 1, 0, -0.1], [-1, 0, 0, 0.5], [0, 0, 0, 1]]

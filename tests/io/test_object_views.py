@@ -5,7 +5,8 @@ import smartview_jax as sv
 from smartview_jax.cli.load import load_views
 from smartview_jax.geometry import as_se3, host_matrices
 from smartview_jax.io import load_object_views, write_object_views
-from smartview_jax.robots import six_axes
+from smartview_jax.robots import Command, six_axes
+from smartview_jax.runtime.array_namespace import to_device
 from smartview_jax.simulation import paper_calibration
 
 # As a file of matrices gives them, to the last bit.
@@ -70,17 +71,18 @@ def test_only_pictures_that_fit_together_are_written(tmp_path):
     with pytest.raises(ValueError, match="expected one size"):
         write_object_views(tmp_path, NAMES, [*PICTURES[:4], PICTURES[0].T.copy()], POSES)
     joints = np.zeros((5, 6))
-    with pytest.raises(ValueError, match="joints and arm: give both"):
-        write_object_views(tmp_path, NAMES, PICTURES, POSES, joints=joints)
+    with pytest.raises(ValueError, match="joint readings of the command, and arm: give both"):
+        write_object_views(tmp_path, NAMES, PICTURES, six_axes().command(joints))
+    fewer = Command(as_se3(POSES), to_device(joints[:4]))
     with pytest.raises(ValueError, match="joints: expected 5 rows, found 4"):
-        write_object_views(tmp_path, NAMES, PICTURES, POSES, joints=joints[:4], arm=six_axes())
+        write_object_views(tmp_path, NAMES, PICTURES, fewer, arm=six_axes())
     assert not list(tmp_path.iterdir())
 
 
 def test_joint_readings_are_written_and_read(tmp_path):
     arm, joints = six_axes(), np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6))
     poses = arm.base_from_tool(joints)
-    folder = write_object_views(tmp_path, NAMES, PICTURES, poses, joints=joints, arm=arm)
+    folder = write_object_views(tmp_path, NAMES, PICTURES, arm.command(joints), arm=arm)
     views = load_object_views(folder)
     np.testing.assert_allclose(views.command.joints, joints, rtol=1e-14)
     # Without a table of poses they are the arm's own.

@@ -149,7 +149,8 @@ def kept_detections(folder, name):
 
 def object_views(folder, name):
     pictures = [np.full((12, 16), k, np.uint8) for k in range(3)]
-    write_object_views(folder, [name, "other", "third"], pictures, POSES, joints=JOINTS, arm=ARM)
+    names = [name, "other", "third"]
+    write_object_views(folder, names, pictures, ARM.command(JOINTS), arm=ARM)
     return load_object_views(folder).view_ids[0]
 
 

@@ -25,7 +25,7 @@ def folder(tmp_path):
     return tmp_path / "board", data
 
 
-def test_they_are_read_as_they_were_written(folder):
+def test_depths_are_read_as_they_were_written(folder):
     path, data = folder
     again = sv.load_dataset(path)
     assert again.depth_noise == NOISE

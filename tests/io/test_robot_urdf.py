@@ -135,7 +135,7 @@ def test_yourdfpy_agrees(tmp_path):
         )
 
 
-def test_it_is_read_back_as_the_same_arm_with_its_limits(tmp_path):
+def test_a_urdf_is_read_back_as_the_same_arm_with_its_limits(tmp_path):
     calibration = calibrated(puma_560(), field=JointOffsets)
     path = tmp_path / "arm.urdf"
     path.write_text(robot_urdf(calibration, tool="flange", joint_names=list("abcdef")))

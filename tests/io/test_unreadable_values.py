@@ -35,7 +35,8 @@ def camera_of_nothing():
 
 def joints_of_no_arm(folder):
     joints = np.full((3, 7), 500.0)
-    write_object_views(folder, VIEWS, PICTURES, NEAR, joints=joints, arm=kuka_lwr4())
+    arm = kuka_lwr4()
+    write_object_views(folder, VIEWS, PICTURES, arm.command(joints), arm=arm)
 
 
 REFUSALS = r"not written|given as metres|rad or m, more than|not readable as YAML"

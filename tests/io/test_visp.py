@@ -47,7 +47,7 @@ def test_poses_are_written_as_they_are_read(tmp_path):
     np.testing.assert_allclose(again.as_matrix(), pose.as_matrix(), atol=1e-14)
 
 
-def test_cameras():
+def test_cameras_of_visp_are_read():
     camera = read_visp_camera(shared_data("visp_franka_eih") / "franka_camera.xml")
     assert camera.image_size == (640, 480)
     assert float(camera.alpha_u) == pytest.approx(607.593, abs=1e-3)

@@ -30,7 +30,7 @@ def start(scene):
     return camera, SE3.exp(twists) @ poses
 
 
-def test_it_is_the_optimum_that_the_filter_settles_at(scene, start):
+def test_the_camera_fit_is_the_optimum_that_the_filter_settles_at(scene, start):
     batch = fit_camera(scene.data, *start)
     kalman = kalman_filter(scene.data.observations, *start)
     assert batch.converged

@@ -52,7 +52,7 @@ def test_the_error_in_common_is_found():
     assert np.sqrt(np.mean(np.square(stds))) == pytest.approx(1e-3, rel=0.3)
 
 
-def test_it_is_saved_and_read_again(fit, tmp_path):
+def test_a_depth_bias_is_saved_and_read_again(fit, tmp_path):
     fit.save(tmp_path / "camera.yaml")
     again = sv.load_estimate(tmp_path / "camera.yaml")
     assert again.sensor == fit.sensor

@@ -65,7 +65,7 @@ KNOWN = Noise(0.15, 1e-4, np.inf)
 
 
 @pytest.mark.parametrize("noise", ["trusted", KNOWN], ids=["trusted", "noise"])
-def test_each_is_what_one_fit_finds(scenes, bent, noise, monkeypatch):
+def test_each_of_many_fits_is_what_one_fit_finds(scenes, bent, noise, monkeypatch):
     """With the field of the start, or without it where that is asked for; in turn or at once."""
     options = {"noise": noise, "field": None}
     if noise != "trusted":
@@ -192,7 +192,7 @@ def test_what_is_not_alike_is_named(scenes):
         fit_many(scenes[:2], [start, pinhole])
 
 
-def test_they_are_a_sequence(scenes):
+def test_many_fits_are_a_sequence(scenes):
     fits = fit_many(scenes[:2], paper_calibration())
     assert len(list(fits)) == 2
     assert float(fits[-1].camera.u0) == float(fits[1].camera.u0)

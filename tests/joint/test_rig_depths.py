@@ -53,7 +53,7 @@ def test_the_bias_is_recovered(fit):
     assert f"depth sensor: depths times {sensor.scale:.5f} +- " in str(fit)
 
 
-def test_it_is_saved_and_read_again(fit, tmp_path):
+def test_a_rig_with_depths_is_saved_and_read_again(fit, tmp_path):
     fit.save(tmp_path)
     again = sv.load_rig_estimate(tmp_path)
     assert float(again.calibrations["left"].depth_bias.offset) == fit.sensors["left"].offset

@@ -198,24 +198,24 @@ def test_the_text_names_cameras_and_robot(fit):
     assert text.splitlines()[0].startswith("converged in ")
 
 
-def test_a_camera_on_the_hand_and_one_beside_the_arm_share_the_robots_states():
+def test_a_camera_on_the_hand_and_one_next_to_the_arm_share_the_robots_states():
     """Each has a target of its own; the robot moves the cameras against each other."""
     wrist = scene_of(0, translation_noise=1e-4)
     poses = wrist.base_from_tool
     middle = np.mean(np.asarray(poses.translation()), axis=0)
     camera_from_base = look_at(middle, (-1.0, -0.2, -0.1), 0.9)
-    beside = Calibration.eye_to_hand(
+    fixed_camera = Calibration.eye_to_hand(
         Camera(1500.0, 1510.0, 640.0, 360.0, Radial(0.1), (1280, 720)), camera_from_base, np.eye(4)
     )
     points = np.asarray(wrist.data.points)[0] * 4.0
-    seen = simulate(beside, poses, points, 1, 0.1).data
+    seen = simulate(fixed_camera, poses, points, 1, 0.1).data
     table = dataclasses.replace(seen, base_from_tool=wrist.data.base_from_tool)
     rig = Rig({"wrist": wrist.data, "table": table})
-    fit = fit_rig(rig, {"wrist": nudged(paper_calibration()), "table": beside}, noise=NOISE)
+    fit = fit_rig(rig, {"wrist": nudged(paper_calibration()), "table": fixed_camera}, noise=NOISE)
     assert fit.result.converged
     assert "target_eye_to_hand.tool_from_world.rotation.z" in fit.parameter_names
     assert fit.pose_corrections.shape == (len(rig.view_ids), 6)
-    for name, truth in (("wrist", wrist.calibration), ("table", beside)):
+    for name, truth in (("wrist", wrist.calibration), ("table", fixed_camera)):
         found, mount = fit.calibrations[name].camera_from_mount, truth.camera_from_mount
         turn = (found.rotation() @ mount.rotation().inverse()).log()
         error = np.concatenate([found.translation() - mount.translation(), turn])

@@ -157,7 +157,7 @@ def test_starts_are_found(fit):
     assert found.solution.costs[-1] == pytest.approx(fit.solution.costs[-1], rel=1e-6)
 
 
-def test_it_is_saved_and_read_again(fit, tmp_path):
+def test_a_fit_of_two_hands_is_saved_and_read_again(fit, tmp_path):
     fit.save(tmp_path)
     base = sv.RelativePose.load(tmp_path / "base_right_from_base_left.yaml")
     np.testing.assert_allclose(base.covariance, fit.base("right", "left").covariance)

@@ -39,7 +39,7 @@ def test_an_arm_that_turns_about_one_axis_leaves_one_direction_open(scara):
     assert scara.rejected == ()
 
 
-def test_it_is_named_once_with_what_ends_it(scara):
+def test_an_undetermined_direction_is_named_once_with_the_option_that_ends_it(scara):
     (direction,) = scara.observability.null_directions
     assert "camera offset along the tool's z axis" in direction.description
     (said,) = scara.warnings
@@ -48,7 +48,7 @@ def test_it_is_named_once_with_what_ends_it(scara):
     assert str(scara).count(direction.description) == 1
 
 
-def test_a_place_that_is_known_ends_it():
+def test_a_known_place_determines_the_direction():
     data, truth = case("scara")
     prior = Prior(std=1e-3, mean=truth[2, 3] + 1e-3)
     fit = calibrate(data, priors={"camera_from_tool.translation.z": prior})

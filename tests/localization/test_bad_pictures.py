@@ -69,7 +69,7 @@ def test_pictures_in_which_nothing_can_be_seen_are_refused(factor, words):
 def test_two_objects_that_touch_are_two(gap):
     """Where their faces meet edges of both are at one place, which count for the first one only.
 
-    The second has those of its other faces, and no face that is elsewhere.
+    The second has the edges of its other faces, and no face that is elsewhere.
     """
     model = dataclasses.replace(MODEL, name="box", symmetry=find_symmetry(MODEL))
     second = POSE.copy()

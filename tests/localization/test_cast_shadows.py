@@ -23,7 +23,7 @@ def entry(wireframe):
 
 
 def standing(sideways, up, turn=0.0):
-    """A box beside the one at `POSE`, in its frame, and as much higher."""
+    """A box moved from `POSE` sideways and up, in its frame, m, and turned."""
     other = np.eye(4)
     other[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     other[:3, 3] = [*sideways, up]

@@ -123,18 +123,18 @@ def test_noisy_junctions_give_about_the_pose_that_opencv_fits_to_all_vertices():
     assert np.quantile(gaps, 0.9) < 1.5
 
 
-def test_a_junction_beside_each_vertex_does_not_hide_the_vertex():
+def test_a_junction_next_to_each_vertex_does_not_hide_the_vertex():
     rng = np.random.default_rng(6)
     gaps = []
     for _ in range(20):
         pose = random_pose(rng)
         features, rough = features_at(pose), roughly(pose, rng)
-        beside = features._replace(
+        displaced = features._replace(
             # Nearer to where the vertices are looked for than they are.
             corners=np.concatenate([seen(MODEL.vertices, rough) + 0.3, features.corners]),
             corner_segments=np.tile(features.corner_segments, (2, 1)),
         )
-        gaps.append(np.abs(found_near(beside, rough) - pose).max(axis=(1, 2)).min())
+        gaps.append(np.abs(found_near(displaced, rough) - pose).max(axis=(1, 2)).min())
     assert (np.array(gaps) < 1e-6).mean() >= 0.9
 
 

@@ -59,7 +59,7 @@ def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(
         assert after.explained >= before.explained
         assert 0.0 < found.absorbed < 12.0
         gains.append(after.edge_rms / before.edge_rms)
-        # The corner pixels are those of the true views, which only the judge knows.
+        # The corners are seen by the true views, which only the judge knows.
         seen = projected(true, placed(MODEL.vertices))
         misses.append(
             [

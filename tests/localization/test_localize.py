@@ -48,7 +48,7 @@ def poses_of_both(between):
 
 
 def clutter(rng, count=10):
-    """Straight edges anywhere in the pictures, as those of other things."""
+    """Straight edges of other things anywhere in the pictures."""
     pictures = []
     for _ in range(2):
         starts, angles = (
@@ -309,11 +309,11 @@ def test_earlier_views_are_not_read_again_with_another_calibration(pictures, fir
 def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatch):
     solid = prism(6)
     other = dataclasses.replace(solid, name="prism", symmetry=find_symmetry(solid))
-    beside = POSE @ host_exponentials(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    second_pose = POSE @ host_exponentials(np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0]))
     poses = poses_of_both([0.1, 0.0, 0.0])
     seen = sv.modeling.SeenViews.of(CALIBRATION, poses)
     box_alone = drawn(MODEL, seen, POSE, 0.1)
-    both = together(box_alone, drawn(other, seen, beside, 0.1))
+    both = together(box_alone, drawn(other, seen, second_pose, 0.1))
     # Something is before the prism in the first picture.
     first = localize(
         evidence(box_alone[:1]), poses[:1], CALIBRATION, [MODEL, other], hypotheses=starts()
@@ -323,7 +323,7 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
     def find_hypotheses(pictures, views, models, count, *, workspace):
         assert [one.name for one in models] == ["prism"]
         assert len(pictures) == 2
-        return starts(beside)
+        return starts(second_pose)
 
     module = sys.modules["smartview_jax.localization.localize"]
     monkeypatch.setattr(module, "find_hypotheses", find_hypotheses)

@@ -204,9 +204,9 @@ def test_a_view_that_looks_away_changes_nothing(views):
 
 def test_a_face_that_is_found_is_not_looked_for_elsewhere(views):
     """A second block next to the first, which continues all its edges, takes nothing from it."""
-    beside = POSE.copy()
-    beside[:3, 3] += POSE[:3, 0] * SIDES[0]
-    pictures = together(*(drawn(MODEL, views, pose, 0.05) for pose in (POSE, beside)))
+    second_pose = POSE.copy()
+    second_pose[:3, 3] += POSE[:3, 0] * SIDES[0]
+    pictures = together(*(drawn(MODEL, views, pose, 0.05) for pose in (POSE, second_pose)))
     assert asked(pictures, views) == (None, 0.0, 0.0)
 
 

@@ -22,7 +22,7 @@ MANY = 10**6
 
 
 def seen_objects(rng, translation, rotation, count=4, numbers=0):
-    """Poses of some objects in two views, the camera poses of which are off by random twists."""
+    """Poses of some objects in two views whose camera poses are off by random twists."""
     errors = rng.normal(size=(2, 6)) * np.repeat([translation, rotation], 3)
     objects = []
     for _ in range(count):

@@ -64,7 +64,7 @@ def test_the_pictures_covariance_is_true(calibration, poses):
     assert statistic.is_consistent
 
 
-def test_it_is_the_line_whose_picture_scipy_finds_nearest(calibration, poses):
+def test_a_line_is_the_one_whose_picture_scipy_finds_nearest(calibration, poses):
     """By sampling the picture of the line densely, without any plane or ray."""
     _, segments = drawn(calibration, poses, 1, seed=3)
     found = triangulate_lines(calibration, poses, segments, pixel_sigma=SIGMA)

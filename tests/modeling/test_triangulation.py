@@ -36,7 +36,7 @@ def clicks(calibration, poses, count, seed=0, sigma=SIGMA):
     return points, np.asarray(pixels) + sigma * rng.standard_normal(pixels.shape)
 
 
-def test_it_is_the_optimum_that_scipy_finds(calibration, poses):
+def test_a_point_is_the_optimum_that_scipy_finds(calibration, poses):
     _, pixels = clicks(calibration, poses, 12)
     found = triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA)
     commands = SE3.from_matrix(jnp.asarray(poses))
@@ -220,7 +220,7 @@ def test_a_covariance_of_another_calibration_is_refused(erring, calibration, pos
         triangulate_points(calibration, poses, pixels, covariance=bound)
 
 
-def test_it_is_differentiable_and_batched(calibration, poses):
+def test_triangulation_is_differentiable_and_batched(calibration, poses):
     """By the pixels, against finite differences; several sets of clicks at once."""
     _, pixels = clicks(calibration, poses, 1)
     extrinsics = calibration.camera_from_world(poses).as_matrix()

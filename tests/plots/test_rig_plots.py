@@ -21,12 +21,12 @@ def test_bars_of_a_state_stand_side_by_side():
         name: reprojection_errors(scene.calibration, data) for name, data in rig.cameras.items()
     }
     (axes,) = plots.view_errors(rig, errors).axes
-    left, beside = axes.containers
+    left, right = axes.containers
     np.testing.assert_allclose(
         [bar.get_x() + bar.get_width() for bar in left], np.arange(VIEWS), atol=0.05
     )
-    np.testing.assert_allclose([bar.get_x() for bar in beside], [1, 5, 9], atol=0.05)
-    np.testing.assert_allclose([bar.get_height() for bar in beside], errors["right"].rms_per_view)
+    np.testing.assert_allclose([bar.get_x() for bar in right], [1, 5, 9], atol=0.05)
+    np.testing.assert_allclose([bar.get_height() for bar in right], errors["right"].rms_per_view)
     assert [text.get_text() for text in axes.get_xticklabels()] == list(rig.view_ids)
 
 
@@ -50,9 +50,9 @@ def test_shares_of_the_variance_fill_each_bar():
 
 def test_pyramids_stand_where_the_cameras_are(tmp_path_factory):
     fit = calibrated_rig(tmp_path_factory)
-    beside = dataclasses.replace(fit.calibrations["camera2"], mount="eye_to_hand")
+    next_to_arm = dataclasses.replace(fit.calibrations["camera2"], mount="eye_to_hand")
     other = dataclasses.replace(
-        fit, calibrations={"camera1": fit.calibrations["camera1"], "camera2": beside}
+        fit, calibrations={"camera1": fit.calibrations["camera1"], "camera2": next_to_arm}
     )
     tool, base = plots.camera_mounts(other).axes
     for axes, name, factor in ((tool, "camera1", 1e3), (base, "camera2", 1.0)):

@@ -83,7 +83,7 @@ def test_a_bag_that_was_cut_off_is_named(tmp_path, form):
     refused(path, tmp_path, "run(.bag)?: (not readable as a bag of ROS|damaged)")
 
 
-def test_no_bags(tmp_path):
+def test_a_folder_without_bags_is_named(tmp_path):
     (tmp_path / "text.bag").write_text("no bag")
     (tmp_path / "table.csv").write_text("")
     (tmp_path / "empty").mkdir()

@@ -70,7 +70,7 @@ def test_frames_that_lead_nowhere_are_named():
 
 
 @pytest.mark.parametrize("wrong", [(0.0,) * 7, (np.nan, *IDENTITY[1:]), (*IDENTITY[:6], 2.0)])
-def test_no_pose(wrong):
+def test_a_wrong_pose_is_named(wrong):
     with pytest.raises(ValueError, match="transform of tool in base: expected a position and a un"):
         TransformTree().add("base", "tool", 0, wrong)
 

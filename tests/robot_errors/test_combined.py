@@ -62,7 +62,7 @@ def test_fits_see_the_same_error(error):
     np.testing.assert_allclose(found, np.linalg.inv(reported) @ actual, atol=1e-13)
 
 
-def test_a_file_keeps_it(error, tmp_path):
+def test_a_file_keeps_a_combined_error(error, tmp_path):
     combined, poses = error
     bent = dataclasses.replace(paper_calibration(), robot_error=combined)
     bent.save(tmp_path / "calibration.yaml")

@@ -33,7 +33,7 @@ def error(request, poses):
     return RobotError(field, jnp.asarray(sizes * rng.normal(size=field.size)))
 
 
-def test_it_is_the_arms_own_error_at_the_joints_that_poses_imply(error, poses):
+def test_the_field_is_the_arms_own_error_at_the_joints_that_poses_imply(error, poses):
     field = error.field
     branch = BRANCHES.index(tuple(np.asarray(field.branch).astype(int)))
     joints = np.asarray(puma_joints(field.arm, poses).joints)[:, branch]
@@ -120,7 +120,7 @@ def test_extent_is_one_at_about_the_edge(poses):
     assert float(field.normalised_distance(as_command(edge))) == pytest.approx(1.0)
 
 
-def test_files_keep_it(error, tmp_path):
+def test_files_keep_the_error_of_a_generic_arm(error, tmp_path):
     camera = Camera(800.0, 790.0, 321.0, 239.0, Pinhole(), (640, 480))
     mount = SE3.exp(jnp.full(6, 0.1))
     calibration = Calibration(camera, mount, mount, "eye_in_hand", 1.0, error)

@@ -105,7 +105,7 @@ def test_a_field_that_is_stretched_goes_on_from_where_the_field_is(stretched, sc
     np.testing.assert_allclose(motion_between(before, none), 0.0, atol=1e-14)
 
 
-def test_its_twists_are_the_derivatives_and_its_commands_the_inverse(stretched, scene):
+def test_twists_of_a_scale_are_its_derivatives_and_commands_the_inverse(stretched, scene):
     poses = scene.data.base_from_tool
     found = own_jacobian(stretched, poses)
     np.testing.assert_allclose(found, twists_by_differences(stretched, poses), atol=1e-10)

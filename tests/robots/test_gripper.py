@@ -14,7 +14,7 @@ def test_fingers_open_symmetrically_about_the_tips():
     assert np.isclose(palm.vertices[:, 2].max(), left.vertices[:, 2].min())
 
 
-def test_its_mesh_is_closed_and_has_the_volume_of_its_boxes():
+def test_a_grippers_mesh_is_closed_and_has_the_volume_of_its_boxes():
     trimesh = pytest.importorskip("trimesh")
     gripper = Gripper()
     mesh = trimesh.Trimesh(*gripper.mesh(0.02), process=False)
@@ -38,7 +38,7 @@ def test_wrong_dimensions_are_named(wrong, named):
         Gripper(**wrong)
 
 
-def test_it_refuses_to_open_wider_than_it_can():
+def test_a_gripper_refuses_to_open_wider_than_it_can():
     with pytest.raises(ValueError, match="opens to 80 mm"):
         Gripper().boxes(0.09)
 

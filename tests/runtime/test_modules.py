@@ -1,4 +1,4 @@
-"""Modules whose fields are changed at once are the same as those of `dataclasses.replace`."""
+"""Modules whose fields are changed at once equal the results of `dataclasses.replace`."""
 
 import dataclasses
 import types

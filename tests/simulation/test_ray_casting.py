@@ -46,8 +46,8 @@ def test_the_nearer_of_two_triangles_is_hit_and_casts_the_shadow():
     np.testing.assert_array_equal(hits.triangle, [1, 0, MISSED])
     np.testing.assert_allclose(hits.points[:2], [[0.0, 0.0, 1.0], [0.0, -4.0, 0.0]], atol=1e-12)
     up = np.array([0.0, 0.0, 1.0])
-    below, beside = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    hidden = caster.is_hidden(np.stack([below, beside]), np.stack([up, up]), up)
+    below, outside = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    hidden = caster.is_hidden(np.stack([below, outside]), np.stack([up, up]), up)
     np.testing.assert_array_equal(hidden, [True, False])
 
 

@@ -48,9 +48,9 @@ def test_noise_across_the_plane_of_the_viewpoints_does_not_swell_the_weights():
     noisy = CROSS + 1e-4 * rng.normal(size=CROSS.shape)
     found = between(tilted(noisy))
     assert found.spanned_axes.shape == (2, 3)
-    beside = tilted(np.array([[0.01, 0.01, 0.01], [0.0, 0.0, -0.02]]))
-    assert np.abs(found.weights(jnp.asarray(beside))).max() < 1.0
-    np.testing.assert_allclose(np.sum(found.weights(jnp.asarray(beside)), axis=1), 1.0)
+    outside = tilted(np.array([[0.01, 0.01, 0.01], [0.0, 0.0, -0.02]]))
+    assert np.abs(found.weights(jnp.asarray(outside))).max() < 1.0
+    np.testing.assert_allclose(np.sum(found.weights(jnp.asarray(outside)), axis=1), 1.0)
 
 
 @pytest.mark.parametrize(("stretch", "dimensions"), [(0.0, 2), (0.05, 2), (0.8, 3)])

@@ -226,7 +226,7 @@ def test_one_plane_seen_from_few_sides_is_found_from_far_off(seed, off):
     assert bool(found.inliers[scene.data.visible].all())
 
 
-def test_it_settles_at_the_least_squares_optimum_with_its_covariance(noisy):
+def test_the_filter_settles_at_the_least_squares_optimum_with_its_covariance(noisy):
     """Against scipy on Eq. 8 under Eq. 9: one camera, free poses."""
     scene, found = noisy
     observations = scene.data.observations
@@ -333,7 +333,7 @@ def test_real_data_agree_with_opencv(circles):
     assert float(found.camera.v0) == pytest.approx(K[1, 2], abs=0.5)
 
 
-def test_it_compiles_two_programs():
+def test_the_filter_compiles_two_programs():
     """Both serve a known camera too; every operation on the host is NumPy's.
 
     No other test has as many points, so that no program is there yet.

@@ -51,7 +51,7 @@ def test_a_calibration_that_is_not_finite_stays_as_it_is(scene):
     )
 
 
-def test_it_is_saved_with_the_calibration(scene, tmp_path):
+def test_the_region_is_saved_with_the_calibration(scene, tmp_path):
     known = with_region(paper_calibration(), scene.data)
     known.save(tmp_path / "calibration.yaml")
     again = Calibration.load(tmp_path / "calibration.yaml").region

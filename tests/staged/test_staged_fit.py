@@ -34,7 +34,7 @@ def test_the_papers_set_up_lands_in_the_papers_order_of_error(paper):
     assert float(fit.step2.pixel_sigma) == pytest.approx(0.15, rel=0.1)
 
 
-def test_it_says_what_it_does(paper):
+def test_each_step_is_reported(paper):
     _, _, messages = paper
     assert [text[:6] for text in messages if text.startswith("Step")] == [
         "Step 1",

@@ -1,7 +1,7 @@
 """A linear world: what views would tell of a chain that is linear, and the errors in it.
 
 Small enough for the textbook's formulas on dense matrices. Everything is NumPy, as the library's
-own searches are; tests of what JAX makes of it convert it first.
+own searches are; tests of JAX programs convert it first.
 """
 
 from typing import NamedTuple

@@ -74,7 +74,7 @@ def test_the_best_step_is_generalised_least_squares(world):
     np.testing.assert_allclose(step.shared[: CAMERA + MOUNT], expected, rtol=1e-8)
 
 
-def test_it_does_not_matter_where_the_chain_is_linearised(world):
+def test_the_likelihood_is_alike_wherever_the_chain_is_linearised(world):
     observed = drawn(world, 3)
     at = np.random.default_rng(4).normal(size=SHARED + 6 * VIEWS)
     here, there = linearised(world, observed), linearised(world, observed, at)
@@ -84,7 +84,7 @@ def test_it_does_not_matter_where_the_chain_is_linearised(world):
     np.testing.assert_allclose(steps[0].shared, at[:SHARED] + steps[1].shared, atol=1e-8)
 
 
-def test_its_gradient_is_that_of_differences(world):
+def test_the_gradient_agrees_with_differences(world):
     views, sizes = views_with_some_held(world), OTHERS[0]
     for k, slope in enumerate(slopes_of(views, sizes)):
         ahead, behind = (deviance_of(views, moved(sizes, k, s)) for s in (1e-5, -1e-5))
@@ -92,7 +92,7 @@ def test_its_gradient_is_that_of_differences(world):
         np.testing.assert_allclose(slope, difference, rtol=1e-5)
 
 
-def test_it_is_differentiable_by_the_observations_and_twice_by_the_sizes(world):
+def test_the_likelihood_is_differentiable_by_the_observations_and_twice_by_the_sizes(world):
     views = views_with_some_held(world)
     on_device = jax.tree.map(jnp.asarray, views)
 

@@ -133,7 +133,7 @@ def test_a_smooth_error_is_found_and_corrected(crooked):
     assert errors[0] < 0.5 * errors[1]
 
 
-def test_its_twist_is_the_true_one_up_to_what_no_data_tell(crooked):
+def test_a_smooth_errors_twist_is_the_true_one_up_to_what_no_data_tell(crooked):
     """A constant part of the error is the mount's or the world's: compare differences of views."""
     seen, _, found = crooked
     poses = seen.data.base_from_tool

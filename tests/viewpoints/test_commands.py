@@ -196,13 +196,11 @@ def test_an_arms_own_errors_are_made_up_for(arm_setting):
         viewpoint_commands(erring, wanted, POINTS)
 
 
-def test_a_camera_beside_the_arm():
+def test_a_camera_next_to_the_arm():
     """The target moves instead; the same picture comes about."""
     base = paper_calibration()
-    beside = Calibration.eye_to_hand(base.camera, base.base_from_world.inverse(), SE3.identity())
-    found = viewpoint_commands(
-        beside, FIVE, POINTS, limits=Limits(clearance_plane=ClearancePlane())
-    )
+    fixed = Calibration.eye_to_hand(base.camera, base.base_from_world.inverse(), SE3.identity())
+    found = viewpoint_commands(fixed, FIVE, POINTS, limits=Limits(clearance_plane=ClearancePlane()))
     off = (found.predicted_views.camera_from_world @ FIVE.inverse()).log()
     assert float(jnp.abs(off).max()) < 1e-12
     camera = found.checks.measured["camera_clearance"]

@@ -39,7 +39,7 @@ def states(seed, tilt=0.7):
     return TRUTH.command_for(random_viewpoints(rng, CANDIDATES, CENTRE, (0.17, 0.25), tilt))
 
 
-def beside():
+def second_camera():
     """The calibration of a second camera on the hand, which looks inwards."""
     offset = host_exponentials(np.array([0.02, 0.0, 0.0, 0.0, -0.13, 0.02]))
     there = host_transforms(offset @ host_matrices(TRUTH.camera_from_mount))
@@ -64,7 +64,7 @@ def commands():
 @pytest.fixture(scope="module")
 def pair(commands):
     """A rig of two cameras, its model, and the information of its states."""
-    calibrations = {"left": TRUTH, "right": beside()}
+    calibrations = {"left": TRUTH, "right": second_camera()}
     rig, model = of_cameras(calibrations, commands)
     return rig, model, np.asarray(model.information(rig))
 

@@ -68,8 +68,10 @@ def scale_hypotheses(
     Args:
         data: the data set that `fit` was fitted to.
         fit: a joint fit with `noise="estimated"`. Held parameters stay held; priors are not used.
-            Empty if the fit considered no field, or if the user had freed the target's scale.
         progress: called with a line of text for each fit.
+
+    Returns:
+        Nothing if the fit considered no field, or if the user had freed the target's scale.
     """
     report = progress or (lambda _: None)
     noise_estimate = fit.noise_estimate

@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from ...robots import CommandLike
 from ..calibration_uncertainty import CalibrationUncertainty, UncertaintyOptions
-from ..correspondence_checks import deletion_of
+from ..correspondence_checks import deletion_of, least_chi_square_matrix
 from ..line_jacobians import Lines
 from ..pixel_jacobians import pixel_jacobians
 from ..rig_views import AnyCalibration
@@ -94,9 +94,7 @@ def suspect_clicks(
     ).reshape(2 * len(clicks), -1)  # fmt: skip
     R = np.eye(len(r))
     R[: len(sensitivity), : len(sensitivity)] += sensitivity @ known.covariance @ sensitivity.T
-    # The least chi-square over all steps is r^T Q r.
-    inverse = np.linalg.inv(R)
-    Q = inverse - inverse @ J @ np.linalg.pinv(J.T @ inverse @ J, hermitian=True) @ J.T @ inverse
+    Q = least_chi_square_matrix(R, J)
     freedom = len(r) - int(np.linalg.matrix_rank(J))
     suspects = []
     for row, (view, point) in enumerate(clicks):

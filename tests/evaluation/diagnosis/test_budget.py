@@ -78,7 +78,7 @@ def trusting(data, fit):
     return fit_joint(data, fit.calibration.uncorrected, noise=exact, gross_errors="keep")
 
 
-def test_its_parts_make_up_the_whole(misprinted):
+def test_the_parts_of_a_budget_make_up_the_whole(misprinted):
     found = misprinted[2]
     whole = np.sqrt(sum(part.rms**2 for part in found.causes))
     assert whole == pytest.approx(found.total_rms, rel=0.3)

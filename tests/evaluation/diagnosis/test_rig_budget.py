@@ -169,7 +169,7 @@ def test_an_arm_that_nobody_described_is_judged_by_a_linear_chain(erring, monkey
         name: dataclasses.replace(calibration, robot_error=RobotError.zero(field))
         for name, calibration in fit.calibrations.items()
     }
-    # The camera of the left one was held, as the names of what was estimated tell.
+    # The left camera was held: no name of its numbers is among the estimated ones.
     kept = [k for k, n in enumerate(fit.parameter_names) if not n.startswith("left.camera.")]
     held = dataclasses.replace(
         fit,

@@ -35,7 +35,7 @@ def test_the_interval_is_that_of_scipy_over_views(level):
     np.testing.assert_allclose(found, [expected.low, expected.high], atol=0.04 * width)
 
 
-def test_it_is_wider_than_points_by_themselves_would_make_it():
+def test_an_interval_of_views_is_wider_than_one_of_single_points():
     found = deviations()
     points = found.values
     drawn = np.random.default_rng(0).choice(points, (2000, points.size))

@@ -69,7 +69,7 @@ def test_a_lens_bends_it_as_opencv_projects_the_ray(distorted):
     assert np.abs(aside).max() > 2.0
 
 
-def test_it_is_cut_at_the_pictures_border(pinhole):
+def test_a_curve_is_cut_at_the_pictures_border(pinhole):
     curve = epipolar_curve(pinhole, A, PIXEL, B, (0.05, np.inf))
     low, high = -0.5 - 1e-9, np.array([639.5, 479.5]) + 1e-9
     assert ((curve.pixels >= low) & (curve.pixels <= high)).all()

@@ -44,10 +44,10 @@ def test_points_that_all_views_agree_on_are_on_the_surfaces(proposal):
     low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
     assert ((everywhere[:, 2] > -1e-3) & (everywhere[:, 2] < high[2] + 1e-3)).all()
     outside = np.maximum(low - everywhere, everywhere - high)[:, :2]
-    beside = outside.max(axis=1) > 1e-3
-    # Beside the solid are the table and two boxes of 5 and 6 mm.
-    assert everywhere[beside, 2].max() < 7e-3
-    assert np.median(np.abs(everywhere[beside, 2])) < 3e-4
+    elsewhere = outside.max(axis=1) > 1e-3
+    # Next to the solid are the table and two boxes of 5 and 6 mm.
+    assert everywhere[elsewhere, 2].max() < 7e-3
+    assert np.median(np.abs(everywhere[elsewhere, 2])) < 3e-4
 
 
 def distance_to_segment(points, a, b):
@@ -216,7 +216,7 @@ def test_a_box_leaves_out_what_is_outside_and_keeps_what_is_inside(views, found,
     assert (gap[top] < 5e-4).sum() >= 5
 
 
-def test_one_rectangle_leaves_out_what_is_beside_the_object_in_all_views(
+def test_one_rectangle_leaves_out_what_is_next_to_the_object_in_all_views(
     views, found, projected, proposal
 ):
     rectangle = around(projected[1])

@@ -46,7 +46,7 @@ def cell(controller):
     return driver(controller)
 
 
-def test_it_is_a_cell(cell):
+def test_the_driver_cell_is_a_cell(cell):
     assert isinstance(cell, Cell)
 
 

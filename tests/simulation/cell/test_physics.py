@@ -25,14 +25,14 @@ def physics(*objects, fixtures=()):
     return found
 
 
-def lifted_by(found, beside=0.0):
+def lifted_by(found, offset=0.0):
     """How far the first object rises when it is grasped and the gripper goes up 0.14 m."""
     height = found.world_from_object(0)[2, 3]
-    found.place_gripper(pose(beside, z=0.1, rotation=DOWN))
+    found.place_gripper(pose(offset, z=0.1, rotation=DOWN))
     found.move_fingers(0.07)
-    found.lead_gripper(pose(beside, z=0.012, rotation=DOWN))
+    found.lead_gripper(pose(offset, z=0.012, rotation=DOWN))
     found.move_fingers(0.0)
-    found.lead_gripper(pose(beside, z=0.152, rotation=DOWN))
+    found.lead_gripper(pose(offset, z=0.152, rotation=DOWN))
     return found.world_from_object(0)[2, 3] - height
 
 
@@ -72,7 +72,7 @@ FRICTION_LIMIT = WEIGHT / (2.0 * GRIP_FORCE)
 """Two fingers hold 2 mu F, N."""
 
 
-def test_a_grasp_at_the_object_lifts_it_and_one_beside_does_not():
+def test_a_grasp_at_the_object_lifts_it_and_one_next_to_it_does_not():
     """With twice the friction that its weight needs."""
     found = physics(CellObject("box", BOX, friction=2.0 * FRICTION_LIMIT))
     found.settle()
@@ -81,8 +81,8 @@ def test_a_grasp_at_the_object_lifts_it_and_one_beside_does_not():
     assert abs(found.opening - 0.04) < 1e-3
     missed = physics(CellObject("box", BOX))
     missed.settle()
-    # 30 mm beside its end, and so with empty fingers.
-    assert abs(lifted_by(missed, beside=0.06)) < 1e-3
+    # 30 mm from its end, and so with empty fingers.
+    assert abs(lifted_by(missed, offset=0.06)) < 1e-3
     assert missed.opening < 1e-3
 
 

@@ -45,7 +45,7 @@ def view(cell, tilt=0.2, azimuth=0.5, distance=0.45):
     return host_matrices(cell.truth.calibration.uncorrected.command_for(pose))
 
 
-def test_it_is_a_cell(cell):
+def test_the_simulated_cell_is_a_cell(cell):
     assert isinstance(cell, Cell)
 
 
@@ -87,7 +87,7 @@ def test_the_board_is_found_in_its_pictures_where_the_truth_puts_it():
     truth = cell.truth.calibration.uncorrected
     expected, _ = truth.project(cell._base_from_tool, cell.board.points)
     error = np.linalg.norm(found.pixels - np.asarray(expected), axis=1)
-    # Circles under perspective have their centres a little beside their middle.
+    # Circles under perspective have their centres a little off their middle.
     assert np.median(error) < 0.2
 
 
@@ -104,7 +104,7 @@ def test_a_picture_of_an_object_shows_it_where_the_judge_says():
     truth = cell.truth.calibration.uncorrected
     middle = cell.judge().world_from_object["block"] @ np.array([0.0, 0.0, 0.03, 1.0])
     u, v = np.asarray(truth.project(cell._base_from_tool, middle[None, :3])[0])[0]
-    # The middle of the top, and a place beside everything.
+    # The middle of the top, and a place next to everything.
     changed = np.abs(with_object - without) > 20.0
     assert changed[int(v) - 5 : int(v) + 6, int(u) - 5 : int(u) + 6].all()
     assert not changed[:12, :12].any()
