@@ -1,22 +1,22 @@
 """Write a calibration for other programs from its plain numbers: ROS, URDF, OpenCV.
 
 Only NumPy is needed, so that `smartview export` answers at once; `io` has the same functions for a
-`Calibration`. A pose is given by seven numbers: a unit quaternion, real part first, and a
-translation (m).
+`Calibration`. Shapes are in docstrings, because importing jaxtyping takes a tenth of that answer's
+time.
 """
 
 import re
 import shlex
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from .argument_checks import require_readable, shortened_repr
 from .files import dump_yaml
 
-Pose = Float[np.ndarray, "7"]
+Pose: TypeAlias = np.ndarray
+"""A pose as seven numbers: a unit quaternion, real part first, and a translation (m)."""
 
 _FRAME_NAME_PATTERN = re.compile(r"[A-Za-z0-9_/~][A-Za-z0-9_/~.-]{0,199}")
 
@@ -85,8 +85,8 @@ def body_pose(pose: Pose) -> Pose:
     return np.concatenate([rotated, pose[4:]])
 
 
-def pose_matrix(pose: Pose) -> Float[np.ndarray, "4 4"]:
-    """Return a rigid transform as a matrix."""
+def pose_matrix(pose: Pose) -> np.ndarray:
+    """Return a rigid transform as a matrix, `(4, 4)`."""
     w, x, y, z = pose[:4] / np.linalg.norm(pose[:4])
     matrix = np.eye(4)
     matrix[:3, :3] = [
@@ -98,9 +98,10 @@ def pose_matrix(pose: Pose) -> Float[np.ndarray, "4 4"]:
     return matrix
 
 
-def roll_pitch_yaw(rotation: Float[np.ndarray, "3 3"]) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw about the fixed axes x, y, z (rad), as in URDF and ROS.
+def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw about the fixed axes x, y, z (rad) of a rotation, `(3, 3)`.
 
+    URDF and ROS use these angles.
     Near a pitch of 90 degrees, where only the sum or difference of roll and yaw is determined, the
     three angles still give this rotation to all digits.
     """
@@ -226,8 +227,8 @@ def checked_frame_name(name: str) -> str:
     return name
 
 
-def origin_text(matrix: Float[np.ndarray, "4 4"]) -> str:
-    """Return the URDF `<origin>` of a frame in its parent; rpy is about fixed axes, rad."""
+def origin_text(matrix: np.ndarray) -> str:
+    """Return the URDF `<origin>` of a frame's pose `(4, 4)`; rpy is about fixed axes, rad."""
     xyz = " ".join(repr(value) for value in matrix[:3, 3].tolist())
     rpy = " ".join(repr(angle) for angle in roll_pitch_yaw(matrix[:3, :3]))
     return f'<origin xyz="{xyz}" rpy="{rpy}"/>'

@@ -16,8 +16,8 @@ from smartview_jax.simulation import paper_calibration
 
 PACKAGE = Path(sv.__file__).parent
 
-SLOW = {"jax", "matplotlib", "cv2", "scipy"}
-"""Packages that take a tenth of a second or more to import; typer itself may import pydantic."""
+SLOW = {"jax", "matplotlib", "cv2", "scipy", "jaxtyping"}
+"""Packages that take a tenth of a short answer or more to import; typer may import pydantic."""
 
 COMMANDS = {
     "--help": (0, "Calibrate cameras on robot arms"),
@@ -150,10 +150,32 @@ def test_a_calibration_is_exported_without_anything_slow(tmp_path):
         assert text.endswith("code 0 set()\n"), text
 
 
-def test_robot_commands_load_no_fits(tmp_path_factory):
-    """They take a second less: the fits and their libraries are half of the imports."""
+def test_an_export_loads_no_other_subcommand(tmp_path):
+    path = tmp_path / "calibration.yaml"
+    paper_calibration().save(path)
+    others = "smartview_jax.cli.calibrate smartview_jax.cli.viewpoint smartview_jax.cli.grasp"
+    said = run(START, others, f"export {path} --to ros").stdout
+    assert said.endswith("code 0 set()\n"), said
+
+
+PROGRAMS = """
+from smartview_jax.runtime.program_store.store import _stores
+print(sorted(store._function.__name__ for store in _stores for _ in store._programs))
+"""
+
+
+def test_robot_commands_load_no_fits_and_few_programs(tmp_path_factory):
+    """They take a second less: the fits and their libraries are half of the imports.
+
+    One program has the commands and the poses expected of them, one the checks, and two the error
+    of the camera. Each takes a tenth of a second to read.
+    """
     path = main_job(tmp_path_factory).out / "calibration.yaml"
     fits = "optimistix lineax scipy cv2 matplotlib smartview_jax.staged smartview_jax.variance"
-    said = run(START, fits, f"viewpoint {path}").stdout
+    said = run(START + PROGRAMS, f"{fits} smartview_jax.cli.calibrate", f"viewpoint {path}").stdout
     assert "error of the camera" in said
-    assert said.endswith("code 0 set()\n"), said
+    *_, ended, programs = said.splitlines()
+    assert ended == "code 0 set()", said
+    assert programs == str(
+        ["_commands_with_checks", "_expected_command", "_relevance", "_view_jacobians"]
+    )

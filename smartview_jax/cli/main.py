@@ -2,8 +2,10 @@
 
 import gc
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
+from keyword import iskeyword
 from typing import Annotated, Any
 
 import typer
@@ -11,31 +13,74 @@ from typer.core import TyperGroup
 
 import smartview_jax as sv
 
-from .calibrate import calibrate
-from .capture import capture
-from .check import check
-from .compare import compare
-from .demo import demo
-from .evaluate import evaluate
-from .export import export
-from .grasp import grasp
-from .import_recording import import_
-from .localize import localize
 from .logs import configure_logs
-from .model import model
-from .new import new
-from .plan import plan
-from .schema import schema
-from .simulate import simulate
-from .stylus import stylus
-from .viewpoint import viewpoint
 
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
 """Number of new objects after which the youngest generation is collected; Python's own is 700."""
 
 
-class _LoggingGroup(TyperGroup):
-    """A group of subcommands that sets the log level and collects garbage rarely."""
+SUBCOMMANDS = {
+    "calibrate": "calibrate",
+    "capture": "capture",
+    "check": "check",
+    "compare": "compare",
+    "demo": "demo",
+    "evaluate": "evaluate",
+    "export": "export",
+    "grasp": "grasp",
+    # The word import cannot be the name of a file or of a function.
+    "import": "import_recording",
+    "localize": "localize",
+    "model": "model",
+    "new": "new",
+    "plan": "plan",
+    "schema": "schema",
+    "simulate": "simulate",
+    "stylus": "stylus",
+    "viewpoint": "viewpoint",
+}
+"""The file of each subcommand, by the word on the command line."""
+
+
+class _Subcommands(Mapping[str, Any]):
+    """The subcommands by name, each imported when it is asked for: a person runs one of them."""
+
+    def __init__(self) -> None:
+        self._loaded: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._loaded:
+            self._loaded[name] = _imported_subcommand(name)
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(SUBCOMMANDS)
+
+    def __len__(self) -> int:
+        return len(SUBCOMMANDS)
+
+
+def _imported_subcommand(name: str) -> Any:
+    """Return a subcommand with its options, from its file.
+
+    Raises:
+        KeyError: no subcommand has the name.
+    """
+    module = import_module(f".{SUBCOMMANDS[name]}", __package__)
+    function = getattr(module, f"{name}_" if iskeyword(name) else name)
+    # The whole first sentence, because a summary of click's own length is cut.
+    summary = (inspect.getdoc(function) or "").partition("\n\n")[0]
+    alone = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    alone.command(name, short_help=summary)(function)
+    return typer.main.get_command(alone)
+
+
+class _SmartviewGroup(TyperGroup):
+    """The group of all subcommands, which sets the log level and collects garbage rarely."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = _Subcommands()
 
     def invoke(self, ctx: Any) -> Any:
         """Run a subcommand, then restore the loggers of the calling program."""
@@ -49,7 +94,7 @@ class _LoggingGroup(TyperGroup):
 
 
 app = typer.Typer(
-    cls=_LoggingGroup,
+    cls=_SmartviewGroup,
     help="Calibrate cameras on robot arms.",
     no_args_is_help=True,
     # Plain help: rich cuts words that are longer than its columns, such as the syntax of --prior.
@@ -104,28 +149,3 @@ def main(
     Compiled programs are kept in ~/.cache/smartview_jax for the next run;
     JAX_COMPILATION_CACHE_DIR names another folder, JAX_ENABLE_COMPILATION_CACHE=0 turns this off.
     """
-
-
-for _subcommand in (
-    calibrate,
-    capture,
-    check,
-    compare,
-    demo,
-    evaluate,
-    export,
-    grasp,
-    import_,
-    localize,
-    model,
-    new,
-    plan,
-    schema,
-    simulate,
-    stylus,
-    viewpoint,
-):
-    # The whole first sentence, because a summary of click's own length is cut.
-    _summary = (inspect.getdoc(_subcommand) or "").partition("\n\n")[0]
-    # The name of a function may not be a word of Python, such as import.
-    app.command(_subcommand.__name__.rstrip("_"), short_help=_summary)(_subcommand)

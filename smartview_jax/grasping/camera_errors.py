@@ -72,8 +72,7 @@ def camera_errors(
         assert rig is not None
         local_names = dict(zip(rig.camera_names[camera], parameter_names(calibration), strict=True))
     else:
-        views = SeenViews.of(calibration, command)
-        known = CalibrationUncertainty.of(views, calibration, estimate, noise)
+        known = CalibrationUncertainty.at(calibration, command, estimate, noise)
         rig, local_names = None, {name: name for name in known.shared_names}
     count, size = len(known.view_jacobian), known.shared_count
     names, shared = known.shared_names, known.view_jacobian[:, -6:, :size].copy()

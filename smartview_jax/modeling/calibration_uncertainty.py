@@ -27,10 +27,10 @@ from ..engine import (
 )
 from ..evaluation import CalibrationEstimate, covariance_root
 from ..geometry import host_matrices
-from ..robots import Command
+from ..robots import Command, CommandLike
 from ..runtime.compilation import compiled
 from .rig_views import AnyCalibration, RigViews
-from .view_poses import SeenViews, chain_command
+from .view_poses import SeenViews, as_checked_command, chain_command, padded_views
 
 
 class UncertaintyOptions(TypedDict, total=False):
@@ -106,6 +106,42 @@ class CalibrationUncertainty(NamedTuple):
             return cls._of_rig(views, calibration, noise)
         if covariance is None and noise is None:
             return cls.none(views)
+        count = len(views.camera_from_world)
+        return cls._of_commands(views.command, count, calibration, covariance, noise)
+
+    @classmethod
+    def at(
+        cls,
+        calibration: Calibration,
+        poses: CommandLike,
+        covariance: CalibrationEstimate,
+        noise: Noise | None = None,
+    ) -> "CalibrationUncertainty":
+        """Return the description for reported poses at which no extrinsics are needed.
+
+        Args:
+            calibration: the calibration of one camera.
+            poses: reported poses, `(views)`.
+            covariance, noise: as in `of`.
+
+        Raises:
+            ValueError: as in `of`, or a pose that is not rigid.
+        """
+        calibration.require_one_arm("the uncertainty of a camera's pose")
+        reported = as_checked_command(poses)
+        count = len(reported.base_from_tool.wxyz_xyz)
+        return cls._of_commands(padded_views(reported), count, calibration, covariance, noise)
+
+    @classmethod
+    def _of_commands(
+        cls,
+        padded: Command,
+        count: int,
+        calibration: Calibration,
+        covariance: CalibrationEstimate | None,
+        noise: Noise | None,
+    ) -> "CalibrationUncertainty":
+        """Return the description for the first `count` of padded reported poses."""
         # A bound has no noise: either it is given, or the poses are exact.
         if noise is None:
             noise = getattr(covariance, "noise", None)
@@ -122,8 +158,7 @@ class CalibrationUncertainty(NamedTuple):
         # Fixed parameters are exact and have no column, usually the target's scale and fixed
         # intrinsics.
         used = np.flatnonzero(np.any(roots != 0.0, axis=0))
-        shared, per_view = map(np.asarray, _view_jacobians(calibration, views.command))
-        count = len(views.camera_from_world)
+        shared, per_view = map(np.asarray, _view_jacobians(calibration, padded))
         known = cls(
             tuple(names[k] for k in used),
             roots[:, used].T @ roots[:, used],

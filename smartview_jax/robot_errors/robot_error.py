@@ -69,8 +69,12 @@ class RobotError(HostModule):
         """
         return _expected_pose(self, as_command(reported))
 
-    def expected_command(self, actual: SE3, near: JointsLike | None = None) -> Command:
-        """Return the command whose `expected_pose` is the actual one; arguments as in `command`."""
+    def expected_command(self, actual: SE3, near: JointsLike | None = None) -> tuple[Command, SE3]:
+        """Return the command whose `expected_pose` is the actual one, and this expected pose.
+
+        The arguments are as in `command`. The pose differs from the actual one where the inversion
+        does not succeed, and is NaN where the arm does not reach it.
+        """
         return _expected_command(self, actual, near)
 
     def command(self, actual: SE3, near: JointsLike | None = None) -> Command:
@@ -117,18 +121,25 @@ def _expected_pose(error: RobotError, reported: Command) -> SE3:
 
 
 @compiled_optimised
-def _expected_command(error: RobotError, actual: SE3, near: JointsLike | None) -> Command:
+def _expected_command(
+    error: RobotError, actual: SE3, near: JointsLike | None
+) -> tuple[Command, SE3]:
     """Compute `RobotError.expected_command` as one program."""
     command = error.field.command(actual, error.coefficients, near)
     # The errors of an arm's joints apply everywhere, and the joint readings belong to this pose.
     if command.joints is not None:
-        return command
+        return command, _expected_pose(error, command)
 
-    # The fixed point of `AbstractField.command`, for the expected pose.
-    def fixed_point_step(reported: SE3, _: None) -> tuple[SE3, None]:
-        return reported @ (_expected_pose(error, Command(reported)).inverse() @ actual), None
+    # The fixed point of `AbstractField.command`, for the expected pose. A further step gives the
+    # expected pose of the last command, which would otherwise be half of a second program.
+    def fixed_point_step(state: tuple[SE3, SE3, SE3], _: None) -> tuple[tuple[SE3, SE3, SE3], None]:
+        reported = state[0]
+        expected = _expected_pose(error, Command(reported))
+        return (reported @ (expected.inverse() @ actual), reported, expected), None
 
-    return Command(jax.lax.scan(fixed_point_step, actual, length=INVERSION_STEPS)[0])
+    start = actual, actual, actual
+    _, reported, expected = jax.lax.scan(fixed_point_step, start, length=INVERSION_STEPS + 1)[0]
+    return Command(reported), expected
 
 
 def _between(start: SE3, end: SE3, fraction: Float[Array, "*views"]) -> SE3:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 SMALLEST_EIGENVALUE = 1e-12
 """Smallest eigenvalue of the correlations of a covariance that is to be inverted."""
@@ -19,13 +18,12 @@ Covariances are written with all digits; the solver's rounding is below `MAX_ASY
 """
 
 
-def smallest_correlation_eigenvalue(
-    covariances: Float[np.ndarray, "*batch n n"],
-) -> Float[np.ndarray, "*batch"]:
-    """Return the smallest eigenvalue of each covariance's correlation matrix.
+def smallest_correlation_eigenvalue(covariances: np.ndarray) -> np.ndarray:
+    """Return the smallest eigenvalue of each covariance's correlation matrix, `(*batch)`.
 
-    It is the same whatever the units; variances in m and px differ by many powers of ten. It is NaN
-    where an entry is not finite or a variance is not positive.
+    The covariances are `(*batch, n, n)`. The eigenvalue is the same whatever the units; variances
+    in m and px differ by many powers of ten. It is NaN where an entry is not finite or a variance
+    is not positive.
     """
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)
     finite = np.asarray(np.isfinite(covariances).all(axis=(-2, -1)))

@@ -152,17 +152,18 @@ def viewpoint_commands(
         target_poses, near = repeat_last((target_poses, near), padded_counts(views[0])[0])
     if calibration.robot_error is None:
         command = calibration.robot_command_for(target_poses)
+        expected_pose = command.base_from_tool
     else:
         # Where the robot's error is unknown, half a correction is better than a wrong one.
         actual_pose = calibration.command_for(target_poses, corrected=False)
-        command = calibration.robot_error.expected_command(actual_pose, near)
+        command, expected_pose = calibration.robot_error.expected_command(actual_pose, near)
     solution = None
     if arm is not None and near is not None:
         # Outside jit, where the arm's parameters can be inspected for a closed form.
         solution = solve_joints(arm, command, near)
         command = Command(command.base_from_tool, solution.joints)
     points = None if points is None else as_float_array(points)
-    commands = _commands_with_checks(calibration, command, points, solution, limits)
+    commands = _commands_with_checks(calibration, command, expected_pose, points, solution, limits)
     if not is_padded:
         return commands
     return commands.with_arrays(lambda by_view: without_padding(by_view, views[0]))
@@ -172,15 +173,14 @@ def viewpoint_commands(
 def _commands_with_checks(
     calibration: Calibration,
     command: Command,
+    expected_pose: SE3,
     points: Float[Array, "points 3"] | None,
     solution: JointSolution | None,
     limits: Limits,
 ) -> ViewpointCommands:
     """Return commands with the predicted views and checks."""
-    error = calibration.robot_error
     # Far from its data the correction fades, in the prediction as in the command.
-    expected = command if error is None else Command(error.expected_pose(command))
-    predicted_views = predict(calibration.uncorrected, expected)
+    predicted_views = predict(calibration.uncorrected, Command(expected_pose))
     checks = check_views(
         calibration, command, predicted_views.camera_from_world, points, solution, limits
     )

@@ -62,6 +62,18 @@ def test_the_correction_fades_beyond_the_data():
     assert "5.0 times as far out" in commands.checks.reasons()[-1]
 
 
+def test_the_expected_pose_is_that_of_the_command_where_the_inversion_stops_short():
+    """Errors a thousand times as large shrink to a fifth in every step, not to nothing."""
+    error = RobotError(FIELD, to_device(1e3 * COEFFICIENTS))
+    # As many poses as a padded request, which has the same program.
+    wanted = SE3(np.tile(np.eye(7)[0], (8, 1)))
+    wanted.wxyz_xyz[:, 4] = REACH * np.linspace(0.2, 0.9, 8)
+    command, expected = error.expected_command(wanted)
+    assert np.abs(expected.wxyz_xyz - wanted.wxyz_xyz).max() > 1e-9
+    again = error.expected_pose(command)
+    np.testing.assert_allclose(expected.wxyz_xyz, again.wxyz_xyz, rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize(("distance", "relevance"), [(0.9, 1.0), (2.0, np.exp(-0.5)), (6.0, 0.0)])
 def test_the_uncertainty_grows_to_the_priors(distance, relevance):
     """Posterior of a tenth of the prior: near the data the one, far away the other."""

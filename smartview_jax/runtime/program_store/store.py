@@ -26,8 +26,12 @@ from .safe_pickle import pickled_trace, unpickled_program, unpickled_trace
 READ_EVENT = "/smartview_jax/program_read"
 """The event that `jax.monitoring` reports, with its duration, when a program is read."""
 
-LAPACK_NAME = re.compile(rb"(lapack|blas)_[sdcz]")
-"""The name by which a program calls a function of LAPACK or BLAS, to its letter of the type."""
+LAPACK_NAMES = re.compile(rb"lapack_[sdcz]"), re.compile(rb"blas_[sdcz]")
+"""The names by which a program calls functions of LAPACK or BLAS, to the letter of the type.
+
+They are two patterns because one that begins with letters is found eight times as fast: programs
+have a megabyte each.
+"""
 
 _PLAIN_SETTINGS = {
     "jax_enable_x64": True,
@@ -326,7 +330,7 @@ def _executable(
     start_time = time.perf_counter()
     with suppress(Exception):
         program = zlib.decompress(content)
-        if LAPACK_NAME.search(program):
+        if any(name.search(program) for name in LAPACK_NAMES):
             _prepare_lapack()
         run = unpickled_program(program, array_count, output_count)
         jax.monitoring.record_event_duration_secs(READ_EVENT, time.perf_counter() - start_time)
