@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Unpack
 
 import numpy as np
@@ -13,6 +14,7 @@ from .cameras import AbstractLens, Camera
 from .data_checks import (
     SeenTarget,
     TargetFindings,
+    exchanged_cameras,
     minimum_points,
     target_findings,
     unusable_views,
@@ -157,6 +159,13 @@ def shared_target_findings(
     rig: Rig, staged: Mapping[str, StagedFit | FewViewsStart]
 ) -> TargetFindings:
     """Return the findings about targets that several cameras see, by the cameras' own fits."""
+    return target_findings(rig, _seen_targets(staged))
+
+
+def _seen_targets(
+    staged: Mapping[str, StagedFit | FewViewsStart],
+) -> dict[str, SeenTarget]:
+    """Return the target as each camera sees it that has a fit of its own."""
     seen = {}
     for name, fit in staged.items():
         if isinstance(fit, StagedFit):
@@ -164,7 +173,7 @@ def shared_target_findings(
             poses = host_matrices(fit.step2.camera_from_world)[views]
             place = host_matrices(fit.calibration.holder_from_world)
             seen[name] = SeenTarget(views, poses, place)
-    return target_findings(rig, seen)
+    return seen
 
 
 def usable_view_counts(rig: Rig, known: Mapping[str, Camera]) -> dict[str, int]:
@@ -283,8 +292,25 @@ def _staged_fits(
             place = staged[most].calibration.holder_from_world
             fit(name, {transform_names(rig.cameras[name].mount)[1]: place})
         if name not in staged:
-            raise ValueError(f"camera {name!r}: {errors[name]}") from errors[name]
+            exchanged = _exchanged_pictures(rig, cameras, lens, known)
+            text = exchanged or f"camera {name!r}: {errors[name]}"
+            raise ValueError(text) from errors[name]
     return {name: staged[name] for name in cameras}
+
+
+def _exchanged_pictures(
+    rig: Rig, cameras: Sequence[str], lens: str | AbstractLens, known: Mapping[str, Camera]
+) -> str:
+    """Return a sentence if cameras that cannot be calibrated have exchanged pictures, else nothing.
+
+    Their poses in each view come from the pictures alone, however the robot moves.
+    """
+    staged: dict[str, StagedFit | FewViewsStart] = {}
+    for name in cameras:
+        with suppress(ValueError):
+            data, camera = rig.cameras[name], known.get(name)
+            staged[name] = fit_staged(data, lens, camera=camera, conventions="report")
+    return "; ".join(exchanged_cameras(rig, _seen_targets(staged)))
 
 
 def _consistent_starts(

@@ -13,7 +13,8 @@ positions alone are linear, `position_equations.py`), whether the target bends
 (`flexible_target.py`), and which single views are numbered wrongly (`shifted_numbering.py`) or
 contradict the others (`view_consistency.py`). All judge by transforms of their own
 (`transform_fit.py`), some by transforms of the views that agree (`largest_group.py`) or by the odds
-of an explanation (`misfit_evidence.py`). `rig_checks.py` compares the cameras of a rig.
+of an explanation (`misfit_evidence.py`). `rig_checks.py` compares the cameras of a rig
+by what `rig_states.py` holds, and asks whether pictures were exchanged (`exchanged_cameras.py`).
 """
 
 import lazy_loader as _lazy_loader
