@@ -295,7 +295,34 @@ def _staged_fits(
             exchanged = _exchanged_pictures(rig, cameras, lens, known)
             text = exchanged or f"camera {name!r}: {errors[name]}"
             raise ValueError(text) from errors[name]
-    return {name: staged[name] for name in cameras}
+    told = doubts_told_by_others(rig, staged)
+    return {
+        name: dataclasses.replace(
+            staged[name],
+            warnings=tuple(text for text in staged[name].warnings if text not in told[name]),
+        )
+        for name in cameras
+    }
+
+
+def doubts_told_by_others(
+    rig: Rig, staged: Mapping[str, StagedFit | FewViewsStart]
+) -> dict[str, tuple[str, ...]]:
+    """Return for each camera the doubts about its motion that another camera's views end.
+
+    Few views may not tell in which direction the poses are, or how large the target is. A camera of
+    the same arm that sees the same target from more sides tells both.
+    """
+    ambiguities = {
+        name: fit.conventions.ambiguities
+        for name, fit in staged.items()
+        if isinstance(fit, StagedFit)
+    }
+    certain = {name: _used_views(staged[name]) for name, texts in ambiguities.items() if not texts}
+    return {
+        name: () if reference_camera(rig, name, certain) is None else texts
+        for name, texts in ambiguities.items()
+    }
 
 
 def _exchanged_pictures(
