@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Unpack
 
 import numpy as np
@@ -13,6 +14,7 @@ from .cameras import AbstractLens, Camera
 from .data_checks import (
     SeenTarget,
     TargetFindings,
+    exchanged_cameras,
     minimum_points,
     target_findings,
     unusable_views,
@@ -158,6 +160,13 @@ def shared_target_findings(
     rig: Rig, staged: Mapping[str, StagedFit | FewViewsStart]
 ) -> TargetFindings:
     """Return the findings about targets that several cameras see, by the cameras' own fits."""
+    return target_findings(rig, _seen_targets(staged))
+
+
+def _seen_targets(
+    staged: Mapping[str, StagedFit | FewViewsStart],
+) -> dict[str, SeenTarget]:
+    """Return the target as each camera sees it that has a fit of its own."""
     seen = {}
     for name, fit in staged.items():
         if isinstance(fit, StagedFit):
@@ -165,7 +174,7 @@ def shared_target_findings(
             poses = host_matrices(fit.step2.camera_from_world)[views]
             place = host_matrices(fit.calibration.holder_from_world)
             seen[name] = SeenTarget(views, poses, place)
-    return target_findings(rig, seen)
+    return seen
 
 
 def usable_view_counts(rig: Rig, known: Mapping[str, Camera]) -> dict[str, int]:
@@ -284,8 +293,52 @@ def _staged_fits(
             place = staged[most].calibration.holder_from_world
             fit(name, {transform_names(rig.cameras[name].mount)[1]: place})
         if name not in staged:
-            raise ValueError(f"camera {name!r}: {errors[name]}") from errors[name]
-    return {name: staged[name] for name in cameras}
+            exchanged = _exchanged_pictures(rig, cameras, lens, known)
+            text = exchanged or f"camera {name!r}: {errors[name]}"
+            raise ValueError(text) from errors[name]
+    told = doubts_told_by_others(rig, staged)
+    return {
+        name: dataclasses.replace(
+            staged[name],
+            warnings=tuple(text for text in staged[name].warnings if text not in told[name]),
+        )
+        for name in cameras
+    }
+
+
+def doubts_told_by_others(
+    rig: Rig, staged: Mapping[str, StagedFit | FewViewsStart]
+) -> dict[str, tuple[str, ...]]:
+    """Return for each camera the doubts about its motion that another camera's views end.
+
+    Few views may not tell in which direction the poses are, or how large the target is. A camera of
+    the same arm that sees the same target from more sides tells both.
+    """
+    ambiguities = {
+        name: fit.conventions.ambiguities
+        for name, fit in staged.items()
+        if isinstance(fit, StagedFit)
+    }
+    certain = {name: _used_views(staged[name]) for name, texts in ambiguities.items() if not texts}
+    return {
+        name: () if reference_camera(rig, name, certain) is None else texts
+        for name, texts in ambiguities.items()
+    }
+
+
+def _exchanged_pictures(
+    rig: Rig, cameras: Sequence[str], lens: str | AbstractLens, known: Mapping[str, Camera]
+) -> str:
+    """Return a sentence if cameras that cannot be calibrated have exchanged pictures, else nothing.
+
+    Their poses in each view come from the pictures alone, however the robot moves.
+    """
+    staged: dict[str, StagedFit | FewViewsStart] = {}
+    for name in cameras:
+        with suppress(ValueError):
+            data, camera = rig.cameras[name], known.get(name)
+            staged[name] = fit_staged(data, lens, camera=camera, conventions="report")
+    return "; ".join(exchanged_cameras(rig, _seen_targets(staged)))
 
 
 def _consistent_starts(

@@ -7,8 +7,10 @@ import pytest
 from fit_scenes import POINTS, scene_of, scene_with
 from scipy.stats import chi2
 
-from smartview_jax import Noise, Prior, Rig, calibrate
+from smartview_jax import Noise, Prior, Rig, calibrate, fit_staged
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
+from smartview_jax.rig_pipeline import doubts_told_by_others
+from smartview_jax.runtime.array_namespace import to_device
 from smartview_jax.simulation import paper_calibration
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
@@ -148,3 +150,37 @@ def test_starts_of_another_rig_are_refused():
             calibrate(cameras, "radial", camera=known, start=start, noise=NOISE)
     with pytest.raises(TypeError, match="start: expected starts by camera for a rig, found"):
         calibrate(rig, "radial", camera=known, start=LEFT)
+
+
+def test_a_doubt_that_another_camera_ends_is_not_told():
+    """Three views fit inverted poses as well; eight views of another camera on the hand do not."""
+    rig = rig_with_few_views(0, 3)
+    staged = {
+        name: fit_staged(data, "radial", conventions="report") for name, data in rig.cameras.items()
+    }
+    doubts = doubts_told_by_others(rig, staged)
+    assert doubts["left"] == ()
+    (text,) = doubts["right"]
+    assert "as well with every pose inverted" in text
+    assert text in staged["right"].warnings
+    alone = Rig({"right": rig.cameras["right"]})
+    assert doubts_told_by_others(alone, {"right": staged["right"]}) == {"right": ()}
+
+
+def test_pictures_of_two_cameras_that_were_exchanged_are_named():
+    """Each camera alone seems to have been moved."""
+    scene = scene_of(0)
+    pixels, valid = map(np.array, RIGHT.project(scene.base_from_tool, POINTS))
+    pixels += np.random.default_rng(0).normal(0.0, 0.15, pixels.shape)
+    seen = np.asarray(scene.data.visible) & valid
+    seen &= ((pixels > 0.0) & (pixels < np.array(scene.data.image_size))).all(axis=2)
+    left = np.where(seen[..., None], scene.data.pixels, np.nan)
+    right = np.where(seen[..., None], pixels, np.nan)
+    states = [1, 4]
+    left[states], right[states] = right[states], left[states]
+    cameras = {
+        name: dataclasses.replace(scene.data, pixels=to_device(shown), visible=to_device(seen))
+        for name, shown in (("left", left), ("right", right))
+    }
+    with pytest.raises(ValueError, match=r"are exchanged in 2 of 8 states \(1, 4\)"):
+        calibrate(Rig(cameras), lens="radial")

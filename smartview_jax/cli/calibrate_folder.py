@@ -50,6 +50,12 @@ def loaded_folder(
 ) -> "tuple[sv.Dataset, str]":
     """Load a data set, with poses at the estimated clock if requested, and return its name too."""
     if dataset is not None and dataset.is_file():
+        for option, is_given in (
+            ("--base-from-world", settings.base_from_world is not None),
+            ("--time-offset", settings.time_offset),
+        ):
+            if is_given:
+                raise ValueError(f"{option}: expected a data-set folder, found the file {dataset}")
         return load_samples(dataset, settings.mount and settings.mount.value)
     if settings.mount is not None:
         raise ValueError("--mount: expected a file of samples; a data-set folder states its mount")

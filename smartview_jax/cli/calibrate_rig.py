@@ -209,6 +209,8 @@ def _refuse_other_options(settings: CalibrateSettings) -> None:
     given = [f"--{name}" for name, value in known.items() if value and name not in taken]
     given += ["--noise"] * (settings.noise != "estimated")
     given += ["--mount"] * (settings.mount is not None)
+    given += ["--base-from-world"] * (settings.base_from_world is not None)
+    given += ["--time-offset"] * settings.time_offset
     if given:
         raise ValueError(
             f"{given[0]}: not for several cameras together, which take --lens, --bad-views, "

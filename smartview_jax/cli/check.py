@@ -145,6 +145,11 @@ class Findings(NamedTuple):
         """Whether anything does not fit."""
         return bool(self.doubts) or any(camera.are_doubtful for camera in self.cameras)
 
+    def without_doubts(self, texts: Collection[str]) -> "Findings":
+        """Return the findings without some doubts."""
+        doubts = [text for text in self.doubts if text not in texts]
+        return self._replace(doubts=doubts, document=self.document | {"doubts": doubts})
+
     def print(self) -> None:
         """Print what was found, problems and doubts last."""
         for text in self.lines:
@@ -192,7 +197,12 @@ def _checked_rig(
     rig: "sv.Rig", name: str, known: "Mapping[str, sv.Camera]", stops: tuple[str, ...]
 ) -> Findings:
     """Check the data of several cameras, after what stops `smartview calibrate`."""
-    from ..rig_pipeline import reference_camera, shared_target_findings, usable_view_counts
+    from ..rig_pipeline import (
+        doubts_told_by_others,
+        reference_camera,
+        shared_target_findings,
+        usable_view_counts,
+    )
 
     counts = {c: n for c, n in usable_view_counts(rig, known).items() if n >= 3}
     cameras = {
@@ -201,6 +211,8 @@ def _checked_rig(
     }
     shared = sum(len(seeing) > 1 for seeing in rig.seeing)
     staged = {name: each.staged for name, each in cameras.items() if each.staged is not None}
+    for camera, texts in doubts_told_by_others(rig, staged).items():
+        cameras[camera] = cameras[camera].without_doubts(texts)
     together = shared_target_findings(rig, staged)
     problems, doubts = [*stops, *together.problems], [*together.doubts, *_lonely_cameras(rig)]
     arms = rig.robot_names

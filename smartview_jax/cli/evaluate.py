@@ -63,6 +63,11 @@ def evaluate(
         several = sv.io.is_rig_folder(new.dataset)
         if several and (compare or out is not None):
             raise ValueError(f"--compare, --out: not for several cameras, which {new.dataset} has")
+        if several and not calibration.is_dir():
+            raise ValueError(
+                f"{calibration}: expected the folder with a calibration of each camera, such as "
+                f"{calibration.parent}, because {new.dataset} has several cameras"
+            )
         if out is not None:
             refuse_unwritable(out.parent, "--out")
         with progress_line() as progress:

@@ -13,7 +13,8 @@ fit in `lag_fit.py`), the views agree in groups (`view_groups.py`) or the focus 
 are numbered wrongly (`shifted_numbering.py`) or contradict the others (`view_consistency.py`). All
 judge by transforms of their own (`transform_fit.py`), some by transforms of the views that agree
 (`largest_group.py`) or by the odds of an explanation (`misfit_evidence.py`). `rig_checks.py`
-compares the cameras of a rig.
+compares the cameras of a rig by what `rig_states.py` holds, and asks whether pictures were
+exchanged (`exchanged_cameras.py`).
 """
 
 import lazy_loader as _lazy_loader

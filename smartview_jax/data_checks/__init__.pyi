@@ -9,12 +9,14 @@ from .closure import relative_motions as relative_motions
 from .convention_hypotheses import ConventionHypothesis as ConventionHypothesis
 from .conventions import ConventionReport as ConventionReport
 from .conventions import check_conventions as check_conventions
+from .exchanged_cameras import exchanged_cameras as exchanged_cameras
 from .faults_of_many_views import RobotAndCamera as RobotAndCamera
 from .faults_of_many_views import SharedFault as SharedFault
 from .faults_of_many_views import find_shared_fault as find_shared_fault
 from .flexible_target import find_flexible_target as find_flexible_target
 from .focus_changes import SeenDistances as SeenDistances
 from .given_poses import target_turns as target_turns
+from .inverted_poses import both_inverted_doubt as both_inverted_doubt
 from .joint_mistakes import OTHER_ARM_RATIO as OTHER_ARM_RATIO
 from .joint_mistakes import OTHER_ARM_TEXT as OTHER_ARM_TEXT
 from .joint_mistakes import joint_problem as joint_problem
@@ -25,9 +27,9 @@ from .pose_lag import find_lag as find_lag
 from .questions import Findings as Findings
 from .questions import detection_findings as detection_findings
 from .questions import pose_findings as pose_findings
-from .rig_checks import SeenTarget as SeenTarget
 from .rig_checks import TargetFindings as TargetFindings
 from .rig_checks import target_findings as target_findings
+from .rig_states import SeenTarget as SeenTarget
 from .set_up_drift import DriftOptions as DriftOptions
 from .set_up_drift import SetUpDrift as SetUpDrift
 from .set_up_drift import find_drift as find_drift

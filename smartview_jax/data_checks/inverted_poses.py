@@ -5,13 +5,20 @@ inverse. The two motions between three views therefore belong to a camera on the
 next to the arm equally well, with mounts far from each other. So do the motions between any
 number of views that share a perpendicular, as on a sphere about the target without a turn about the
 line of sight.
+
+If a tracker's poses are inverted as well as the robot's, no motion tells it: in the chain C = X H W
+with the target's pose C, the mount X and the target's place W exchange their parts, because
+C^-1 = W^-1 H^-1 X^-1. Only their distances tell it: a camera on the hand is nearer to the tool than
+the target is to the base, and a target on the hand is nearer to the tool than the camera is to the
+base. Some files of samples have the robot's poses inverted for a camera next to the arm; read for
+the wrong mount, they give the same motions, with base and tool exchanged.
 """
 
 import numpy as np
 from jaxtyping import Bool
 
 from .closure import Poses, closure_error, relative_motions
-from .transform_fit import fit_transforms
+from .transform_fit import Matrix, fit_transforms
 
 
 def inverted_poses_doubt(
@@ -44,4 +51,31 @@ def inverted_poses_doubt(
         f"(tool_from_base for base_from_tool, or a camera {place}): as given the camera is "
         f"{distances[0]:.0f} mm from the {mount}, else {distances[1]:.0f} mm from tool or base. "
         "Check the mount and the direction of the poses, or add a view turned about another axis"
+    )
+
+
+def both_inverted_doubt(mount_from_camera: Matrix, holder_from_world: Matrix, in_hand: bool) -> str:
+    """Return a sentence if robot and tracked poses are likely both inverted, else nothing.
+
+    Args:
+        mount_from_camera: the camera's place on the tool; in the base if it is next to the arm.
+        holder_from_world: the target's place in the base; on the tool if the camera is next to the
+            arm.
+        in_hand: whether the camera is stated to be on the hand.
+    """
+    camera, target = (
+        1e3 * float(np.linalg.norm(pose[:3, 3])) for pose in (mount_from_camera, holder_from_world)
+    )
+    if (camera <= target) == in_hand:
+        return ""
+    mount, holder, relation, other_mount = (
+        ("tool", "base", "farther", "eye_to_hand")
+        if in_hand
+        else ("base", "tool", "nearer", "eye_in_hand")
+    )
+    return (
+        f"the camera is {camera:.0f} mm from the robot's {mount}, {relation} than the target from "
+        f"its {holder} ({target:.0f} mm): is the mount {other_mount}, or are both the robot's and "
+        "the tracked poses inverted (tool_from_base and target_from_camera)? No motion tells it, "
+        "only these distances: check them"
     )

@@ -1,5 +1,7 @@
 """Check that cameras which share a target see it at one place, and with their own pictures.
 
+That pictures were exchanged (`exchanged_cameras.py`) is asked first.
+
 In a state that two cameras on one hand saw, or two cameras next to the arm, their relative pose
 follows from their pictures alone, without the robot. It is the same in all states unless the target
 of one camera lies elsewhere than the other's. So a displaced target is seen as exactly as pictures
@@ -11,23 +13,23 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.special import fdtrc
 
-from ..dataset import Rig
+from ..dataset import Rig, first_equal_pose
 from ..geometry import (
     host_adjoints,
     host_exponentials,
     host_logarithms,
+    host_matrices,
     host_transformed,
     mean_matrix,
 )
 from .closure import Poses
+from .exchanged_cameras import exchanged_cameras
 from .given_poses import target_turns
+from .rig_states import MIN_COMMON_STATES, SeenTarget, states_in_common
 from .transform_fit import Matrix, misfit_text, misfits
-
-MIN_COMMON_STATES = 6
-"""Fewest states in common that tell a displaced target from noise."""
 
 MAX_CHANCE = 1e-6
 """Probability of a displacement by chance below which it is said, as of arms that disagree."""
@@ -40,20 +42,6 @@ MAX_STEPS = 20
 
 MIN_STEP = 1e-9
 """Step, m or rad, below which the fit of a displacement has converged."""
-
-
-class SeenTarget(NamedTuple):
-    """The target as one camera of a rig sees it.
-
-    Attributes:
-        views: indices of the camera's views that are used.
-        camera_from_world: pose of the target in the camera in each of these views, m.
-        holder_from_world: place of the target as the camera and the robot tell it, m.
-    """
-
-    views: Int[np.ndarray, "used"]
-    camera_from_world: Poses
-    holder_from_world: Matrix
 
 
 class TargetFindings(NamedTuple):
@@ -75,8 +63,11 @@ def target_findings(rig: Rig, seen: Mapping[str, SeenTarget]) -> TargetFindings:
         rig: data sets of the cameras.
         seen: the target as each camera sees it; cameras that are not listed are not compared.
     """
+    doubts = [*_copies(rig), *_states_with_two_names(rig)]
+    exchanged = exchanged_cameras(rig, seen)
+    if exchanged:
+        return TargetFindings(exchanged, tuple(doubts))
     problems: list[str] = []
-    doubts = _copies(rig)
     for first, second in combinations(seen, 2):
         if rig.targets[first] != rig.targets[second] or rig.arms[first] != rig.arms[second]:
             continue
@@ -86,7 +77,8 @@ def target_findings(rig: Rig, seen: Mapping[str, SeenTarget]) -> TargetFindings:
         if turned is not None:
             problems.append(turned)
             continue
-        displacement = _displacement(*_in_common(rig, first, second, seen), roughly)
+        _, *poses = states_in_common(rig, first, second, seen)
+        displacement = _displacement(*poses, roughly)
         if displacement is None:
             continue
         points = _points(rig, second)
@@ -118,13 +110,30 @@ def _copies(rig: Rig) -> list[str]:
     return doubts
 
 
-def _in_common(
-    rig: Rig, first: str, second: str, seen: Mapping[str, SeenTarget]
-) -> tuple[Poses, Poses]:
-    """Return the target's poses in both cameras in the states that both saw."""
-    states, other_states = (rig.state_index[name][seen[name].views] for name in (first, second))
-    _, in_first, in_second = np.intersect1d(states, other_states, return_indices=True)
-    return seen[first].camera_from_world[in_first], seen[second].camera_from_world[in_second]
+def _states_with_two_names(rig: Rig) -> list[str]:
+    """Return a doubt for each pair of cameras without a common state, but with equal poses."""
+    doubts = []
+    for first, second in combinations(rig.cameras, 2):
+        arms = {rig.arms[first], rig.arms[second]}
+        if len(arms) > 1 or np.intersect1d(rig.state_index[first], rig.state_index[second]).size:
+            continue
+        data, other = rig.cameras[first], rig.cameras[second]
+        count = data.view_count
+        poses = np.concatenate([host_matrices(part.base_from_tool) for part in (data, other)])
+        equal = [
+            (place, earlier)
+            for place, earlier in enumerate(first_equal_pose(poses)[count:])
+            if earlier < count
+        ]
+        if len(equal) >= MIN_COMMON_STATES:
+            place, earlier = equal[0]
+            doubts.append(
+                f"cameras {first!r} and {second!r} have no view of the same name, but {len(equal)} "
+                f"equal poses, such as of view {data.view_ids[earlier]} and view "
+                f"{other.view_ids[place]}: if their pictures were taken at the same moment, give "
+                "them one name; else the cameras tell less about each other"
+            )
+    return doubts
 
 
 def _points(rig: Rig, camera: str) -> Float[np.ndarray, "points 3"]:

@@ -69,7 +69,9 @@ def median_distance(camera_from_world: Poses) -> float:
 
 def misfit_text(misfit: Float[np.ndarray, "2"] | tuple[float, float]) -> str:
     """Return a misfit in words, in degrees and millimetres."""
-    return f"{np.rad2deg(misfit[1]):.3g} degrees and {1e3 * misfit[0]:.3g} mm"
+    # Three digits, without an exponent.
+    degrees, mm = (float(f"{x:.3g}") for x in (np.rad2deg(misfit[1]), 1e3 * misfit[0]))
+    return f"{degrees:g} degrees and {mm:g} mm"
 
 
 def moved_text(kind: str, mount: str, size: tuple[float, float]) -> str:

@@ -31,8 +31,10 @@ from .rig_arms import is_pair as is_pair
 from .rig_arms import reported_poses as reported_poses
 from .robot_motion import contradictory_views as contradictory_views
 from .robot_motion import distinct_poses as distinct_poses
+from .robot_motion import first_equal_pose as first_equal_pose
 from .robot_motion import given_places as given_places
 from .robot_motion import never_turns as never_turns
+from .robot_motion import repeated_pairs as repeated_pairs
 from .robot_motion import repeated_pose_reason as repeated_pose_reason
 from .robot_motion import repeated_views as repeated_views
 from .robot_motion import repetition_warnings as repetition_warnings

@@ -35,6 +35,9 @@ _TARGET_MOUNT = {
 }
 """The mount of a camera of one arm whose target is where the target of each mount is."""
 
+_PLACE = {"eye_in_hand": "on the table", "eye_to_hand": "on the hand"}
+"""Where the target of each mount of a camera of one arm is, in words."""
+
 SIZE_TOLERANCE = 1e-6
 """Relative difference of two stated sizes, and of the points so scaled, that is rounding."""
 
@@ -320,9 +323,11 @@ def _checked_targets(
                 f"and no arm's; found {target!r}"
             )
         if mount_of.setdefault(target, mount) != mount:
+            other = next(camera for camera, seen in targets.items() if seen == target)
             raise ValueError(
-                f"Rig: target {target!r} is on the table for cameras on the hand, and on the hand "
-                f"for cameras next to the arm; camera {name!r} says otherwise than the others"
+                f"Rig: camera {other!r} ({cameras[other].mount}) sees target {target!r} "
+                f"{_PLACE[mount_of[target]]}, camera {name!r} ({cameras[name].mount}) "
+                f"{_PLACE[mount]}: correct the mount of one, or give each a target of its own"
             )
         if mount == "eye_to_hand" and hand_of.setdefault(target, hand) != hand:
             raise ValueError(

@@ -26,6 +26,7 @@ from ..geometry import host_adjoints, host_matrices
 
 if TYPE_CHECKING:
     from .dataset import Dataset
+    from .pose_dataset import PoseDataset
 
 Poses = Float[np.ndarray, "views 4 4"]
 """Homogeneous matrices, one per view, m."""
@@ -57,7 +58,8 @@ From less a robot with an error of 0.1 mm determines the target's size to 3 %; a
 """
 
 _REPEATED, _DUPLICATE = "its pose repeats view", "its picture and pose are given before, in view"
-"""The beginnings of the two reasons for which a view is left out here."""
+_DUPLICATE_PAIR = "the robot's and the tracked pose are given before, in view"
+"""The beginnings of the three reasons for which a view is left out here."""
 
 
 def distinct_poses(poses: Poses) -> list[int]:
@@ -98,6 +100,20 @@ def repeated_views(data: "Dataset") -> dict[int, str]:
             reasons[pair.later] = f"{_DUPLICATE} {data.view_ids[pair.earlier]}"
         elif pair.follows and pair.picture_moved(data):
             reasons[pair.later] = _repeated_pose_reason(data, pair.earlier, pair.shift)
+    return reasons
+
+
+def repeated_pairs(data: "PoseDataset") -> dict[int, str]:
+    """Return the pairs of poses that repeat an earlier pair, with the reason to leave each out.
+
+    Two measurements of a standing target differ in their last digits; equal ones are one, copied.
+    """
+    robot, tracked = host_matrices(data.base_from_tool), data.tracked_matrices
+    first, known, reasons = first_equal_pose(robot), {}, {}
+    for view in np.flatnonzero(data.seen).tolist():
+        earlier = known.setdefault((first[view], tracked[view].tobytes()), view)
+        if earlier != view:
+            reasons[view] = f"{_DUPLICATE_PAIR} {data.view_ids[earlier]}"
     return reasons
 
 
@@ -183,7 +199,7 @@ def stale_poses(data: "Dataset") -> dict[int, str]:
 
 
 def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
-    """Return one sentence about poses that were not read again, and one about repeated views."""
+    """Return a sentence about poses that were not read again, and one about repeated views."""
     warnings = []
     for beginning, text in (
         (
@@ -192,6 +208,7 @@ def repetition_warnings(rejected: Sequence[Rejection]) -> list[str]:
             "robot's pose was not read again for them",
         ),
         (_DUPLICATE, "repeat the picture and the pose of an earlier view, and count once"),
+        (_DUPLICATE_PAIR, "repeat both poses of an earlier view, and count once"),
     ):
         views = [entry.view for entry in rejected if entry.reason.startswith(beginning)]
         if views:

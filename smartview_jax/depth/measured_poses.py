@@ -262,8 +262,8 @@ def _refuse_other_unit(
     ratio = float(np.median(ratios))
     if not 0.5 < ratio < 2.0:
         raise ValueError(
-            f"points_in_camera: the target seems {ratio:.3g} times its size: are both in metres, "
-            "and are the points in the target's order?"
+            f"points_in_camera: the target seems {float(f'{ratio:.3g}'):g} times its size: are the "
+            "points in metres (in a folder: is their unit as stated), and in the target's order?"
         )
 
 

@@ -105,8 +105,8 @@ class GraspScene:
         # With a fixed camera the target, and so the world, is on the tool.
         if self.calibration.mount != "eye_in_hand":
             raise ValueError(
-                f"an {self.calibration.mount} calibration has its world on the tool: a grasp is "
-                "computed for a camera on the hand, whose world stands in the base's frame"
+                f"an {self.calibration.mount} calibration has its world on the tool, where the "
+                "target is: commands that bring a tool to a place need a camera on the hand"
             )
         # Without a start the nearest solution is undefined.
         if self.arm is not None and self.near is None:

@@ -89,7 +89,7 @@ def read_measured_points(
     if len(behind):
         raise ValueError(
             f"{path}: point {behind[0]}: expected a depth z above 0, found "
-            f"{points[behind[0], 2]:.4g} m"
+            f"{points[behind[0], 2]:.4g} m; a point that was not measured has no row, or nan"
         )
     return points
 

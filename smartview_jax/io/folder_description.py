@@ -56,6 +56,8 @@ class DescribedFolder(NamedTuple):
             ValueError: the file is not readable.
         """
         path = Path(folder) / file
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file; smartview new begins a data set")
         return cls(path.parent, read_yaml(path), path)
 
     def validated(

@@ -212,8 +212,12 @@ def fit_joint(
             built = built.with_noise_corrections(noise_estimate.noise_corrections)
         if noise_estimate is not None and noise_estimate.directions is not None:
             built = built.with_correction_roots(noise_estimate.directions.roots)
-        parameter_count = len(built.shared_names) + len(built.per_view_names)
-        report(f"joint fit: {parameter_count} parameters, {data.observation_count} observations")
+        count = (
+            f"{data.observation_count} points"
+            if has_pixels
+            else f"{len(data.usable_views())} pairs of poses"
+        )
+        report(f"joint fit: {len(built.shared_names)} shared parameters, {count}")
 
         # Levenberg-Marquardt on whitened residuals, with C a 6 x 6 block C_v per view:
         #     (H + lambda I) step = -g,  H = [[A, B^T], [B, C]]

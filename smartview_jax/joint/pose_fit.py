@@ -21,9 +21,10 @@ import smartview_jax as sv
 from ..argument_checks import require_instance, require_names
 from ..calibration import Calibration
 from ..cameras import Camera
-from ..dataset import PoseDataset, chain_residuals
+from ..data_checks import both_inverted_doubt
+from ..dataset import PoseDataset, chain_residuals, repeated_pairs
 from ..engine import TARGET_SCALE, ParameterChoice, Prior
-from ..geometry import PoseLike, host_transforms
+from ..geometry import PoseLike, host_matrices, host_transforms
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..runtime.blas_threads import on_one_blas_thread
@@ -231,6 +232,7 @@ def fit_poses(
             samples.base_from_tool, samples.camera_from_world, samples.mount
         )
     )
+    data = without_views(data, repeated_pairs(data))
     prior = _without_target(robot_prior or RobotPrior(), scale)
     if (count := int(data.seen.sum())) < 3:
         raise ValueError(f"samples: expected at least 3 pairs of poses, found {count}")
@@ -288,7 +290,8 @@ def fit_poses(
         used, fit, drift = fit_consistent()
     if drift is not None:
         fit = with_uncertain_drift(fit, drift)
-    fit = dataclasses.replace(fit, warnings=(*ambiguities, *fit.warnings))
+    doubts = (*ambiguities, *_doubt_of_direction(data, fit.calibration, start))
+    fit = dataclasses.replace(fit, warnings=(*doubts, *fit.warnings))
     covariance = used.covariance
     if drift is not None:
         scaled = in_tracker_units(drift.covariance, float(calibration.target_scale))
@@ -322,6 +325,22 @@ def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
         wrong_lens_probability=0.0,
         wrong_target_probability=0.0 if scale else prior.wrong_target_probability,
     )
+
+
+def _doubt_of_direction(
+    data: PoseDataset, calibration: Calibration, start: Mapping[str, PoseLike] | None
+) -> tuple[str, ...]:
+    """Return a sentence if robot and tracked poses are likely both inverted.
+
+    A depth sensor's poses are the library's own, and a start says where camera or target are.
+    """
+    if start or data.sensor is not None:
+        return ()
+    mount_from_camera = host_matrices(calibration.camera_from_mount.inverse())
+    holder_from_world = host_matrices(calibration.holder_from_world)
+    in_hand = data.mount == "eye_in_hand"
+    doubt = both_inverted_doubt(mount_from_camera, holder_from_world, in_hand)
+    return (doubt,) if doubt else ()
 
 
 def _contradictions(

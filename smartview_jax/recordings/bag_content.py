@@ -24,6 +24,9 @@ TF_KINDS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 CAMERA_INFO, JOINT_STATE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointState"
 
 _STATIC_TOPIC = "tf_static"
+
+_USE_RECEIVED = "use the times of recording (received=True, or --received)"
+"""What helps where stamps are missing or wrong."""
 _BASE, _TOOL = "base", "tool"
 """Names of the frames of a topic of poses, which is looked up as tf is."""
 
@@ -328,9 +331,16 @@ class _ContentReader:
         if (unstamped := stamps == 0).any():
             raise ValueError(
                 f"topic {self._image}: {int(unstamped.sum())} of {len(stamps)} pictures have no "
-                "stamp; use the times of recording"
+                f"stamp; {_USE_RECEIVED}"
             )
         notes.append(f"pictures: {len(stamps)} of {self._image}")
+        steps = np.diff(stamps)
+        if not self._sources.received and (steps < 0).any():
+            notes.append(
+                f"clock: the stamps of {self._image} go back {np.count_nonzero(steps < 0)} times "
+                f"from picture to picture, by up to {-steps.min() / 1e9:.3g} s: if they are not "
+                f"the times of exposure, {_USE_RECEIVED}"
+            )
         stamps, order = np.unique(stamps, return_index=True)
         return stamps, received[order]
 
@@ -381,10 +391,16 @@ class _ContentReader:
 
     def _clock_notes(self) -> list[str]:
         """Return how late messages were recorded after their stamps, by topic."""
-        lags = {topic: float(np.median(lag)) / 1e6 for topic, lag in self._lags.items()}
+        lags = {
+            topic: np.array([np.median(lag), min(lag), max(lag)]) / 1e6
+            for topic, lag in self._lags.items()
+        }
         if self._sources.received:
             return ["clock: times of recording, not stamps"]
-        listed = ", ".join(f"{topic} {lag:.3g} ms" for topic, lag in lags.items())
+        listed = ", ".join(
+            f"{topic} {median:.0f} ms ({least:.0f} to {greatest:.0f})"
+            for topic, (median, least, greatest) in lags.items()
+        )
         return [f"clock: recorded after their stamps: {listed}"] if lags else []
 
     def _refuse_apart(
@@ -397,5 +413,5 @@ class _ContentReader:
                 f"the stamps of {self._image or self._sources.tag} are from {begin:.6g} to "
                 f"{end:.6g} s after the robot's first pose, its poses from 0 to "
                 f"{(stamps[-1] - stamps[0]) / 1e9:.6g} s: do the computers' clocks differ? Then "
-                "use the times of recording"
+                f"{_USE_RECEIVED}"
             )

@@ -14,7 +14,7 @@ from smartview_jax.io import load_dataset
 
 REFUSED = {
     "": "expected the folder of a data set",
-    "nowhere": "nowhere/dataset.yaml: no such file",
+    "nowhere": "nowhere/dataset.yaml: no such file; smartview new begins",
     "{data} --camera nothing": "--camera: expected an index such as 0",
     "{data} --camera {data}/images": "is where the views are stored",
     "{data} --camera simulated": "--camera and --robot: expected both simulated",

@@ -110,6 +110,7 @@ def test_what_the_file_does_not_tell_is_asked(samples, folder):
     for words, message in {
         (samples,): "give --mount eye_in_hand",
         (folder, "--mount", "eye_in_hand"): "a data-set folder states its mount",
+        (samples, "--mount", "eye_in_hand", "--time-offset"): "--time-offset: expected a data-set",
         (folder, "--diagnose"): "--diagnose: expected a data set with pictures",
     }.items():
         ended = run("calibrate", *words)

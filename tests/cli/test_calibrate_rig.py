@@ -183,6 +183,11 @@ def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
         (["{0}", "{0}", "--together"], "expected folders of different names"),
         (["{0}", "{1}", "--together", "--free", "target_scale"], "--free: not for several cameras"),
         (["{0}", "{1}", "--together", "--noise", "trusted"], "--noise: not for several cameras"),
+        (["{0}", "{1}", "--together", "--time-offset"], "--time-offset: not for several cameras"),
+        (
+            ["{0}", "{1}", "--together", "--base-from-world", "0,0,0,0,0,0"],
+            "--base-from-world: not",
+        ),
     ],
 )
 def test_what_a_rig_cannot_have_is_refused(folders, tmp_path, arguments, message):

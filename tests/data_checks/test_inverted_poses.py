@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smartview_jax.data_checks import check_conventions
+from smartview_jax.data_checks import both_inverted_doubt, check_conventions
+from smartview_jax.data_checks.transform_fit import fit_transforms
 from smartview_jax.geometry import host_transforms
 
 
@@ -71,3 +72,29 @@ def test_turns_about_one_axis_are_no_closure_error():
     )
     assert report.is_close
     assert report.problems == ()
+
+
+@pytest.mark.parametrize("in_hand", [True, False])
+def test_robot_and_tracked_poses_that_are_both_inverted_are_told(in_hand):
+    seen = camera_from_world(10, turned=True)
+    holder_from_mount = BASE_FROM_WORLD @ np.linalg.inv(seen) @ CAMERA_FROM_TOOL
+    if not in_hand:
+        # The camera stands where the target was, and the target is where the camera was.
+        seen, holder_from_mount = np.linalg.inv(seen), np.linalg.inv(holder_from_mount)
+    mount = ("eye_to_hand", "eye_in_hand")[in_hand]
+    for inverted in (False, True):
+        robot, tracked = (np.linalg.inv(p) if inverted else p for p in (holder_from_mount, seen))
+        base_from_tool = robot if in_hand else np.linalg.inv(robot)
+        report = check_conventions(host_transforms(base_from_tool), host_transforms(tracked), mount)
+        assert report.problems == ()
+        assert not [text for text in report.ambiguities if "inverted" in text]
+        found = fit_transforms(np.linalg.inv(robot), tracked, np.ones(10, bool))
+        doubt = both_inverted_doubt(
+            np.linalg.inv(found.camera_from_mount), found.holder_from_world, in_hand
+        )
+        assert bool(doubt) == inverted
+        if inverted:
+            assert all(
+                f"{1e3 * np.linalg.norm(place[:3, 3]):.0f} mm" in doubt
+                for place in (BASE_FROM_WORLD, CAMERA_FROM_TOOL)
+            )

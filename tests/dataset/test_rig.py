@@ -33,7 +33,8 @@ def test_cameras_on_the_hand_and_next_to_the_arm_see_different_targets(data):
     fixed = dataclasses.replace(data, mount="eye_to_hand")
     rig = Rig({"wrist": data, "table": fixed})
     assert rig.targets == {"wrist": "target_eye_in_hand", "table": "target_eye_to_hand"}
-    with pytest.raises(ValueError, match="target 'board' is on the table for cameras on the hand"):
+    expected = r"'wrist' \(eye_in_hand\) sees target 'board' on the table, .* on the hand: correct"
+    with pytest.raises(ValueError, match=expected):
         Rig({"wrist": data, "table": fixed}, targets={"wrist": "board", "table": "board"})
 
 

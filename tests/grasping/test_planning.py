@@ -338,7 +338,9 @@ def test_a_camera_next_to_the_arm_is_refused():
     fixed = sv.Calibration.eye_to_hand(
         CALIBRATION.camera, host_transforms(np.eye(4)), host_transforms(np.eye(4))
     )
-    with pytest.raises(ValueError, match="eye_to_hand calibration has its world on the tool"):
+    with pytest.raises(
+        ValueError, match="eye_to_hand calibration has its world on the tool, where the target is"
+    ):
         GraspScene(fixed)
 
 

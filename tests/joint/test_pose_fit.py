@@ -349,3 +349,12 @@ def test_a_moved_target_is_named_where_no_mistake_explains_the_pairs():
     measured[8:] = measured[8:] @ host_exponentials(np.array([0.02, 0.0, 0.0, 0.0, 0.1, 0.0]))
     with pytest.raises(ValueError, match=r"^from view 8 on, .* as if the target had been moved"):
         start_from_poses(PoseDataset.from_poses(robot, measured))
+
+
+def test_copied_pairs_count_once(fit):
+    robot, measured = tracked(0)
+    copied = [*range(VIEWS), 3, 3, 7]
+    again = sv.fit_poses(PoseDataset.from_poses(robot[copied], measured[copied]), field=None)
+    assert [rejection.view for rejection in again.rejected] == ["16", "17", "18"]
+    assert any("repeat both poses of an earlier view" in text for text in again.warnings)
+    np.testing.assert_allclose(covariance_of(again), covariance_of(fit), rtol=1e-3)

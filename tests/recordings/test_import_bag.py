@@ -221,6 +221,26 @@ def test_transforms_that_are_no_poses_are_left_out_and_said(tmp_path):
     assert "tf: 1 transforms of flange in shoulder are no poses: left out" in written.notes
 
 
+def test_pictures_whose_stamps_are_out_of_order_are_told(tmp_path):
+    """Two pictures have each other's stamps, as from a driver that stamps them at random."""
+    messages = recording(POSES)
+    pictures = [k for k, message in enumerate(messages) if message.topic == "/camera/image_raw"]
+    first, second = pictures[4], pictures[9]
+    stamps = [messages[k].fields["header"] for k in (second, first)]
+    for k, stamp in zip((first, second), stamps, strict=True):
+        messages[k] = messages[k]._replace(fields=messages[k].fields | {"header": stamp})
+    bag = write_bag(tmp_path / "run", "mcap", messages)
+    written = sv.import_bag(bag, tmp_path / "data", FRAMES, "charuco")
+    (text,) = [note for note in written.notes if "go back" in note]
+    # The pictures are 0.2 s apart; the early one has the stamp of the fifth after it.
+    assert "/camera/image_raw go back 2 times from picture to picture, by up to 0.8 s" in text
+    (clock,) = [note for note in written.notes if "recorded after" in note]
+    assert "/camera/image_raw 80 ms (-920 to 1080)" in clock
+    sources = sv.BagSources(base="base", tool="tool0", received=True)
+    written = sv.import_bag(bag, tmp_path / "received", sources, "charuco")
+    assert not [note for note in written.notes if "go back" in note]
+
+
 def test_times_of_recording_instead_of_stamps(tmp_path):
     """The camera's computer has another date."""
     messages = [

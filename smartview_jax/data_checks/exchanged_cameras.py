@@ -1,0 +1,126 @@
+"""Find states of the robot in which the pictures of two cameras were exchanged.
+
+Two cameras on one hand, or two next to the arm, that see one target have one relative pose K in all
+states, which follows from their pictures alone. In a state whose pictures were exchanged it is
+K^-1. Each camera by itself then seems to have been moved to another place and back.
+"""
+
+from collections.abc import Mapping
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.special import fdtrc
+
+from ..dataset import Rig
+from ..geometry import host_logarithms, mean_matrix
+from .closure import Poses
+from .rig_states import MIN_COMMON_STATES, SeenTarget, states_in_common
+from .transform_fit import misfit_text, misfits
+
+MAX_CHANCE = 1e-6
+"""Probability by chance below which exchanged pictures are said, as a displaced target is."""
+
+MAX_LEFT_OVER = 0.5
+"""Largest share of the misfit that exchanged pictures may leave over, in all and in each state."""
+
+MAX_SEEDS = 20
+"""Largest number of states whose relative pose is tried as the one of all states."""
+
+MAX_NAMED_STATES = 12
+"""Largest number of states that a sentence names."""
+
+
+class _Exchange(NamedTuple):
+    """States in which two cameras' pictures seem to be exchanged.
+
+    Attributes:
+        exchanged: mask of these states among those that both cameras saw.
+        given, corrected: relative poses of the cameras, divided by their mean, in each state.
+    """
+
+    exchanged: Bool[np.ndarray, "states"]
+    given: Poses
+    corrected: Poses
+
+
+def exchanged_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[str, ...]:
+    """Return a sentence for each pair of cameras whose pictures are exchanged in some states.
+
+    Args:
+        rig: data sets of the cameras.
+        seen: the target as each camera sees it; cameras that are not listed are not compared.
+    """
+    sentences = []
+    for first, second in combinations(seen, 2):
+        if rig.targets[first] != rig.targets[second] or rig.arms[first] != rig.arms[second]:
+            continue
+        states, *poses = states_in_common(rig, first, second, seen)
+        exchange = _exchange(poses[1] @ np.linalg.inv(poses[0]))
+        if exchange is None:
+            continue
+        names = [rig.view_ids[state] for state in states[exchange.exchanged]]
+        more = f" and {len(names) - MAX_NAMED_STATES} more" * (len(names) > MAX_NAMED_STATES)
+        given, corrected = (
+            misfit_text(misfits(closure).mean(axis=0))
+            for closure in (exchange.given, exchange.corrected)
+        )
+        sentences.append(
+            f"the pictures of cameras {first!r} and {second!r} are exchanged in {len(names)} of "
+            f"{len(states)} states ({', '.join(names[:MAX_NAMED_STATES])}{more}), or in the "
+            f"others: the relative pose of the cameras then varies by {corrected} instead of "
+            f"{given} (means over the states). Exchange them there"
+        )
+    return tuple(sentences)
+
+
+def _exchange(relative: Poses) -> _Exchange | None:
+    """Return in which states the cameras are exchanged; None if in none.
+
+    Args:
+        relative: pose of one camera in the other in each state.
+    """
+    count = len(relative)
+    if count < MIN_COMMON_STATES:
+        return None
+    both = np.stack([relative, np.linalg.inv(relative)])
+    seeds = relative[np.unique(np.linspace(0, count - 1, MAX_SEEDS).round().astype(int))]
+    squares = np.stack([_squares(np.linalg.inv(seed) @ both) for seed in seeds])
+    best = np.median(squares.min(axis=1), axis=1).argmin()
+    exchanged = squares[best].argmin(axis=0) == 1
+    if exchanged.sum() > count / 2:
+        exchanged = ~exchanged
+    if not exchanged.any():
+        return None
+    corrected = np.where(exchanged[:, None, None], both[1], both[0])
+    given, corrected = (_about_mean(poses) for poses in (relative, corrected))
+    # In units in which rotation and translation of the corrected poses scatter alike.
+    scale = np.repeat(np.maximum(np.sqrt(_parts(corrected).mean(axis=0)), 1e-9), 3)
+    before, after = (_squares(poses, scale) for poses in (given, corrected))
+    freedom = 6 * count - 6
+    # Each state may be exchanged or not: two to the number of states chances.
+    log_chance = np.log(max(fdtrc(freedom, freedom, before.sum() / after.sum()), 1e-300))
+    if log_chance + count * np.log(2.0) > np.log(MAX_CHANCE):
+        return None
+    is_explained = (after <= MAX_LEFT_OVER * before)[exchanged].all()
+    if not is_explained or after.sum() > MAX_LEFT_OVER * before.sum():
+        return None
+    return _Exchange(exchanged, given, corrected)
+
+
+def _about_mean(poses: Poses) -> Poses:
+    """Return poses in the axes of their mean."""
+    return np.linalg.inv(mean_matrix(poses, np.ones(len(poses)))) @ poses
+
+
+def _parts(poses: Poses) -> Float[np.ndarray, "states 2"]:
+    """Return the mean squares of translation and rotation of each pose."""
+    return (host_logarithms(poses) ** 2).reshape(-1, 2, 3).mean(axis=2)
+
+
+def _squares(
+    poses: Float[np.ndarray, "*states 4 4"], scale: Float[np.ndarray, "6"] | float = 1.0
+) -> Float[np.ndarray, "*states"]:
+    """Return the sum of squares of each pose's twist, in some scale."""
+    return np.sum((host_logarithms(poses) / scale) ** 2, axis=-1)
