@@ -262,6 +262,7 @@ def fit_staged(
         detection_findings(mismatched, data.view_ids),
         () if camera_doubt is None and is_explained else camera_doubts,
         report.problems,
+        is_explained,
     )
     report = report._replace(problems=findings.problems)
     if camera_doubt is None and stretched is not None:
