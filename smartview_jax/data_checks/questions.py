@@ -45,9 +45,10 @@ class Findings(NamedTuple):
         """
         if not self.motions:
             return ()
-        both = (*self.camera, *self.motions)
-        if self.motions_explained:
-            both = (*self.motions, *self.camera)
+        both = (*self.motions, *self.camera)
+        if self.camera and not self.motions_explained:
+            seen_wrong = (f"as seen with this camera, {text}" for text in self.motions)
+            both = (*self.camera, *seen_wrong)
         return (*self.poses, *self.detections, *both)
 
 

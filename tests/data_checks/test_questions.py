@@ -43,7 +43,12 @@ def renumbered(pixels):
 
 def test_each_question_is_asked_of_what_the_earlier_ones_left():
     everything = Findings(("poses",), ("detections",), ("camera",), ("motions",))
-    assert everything.problems == ("poses", "detections", "camera", "motions")
+    assert everything.problems == (
+        "poses",
+        "detections",
+        "camera",
+        "as seen with this camera, motions",
+    )
     explained = everything._replace(motions_explained=True)
     assert explained.problems == ("poses", "detections", "motions", "camera")
     assert everything._replace(camera=()).problems == ("poses", "detections", "motions")
