@@ -378,7 +378,8 @@ def _agreement(
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     if not problems and not fit.conventions.change:
         doubts += _doubts_of_motion(fit.conventions, camera is not None, data.joints is not None)
-    return problems, (*doubts, *fit.warnings), fit
+    doubts += [text for text in fit.warnings if text not in problems]
+    return problems, doubts, fit
 
 
 def _doubts_of_motion(

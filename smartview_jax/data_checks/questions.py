@@ -3,7 +3,7 @@
 A fault of one link makes all later ones look wrong: poses that were not read again look like wrong
 conventions, a lens that the model cannot bend to looks like a robot that errs, and any of them like
 a target of another size. So each question concerns only the views that the earlier ones left, and
-data that are refused are refused for the first fault.
+of several faults the first is named first.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,22 +26,30 @@ class Findings(NamedTuple):
         camera: Does a camera fit the views that are left, without any robot?
         motions: Do robot and camera move alike, and if they do, are the lengths of target and robot
             in one unit? `check_conventions` asks in this order.
+        motions_explained: whether they move alike but for the mistake that `motions` names, so that
+            it is likelier than a camera that makes them differ.
     """
 
     poses: tuple[str, ...]
     detections: tuple[str, ...]
     camera: tuple[str, ...]
     motions: tuple[str, ...]
+    motions_explained: bool = False
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Why the data cannot be calibrated, the first fault first; empty if they can.
+        """Why the data cannot be calibrated, the likeliest fault first; empty if they can.
 
-        A camera that does not fit well is a doubt as long as the robot moves as it says.
+        A camera that does not fit well is a doubt as long as the robot moves as it says. If it does
+        not, either may be the cause of both.
         """
         if not self.motions:
             return ()
-        return (*self.poses, *self.detections, *(self.camera or self.motions))
+        both = (*self.motions, *self.camera)
+        if self.camera and not self.motions_explained:
+            seen_wrong = (f"as seen with this camera, {text}" for text in self.motions)
+            both = (*self.camera, *seen_wrong)
+        return (*self.poses, *self.detections, *both)
 
 
 def pose_findings(reasons: Mapping[int, str], view_ids: Sequence[str]) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ view of the target (corners numbered wrongly, another object) would spoil the co
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
 
 from ..cameras import SymmetricLensFit, fit_symmetric_lens
 from ..dataset import Observations, extents
@@ -19,8 +20,19 @@ MAX_MISFIT = 0.01
 No detector is off by so much, and points of something else are off by many times as much.
 """
 
+MAX_MISFIT_OF_SPACING = 0.25
+"""Largest misfit of a view that shows the target, as a fraction of its points' distance in pixels.
+
+Points that are numbered wrongly lie at least half a distance off, in the middle between two places,
+and detections that are off by a quarter of it cannot be told from their neighbours.
+"""
+
 DETECTION_NOISE = 0.5
 """Standard deviation of a detected point, px, beyond which it counts less in a view's own fit."""
+
+_WRONG = "wrongly detected or numbered"
+
+_REVERSED = "they fit in reverse order: was the grid detected turned by half a turn"
 
 
 def collinear_views(
@@ -50,21 +62,34 @@ def mismatched_views(
         observations: target points and pixels.
         image_size: width and height, px.
     """
-    limit = MAX_MISFIT * max(image_size)
     points, pixels = np.asarray(observations.points), np.asarray(observations.pixels)
     visible, mismatches = np.asarray(observations.visible), {}
-    # Negated, so that a NaN error is asked about too.
-    for view in np.flatnonzero(used & ~(rms <= limit)):
+    for view in np.flatnonzero(used):
         seen = visible[view]
+        limit = _misfit_limit(pixels[view, seen], image_size)
+        if rms[view] <= limit:
+            continue
         fit = fit_of_any_lens(points[view, seen], pixels[view, seen], image_size)
         # Where its points are too few to tell a lens, the fit of Step 1 decides.
         misfit = float(rms[view]) if fit is None else median_distance(fit)
         if not misfit <= limit:
+            back = fit_of_any_lens(points[view, seen][::-1], pixels[view, seen], image_size)
+            is_reversed = back is not None and median_distance(back) <= limit
             mismatches[int(view)] = (
                 f"its points are not the target's: {misfit:.0f} px from the best view of "
-                "it by any lens, in the median: wrongly detected or numbered?"
+                f"it by any lens, in the median: {_REVERSED if is_reversed else _WRONG}?"
             )
     return mismatches
+
+
+def _misfit_limit(pixels: Float[np.ndarray, "points 2"], image_size: tuple[int, int]) -> float:
+    """Return the largest misfit of a view that shows the target, px."""
+    by_picture = MAX_MISFIT * max(image_size)
+    if len(pixels) < 2:
+        return by_picture
+    # The first neighbour of a point is the point itself.
+    spacing = float(np.median(KDTree(pixels).query(pixels, 2)[0][:, 1]))
+    return min(by_picture, max(MAX_MISFIT_OF_SPACING * spacing, DETECTION_NOISE))
 
 
 def fit_of_any_lens(

@@ -42,4 +42,5 @@ from .robot_motion import require_motion as require_motion
 from .robot_motion import stale_poses as stale_poses
 from .robot_motion import turns_about_one_axis as turns_about_one_axis
 from .robot_motion import turns_about_one_point as turns_about_one_point
+from .robot_motion import undetermined_motions as undetermined_motions
 from .robot_motion import undetermined_twists as undetermined_twists

@@ -285,10 +285,26 @@ def undetermined_twists(mount_from_holder: Poses) -> Float[np.ndarray, "twists 6
     Camera and target can move together along these twists without a change in any picture. There
     are none if the robot rotated about two axes.
     """
-    adjoints = host_adjoints(mount_from_holder)
-    rows = (adjoints - adjoints.mean(axis=0)).reshape(-1, 6)
-    _, changes, twists = np.linalg.svd(rows, full_matrices=False)
-    return twists[changes < MIN_TURN * np.sqrt(len(mount_from_holder))]
+    return undetermined_motions([host_adjoints(mount_from_holder)])
+
+
+def undetermined_motions(
+    effects: Sequence[Float[np.ndarray, "views 6 numbers"]],
+) -> Float[np.ndarray, "motions numbers"]:
+    """Return orthonormal motions of several poses that move each mount equally in all its views.
+
+    Args:
+        effects: for each camera and each view, the matrix that maps the motions of all poses, six
+            numbers each, to the twist of the camera's mount that has the same effect.
+    """
+    rows = [
+        (of_views - of_views.mean(axis=0)).reshape(-1, of_views.shape[2]) / np.sqrt(len(of_views))
+        for of_views in effects
+    ]
+    # As many rows as columns, so that what no view mentions has a singular value too.
+    rows.append(np.zeros((rows[0].shape[1],) * 2))
+    _, changes, motions = np.linalg.svd(np.concatenate(rows), full_matrices=False)
+    return motions[changes < MIN_TURN]
 
 
 def given_places(

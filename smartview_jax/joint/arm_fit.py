@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxlie import SE3
 
 from ..calibration import Calibration
 from ..dataset import Rig
@@ -19,11 +20,14 @@ from ..engine import (
     solve_rig_on,
 )
 from ..fit_result import Rejection
+from ..geometry import host_transforms
 from ..robot_errors import FieldChoice, RobotPrior
 from ..variance import RigNoiseEstimate, estimate_rig_noise
 from .fitted_depth_sensor import weighed_depths
 from .gross_errors import without_views
 from .rig_rejection import Contradiction, contradiction, suspect_state
+from .undetermined_motion import UndeterminedMotion
+from .undetermined_rig import undetermined_motion_of_rig
 from .view_rejection import inflation_reason, is_plausible
 
 
@@ -36,6 +40,7 @@ class SolvedArm(NamedTuple):
         estimate: the estimate of the noise; None if the noise was given.
         solution: the solution.
         equations: the normal equations at the solution.
+        undetermined: what the robot's motion does not determine, and is held.
         rejected: what was left out, with the camera's name.
     """
 
@@ -44,6 +49,7 @@ class SolvedArm(NamedTuple):
     estimate: RigNoiseEstimate | None
     solution: Solution
     equations: NormalEquations
+    undetermined: UndeterminedMotion
     rejected: tuple[tuple[str, Rejection], ...] = ()
 
     @property
@@ -61,6 +67,8 @@ class ArmOptions(NamedTuple):
         choice: parameters to hold and to free, and priors.
         robot_prior: prior on the sizes of the robot's errors.
         devices: devices over which the views are distributed; None for the default one.
+        held_first: whose parameters are held where the motion determines none of them, as in
+            `find_undetermined_motion`.
     """
 
     noise: str | Noise
@@ -68,6 +76,7 @@ class ArmOptions(NamedTuple):
     choice: ParameterChoice
     robot_prior: RobotPrior
     devices: Sequence[Any] | None = None
+    held_first: str = "poses"
 
 
 def fit_arm(
@@ -90,13 +99,16 @@ def fit_arm(
 
     def fit_once(rig: Rig) -> SolvedArm:
         """Fit the rig as it is."""
-        built, start, estimate = _built(rig, starts, options, progress)
+        bases = bases_of_pair(rig, starts)
+        motion = undetermined_motion_of_rig(rig, starts, choice, bases, options.held_first)
+        holding = options._replace(choice=choice.holding(*motion.held))
+        built, start, estimate = _built(rig, starts, holding, progress)
         if progress is not None:
             count = sum(int(np.asarray(data.visible).sum()) for data in rig.cameras.values())
             shared = len(built.shared_names)
             progress(f"joint fit of the rig: {shared} shared parameters, {count} points")
         solved = solve_rig_on(options.devices, built.problem, start)
-        return SolvedArm(rig, built, estimate, *solved)
+        return SolvedArm(rig, built, estimate, *solved, motion)
 
     noise, field, choice, *_ = options
     weighed = {
@@ -133,7 +145,7 @@ def _built(
     progress: Callable[[str], None] | None,
 ) -> tuple[BuiltRig, Step, RigNoiseEstimate | None]:
     """Build the problem, with estimated noise unless it is given; return the first step too."""
-    noise, field, choice, robot_prior, _ = options
+    noise, field, choice, robot_prior, *_ = options
     if isinstance(noise, Noise):
         built = build_rig(rig, starts, noise=noise, field=field, **choice._asdict())
         return built, built.problem.zero_step(), None
@@ -146,6 +158,15 @@ def _built(
         robot_prior=robot_prior,
     )
     return estimate.built, estimate.step, estimate
+
+
+def bases_of_pair(rig: Rig, calibrations: Mapping[str, Calibration]) -> dict[str, SE3]:
+    """Return the bases of the only pair of arms in the base of the first; empty for one arm."""
+    base = next(iter(calibrations.values())).base_from_other_base
+    if base is None:
+        return {}
+    first, other = rig.robot_names
+    return {first: host_transforms(np.eye(4)), other: base}
 
 
 def _without(rig: Rig, wrong: Contradiction) -> Rig:

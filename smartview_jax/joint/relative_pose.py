@@ -1,12 +1,12 @@
 """The pose of one camera or one arm's base of a rig in another's frame, with its covariance."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxlie import SE3
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
 from ..engine import base_path, step_names, twist_by_step
@@ -20,6 +20,7 @@ from ..geometry import (
 )
 from ..variance import SmallSampleCorrection, joined_corrections
 from .joint_fit import half_width
+from .open_directions import OpenDirections, any_changed
 
 _T = TypeVar("_T")
 
@@ -30,7 +31,7 @@ class RelativePose(NamedTuple):
     Attributes:
         transform: transform from the second one's frame to the first's.
         covariance: covariance of its translation (m) and of a small rotation (rad) after it, both
-            along the axes of the first.
+            along the axes of the first. A number that nothing determines has an infinite variance.
         degrees_of_freedom: degrees of freedom of these six numbers' standard deviations; infinite
             where the noise was given.
 
@@ -82,12 +83,8 @@ class RelativePose(NamedTuple):
             "smartview_relative_pose": 1,
             **({} if run is None else {"run": run}),
             "first_from_second": transform_to_dict(self.transform),
-            "covariance": np.asarray(self.covariance).tolist(),
-            # JSON has no infinity.
-            "degrees_of_freedom": [
-                float(freedom) if np.isfinite(freedom) else None
-                for freedom in self.degrees_of_freedom
-            ],
+            "covariance": [_without_infinity(row) for row in self.covariance],
+            "degrees_of_freedom": _without_infinity(self.degrees_of_freedom),
             "end": "smartview_relative_pose",
         }
         write_validated(path, content, RELATIVE_POSE_SCHEMA)
@@ -105,9 +102,19 @@ class RelativePose(NamedTuple):
 
         content = validate_content(read_yaml(path), RELATIVE_POSE_SCHEMA, path)
         pose = transform_from_dict(f"{path}: pose", content.first_from_second.model_dump())
-        known = content.degrees_of_freedom or [None] * 6
-        degrees_of_freedom = tuple(np.inf if freedom is None else freedom for freedom in known)
-        return cls(pose, np.array(content.covariance, dtype=float), degrees_of_freedom)
+        covariance = [_with_infinity(row) for row in content.covariance]
+        freedom = _with_infinity(content.degrees_of_freedom or [None] * 6)
+        return cls(pose, np.array(covariance), tuple(freedom))
+
+
+def _without_infinity(numbers: Iterable[float]) -> list[float | None]:
+    """Return numbers with None for infinity, which JSON does not have."""
+    return [float(number) if np.isfinite(number) else None for number in numbers]
+
+
+def _with_infinity(numbers: Iterable[float | None]) -> list[float]:
+    """Return the numbers of a file, in which None stands for infinity."""
+    return [np.inf if number is None else number for number in numbers]
 
 
 def relative_pose(
@@ -117,6 +124,7 @@ def relative_pose(
     first: str,
     second: str,
     correction: SmallSampleCorrection | None = None,
+    undetermined: Sequence[OpenDirections] = (),
 ) -> RelativePose:
     """Return the pose of the second camera in the frame of the first.
 
@@ -127,6 +135,7 @@ def relative_pose(
         first: name of a camera.
         second: name of a camera with the same mount.
         correction: what estimated noise adds to the covariance; None for given noise.
+        undetermined: combinations of parameters that nothing determines.
 
     Raises:
         ValueError: no such camera, or cameras that the robot moves against each other.
@@ -144,7 +153,7 @@ def relative_pose(
     matrix = first_pose.matrix @ np.linalg.inv(second_pose.matrix)
     # A small motion (v, w) of A moves A B^-1 as it moves A; one of B by -Ad(A B^-1) (v, w).
     twists = [(first_pose, np.eye(6)), (second_pose, -host_adjoints(matrix))]
-    return _with_covariance(matrix, twists, parameter_names, covariance, correction)
+    return _with_covariance(matrix, twists, parameter_names, covariance, correction, undetermined)
 
 
 def relative_base(
@@ -154,6 +163,7 @@ def relative_base(
     first: str,
     second: str,
     correction: SmallSampleCorrection | None = None,
+    undetermined: Sequence[OpenDirections] = (),
 ) -> RelativePose:
     """Return the pose of the second arm's base in the base of the first.
 
@@ -163,6 +173,7 @@ def relative_base(
         covariance: their covariance.
         first, second: names of arms.
         correction: what estimated noise adds to the covariance; None for given noise.
+        undetermined: combinations of parameters that nothing determines.
 
     Raises:
         ValueError: no such arm.
@@ -177,7 +188,7 @@ def relative_base(
     by_motion = host_adjoints(first_inverse)
     twists = [(first_pose, -by_motion), (second_pose, by_motion)]
     matrix = first_inverse @ second_pose.matrix
-    return _with_covariance(matrix, twists, parameter_names, covariance, correction)
+    return _with_covariance(matrix, twists, parameter_names, covariance, correction, undetermined)
 
 
 def _both(kind: str, by_name: Mapping[str, _T], first: str, second: str) -> tuple[_T, _T]:
@@ -201,6 +212,7 @@ def _with_covariance(
     parameter_names: Sequence[str],
     covariance: Float[np.ndarray, "free free"],
     correction: SmallSampleCorrection | None,
+    undetermined: Sequence[OpenDirections],
 ) -> RelativePose:
     """Return a transform with its covariance by the parameters of the transforms that make it up.
 
@@ -211,13 +223,22 @@ def _with_covariance(
     place = {name: k for k, name in enumerate(parameter_names)}
     free = np.array([name in place for name in names])
     indices = [place[name] for name in names if name in place]
-    jacobian = np.linalg.solve(twist_by_step(matrix), np.hstack(by_steps))[:, free]
+    by_all = np.linalg.solve(twist_by_step(matrix), np.hstack(by_steps))
+    is_open, jacobian = any_changed(undetermined, names, by_all), by_all[:, free]
     known = np.asarray(covariance)[np.ix_(indices, indices)]
     of_pose = jacobian @ known @ jacobian.T
     if correction is None:
-        return RelativePose(host_transforms(matrix), of_pose)
+        return RelativePose(host_transforms(matrix), _with_infinite(of_pose, is_open))
     part = correction.subset(np.array(indices, dtype=int))
     added = jacobian @ part.added_covariance @ jacobian.T
     joined = joined_corrections([(part, jacobian)], np.diagonal(of_pose - added))
-    freedom = tuple(joined.degrees_of_freedom.tolist())
-    return RelativePose(host_transforms(matrix), of_pose, freedom)
+    freedom = tuple(np.where(is_open, np.inf, joined.degrees_of_freedom).tolist())
+    return RelativePose(host_transforms(matrix), _with_infinite(of_pose, is_open), freedom)
+
+
+def _with_infinite(
+    covariance: Float[np.ndarray, "6 6"], is_open: Bool[np.ndarray, "6"]
+) -> Float[np.ndarray, "6 6"]:
+    """Return a covariance with infinite variances of some numbers, uncorrelated with the others."""
+    either = is_open[:, None] | is_open[None, :]
+    return np.where(either, np.diag(np.where(is_open, np.inf, 0.0)), covariance)

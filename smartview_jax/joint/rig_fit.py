@@ -29,6 +29,7 @@ from ..fit_result import FitResult, Rejection
 from ..geometry import host_matrices
 from ..variance import RigNoiseEstimate, SmallSampleCorrection
 from .joint_fit import half_width
+from .open_directions import OpenDirections, any_changed
 from .relative_pose import RelativePose, relative_base, relative_pose
 from .rig_estimate import rig_files, save_rig
 from .saved_estimate import SavedEstimate
@@ -68,6 +69,8 @@ class RigFit(eqx.Module):
         picture_digests: digests of each camera's pictures, by its name, by which
             `smartview evaluate` recognises them.
         data: the data sets of the cameras.
+        undetermined: combinations of parameters that neither the robots' motions nor anything else
+            determines; they have the values of the start.
 
     For example, with one camera in the place of two:
 
@@ -101,6 +104,7 @@ class RigFit(eqx.Module):
     small_sample_correction: SmallSampleCorrection | None = None
     sensors: dict[str, DepthSensor] = eqx.field(static=True, default_factory=dict)
     picture_digests: dict[str, tuple[str, ...]] = eqx.field(static=True, default_factory=dict)
+    undetermined: tuple[OpenDirections, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RigFit of {', '.join(self.calibrations)}: {self.result.message}>"
@@ -189,11 +193,15 @@ class RigFit(eqx.Module):
         local = dict(zip(names_in_rig, alone, strict=True))
         kept = [k for k, name in enumerate(names) if name in local]
         open_names = [local[names[k]] for k in kept if not np.isfinite(std[k])]
+        # Nothing determines a parameter that was held because the robot's motion does not.
+        held = (name for name in names_in_rig if name in self.std and name not in names)
+        open_names += [local[name] for name in held if np.isinf(self.std[name])]
         directions = tuple(
             Direction(0.0, ((name, 1.0),), describe_direction(((name, 1.0),), calibration))
             for name in open_names
         )
-        rank, smallest = len(kept) - len(directions), self.smallest_singular_value
+        rank = sum(np.isfinite(std[k]) for k in kept)
+        smallest = self.smallest_singular_value
         noise, sigma = self.noises[self.arms[camera]], self.pixel_sigmas[camera]
         white = noise.white_pixel
         if white is not None:
@@ -204,7 +212,7 @@ class RigFit(eqx.Module):
             tuple(local[names[k]] for k in kept),
             dataclasses.replace(noise, pixel=sigma, white_pixel=white),
             sigma,
-            Observability(rank, len(kept), directions, (), smallest),
+            Observability(rank, rank + len(directions), directions, (), smallest),
             self.sensors.get(camera),
         )
 
@@ -221,8 +229,7 @@ class RigFit(eqx.Module):
             return self.parameter_names, common, std
         jacobian = own_jacobians(self.built, self.solution)[arm]
         covariance = jacobian @ common @ jacobian.T
-        # A parameter is as little determined as those that it depends on.
-        is_open = (jacobian != 0.0) @ ~np.isfinite(std)
+        is_open = any_changed(self.undetermined, self.parameter_names, jacobian)
         return (
             self.built.arms[arm].shared_names,
             covariance,
@@ -268,6 +275,7 @@ class RigFit(eqx.Module):
             first,
             second,
             self.small_sample_correction,
+            self.undetermined,
         )
 
     def base(self, first: str, second: str) -> RelativePose:
@@ -291,6 +299,7 @@ class RigFit(eqx.Module):
             first,
             second,
             self.small_sample_correction,
+            self.undetermined,
         )
 
     def confidence_half_width(self, name: str, level: float = 0.95) -> float:

@@ -35,18 +35,21 @@ from ..engine import (
     with_depth_bias,
 )
 from ..fit_result import Rejection
-from ..geometry import host_matrices, host_transforms
+from ..geometry import host_matrices
 from ..robot_errors import FieldChoice, RobotPrior, checked_field_choice
 from ..runtime.array_namespace import to_device
 from ..staged import with_region
 from ..variance import SmallSampleCorrection
-from .arm_fit import ArmOptions, SolvedArm, fit_arm
+from .arm_fit import ArmOptions, SolvedArm, bases_of_pair, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .fitted_depth_sensor import fitted_depth_sensor
 from .held_parameters import held_camera_warnings
+from .open_directions import OpenDirections
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
 from .several_arms import JoinedArms, added_by_estimation, join_arms
+from .undetermined_motion import UndeterminedMotion
+from .undetermined_rig import undetermined_motion_of_rig
 from .view_rejection import is_plausible
 
 _Option = TypeVar("_Option")
@@ -116,11 +119,13 @@ def fit_rig(
         arms[arm] = fit_arm(
             rig.of_arm(arm),
             {name: start for name, start in starts.items() if rig.arms.get(name, arm) == arm},
-            ArmOptions(own_noise, own_field, choices[arm], prior, devices),
+            ArmOptions(
+                own_noise, own_field, choices[arm], prior, devices, "mounts" if several else "poses"
+            ),
             _named(progress, arm) if several else progress,
         )
     joined = join_arms(rig, arms, choice.priors, devices) if several else None
-    fit = _assembled(rig, arms, joined, tuple(rejected))
+    fit = _assembled(rig, arms, joined, tuple(rejected), choice)
     disagreement = () if joined is None else joined.disagreement
     held = [text for arm in arms.values() for text in held_camera_warnings(arm)]
     return dataclasses.replace(
@@ -153,6 +158,7 @@ def _assembled(
     arms: Mapping[str, SolvedArm],
     joined: JoinedArms | None,
     rejected: tuple[tuple[str, Rejection], ...],
+    choice: ParameterChoice,
 ) -> RigFit:
     """Build the result from the fits of the arms alone and of all, which is None for one arm."""
     first = next(iter(arms.values()))
@@ -194,14 +200,18 @@ def _assembled(
             if sensor is not None:
                 sensors[name] = sensor
     left_out = [entry for arm in arms.values() for entry in arm.rejected]
+    bases = bases_of_pair(rig, calibrations) if joined is None else joined.bases
+    motion = _undetermined_motion(rig, arms, calibrations, choice, bases)
+    std = dict(zip((*built.shared_names, *built.per_view_names), (*std, *of_states), strict=True))
+    freedom = dict(zip(built.shared_names, map(float, freedom), strict=True))
+    for name in motion.undetermined_names:
+        std[name] = freedom[name] = np.inf
     return RigFit(
         calibrations=calibrations,
         covariance=common,
         parameter_names=built.shared_names,
-        std=dict(
-            zip((*built.shared_names, *built.per_view_names), (*std, *of_states), strict=True)
-        ),
-        degrees_of_freedom=dict(zip(built.shared_names, map(float, freedom), strict=True)),
+        std=std,
+        degrees_of_freedom=freedom,
         noises={
             name: arm.built.noise if arm.estimate is None else arm.estimate.noise
             for name, arm in arms.items()
@@ -219,21 +229,32 @@ def _assembled(
         solution=solution,
         smallest_singular_value=float(jacobian.singular_values[-1]),
         result=solver_result(solution),
-        bases=_bases_of_pair(rig, calibrations) if joined is None else joined.bases,
+        bases=bases,
         arms={camera: name for name, arm in arms.items() for camera in arm.rig.cameras},
         data=rig,
         small_sample_correction=correction,
         sensors=sensors,
+        undetermined=(
+            OpenDirections.of_motion(motion),
+            OpenDirections.of_jacobian(built.shared_names, jacobian),
+        ),
     )
 
 
-def _bases_of_pair(rig: Rig, calibrations: Mapping[str, Calibration]) -> dict[str, SE3]:
-    """Return the bases of the only pair of arms in the base of the first; empty for one arm."""
-    base = next(iter(calibrations.values())).base_from_other_base
-    if base is None:
-        return {}
-    first, other = rig.robot_names
-    return {first: host_transforms(np.eye(4)), other: base}
+def _undetermined_motion(
+    rig: Rig,
+    arms: Mapping[str, SolvedArm],
+    calibrations: Mapping[str, Calibration],
+    choice: ParameterChoice,
+    bases: Mapping[str, SE3],
+) -> UndeterminedMotion:
+    """Return what the robots' motions do not determine, in the names of all arms together."""
+    first, *others = arms.values()
+    if not others:
+        return first.undetermined
+    used = {name: data for arm in arms.values() for name, data in arm.rig.cameras.items()}
+    used_rig = rig.with_cameras({name: used[name] for name in rig.cameras})
+    return undetermined_motion_of_rig(used_rig, calibrations, choice, bases, "mounts")
 
 
 def _added_by_estimation(
@@ -271,7 +292,8 @@ def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
         prior: prior on the sizes of the robot's errors.
     """
     warnings = [] if fit.result.converged else [fit.result.message]
-    undetermined = [name for name in fit.parameter_names if not np.isfinite(fit.std[name])]
+    # Held parameters have no entry among the names, but one in `std` if nothing determines them.
+    undetermined = [name for name, std in fit.std.items() if np.isinf(std)]
     if undetermined:
         warnings.append(
             f"the data do not determine {listed(undetermined, MAX_LISTED)}: turn the robot about "

@@ -10,8 +10,6 @@ A parameter that is fixed or has a prior determines the directions that contain 
 """
 
 import dataclasses
-from collections.abc import Collection
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -22,38 +20,21 @@ from ..dataset import (
     given_places,
     require_motion,
     turns_about_one_point,
-    undetermined_twists,
 )
 from ..engine import TARGET_SCALE, Direction, ParameterChoice, describe_direction, step_names
 from ..geometry import host_adjoints, host_matrices
 from .joint_fit import JointFit
-
-DETERMINED_PART = 1e-6
-"""The smallest component of a unit direction, above rounding, that counts."""
-
-NEGLIGIBLE_PART = float(np.sin(np.deg2rad(10.0)))
-"""The component of a direction below which a parameter is not reported as undetermined.
-
-It corresponds to ten degrees, within which an axis is also called by the letter of a coordinate.
-"""
-
+from .undetermined_motion import (
+    NEGLIGIBLE_PART,
+    MovablePose,
+    Sight,
+    UndeterminedMotion,
+    find_undetermined_motion,
+    large_parts,
+)
 
 MENTIONED_PART = 5e-3
 """The component of a direction above which a parameter not called undetermined is mentioned."""
-
-
-class UndeterminedMotion(NamedTuple):
-    """The directions of both transforms that neither motion nor given values determine.
-
-    Attributes:
-        names: names of the twelve parameters of the two transforms.
-        directions: change of these parameters along each direction.
-        held: the parameters to hold at the start, one for each direction.
-    """
-
-    names: tuple[str, ...]
-    directions: Float[np.ndarray, "directions 12"]
-    held: tuple[str, ...]
 
 
 def require_moving_robot(data: Dataset, start: Calibration, choice: ParameterChoice) -> None:
@@ -85,76 +66,15 @@ def undetermined_motion(
         start: the calibration at which directions are expressed.
         choice: the parameters that the user holds, frees or gives priors.
     """
-    names = step_names(*start.transform_names)
+    mount_path, holder_path = start.transform_names
+    mount = MovablePose(step_names(mount_path), host_matrices(start.camera_from_mount))
+    holder = MovablePose(step_names(holder_path), host_matrices(start.holder_from_world))
     robot = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))
     robot = robot[data.usable_views()]
-    empty = UndeterminedMotion(names, np.zeros((0, 12)), ())
     if len(robot) < 2 or not np.isfinite(robot).all():
-        return empty
-    directions = _parameter_directions(undetermined_twists(robot), robot, start)
-    known = np.array([_is_selected(name, (*choice.fixed, *choice.priors)) for name in names])
-    # Combinations of the directions without any change of a known parameter.
-    if len(directions) and known.any():
-        combinations, part, _ = np.linalg.svd(directions[:, known])
-        part = np.append(part, np.zeros(len(directions) - len(part)))
-        directions = combinations.T[part <= DETERMINED_PART] @ directions
-    if not len(directions):
-        return empty
-    # The pivots of the holder's columns, or of the mount's if the holder is known.
-    free = [k for k in (*range(6, 12), *range(6)) if not known[k]]
-    first = [k for k in free if k >= 6] if not known[6:].all() else free
-    held = _pivots(directions, first) or _pivots(directions, free)
-    return UndeterminedMotion(names, directions, tuple(names[k] for k in held))
-
-
-def _parameter_directions(
-    twists: Float[np.ndarray, "twists 6"],
-    robot: Float[np.ndarray, "views 4 4"],
-    start: Calibration,
-) -> Float[np.ndarray, "twists 12"]:
-    """Return the change of the twelve parameters along each twist of the holder, unit vectors.
-
-    Along a twist b the transforms are `camera_from_mount exp(a)` and `exp(b) holder_from_world`
-    with `a = -Ad(T_i) b`, which is the same for every view.
-    """
-    if not len(twists):
-        return np.zeros((0, 12))
-    rotation = host_matrices(start.camera_from_mount)[:3, :3]
-    place = host_matrices(start.holder_from_world)[:3, 3]
-    of_mount = -twists @ host_adjoints(robot).mean(axis=0).T
-    # A rotation's step multiplies it from the left, a translation's is added: see
-    # `engine/parameters.py`.
-    directions = np.concatenate(
-        [
-            of_mount[:, :3] @ rotation.T,
-            of_mount[:, 3:] @ rotation.T,
-            twists[:, :3] + np.cross(twists[:, 3:], place),
-            twists[:, 3:],
-        ],
-        axis=1,
-    )
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def _pivots(directions: Float[np.ndarray, "directions 12"], columns: list[int]) -> list[int]:
-    """Return one column for each direction that together fix all; empty if there are none."""
-    if len(columns) < len(directions):
-        return []
-    held, remaining = [], directions.copy()
-    for _ in directions:
-        lengths = np.linalg.norm(remaining[:, columns], axis=0)
-        if lengths.max() <= DETERMINED_PART:
-            return []
-        held.append(columns[int(np.argmax(lengths))])
-        # Project out the direction that the new held parameter fixes.
-        part = remaining[:, held[-1]] / np.linalg.norm(remaining[:, held[-1]])
-        remaining = remaining - np.outer(part, part @ remaining)
-    return held
-
-
-def _is_selected(name: str, paths: Collection[str]) -> bool:
-    """Return whether any path selects a parameter."""
-    return any(name == path or name.startswith(f"{path}.") for path in paths)
+        return UndeterminedMotion((*mount.names, *holder.names), np.zeros((0, 12)), ())
+    sight = Sight(mount, {holder_path: host_adjoints(robot)})
+    return find_undetermined_motion([sight], {holder_path: holder}, choice)
 
 
 def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
@@ -167,11 +87,8 @@ def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
     if not motion.held:
         return fit
     named, std, freedom = [], dict(fit.std), dict(fit.degrees_of_freedom)
-    for direction, held in zip(_sparse(motion), motion.held, strict=True):
-        largest = np.abs(direction).max()
-        order = [int(k) for k in np.argsort(-np.abs(direction))]
-        parts = [k for k in order if abs(direction[k]) > NEGLIGIBLE_PART * largest]
-        components = tuple((motion.names[k], float(direction[k])) for k in parts)
+    for direction, held in zip(motion.of_held, motion.held, strict=True):
+        components = tuple((motion.names[k], float(direction[k])) for k in large_parts(direction))
         for name, _ in components:
             if name in std or name == held:
                 std[name] = freedom[name] = np.inf
@@ -185,13 +102,6 @@ def with_undetermined(fit: JointFit, motion: UndeterminedMotion) -> JointFit:
     return dataclasses.replace(
         fit, std=std, degrees_of_freedom=freedom, observability=observability
     )
-
-
-def _sparse(motion: UndeterminedMotion) -> Float[np.ndarray, "directions 12"]:
-    """Return combinations of the directions that each move a single held parameter."""
-    held = [motion.names.index(name) for name in motion.held]
-    directions = np.linalg.solve(motion.directions[:, held], motion.directions)
-    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def _small_parts(names: tuple[str, ...], direction: Float[np.ndarray, "12"]) -> str:

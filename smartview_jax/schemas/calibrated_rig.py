@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter, model_validator
 
 from .arm import TransformEntry
-from .calibration import NumberRow, UncertaintyEntry
+from .calibration import UncertaintyEntry
 from .covariances import check_covariance
-from .entry import Entry, Expected, PrintableText
+from .entry import Entry, Expected, FiniteNumber, PrintableText
 
 _Name = Annotated[
     str, Field(pattern=r"^[\w-]{1,200}$"), Expected("a name of letters, digits, '_' and '-'")
@@ -15,6 +15,10 @@ _Name = Annotated[
 _Names = Annotated[list[PrintableText], Field(max_length=1000), Expected("names of parameters")]
 
 _Freedom = Annotated[float, Field(gt=0.0, le=1e12), Expected("a number above 0, or null")]
+
+_PoseRow = Annotated[
+    list[FiniteNumber | None], Field(max_length=6), Expected("a row of 6 numbers or null")
+]
 
 END_MARK = "smartview_rig"
 """Value of the last entry, `end`, by which a truncated file is recognised."""
@@ -60,19 +64,27 @@ class RelativePoseFile(Entry):
     """A transform, and the covariance of its translation (m) and of a rotation after it (rad).
 
     Both are along the axes of the first frame. Degrees of freedom, where they are listed, are of
-    the six standard deviations; null is infinite.
+    the six standard deviations; null is infinite. The variance of a number that nothing determines
+    is null as well, and its covariance with the others zero.
     """
 
     smartview_relative_pose: Literal[1]
     run: PrintableText | None = None
     first_from_second: TransformEntry
-    covariance: Annotated[list[NumberRow], Field(max_length=6), Expected("a matrix of 6 rows")]
+    covariance: Annotated[list[_PoseRow], Field(max_length=6), Expected("a matrix of 6 rows")]
     degrees_of_freedom: list[_Freedom | None] | None = None
     end: Literal["smartview_relative_pose"]
 
     @model_validator(mode="after")
     def _check_covariance(self) -> "RelativePoseFile":
-        check_covariance(self.covariance, AXES)
+        # A number without a finite variance is uncorrelated with the others: any variance will do.
+        rows = [
+            [1.0 if entry is None and i == j else entry for j, entry in enumerate(row)]
+            for i, row in enumerate(self.covariance)
+        ]
+        if any(entry is None for row in rows for entry in row):
+            raise ValueError("covariance: null stands for an infinite variance, on the diagonal")
+        check_covariance([[float(entry or 0.0) for entry in row] for row in rows], AXES)
         if self.degrees_of_freedom is not None and len(self.degrees_of_freedom) != len(AXES):
             raise ValueError(f"degrees_of_freedom: expected {len(AXES)} numbers")
         return self

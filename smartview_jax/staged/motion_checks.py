@@ -146,6 +146,7 @@ def check_motion(data: Dataset, views: PairedViews) -> MotionChecks:
         detection_findings(pictures.mismatched, data.view_ids),
         () if camera_doubt is None and is_explained else doubts,
         report.problems,
+        is_explained,
     )
     report = report._replace(problems=findings.problems)
     if camera_doubt is None and pictures.stretched is not None:

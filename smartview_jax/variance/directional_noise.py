@@ -134,6 +134,30 @@ class DirectionalNoise(NamedTuple):
         blocks = np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]])
         return np.sqrt(np.linalg.eigvalsh(blocks)[..., -1].mean(axis=1))
 
+    def covariance_at(
+        self,
+        tool_from_base: Float[np.ndarray, "others 3 3"],
+        of_views: Float[np.ndarray, "views 3 3"],
+    ) -> Float[np.ndarray, "others 6 6"]:
+        """Return the covariance of the error of other poses, translation (m) first.
+
+        Args:
+            tool_from_base: rotation from the robot's base to its tool at these poses.
+            of_views: the same of the views in which the directions were estimated.
+        """
+        total = np.zeros((len(tool_from_base), 6, 6))
+        for name, probability in self.probabilities.items():
+            covariance = self.covariances[name]
+            if name.startswith("base "):
+                in_base = _twist_rotations(of_views.swapaxes(1, 2))
+                common = (in_base @ covariance @ in_base.swapaxes(1, 2)).mean(axis=0)
+                turned = _twist_rotations(tool_from_base)
+                covariance = turned @ common @ turned.swapaxes(1, 2)
+            else:
+                covariance = covariance.mean(axis=0)
+            total += probability * covariance
+        return total
+
     def with_sizes(self, sizes: Float[np.ndarray, "2"]) -> "DirectionalNoise":
         """Return the noise whose independent parameters have other standard deviations.
 
@@ -161,6 +185,13 @@ class DirectionalNoise(NamedTuple):
             },
             slopes=grown[None] @ self.slopes @ transposed[None],
         )
+
+
+def _twist_rotations(rotations: Float[np.ndarray, "views 3 3"]) -> Matrices:
+    """Return the matrices that turn the translation and the rotation of twists alike."""
+    result = np.zeros((len(rotations), 6, 6))
+    result[:, :3, :3] = result[:, 3:, 3:] = rotations
+    return result
 
 
 EQUAL = "equal"

@@ -44,9 +44,10 @@ def test_a_fisheye_is_not_blamed_on_the_robot():
     data = Dataset.from_arrays(
         case["points"], case["pixels"][::2], case["base_from_tool"][::2], size
     )
-    (problem,) = fit_staged(data, "opencv4", conventions="report").conventions.problems
-    assert problem.startswith("the lens opencv4 does not fit these pictures: with a free pose")
-    assert problem.endswith("use lens='fisheye' (--lens fisheye)")
+    first, second = fit_staged(data, "opencv4", conventions="report").conventions.problems
+    assert first.startswith("the lens opencv4 does not fit these pictures: with a free pose")
+    assert first.endswith("use lens='fisheye' (--lens fisheye)")
+    assert second.startswith("as seen with this camera, robot and camera do not move alike")
 
 
 def test_a_lens_that_fits_is_named_and_otherwise_none(seen):

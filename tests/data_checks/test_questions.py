@@ -43,7 +43,14 @@ def renumbered(pixels):
 
 def test_each_question_is_asked_of_what_the_earlier_ones_left():
     everything = Findings(("poses",), ("detections",), ("camera",), ("motions",))
-    assert everything.problems == ("poses", "detections", "camera")
+    assert everything.problems == (
+        "poses",
+        "detections",
+        "camera",
+        "as seen with this camera, motions",
+    )
+    explained = everything._replace(motions_explained=True)
+    assert explained.problems == ("poses", "detections", "motions", "camera")
     assert everything._replace(camera=()).problems == ("poses", "detections", "motions")
     assert everything._replace(motions=()).problems == ()
 
@@ -74,11 +81,13 @@ def test_detections_come_before_the_unit_of_angles(wrong):
     assert "(degrees?)" in problems[1]
 
 
-def test_the_camera_comes_before_the_robot(wrong, scene):
+def test_a_camera_that_does_not_fit_does_not_hide_how_the_poses_are_wrong(wrong, scene):
+    """A mistake that explains how robot and camera move is likelier than the camera's effect."""
     inverted = wrong(poses=np.linalg.inv)
     camera = scene.calibration.camera
     wide = dataclasses.replace(camera, alpha_u=0.7 * camera.alpha_u)
-    (problem,) = fit_staged(inverted, camera=wide, conventions="report").conventions.problems
-    assert problem.startswith("the known camera does not fit these pictures")
+    first, second = fit_staged(inverted, camera=wide, conventions="report").conventions.problems
+    assert "every pose is inverted" in first
+    assert second.startswith("the known camera does not fit these pictures")
     (problem,) = fit_staged(inverted, camera=camera, conventions="report").conventions.problems
     assert "every pose is inverted" in problem

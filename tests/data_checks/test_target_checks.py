@@ -1,5 +1,6 @@
 """Views that show no target, or a line of it, are told from poses that do not belong to them."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,7 +8,7 @@ from smartview_jax import Dataset
 from smartview_jax.data_checks.target_checks import collinear_views, mismatched_views
 from smartview_jax.simulation import random_scene
 from smartview_jax.staged import fit_staged
-from smartview_jax.targets import Chessboard
+from smartview_jax.targets import Chessboard, CircleGrid
 
 VIEWS, BOARD = 8, (7, 12)
 ROW = np.arange(84) < 12
@@ -97,3 +98,28 @@ def test_views_that_are_all_wrong_alike_are_named(board):
     assert set(found) == set(range(VIEWS))
     assert "by any lens, in the median" in found[2]
     assert judged(board, pixels, np.full(VIEWS, np.nan)) == {}
+
+
+@pytest.mark.parametrize("rows", [11, 10])
+def test_an_asymmetric_grid_that_was_detected_from_its_other_end_is_named(rows):
+    """Half a turn moves each of its circles by half a distance; a few pixels, if it is small.
+
+    A grid of ten rows goes into itself, so that no picture tells.
+    """
+    points = CircleGrid(rows, 4, 0.008, asymmetric=True).points
+    K, size = np.array([[1100.0, 0.0, 640.0], [0.0, 1100.0, 480.0], [0.0, 0.0, 1.0]]), (1280, 960)
+    turns = np.random.default_rng(0).uniform(-0.4, 0.4, (4, 3))
+    pixels = np.array(
+        [
+            cv2.projectPoints(points, turn, np.array([0.0, 0.0, 0.4]), K, None)[0][:, 0]
+            for turn in turns
+        ]
+    )
+    pixels += 0.1 * np.random.default_rng(1).standard_normal(pixels.shape)
+    pixels[2] = pixels[2, ::-1]
+    data = Dataset.from_arrays(points, pixels, np.tile(np.eye(4), (4, 1, 1)), size)
+    used, rms = np.ones(4, dtype=bool), np.array([0.2, 0.2, 11.0, 0.2])
+    found = mismatched_views(rms, used, data.observations, size)
+    assert set(found) == ({2} if rows == 11 else set())
+    if found:
+        assert "they fit in reverse order: was the grid detected turned by half a turn?" in found[2]

@@ -7,8 +7,11 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from smartview_jax import RelativePose
-from smartview_jax.engine import STEP_NAMES
+from smartview_jax.engine import STEP_NAMES, ScaledJacobian
+from smartview_jax.geometry import host_matrices
 from smartview_jax.joint import relative_pose
+from smartview_jax.joint.open_directions import OpenDirections
+from smartview_jax.joint.undetermined_motion import UndeterminedMotion
 from smartview_jax.variance import SmallSampleCorrection
 
 
@@ -72,3 +75,42 @@ def test_what_was_held_has_no_interval(free):
     pose = relative_pose(calibrations, names, np.eye(count), "a", "b", correction)
     np.testing.assert_allclose(pose.degrees_of_freedom, [50.0] * free + [np.inf] * (6 - free))
     np.testing.assert_allclose(pose.half_widths()[free:], 0.0, atol=1e-12)
+
+
+def test_what_nothing_determines_has_an_infinite_interval(tmp_path):
+    """Unless both cameras move together along it, as two on the hand of a SCARA arm do."""
+    names = tuple(f"{c}.camera_from_tool.{step}" for c in ("a", "b") for step in STEP_NAMES)
+    left, right = stereo_pair().values()
+    calibrations = {"a": left, "b": right}
+    # A shift of the mount along its z axis moves a camera along this axis of its own frame.
+    shifts = [host_matrices(each.camera_from_tool)[:3, 2] for each in (left, right)]
+    together = np.concatenate([shifts[0], np.zeros(3), shifts[1], np.zeros(3)])
+    for direction, is_open in ((together, False), (np.eye(12)[2], True)):
+        motion = UndeterminedMotion(names, direction[None], ())
+        undetermined = (OpenDirections.of_motion(motion),)
+        pose = relative_pose(calibrations, names, np.eye(12), "a", "b", None, undetermined)
+        expected = [k == 2 and is_open for k in range(6)]
+        np.testing.assert_array_equal(np.isinf(pose.std), expected)
+        np.testing.assert_array_equal(np.isinf(pose.half_widths()), expected)
+        for file in ("pose.yaml", "pose.json"):
+            pose.save(tmp_path / file)
+            np.testing.assert_array_equal(
+                RelativePose.load(tmp_path / file).covariance, pose.covariance
+            )
+    text = (tmp_path / "pose.json").read_text().replace("null", "0.0", 1)
+    (tmp_path / "pose.json").write_text(text)
+    with pytest.raises(ValueError, match=r"the variance of translation\.z is not positive"):
+        RelativePose.load(tmp_path / "pose.json")
+
+
+def test_a_direction_is_open_in_the_units_of_its_parameters():
+    """A focal length that nothing determines turns the camera only by microradians per pixel."""
+    names = ("left.camera.alpha_u", "left.camera_from_tool.rotation.y")
+    # By hand: unit columns in px and rad, with a null direction that changes both.
+    jacobian = ScaledJacobian(np.array([[1e-4, -1.0], [-1.0, 1e4]]), np.sqrt(np.array([1e-4, 1e4])))
+    undetermined = OpenDirections.of_jacobian(names, jacobian)
+    turn = np.array([[0.0, 1.0]])
+    assert undetermined.changed(names, turn).tolist() == [True]
+    # What does not change along it: the combination that the pixels see.
+    assert undetermined.changed(names, np.array([[1.0, -1e4]])).tolist() == [False]
+    assert undetermined.changed(("right.camera.alpha_u",), np.ones((1, 1))).tolist() == [False]

@@ -14,8 +14,8 @@ from jaxtyping import Array, Float
 
 from ...calibration import Calibration, chain_of_matrices
 from ...dataset import Dataset
-from ...engine import corrections_at_tool
-from ...geometry import moved_points, pose_matrices
+from ...engine import Noise, corrections_at_tool, covariance_factor
+from ...geometry import host_matrices, moved_points, pose_matrices
 from ...joint import JointFit, SavedEstimate
 from ...robots import Command
 from ...runtime.array_namespace import to_device
@@ -118,9 +118,9 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
             raise ValueError(
                 "the noise model leaves the robot's poses free: nothing can be predicted"
             )
-        pose_sigmas = to_device(np.repeat([noise.translation, noise.rotation], 3))
+        roots = to_device(_pose_noise_roots(fit, noise, data))
         pose_variance = np.asarray(
-            _pose_noise_variance(calibration, pose_sigmas, data.command, data.points)
+            _pose_noise_variance(calibration, roots, data.command, data.points)
         )
         if noise.white_pixel is not None:
             white_sigma, effective_sigma = noise.white_pixel, noise.pixel
@@ -141,6 +141,22 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
     )
 
 
+def _pose_noise_roots(
+    fit: JointFit | SavedEstimate, noise: Noise, data: Dataset
+) -> Float[np.ndarray, "views 6 6"]:
+    """Return the noise of each reported pose, a twist at the tool, by six unit normal numbers."""
+    estimate = fit.noise_estimate if isinstance(fit, JointFit) else None
+    if not isinstance(fit, JointFit) or estimate is None or estimate.directions is None:
+        sigmas = np.repeat([noise.translation, noise.rotation], 3)
+        return np.tile(np.diag(sigmas), (data.view_count, 1, 1))
+    fitted = fit.problem.observations.command.base_from_tool
+    unseen, seen = (
+        host_matrices(poses)[:, :3, :3].swapaxes(1, 2) for poses in (data.base_from_tool, fitted)
+    )
+    covariances = estimate.directions.covariance_at(unseen, seen)
+    return np.stack([covariance_factor(covariance) for covariance in covariances])
+
+
 class _PixelFunction(eqx.Module):
     """A function from calibrations to pixels of given points, zero for invalid ones.
 
@@ -159,18 +175,21 @@ class _PixelFunction(eqx.Module):
 @compiled
 def _pose_noise_variance(
     calibration: Calibration,
-    pose_sigmas: Float[Array, "6"],
+    roots: Float[Array, "views 6 6"],
     command: Command,
     points: Float[Array, "views points 3"],
 ) -> Float[Array, "views points"]:
-    """Return the variance of pixels, u and v together, due to white noise of the reported poses."""
+    """Return the variance of pixels, u and v together, due to white noise of the reported poses.
+
+    `roots` are the noise of each pose by six independent numbers of variance one.
+    """
     error, command = calibration.robot_error, calibration.with_bases(command)
     # The noise is added to the smooth correction, so the corrected pose is perturbed.
     poses = command.base_from_tool if error is None else error.actual_pose(command)
 
     def pixels(correction: Float[Array, "6"]) -> Float[Array, "views points 2"]:
         # tool_from_base = exp(correction) @ reported, so its inverse has exp(-correction) behind.
-        twists = jnp.broadcast_to(-correction, (*poses.get_batch_axes(), 6))
+        twists = -jnp.broadcast_to(roots, (*poses.get_batch_axes(), 6, 6)) @ correction
         noisy = pose_matrices(poses) @ corrections_at_tool(command, twists)
         camera_from_world = chain_of_matrices(
             calibration.camera_from_mount, calibration.holder_from_world, calibration.mount, noisy
@@ -179,5 +198,5 @@ def _pose_noise_variance(
         projected, valid = calibration.camera.project(in_camera)
         return jnp.where(valid[..., None], projected, 0.0)
 
-    # sum_k (sigma_k d(pixel) / d(correction_k))^2, at zero.
-    return jnp.sum(sum_of_squared_derivatives(pixels, jnp.diag(pose_sigmas)), axis=-1)
+    # sum_k (d(pixel) / d(correction_k))^2, at zero.
+    return jnp.sum(sum_of_squared_derivatives(pixels, jnp.eye(6)), axis=-1)
