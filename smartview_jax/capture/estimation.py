@@ -18,6 +18,7 @@ from ..viewpoints import (
     Situation,
     StopRule,
     ViewLimits,
+    ViewPlan,
     ViewRequirements,
     plan_views,
     situation_of_drawing,
@@ -89,6 +90,7 @@ class Estimate(NamedTuple):
         fit: the calibration; None where the fit failed.
         warnings: doubts of the fit, gravest first, or why it failed.
         proposals: views to take next, best first.
+        next_errors: error after one, two, and more next views, m; empty where nothing was planned.
     """
 
     views: int
@@ -97,6 +99,7 @@ class Estimate(NamedTuple):
     fit: CalibrationFit | None
     warnings: tuple[str, ...]
     proposals: tuple[Proposal, ...]
+    next_errors: tuple[float, ...] = ()
 
     @property
     def is_reliable(self) -> bool:
@@ -106,6 +109,21 @@ class Estimate(NamedTuple):
     def reaches(self, goal: float) -> bool:
         """Return whether the error is small enough, m, and may be believed."""
         return self.is_reliable and self.error <= goal
+
+    def missing_views(self, goal: float) -> int | None:
+        """Return about how many more views reach a goal, m; None if that is not known.
+
+        The information of each view is assumed to be the mean of the planned ones: information, one
+        over the error squared, adds up.
+        """
+        if not np.isfinite(self.error) or not self.next_errors:
+            return None
+        known, wanted, planned = (1.0 / e**2 for e in (self.error, goal, self.next_errors[-1]))
+        gained = (planned - known) / len(self.next_errors)
+        views = int(np.ceil((wanted - known) / gained)) if gained > 0.0 else None
+        # Fewer views than are believed need more, whatever error they state.
+        missing = MINIMUM_RELIABLE_VIEWS - self.views
+        return views if views is None else max(views, missing, 0)
 
 
 def is_near(
@@ -175,10 +193,10 @@ def estimate(
         goal = options.goal if used >= MINIMUM_RELIABLE_VIEWS else None
         stop, allowed = StopRule(NEXT_VIEWS, goal, 0.0), _allowed(options.motion, avoided)
         # Another seed for every number of views: no two plans choose among the same candidates.
-        proposals, error, distance = _proposals(situation, stop, allowed, False, used)
+        proposals, plan = _proposals(situation, stop, allowed, False, used)
     except ValueError as error:
         return Estimate(used, float("inf"), float("nan"), fit, (str(error),), ())
-    return Estimate(used, error, distance, fit, fit.warnings, proposals)
+    return Estimate(used, plan.before, plan.distance, fit, fit.warnings, proposals, plan.values)
 
 
 def _allowed(
@@ -200,8 +218,8 @@ def _proposals(
     allowed: Callable[[SE3], Bool[np.ndarray, "poses"]],
     is_rough: bool,
     seed: int,
-) -> tuple[tuple[Proposal, ...], float, float]:
-    """Return proposals, the error before them, and the distance of the point it is about, m."""
+) -> tuple[tuple[Proposal, ...], ViewPlan]:
+    """Return proposals and the plan from which they are."""
     plan = plan_views(
         situation.model,
         situation.views,
@@ -210,8 +228,8 @@ def _proposals(
         seed=seed,
     )
     if not len(plan.camera_from_world):
-        return (), plan.before, plan.distance
+        return (), plan
     wanted = host_transforms(plan.camera_from_world)
     commands = viewpoint_commands(situation.calibration, wanted, situation.points)
     poses = host_matrices(commands.base_from_tool)
-    return tuple(Proposal(pose, is_rough) for pose in poses), plan.before, plan.distance
+    return tuple(Proposal(pose, is_rough) for pose in poses), plan

@@ -1,5 +1,6 @@
 """Capture without a person: move, settle, take, until the expected error is small enough."""
 
+import math
 import threading
 import time
 from contextlib import suppress
@@ -71,8 +72,7 @@ def capture_unattended(
             return _outcome(session, _reached_words(session))
         if session.view_count >= max_views:
             session.wait_for_fit(FIT_PATIENCE)
-            words = f"{max_views} views were taken"
-            return _outcome(session, _reached_words(session) if session.is_reached else words)
+            return _outcome(session, _limit_words(session))
         if time.monotonic() - last_success > patience:
             return _outcome(session, f"nothing for {patience:g} s: {trouble}")
         try:
@@ -147,6 +147,23 @@ def _take_when_settled(session: CaptureSession) -> None:
 def _reached_words(session: CaptureSession) -> str:
     """Return the sentence that says that the goal is reached."""
     return f"stop: {1e3 * session.options.goal:g} mm reached"
+
+
+def _limit_words(session: CaptureSession) -> str:
+    """Return how a run ends that may take no more views: the goal is reached, or why it is not."""
+    if session.is_reached:
+        return _reached_words(session)
+    taken, last = f"{session.view_count} views were taken", session.last_estimate
+    if last is None:
+        return f"{taken}, but none is fitted yet: a fit needs {session.options.first_fit}"
+    if not math.isfinite(last.error):
+        return "; ".join([f"{taken}, but the error is not known yet", *last.warnings[:1]])
+    goal = session.options.goal
+    words = f"{taken}: {1e3 * last.error:.2g} mm reached instead of {1e3 * goal:g} mm"
+    missing = last.missing_views(goal)
+    if missing is None:
+        return words
+    return f"{words}; that needs about {missing} more {'view' if missing == 1 else 'views'}"
 
 
 def _outcome(session: CaptureSession, reason: str) -> CaptureOutcome:

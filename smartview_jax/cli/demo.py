@@ -35,8 +35,12 @@ def demo(
         refuse_unwritable(out, "--out")
         if views < 8:
             raise ValueError(f"--views: expected 8 or more, found {views}")
-        with progress_line() as progress:
-            result = sv.picking.run_demo(out, seed, views, progress)
+        try:
+            with progress_line() as progress:
+                result = sv.picking.run_demo(out, seed, views, progress)
+        # A seed may let objects roll on, or place something out of the arm's reach.
+        except sv.simulation.CellError as error:
+            raise ValueError(f"--seed {seed}: the cell failed: {error}") from error
         typer.echo(result.pick.outcome)
         held = f"in the hand after the lift: {'yes' if result.held else 'no'}"
         # Without a detection there is no position error.

@@ -20,7 +20,8 @@ class Pick(NamedTuple):
     """An attempt to pick an object.
 
     Attributes:
-        look: pictures, views and found objects; None if one of the first pictures is unusable.
+        look: pictures, views and found objects; None if the first views are not reached, or one of
+            their pictures is unusable.
         target: the chosen object; None if none was accepted or none can be grasped.
         plan: its grasps; for the last object tried if no grasp is safe.
         grasp: the executed grasp.
@@ -68,14 +69,13 @@ def pick(
         after: as for `execute`.
 
     Raises:
-        CellError: the robot reaches fewer than two of the first views.
         ValueError: as in `look_for`, for invalid arguments, and as in `grasps_for`.
     """
     say, nothing = progress or (lambda _: None), float("nan")
     try:
         look = look_for(cell, scene, models, region, options=options, progress=progress)
-    except BadPictureError as error:
-        # No program fault, but for example a lamp that is off or a cover on the lens.
+    except (BadPictureError, CellError) as error:
+        # No program fault, but for example a lamp that is off, or a place that is out of reach.
         return Pick(None, None, None, None, nothing, f"not found: {error}")
     if not look.found.accepted:
         return Pick(look, None, None, None, nothing, "; ".join(look.found.messages))

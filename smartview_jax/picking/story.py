@@ -162,7 +162,9 @@ def verdict_sentence(attempt: Pick, held: bool) -> str:
         return f"Nothing was grasped: {attempt.outcome}."
     object_name = attempt.target.model.name if attempt.target is not None else "object"
     state = "is in the hand" if held else "is not in the hand"
-    return (
+    sentence = (
         f"The {object_name} {state} after the lift; predicted probability "
         f"{attempt.grasp.success_probability:.0%}."
     )
+    # What happened explains a failure, and would only lengthen a success.
+    return sentence if held else f"{sentence} {_sentence(attempt.outcome)}"

@@ -127,7 +127,8 @@ def quick_fit(rig, goal_at=9):
         ]
         free = [k for k in range(len(rig.poses)) if k not in near]
         proposals = tuple(Proposal(rig.poses[k], False) for k in free[:2])
-        return Estimate(count, 1e-3 * goal_at / count, 0.5, None, (), proposals)
+        errors = [1e-3 * goal_at / (count + k) for k in range(3)]
+        return Estimate(count, errors[0], 0.5, None, (), proposals, tuple(errors[1:]))
 
     return estimate
 

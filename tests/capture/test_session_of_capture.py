@@ -16,6 +16,7 @@ from fit_scenes import scene_of
 
 from smartview_jax.capture import (
     CaptureOptions,
+    Estimate,
     MoveRefusedError,
     NotTakenError,
     Proposal,
@@ -182,13 +183,43 @@ def test_an_unattended_run_says_why_it_ends_without_the_goal(tmp_path, rig):
         assert "no more views can be proposed" in capture_unattended(session).reason
         for rig.at in range(4):
             session.take()
-        assert capture_unattended(session, 6).reason == "6 views were taken"
+        assert capture_unattended(session, 6).reason == (
+            "6 views were taken: 1.5 mm reached instead of 0.4 mm; that needs about 34 more views"
+        )
         rig.robot_error = "no network"
         lost = capture_unattended(session, patience=0.5)
         assert lost.reason == "nothing for 0.5 s: no network"
         assert not lost.is_reached
         session.stop()
         assert capture_unattended(session).reason == "stopped"
+
+
+def test_views_that_are_not_enough_for_a_fit_or_an_error_say_so(tmp_path, rig, monkeypatch):
+    folder = new_folder(tmp_path / "data")
+    with rig.session(folder, first_fit=8) as session:
+        for rig.at in range(4):
+            session.take()
+        reason = capture_unattended(session, 4).reason
+    assert reason == "4 views were taken, but none is fitted yet: a fit needs 8"
+    unknown = Estimate(4, float("inf"), 0.5, None, ("not determined yet: the camera's z",), ())
+    monkeypatch.setattr("smartview_jax.capture.session.estimate", lambda *_: unknown)
+    with rig.session(folder) as session:
+        reason = capture_unattended(session, 4).reason
+    assert reason == (
+        "4 views were taken, but the error is not known yet; not determined yet: the camera's z"
+    )
+
+
+def test_the_missing_views_are_counted_by_their_information():
+    # Equal views: the error falls with the root of their number, from 1 mm at 10 views.
+    errors = [1e-3 * np.sqrt(10.0 / count) for count in (10, 11, 12)]
+    found = Estimate(10, errors[0], 0.5, None, (), (), tuple(errors[1:]))
+    assert found.missing_views(0.501e-3) == 30
+    assert found.missing_views(0.9e-3) == 3
+    # Reached, but too few views to be believed; views that bring nothing; nothing planned.
+    assert found._replace(views=5).missing_views(2e-3) == 3
+    assert found._replace(next_errors=(1e-3,)).missing_views(5e-4) is None
+    assert found._replace(next_errors=()).missing_views(5e-4) is None
 
 
 def test_places_that_the_robot_does_not_reach_are_planned_around(tmp_path, rig):
@@ -321,7 +352,8 @@ def test_an_estimate_states_the_error_and_proposes_views():
     assert found.reaches(1.01 * found.error)
     assert not found.reaches(0.99 * found.error)
     assert 5e-5 < found.error < 2e-3
-    assert len(found.proposals) == 4
+    assert len(found.proposals) == len(found.next_errors) == 4
+    assert found.error > found.next_errors[0] > found.next_errors[3]
     assert not any(proposal.is_rough for proposal in found.proposals)
     places = np.array([proposal.base_from_tool for proposal in found.proposals])
     again = estimate(data, CaptureOptions(goal=1e-6, motion=everywhere()), places).proposals

@@ -17,6 +17,7 @@ from smartview_jax.cli import app
 from smartview_jax.io import object_sample_folder, save_object_model
 from smartview_jax.localization import Localization, Localizations
 from smartview_jax.modeling import ObjectModel
+from smartview_jax.simulation import CellError
 
 TIP = "--tip 0,0,0.1 --above"
 FRAMES = "--base base --tool tool0"
@@ -55,6 +56,7 @@ CASES = (
     Case("compare", "nowhere", 2, "nowhere: no such folder"),
     Case("demo", "--out demo", 0, "in the hand after the lift: yes"),
     Case("demo", "--out demo --seed 13", 1, "in the hand after the lift: no demo/page: the"),
+    Case("demo", "--out demo --seed 14", 2, "--seed 14: the cell failed: objects are still moving"),
     Case("demo", "--views 3", 2, "--views: expected 8 or more, found 3"),
     Case("evaluate", "data/truth.yaml data", 0, "truth predicts the target in data to"),
     Case("evaluate", "nowhere.yaml data", 2, "nowhere.yaml"),
@@ -127,6 +129,8 @@ def short_work(monkeypatch):
     """What takes minutes or waits for a person has tests of its own: here it answers at once."""
 
     def run_demo(out, seed, *_):
+        if seed == 14:
+            raise CellError("objects are still moving")
         pick = SimpleNamespace(outcome="grasped")
         error = 1e-3 if seed != 13 else float("nan")
         return SimpleNamespace(pick=pick, held=seed != 13, position_error=error, page=out / "page")

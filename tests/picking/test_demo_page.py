@@ -11,7 +11,12 @@ from solids import box
 from smartview_jax.features import picture_evidence
 from smartview_jax.geometry import host_matrices, host_transforms, look_at
 from smartview_jax.picking import CellCalibration, Look, Pick
-from smartview_jax.picking.story import grasp_section, localised_section, numbers_section
+from smartview_jax.picking.story import (
+    grasp_section,
+    localised_section,
+    numbers_section,
+    verdict_sentence,
+)
 from smartview_jax.robots import Command
 
 MODEL = box(name="box")
@@ -81,3 +86,14 @@ def test_numbers_without_a_look_tell_the_outcome():
     rows = numbers_section(attempt._replace(look=look), CALIBRATED, MODEL, 0.0, False, []).rows
     assert ("views of the bin", "3") in rows
     assert rows[-2:] == [("note", "view 3: why"), ("note", "box: open: ambiguous")]
+
+
+def test_the_verdict_says_what_happened_unless_the_object_is_in_the_hand():
+    grasp, target = SimpleNamespace(success_probability=0.97), SimpleNamespace(model=MODEL)
+    attempt = Pick(None, target, None, grasp, 0.0, "the fingers closed to 0.0 mm")
+    sentence = "The box is {} the hand after the lift; predicted probability 97%."
+    assert verdict_sentence(attempt, True) == sentence.format("in")
+    failed = f"{sentence.format('not in')} The fingers closed to 0.0 mm."
+    assert verdict_sentence(attempt, False) == failed
+    nothing = attempt._replace(grasp=None, outcome="not found: view 1: blank")
+    assert verdict_sentence(nothing, False) == ("Nothing was grasped: not found: view 1: blank.")

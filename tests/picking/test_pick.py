@@ -61,6 +61,14 @@ def test_a_bad_first_picture_is_an_outcome():
     assert np.isnan(result.width)
 
 
+def test_first_views_that_are_not_reached_are_an_outcome():
+    cell = FakeCell()
+    cell.unreachable = range(4)
+    result = pick(cell, [BOX], Gripper(), REGION, GraspScene(CALIBRATION))
+    assert result.outcome.startswith("not found: first: 0 of 4 views are reached")
+    assert result.look is None
+
+
 def test_an_object_without_faces_does_not_keep_another_from_being_grasped(attempt):
     result = attempt([seen(WIRE), seen(BOX)])
     assert result.target.model is BOX
