@@ -142,7 +142,7 @@ def kalman_filter(
     inliers = np.pad(inliers, ((0, missing[0]), (0, missing[1])))
     state = (start_camera, repeat_last(start_camera_from_world, len(visible)))
     residuals = np.asarray(pixel_residuals(observations, *state))
-    gating = False
+    gating, gated_limits = False, None
     variance_scale, message = 1.0, "the passes did not settle"
     converged, passes, gated_passes = False, 0, 0
     accepted = None
@@ -152,7 +152,8 @@ def kalman_filter(
             message = "the outliers kept changing"
             break
         sigma = robust_sigma(residuals, inliers, pixel_sigma)
-        limits = outlier_limits(residuals, inliers, sigma, options)
+        limits = outlier_limits(residuals, inliers, sigma, options, gated_limits)
+        gated_limits = limits if gating else None
         trial = run_pass(
             observations,
             *state,
@@ -272,6 +273,7 @@ def outlier_limits(
     inliers: Bool[np.ndarray, "views points"],
     sigma: float,
     options: CommonCameraOptions,
+    previous: Float[np.ndarray, "views"] | None = None,
 ) -> Float[np.ndarray, "views"]:
     """Return the largest squared residual of a good measurement in each view, px^2.
 
@@ -280,14 +282,24 @@ def outlier_limits(
     them still farther off; so a view is judged by its own median where that is larger. Where the
     noise is known it decides alone.
 
+    A point near the limit moves the median of its view, and so the limit, when it is rejected. To
+    prevent it from being rejected and readmitted for ever, a limit changes only if the median has
+    changed by more than its standard error.
+
     Args:
         residuals: measured minus projected pixels.
         inliers: the observations used.
         sigma: standard deviation of u and of v over all views, px.
         options: the gate, and whether the noise is known.
+        previous: the limits of the last iteration; None in the first.
     """
     variances = np.full(len(residuals), sigma**2)
     if options.pixel_sigma is None:
         medians = medians_by_view(np.linalg.norm(residuals, axis=-1), inliers) / _MEDIAN_LENGTH
         variances = np.fmax(variances, np.minimum(medians, _MAX_VIEW_RATIO * sigma) ** 2)
-    return options.gate * variances
+    limits = options.gate * variances
+    if previous is None:
+        return limits
+    # The squared median of n lengths has the relative standard error 1 / (log(2) sqrt(n)).
+    error = 1.0 / (np.log(2.0) * np.sqrt(np.maximum(inliers.sum(axis=1), 1)))
+    return np.where(np.abs(np.log(limits / previous)) <= error, previous, limits)

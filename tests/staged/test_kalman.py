@@ -11,7 +11,7 @@ from jaxlie import SE3
 from programs import programs_added
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from smartview_jax.cameras import Camera, Fisheye, Radial
 from smartview_jax.geometry import (
@@ -287,6 +287,25 @@ def test_each_view_is_judged_by_its_own_noise_where_that_is_larger():
     np.testing.assert_allclose(limits, expected, rtol=0.06)
     known = outlier_limits(residuals, every_point, 1.0, CommonCameraOptions(pixel_sigma=1.0))
     np.testing.assert_allclose(known, quantile, rtol=1e-6)
+
+
+def test_a_limit_stays_while_the_noise_of_its_view_changes_by_chance():
+    """Limits of 4,000 views with the same noise scatter about it by their standard error."""
+    residuals = 2.0 * np.random.default_rng(0).normal(size=(4000, 61, 2))
+    every_point, options = np.ones(residuals.shape[:2], dtype=bool), CommonCameraOptions()
+    true = np.full(4000, 4.0 * chi2.ppf(0.9999, 2))
+    limits = outlier_limits(residuals, every_point, 1.0, options, true)
+    assert np.mean(limits == true) == pytest.approx(norm.cdf(1.0) - norm.cdf(-1.0), abs=0.02)
+    new = outlier_limits(residuals, every_point, 1.0, options)
+    np.testing.assert_array_equal(limits[limits != true], new[limits != true])
+
+
+def test_a_point_at_the_limit_is_not_rejected_and_readmitted_for_ever():
+    """In this scene its view has a larger limit without it, and a smaller one with it."""
+    scene, camera, poses = scene_and_start(102)
+    found = kalman_filter(scene.data.observations, camera, poses)
+    assert found.converged, found.message
+    assert found.passes < 10
 
 
 def test_a_known_camera_is_held(noisy):
