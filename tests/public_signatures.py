@@ -42,9 +42,10 @@ def checked(function: Callable) -> Callable:
     """Check the types and shapes of a function's arguments and result.
 
     A call with arguments of the same types and shapes as an earlier one is not checked again: to do
-    so takes a tenth of the tests' time.
+    so takes a tenth of the tests' time. The checks are made at the first call, since a worker calls
+    few of the functions that it imports.
     """
-    checks = jaxtyped(typechecker=beartype)(function)
+    checks = None
     known = set()
 
     @functools.wraps(function)
@@ -52,6 +53,8 @@ def checked(function: Callable) -> Callable:
         kinds = (*map(_kind, args), *((name, _kind(value)) for name, value in kwargs.items()))
         if kinds in known:
             return function(*args, **kwargs)
+        nonlocal checks
+        checks = checks or jaxtyped(typechecker=beartype)(function)
         result = checks(*args, **kwargs)
         known.add(kinds)
         return result

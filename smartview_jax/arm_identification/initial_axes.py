@@ -1,24 +1,17 @@
-"""Find initial joint axes of an arm in the frame of a camera that observes its motion.
+"""Find initial joint axes of an arm in the frame of a camera that observes its motion."""
 
-The pose model is a product of exponentials,
-
-    camera_from_target(q) = prod_k F_k exp(r_k q_k z) F_k^-1 @ home
-
-with `F_k` a frame on joint axis k, `r_k` the gear ratio, and `z` the unit twist of a rotation
-about, or a translation along, the z axis.
-"""
-
-import functools
-import operator
-
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxlie import SE3, SO3
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
 
-from ..geometry import as_se3, host_exponentials, host_nearest_rotation, host_poses
+from ..geometry import (
+    host_exponentials,
+    host_matrices,
+    host_nearest_rotation,
+    host_poses,
+    host_rotation_vectors,
+)
 from ..robots import SerialArm, axis_frames_at_zero
+from .product_of_exponentials import AXIS_TWISTS, ProductOfExponentials
 
 MAX_REST_MOTION = 2e-3
 """The largest change of a reading between two views of a joint at rest, rad or m."""
@@ -33,51 +26,10 @@ MAX_VIEWS = 300
 """The largest number of views whose pairs are all examined."""
 
 
-class ProductOfExponentials(eqx.Module):
-    """A product of exponentials: an arm's joint axes, their ratios and the target pose at zero.
-
-    Attributes:
-        frames: `(joints)` frames whose z axes are the joint axes where all joints read zero, in the
-            camera's frame.
-        ratios: true joint motion per unit of its reading.
-        home: the pose of the target where all joints read zero, in the camera's frame.
-    """
-
-    frames: SE3
-    ratios: Float[Array, "joints"]
-    home: SE3
-
-    def camera_from_target(
-        self, joints: Float[Array, "views joints"], is_prismatic: Bool[Array, "joints"]
-    ) -> SE3:
-        """Return the target's pose in the camera's frame at the given joint readings."""
-        views, count = joints.shape
-        frames = SE3(jnp.broadcast_to(self.frames.wxyz_xyz[:, None], (count, views, 7)))
-        displacements = self.ratios[:, None] * joints.T
-        motions = frames @ _motion(displacements, is_prismatic[:, None]) @ frames.inverse()
-        home = SE3(jnp.broadcast_to(self.home.wxyz_xyz, (views, 7)))
-        return functools.reduce(operator.matmul, [*map(SE3, motions.wxyz_xyz), home])
-
-    def displaced(self, step: Float[Array, "parameters"]) -> "ProductOfExponentials":
-        """Return the axes after a parameter step.
-
-        The step has five numbers per joint (translation along x and y of the axis frame, rotation
-        about x and y, change of the ratio), then the six of a twist of `home`. Translation along an
-        axis and rotation about it do not change the axis, so they are no parameters.
-        """
-        per_joint = step[:-6].reshape(-1, 5)
-        zeros = jnp.zeros(len(per_joint))
-        # F_k <- F_k exp((v_x, v_y, 0, w_x, w_y, 0)), r_k <- r_k + dr_k, home <- home exp(twist)
-        twists = [per_joint[:, 0], per_joint[:, 1], zeros, per_joint[:, 2], per_joint[:, 3], zeros]
-        return ProductOfExponentials(
-            self.frames @ SE3.exp(jnp.stack(twists, axis=-1)),
-            self.ratios + per_joint[:, 4],
-            self.home @ SE3.exp(step[-6:]),
-        )
-
-
 def axes_from_motions(
-    joints: Float[np.ndarray, "views joints"], poses: SE3, prismatic: tuple[bool, ...]
+    joints: Float[np.ndarray, "views joints"],
+    poses: Float[np.ndarray, "views 4 4"],
+    prismatic: tuple[bool, ...],
 ) -> ProductOfExponentials:
     """Find the joint axes in order, each from views between which no later joint moves.
 
@@ -88,7 +40,7 @@ def axes_from_motions(
         ValueError: no pair of views determines a joint's axis; the message names the joint.
     """
     subsample = np.unique(np.linspace(0, len(joints) - 1, MAX_VIEWS).astype(int))
-    remaining, frames_found = np.asarray(poses.as_matrix()), []
+    remaining, frames_found = poses, []
     for k, is_prismatic in enumerate(prismatic):
         frame = _joint_axis_frame(
             joints[subsample, k], joints[subsample, k + 1 :], remaining[subsample], is_prismatic
@@ -102,15 +54,17 @@ def axes_from_motions(
         frames_found.append(frame)
         # Remove this joint's motion: remaining <- F_k exp(-q_k z) F_k^-1 remaining. What remains is
         # the motion of the later joints and the constant pose `home`.
-        motion = host_exponentials(-joints[:, k, None] * _AXIS_TWISTS[int(is_prismatic)])
+        motion = host_exponentials(-joints[:, k, None] * AXIS_TWISTS[int(is_prismatic)])
         remaining = frame @ motion @ np.linalg.inv(frame) @ remaining
     # With all joints removed every view gives an estimate of `home`; one is enough to start.
-    home = as_se3(remaining[len(remaining) // 2])
-    return ProductOfExponentials(as_se3(np.stack(frames_found)), jnp.ones(len(prismatic)), home)
+    home = remaining[len(remaining) // 2]
+    return ProductOfExponentials(np.stack(frames_found), np.ones(len(prismatic)), home)
 
 
 def axes_from_arm(
-    start: SerialArm, joints: Float[np.ndarray, "views joints"], poses: SE3
+    start: SerialArm,
+    joints: Float[np.ndarray, "views joints"],
+    poses: Float[np.ndarray, "views 4 4"],
 ) -> ProductOfExponentials:
     """Return a known arm's axes, its base and the target positioned to match measured poses.
 
@@ -119,7 +73,7 @@ def axes_from_arm(
     is linear in the rotation matrices of X and of inverse Y; given these, the translation part is
     linear in their translations.
     """
-    B, P = (np.asarray(p.as_matrix()) for p in (start.base_from_tool(joints), poses))
+    B, P = host_matrices(start.base_from_tool(joints)), poses
     # Rotation part, stacked by rows: R_P R_Y^-1 - R_X R_B = 0. With vec by rows and the Kronecker
     # product x, vec(R_P M) = (R_P x I) vec(M) and vec(M R_B) = (I x R_B^T) vec(M). The solution is
     # the right singular vector of the smallest singular value, up to a factor; both halves are then
@@ -138,24 +92,10 @@ def axes_from_arm(
     translations = np.linalg.lstsq(A, differences.ravel(), rcond=None)[0]
     camera_from_base = host_poses(rotation_x, translations[3:])
     tool_from_target = host_poses(inverse_rotation_y.T, translations[:3])
-    base_from_tool = np.asarray(start.base_from_tool(np.zeros(start.joint_count)).as_matrix())
+    base_from_tool = host_matrices(start.base_from_tool(np.zeros(start.joint_count)))
     axes, _ = axis_frames_at_zero(start)
-    home = as_se3(camera_from_base @ base_from_tool @ tool_from_target)
-    return ProductOfExponentials(as_se3(camera_from_base @ axes), jnp.ones(start.joint_count), home)
-
-
-_AXIS_TWISTS = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])
-"""The unit twist of a rotation about the z axis (row 0), and of a translation along it (row 1)."""
-
-
-def _motion(
-    displacement: Float[Array, "joints views"], is_prismatic: Bool[Array, "joints 1"]
-) -> SE3:
-    """Return exp(displacement * z): a rotation about the z axis, or a translation along it."""
-    zeros = jnp.zeros_like(displacement)
-    translation = jnp.stack([zeros, zeros, jnp.where(is_prismatic, displacement, 0.0)], axis=-1)
-    rotation = SO3.from_z_radians(jnp.where(is_prismatic, 0.0, displacement))
-    return SE3.from_rotation_and_translation(rotation, translation)
+    home = camera_from_base @ base_from_tool @ tool_from_target
+    return ProductOfExponentials(camera_from_base @ axes, np.ones(start.joint_count), home)
 
 
 def _joint_axis_frame(
@@ -190,7 +130,7 @@ def _joint_axis_frame(
     else:
         # Rotation vectors are summed with the sign of the joint's motion, so that long rotations
         # weigh most.
-        rotation_vectors = np.asarray(SO3.from_matrix(jnp.asarray(rotation)).log())
+        rotation_vectors = host_rotation_vectors(rotation)
         axis = np.sum(rotation_vectors * np.sign(displacement[selected])[:, None], axis=0)
         # A rotation M = (R, t) leaves the points p of its axis fixed: t = (I - R) p. The extra row
         # a . p = 0 selects the point nearest the origin.

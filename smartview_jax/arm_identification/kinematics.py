@@ -10,23 +10,39 @@ x axis taken from the camera's frame, and the flange is on the last axis.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxlie import SE3
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from ..geometry import PoseLike, as_se3
+from ..geometry import (
+    PoseLike,
+    as_se3,
+    host_cross_matrices,
+    host_matrices,
+    host_rotation_vectors,
+)
 from ..robots import JointsLike, SerialArm, arm_from_axes
-from ..runtime.array_namespace import to_device
-from ..runtime.compilation import compiled
-from .initial_axes import ProductOfExponentials, axes_from_arm, axes_from_motions
+from ..runtime.array_namespace import to_device_together
+from .initial_axes import axes_from_arm, axes_from_motions
+from .product_of_exponentials import ProductOfExponentials
 
 MAX_STEPS = 200
 """The largest number of Levenberg-Marquardt steps."""
+
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-6, 1e-14, 1e6
+"""The damping of the first step, the least, and the one at which a fit ends.
+
+It is relative to the largest squared column of the Jacobian. Even the least holds directions that
+count as not observable, whose squared singular values are smaller by far.
+"""
+
+RELATIVE_DECREASE = 1e-14
+"""The fraction of the cost by which a step has to decrease it for the fit to go on."""
 
 SINGULAR_VALUE_TOLERANCE = 1e-9
 """The fraction of the largest singular value below which a direction counts as not observable."""
@@ -114,13 +130,13 @@ def fit_kinematics(
         >>> np.round(sv.fit_kinematics(joints, measured).ratios, 2).tolist()  # doctest: +SKIP
         [1.01, 1.0]
     """
-    joints, poses = np.asarray(joints, dtype=float), as_se3(camera_from_target)
-    if joints.ndim != 2 or poses.get_batch_axes() != joints.shape[:1]:
+    joints, poses = np.asarray(joints, dtype=float), host_matrices(as_se3(camera_from_target))
+    if joints.ndim != 2 or poses.shape[:-2] != joints.shape[:1]:
         raise ValueError(
             f"expected joints (views, joints) and as many poses; found {joints.shape} and "
-            f"{poses.get_batch_axes()}"
+            f"{poses.shape[:-2]}"
         )
-    if not (np.isfinite(joints).all() and np.isfinite(poses.wxyz_xyz).all()):
+    if not (np.isfinite(joints).all() and np.isfinite(poses).all()):
         raise ValueError("joints or poses contain NaN or infinity")
     if start is not None and start.joint_count != joints.shape[1]:
         raise ValueError(f"start has {start.joint_count} joints, the readings {joints.shape[1]}")
@@ -138,18 +154,12 @@ def fit_kinematics(
         raise ValueError(
             f"{len(joints)} poses give {6 * len(joints)} numbers; {len(free)} parameters are free"
         )
-    is_free = np.zeros(5 * joints.shape[1] + 6, dtype=bool)
-    is_free[free] = True
-    fitted_axes, residuals, jacobian, result = _solve(
-        axes,
-        to_device(joints),
-        poses,
-        to_device(is_free),
-        to_device(np.array(prismatic_flags)),
-        to_device(float(metres_per_radian)),
-    )
+    measured = _Measurements(joints, poses, prismatic_flags, float(metres_per_radian))
+    fitted_axes, result = _minimise(axes, measured, free)
+    weighted_residuals = measured.residuals(fitted_axes)
+    residuals = weighted_residuals / measured.weights
     std, unobservable = _uncertainty(
-        np.asarray(residuals), np.asarray(jacobian)[..., free], names, metres_per_radian
+        residuals, measured.jacobian(fitted_axes)[..., free], names, metres_per_radian
     )
     return _as_fit(fitted_axes, prismatic_flags, residuals, std, unobservable, result)
 
@@ -177,50 +187,103 @@ def _free_parameters(
     )
 
 
-@compiled
-def _solve(
-    axes: ProductOfExponentials,
-    joints: Float[Array, "views joints"],
-    poses: SE3,
-    is_free: Bool[Array, "n"],
-    is_prismatic: Bool[Array, "joints"],
-    metres_per_radian: Float[Array, ""],
-) -> tuple[ProductOfExponentials, Float[Array, "views 6"], Float[Array, "views 6 n"], optx.RESULTS]:
-    """Minimise the weighted pose residuals by Levenberg-Marquardt.
+class _Measurements(NamedTuple):
+    """Measured poses of a target, to which axes are fitted.
 
-    Parameters that are not free have zero derivatives, and the damping keeps them unchanged: one
-    program serves any free parameters and any kinds of joints.
-
-    Returns:
-        Fitted axes, unweighted residuals (m, rad), Jacobian of the weighted residuals, and the
-        solver's exit status.
+    Attributes:
+        joints: readings.
+        poses: camera_from_target as measured.
+        prismatic: which joints are prismatic.
+        metres_per_radian: weight of orientations.
     """
 
-    def displaced_axes(step: Float[Array, "n"]) -> ProductOfExponentials:
-        return axes.displaced(jnp.where(is_free, step, 0.0))
+    joints: Float[np.ndarray, "views joints"]
+    poses: Float[np.ndarray, "views 4 4"]
+    prismatic: tuple[bool, ...]
+    metres_per_radian: float
 
-    def residuals(step: Float[Array, "n"], _: None = None) -> Float[Array, "views 6"]:
+    @property
+    def weights(self) -> Float[np.ndarray, "6"]:
+        """Weights of a view's six residuals."""
+        return np.repeat([1.0, self.metres_per_radian], 3)
+
+    def residuals(self, axes: ProductOfExponentials) -> Float[np.ndarray, "views 6"]:
+        """Return the weighted residuals of axes."""
         # r = (t_measured - t_predicted, w log(R_predicted^-1 R_measured)), w = metres_per_radian.
-        predicted = displaced_axes(step).camera_from_target(joints, is_prismatic)
-        translation = poses.translation() - predicted.translation()
-        rotation = (predicted.rotation().inverse() @ poses.rotation()).log()
-        return jnp.concatenate([translation, metres_per_radian * rotation], axis=-1)
+        predicted = axes.camera_from_target(self.joints, self.prismatic)
+        translation = self.poses[:, :3, 3] - predicted[:, :3, 3]
+        rotation = host_rotation_vectors(self._turns(predicted))
+        return np.hstack([translation, rotation]) * self.weights
 
-    # Each step solves (J^T J + lambda I) step = -J^T r; the damping lambda falls where the cost
-    # does. The system is dense, since an arm has only some forty parameters.
-    solver = optx.LevenbergMarquardt(rtol=1e-10, atol=1e-12)
-    initial_step = jnp.zeros(len(is_free))
-    solution = optx.least_squares(residuals, solver, initial_step, max_steps=MAX_STEPS, throw=False)
-    weighted_residuals = residuals(solution.value)
-    unweighted_residuals = jnp.concatenate(
-        [weighted_residuals[:, :3], weighted_residuals[:, 3:] / metres_per_radian], axis=-1
-    )
-    return (
-        displaced_axes(solution.value),
-        unweighted_residuals,
-        jax.jacfwd(residuals)(solution.value),
-        solution.result,
-    )
+    def jacobian(self, axes: ProductOfExponentials) -> Float[np.ndarray, "views 6 parameters"]:
+        """Return the derivatives of the weighted residuals by a parameter step."""
+        predicted = axes.camera_from_target(self.joints, self.prismatic)
+        twists = axes.target_twists(self.joints, self.prismatic)
+        # With P exp((v, w)) for the predicted pose P: dt = -R_P v, and d log(R_P^-1 R) is
+        # -J_l(r)^-1 w at the rotation vector r, where J_l is the left Jacobian of exp.
+        by_translation = predicted[:, :3, :3] @ twists[:, :3]
+        vectors = host_rotation_vectors(self._turns(predicted))
+        by_rotation = _inverse_left_jacobians(vectors) @ twists[:, 3:]
+        derivatives = np.concatenate([by_translation, by_rotation], axis=1)
+        return -self.weights[:, None] * derivatives
+
+    def _turns(self, predicted: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "views 3 3"]:
+        """Return the rotations from measured to predicted orientations."""
+        return predicted[:, :3, :3].swapaxes(1, 2) @ self.poses[:, :3, :3]
+
+
+def _inverse_left_jacobians(
+    vectors: Float[np.ndarray, "views 3"],
+) -> Float[np.ndarray, "views 3 3"]:
+    """Return the inverse left Jacobians of the exponentials of rotation vectors."""
+    # J_l(r)^-1 = I - [r] / 2 + (1 - h cot h) [r]^2 / a^2 for the angle a and h = a / 2; at angle
+    # zero the last term is zero, whatever the divisor.
+    angles = np.linalg.norm(vectors, axis=1)[:, None, None]
+    factors = 1.0 - np.cos(0.5 * angles) / np.sinc(0.5 * angles / np.pi)
+    factors /= np.where(angles > 0.0, angles, 1.0) ** 2
+    cross = host_cross_matrices(vectors)
+    return np.eye(3) - 0.5 * cross + factors * (cross @ cross)
+
+
+def _minimise(
+    axes: ProductOfExponentials, measured: _Measurements, free: Int[np.ndarray, "n"]
+) -> tuple[ProductOfExponentials, optx.RESULTS]:
+    """Minimise the weighted pose residuals by Levenberg-Marquardt over the free parameters.
+
+    Returns:
+        Fitted axes, and the solver's exit status.
+    """
+    residuals = measured.residuals(axes).ravel()
+    damping = FIRST_DAMPING
+    for _ in range(MAX_STEPS):
+        jacobian = measured.jacobian(axes)[..., free].reshape(len(residuals), -1)
+        cost, scale = residuals @ residuals, np.max(np.sum(jacobian**2, axis=0))
+        # Each step solves (J^T J + lambda I) step = -J^T r; the damping lambda falls where the cost
+        # does. It holds what the data do not determine.
+        singular = np.linalg.svd(jacobian, full_matrices=False)
+        decrease = -1.0
+        while decrease < 0.0 and damping < MAX_DAMPING:
+            step = np.zeros(5 * len(axes.ratios) + 6)
+            step[free] = -_damped_solution(singular, residuals, damping * scale)
+            displaced = axes.displaced(step)
+            displaced_residuals = measured.residuals(displaced).ravel()
+            decrease = cost - displaced_residuals @ displaced_residuals
+            damping = max(damping * (0.1 if decrease >= 0.0 else 10.0), MIN_DAMPING)
+        if decrease >= 0.0:
+            axes, residuals = displaced, displaced_residuals
+        if decrease <= RELATIVE_DECREASE * cost:
+            return axes, optx.RESULTS.successful
+    return axes, optx.RESULTS.nonlinear_max_steps_reached
+
+
+def _damped_solution(
+    singular: tuple[np.ndarray, np.ndarray, np.ndarray],
+    residuals: Float[np.ndarray, "rows"],
+    damping: float,
+) -> Float[np.ndarray, "n"]:
+    """Return the solution of `(J^T J + damping I) x = J^T r` by the singular values of J."""
+    U, values, Vt = singular
+    return Vt.T @ (values / (values**2 + damping) * (U.T @ residuals))
 
 
 def _uncertainty(
@@ -269,15 +332,14 @@ def _uncertainty(
 def _as_fit(
     axes: ProductOfExponentials,
     prismatic: tuple[bool, ...],
-    residuals: Float[Array, "views 6"],
+    residuals: Float[np.ndarray, "views 6"],
     std: dict[str, Float[np.ndarray, "parameters"]],
     unobservable: tuple[str, ...],
     result: optx.RESULTS,
 ) -> KinematicFit:
     """Return the result with the axes expressed as Denavit-Hartenberg parameters."""
-    frames = np.asarray(axes.frames.as_matrix())
     arm_with_ends = arm_from_axes(
-        frames[:, :3, 3], frames[:, :3, 2], np.asarray(axes.home.as_matrix()), prismatic
+        axes.frames[:, :3, 3], axes.frames[:, :3, 2], axes.home, prismatic
     )
     # The fixed transforms at both ends of the arm become the poses of the base and of the target.
     arm = eqx.tree_at(
@@ -286,7 +348,10 @@ def _as_fit(
         (SE3.identity(), SE3.identity()),
     )
     end_transforms = arm_with_ends.base_from_first, arm_with_ends.flange_from_tool
-    return KinematicFit(arm, axes.ratios, *end_transforms, residuals, std, unobservable, result)
+    ratios, residuals_on_device = to_device_together((axes.ratios, residuals))
+    return KinematicFit(
+        arm, ratios, *end_transforms, residuals_on_device, std, unobservable, result
+    )
 
 
 def _rms(errors: Float[Array, "views 3"]) -> float:

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from jaxlie import SE3
+from scipy.optimize import least_squares
 
 from smartview_jax import fit_kinematics
-from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
+from smartview_jax.geometry import as_se3, host_exponentials, host_logarithms, host_matrices
 from smartview_jax.robots import SerialArm, puma_560
 
 ENDS = host_exponentials(np.array([[0.4, -0.2, 1.1, 0.3, 0.9, -0.5], np.linspace(-0.3, 0.4, 6)]))
@@ -76,6 +77,34 @@ def test_the_stated_deviations_are_true():
     assert 0.55 < np.mean(np.square(scores)) < 1.5
     distance = np.sqrt(3.0) * 0.2
     assert fit.rms_mm == pytest.approx(distance, rel=0.25)
+
+
+def test_no_other_axes_fit_better():
+    """SciPy's solver, by differences, begins at the truth and ends at the same squared sum."""
+    arm, joints, weight = positioner(), grid(), 0.3
+    poses = host_matrices(measured(arm, joints, noise=100.0))
+    fit = fit_kinematics(joints, poses, metres_per_radian=weight)
+    first, last = ENDS
+    # The second joint's axis is where the first joint's link ends.
+    link = host_exponentials(np.array([[0, 0, 0.1, 0, 0, 0.2], [0.05, 0, 0, 1.5, 0, 0]]))
+    frames = first, first @ link[0] @ link[1]
+    home = first @ host_matrices(arm.base_from_tool(np.zeros(2))) @ last
+
+    def residuals(x):
+        predicted = home @ host_exponentials(x[12:18])
+        for k in (1, 0):
+            frame = frames[k] @ host_exponentials(x[6 * k : 6 * k + 6])
+            turns = np.outer((1.0 + x[18 + k]) * joints[:, k], [0, 0, 0, 0, 0, 1])
+            predicted = frame @ host_exponentials(turns) @ np.linalg.inv(frame) @ predicted
+        turned = predicted[:, :3, :3].swapaxes(1, 2) @ poses[:, :3, :3]
+        rotations = np.tile(np.eye(4), (len(poses), 1, 1))
+        rotations[:, :3, :3] = turned
+        shifts = poses[:, :3, 3] - predicted[:, :3, 3]
+        return np.hstack([shifts, weight * host_logarithms(rotations)[:, 3:]]).ravel()
+
+    best = 2.0 * least_squares(residuals, np.zeros(20), xtol=1e-12, ftol=1e-14).cost
+    ours = np.asarray(fit.residuals) * np.repeat([1.0, weight], 3)
+    assert np.sum(ours**2) == pytest.approx(best, rel=1e-8)
 
 
 def test_ratios_can_be_held():
