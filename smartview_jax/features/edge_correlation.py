@@ -29,6 +29,9 @@ END_MARGIN = 4.0
 REACH = 1.5
 """Largest distance of an edge point from its segment, px."""
 
+MIDDLES_APART = 4.0
+"""Distance of the places on a segment about which edge points are looked up, px."""
+
 MIN_POINTS = 8
 """Smallest number of edge points along a segment, several for each number of a parabola."""
 
@@ -51,55 +54,84 @@ def correlated_length(
         points: its edge points.
         lone: which of them no other edge displaces.
     """
-    pixels = points.pixels[lone]
-    if not len(pixels):
-        return SMOOTHED_LENGTH
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     order = np.argsort(-lengths, kind="stable")[:MAX_SEGMENTS]
-    products, counts, tree = np.zeros(MAX_LAG), np.zeros(MAX_LAG), KDTree(pixels)
-    for k in order[lengths[order] >= MIN_LENGTH]:
-        places, distances = _along(segments[k], pixels, tree)
-        if len(places) < MIN_POINTS:
-            continue
-        residuals = distances - np.polynomial.Polynomial.fit(places, distances, 2)(places)
-        first, second = _near_pairs(places)
-        lags = np.rint(places[second] - places[first]).astype(int)
-        # A segment with larger errors than the others counts no more than they do.
-        scaled = residuals[first] * residuals[second] / max(float(np.mean(residuals**2)), 1e-12)
-        products += np.bincount(lags, scaled, MAX_LAG)[:MAX_LAG]
-        counts += np.bincount(lags, minlength=MAX_LAG)[:MAX_LAG]
-    if not counts[0]:
+    longest = segments[order[lengths[order] >= MIN_LENGTH]]
+    line, places, distances = _along(longest, points.pixels[lone])
+    residuals = distances - _parabolas(line, places, distances)
+    # A segment with larger errors than the others counts no more than they do.
+    squares = np.bincount(line, residuals**2) / np.maximum(np.bincount(line), 1)
+    scaled = residuals / np.sqrt(np.maximum(squares, 1e-12))[line]
+    first, second = _near_pairs(line, places)
+    if not len(first):
         return SMOOTHED_LENGTH
-    correlations = products / np.maximum(counts, 1.0)
+    lags = np.rint(places[second] - places[first]).astype(int)
+    products = np.bincount(lags, scaled[first] * scaled[second], MAX_LAG)[:MAX_LAG]
+    correlations = products / np.maximum(np.bincount(lags, minlength=MAX_LAG)[:MAX_LAG], 1)
     end = int(np.argmax(np.append(correlations, 0.0) <= 0.0))
     return max(1.0 + 2.0 * float(correlations[1:end].sum()), SMOOTHED_LENGTH)
 
 
 def _along(
-    segment: Float[np.ndarray, "2 2"], pixels: Float[np.ndarray, "points 2"], tree: KDTree
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the places along a segment of the edge points next to it, and their distances, px.
+    segments: Float[np.ndarray, "segments 2 2"], pixels: Float[np.ndarray, "points 2"]
+) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Return the segments of the edge points next to them, their places along them, and distances.
 
-    The places are in ascending order; distances to one side are negative.
+    Places and distances are px; the places of each segment ascend, and distances to one side are
+    negative. Segments with few points are left out.
     """
-    length = float(np.linalg.norm(segment[1] - segment[0]))
-    along = (segment[1] - segment[0]) / length
-    # A pixel apart, less than `REACH`: the circles about them cover the segment.
-    middles = segment[0] + np.arange(END_MARGIN, length - END_MARGIN)[:, None] * along
-    near = np.unique(np.concatenate([[], *tree.query_ball_point(middles, REACH)]).astype(int))
-    offsets = pixels[near] - segment[0]
-    places, distances = offsets @ along, offsets @ np.array([-along[1], along[0]])
-    order = np.argsort(places)
-    order = order[(places[order] >= END_MARGIN) & (places[order] <= length - END_MARGIN)]
-    return places[order], distances[order]
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    along = (segments[:, 1] - segments[:, 0]) / lengths[:, None]
+    # Circles about middles `MIDDLES_APART` px apart cover what is within `REACH` of a segment.
+    counts = np.ceil(lengths / MIDDLES_APART).astype(int) + 1
+    owner = np.repeat(np.arange(len(segments)), counts)
+    steps = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    middles = segments[owner, 0] + MIDDLES_APART * steps[:, None] * along[owner]
+    pairs = KDTree(middles).sparse_distance_matrix(
+        KDTree(pixels), float(np.hypot(0.5 * MIDDLES_APART, REACH)), output_type="ndarray"
+    )
+    line, point = np.unique(np.stack([owner[pairs["i"]], pairs["j"]]), axis=1)
+    offsets = pixels[point] - segments[line, 0]
+    places, distances = (
+        (offsets * directions[line]).sum(axis=1)
+        for directions in (along, np.stack([-along[:, 1], along[:, 0]], axis=1))
+    )
+    kept = (places >= END_MARGIN) & (places <= lengths[line] - END_MARGIN)
+    kept &= np.abs(distances) <= REACH
+    kept &= np.bincount(line, kept, len(segments))[line] >= MIN_POINTS
+    order = np.lexsort((places[kept], line[kept]))
+    return line[kept][order], places[kept][order], distances[kept][order]
+
+
+def _parabolas(
+    line: Int[np.ndarray, "n"], places: Float[np.ndarray, "n"], distances: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "n"]:
+    """Return the distances by the parabola that fits each segment's points best, px."""
+    count = int(line.max(initial=-1)) + 1
+    sizes = np.maximum(np.bincount(line, minlength=count), 1)
+    middles = np.bincount(line, places, count) / sizes
+    spreads = np.sqrt(np.bincount(line, (places - middles[line]) ** 2, count) / sizes)
+    powers = ((places - middles[line]) / np.maximum(spreads, 1e-12)[line]) ** np.arange(3)[:, None]
+
+    def sums(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "segments"]:
+        return np.bincount(line, values, count)
+
+    matrix = np.stack([np.stack([sums(p * q) for q in powers], -1) for p in powers], -1)
+    vector = np.stack([sums(p * distances) for p in powers], -1)
+    coefficients = (np.linalg.pinv(matrix, hermitian=True) @ vector[..., None])[..., 0]
+    return (coefficients[line] * powers.T).sum(axis=1)
 
 
 def _near_pairs(
-    places: Float[np.ndarray, "n"],
+    line: Int[np.ndarray, "n"], places: Float[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Return the indices of ascending places less than `MAX_LAG` apart, each with itself too."""
-    starts = np.arange(len(places))
-    counts = np.searchsorted(places, places + MAX_LAG) - starts
+    """Return the indices of points of one segment less than `MAX_LAG` apart, each with itself too.
+
+    The segments ascend, and the places of each.
+    """
+    # One after the other, the segments are farther apart than any two places of a pair.
+    starts, apart = np.arange(len(places)), places.max(initial=0.0) + 2.0 * MAX_LAG
+    counts = np.searchsorted(places + apart * line, places + apart * line + MAX_LAG) - starts
     first = np.repeat(starts, counts)
     # The pairs of each place begin with itself.
     steps = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)

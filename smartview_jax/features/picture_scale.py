@@ -4,9 +4,12 @@ A picture that is defocused, debayered, zoomed or enlarged holds no more than a 
 edges are wide, its noise is correlated from pixel to pixel, and lengths in pixels count everything
 several times. A small sharp picture holds more than the search sees in it: smoothing by a pixel is
 coarser than its edges, rounds its corners, and joins edges that are next to each other. The width
-of the edges is measured, and the picture is reduced or enlarged until they have the width for which
-the search for edge points is made. Lengths in pixels of that picture are then lengths in units of
-the edge width, and the noise of its pixels is independent as far as the search can tell.
+of the edges is measured, and the picture is halved or enlarged until they have about the width for
+which the search for edge points is made. Lengths in pixels of that picture are then lengths in
+units of the edge width, and the noise of its pixels is independent as far as the search can tell.
+
+Enlarging and halving undo each other: a picture is not halved to one that would be enlarged again,
+and one that was enlarged by interpolation, which blurs the sharpest edge to a pixel, is halved.
 
 The smoothed gradient across a blurred step is a Gaussian. The curvature of its logarithm, from
 three neighbouring pixels, gives its squared width s^2 = w^2 + `SMOOTHING`^2, and so the width w of
@@ -31,15 +34,23 @@ The smoothing then adds about as much blur as the edges have.
 """
 
 STEPS_PER_OCTAVE = 2
-"""Number of scales from one picture to another of half its size.
+"""Number of scales from an enlarged picture to another of twice its size.
 
 Few, because programs are compiled for each size of a picture.
 """
 
-MIN_SCALE = 0.5
-"""Smallest scale. An object far out of focus is not smaller than a sharp one: in a picture reduced
-by much more, the edges of small objects are too near to each other to be measured, although they
-can be in the picture as it is."""
+HALF = 0.5
+"""The scale of reduced pictures. An object far out of focus is not smaller than a sharp one: in a
+picture reduced by much more, the edges of small objects are too near to each other to be measured,
+although they can be in the picture as it is."""
+
+MIN_HALVED_WIDTH = 0.5
+"""Smallest width of the edges in a halved picture, px: as wide as edges are in sharp pictures.
+
+With narrower ones the picture holds more than the halved one. Linear interpolation to twice the
+size leaves no narrower ones: a pixel's own area blurs an edge by 0.29 px, and interpolation by
+another 0.41 px of the original.
+"""
 
 MAX_SCALE = 2.0
 """Largest scale. A pixel averages over its own area, which alone blurs an edge by 0.29 px; bicubic
@@ -88,7 +99,7 @@ def edge_width(gradient: Gradient) -> float:
 def scale_for(width: float, image_size: tuple[int, int]) -> float:
     """Return the scale at which a picture is searched.
 
-    It is between `MIN_SCALE` and `MAX_SCALE`, and no enlarged picture exceeds `MAX_ENLARGED`.
+    It is between `HALF` and `MAX_SCALE`, and no enlarged picture exceeds `MAX_ENLARGED`.
 
     Args:
         width: of the picture's edges, px; NaN where it is unknown.
@@ -97,14 +108,23 @@ def scale_for(width: float, image_size: tuple[int, int]) -> float:
     # NaN leaves the picture as it is.
     if np.isnan(width):
         return 1.0
-    largest = max(1.0, min(MAX_SCALE, MAX_ENLARGED / max(image_size)))
-    ratio = np.clip(STANDARD_WIDTH / max(width, np.finfo(float).tiny), MIN_SCALE, largest)
+    side = max(image_size)
+    # The mean of two pixels has a variance of 1/4 px^2.
+    halved = HALF * float(np.hypot(width, 0.5))
+    if halved >= MIN_HALVED_WIDTH and _enlargement(halved, HALF * side) == 1.0:
+        return HALF
+    return _enlargement(width, side)
+
+
+def _enlargement(width: float, side: float) -> float:
+    """Return the scale of a picture that is not reduced, given its edges' width and longer side."""
+    largest = max(1.0, min(MAX_SCALE, MAX_ENLARGED / side))
     # Rounded down where rounding up would exceed the limit.
     steps = min(
-        np.rint(STEPS_PER_OCTAVE * np.log2(ratio)),
+        np.rint(STEPS_PER_OCTAVE * np.log2(STANDARD_WIDTH / max(width, np.finfo(float).tiny))),
         np.floor(STEPS_PER_OCTAVE * np.log2(largest)),
     )
-    return float(2.0 ** (steps / STEPS_PER_OCTAVE))
+    return float(2.0 ** (max(steps, 0.0) / STEPS_PER_OCTAVE))
 
 
 def scaled_camera(camera: Camera, scale: float) -> Camera:

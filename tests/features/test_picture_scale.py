@@ -40,9 +40,28 @@ def test_a_picture_without_strong_edges_has_no_width_and_is_not_reduced():
     assert scale_for(width, SIZE) == 1.0
 
 
-def test_pictures_with_wide_edges_are_reduced_to_the_standard_width():
+def test_pictures_with_wide_edges_are_halved():
     widths = STANDARD_WIDTH * np.array([1.0, 1.15, 2.0, 4.0])
     assert [scale_for(float(width), SIZE) for width in widths] == [1.0, 1.0, 0.5, 0.5]
+
+
+@pytest.mark.parametrize(("width", "size"), [(0.4, (720, 160)), (0.71, SIZE), (0.35, SIZE)])
+def test_enlarging_a_picture_does_not_change_the_size_at_which_it_is_searched(width, size):
+    picture, large = steps(width, size=size).astype(np.uint8), (2 * size[0], 2 * size[1])
+    enlarged = cv2.resize(picture, large, interpolation=cv2.INTER_LINEAR)
+    scales = [
+        scale_for(edge_width(Gradient.of(grey.astype(float))), grey.shape[::-1])
+        for grey in (picture, enlarged)
+    ]
+    assert scales[0] == 2.0 * scales[1]
+
+
+def test_no_picture_is_halved_to_one_that_would_be_enlarged():
+    for side in (200, 640, 1000, 1280):
+        for width in np.linspace(0.3, 2.5, 45):
+            if scale_for(width, (side, side)) < 1.0:
+                halved = 0.5 * np.sqrt(width**2 + 0.25)
+                assert scale_for(halved, (side // 2, side // 2)) <= 1.0
 
 
 @pytest.mark.parametrize("width", [0.0, 0.4, 0.55])
