@@ -194,7 +194,7 @@ class _ComparedChain(NamedTuple):
         motions = motions_of_mount(given.robot, given.camera, used, in_hand)
         # Turns that are noise seem to have many axes.
         turned = not turns_about_one_axis(given.robot[used])
-        comparable = turned and motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO
+        comparable = turned and bool(motions.second_axis_ratio > MIN_SECOND_AXIS_RATIO)
         error = closure_error(motions)
         ratio = length_ratio(motions) if comparable else LengthRatio()
         # The score divides lengths by the target's distance, so a wrong unit of the target can

@@ -15,13 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..calibration import Calibration, DepthBias, host_mount_from_holder
 from ..cameras import AbstractLens, Camera, initial_lens
-from ..dataset import (
-    TYPICAL_OFFSET_STD,
-    TYPICAL_SCALE_STD,
-    Dataset,
-    Observations,
-    chain_residuals,
-)
+from ..dataset import TYPICAL_OFFSET_STD, TYPICAL_SCALE_STD, Dataset, chain_residuals
 from ..geometry import host_transforms
 from ..robot_errors import AbstractField, FieldChoice, RobotError, checked_field_choice
 from ..runtime.array_namespace import to_device, to_device_together
@@ -91,7 +85,9 @@ class BuiltProblem(AbstractBuiltProblem):
         about_start = np.isnan(mean) & (weight > 0.0)
         if not about_start.any():
             return self
-        centre = with_depth_bias(centre, problem.observations)
+        has_bias = problem.parameters.start.depth_bias is not None
+        if has_bias != (centre.depth_bias is not None):
+            centre = dataclasses.replace(centre, depth_bias=DepthBias() if has_bias else None)
         mean[about_start] = np.asarray(_values_at(problem.parameters, centre))[about_start]
         centred = Step(to_device(mean), problem.prior_mean.per_view)
         return with_fields(self, problem=with_fields(problem, prior_mean=centred))
@@ -257,7 +253,7 @@ def with_field(start: Calibration, field: FieldChoice) -> Calibration:
     return with_fields(start, robot_error=RobotError.zero(field))
 
 
-def with_depth_bias(start: Calibration, data: Dataset | Observations) -> Calibration:
+def with_depth_bias(start: Calibration, data: Dataset) -> Calibration:
     """Return the start with a bias of depths where the data have depths, and without elsewhere."""
     if data.depths is None:
         return start if start.depth_bias is None else with_fields(start, depth_bias=None)

@@ -3,18 +3,24 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from smartview_jax import Prior
+from smartview_jax.dataset import PoseDataset
 from smartview_jax.engine import build_problem
 from smartview_jax.engine.parameters import parameter_names
 from smartview_jax.simulation import random_scene
 
 
-def test_priors_without_a_mean_move_with_their_centre():
+@pytest.mark.parametrize("tracked", [False, True])
+def test_priors_without_a_mean_move_with_their_centre(tracked):
     scene = random_scene(0)
-    start = scene.calibration
+    start, data = scene.calibration, scene.data
+    if tracked:
+        poses = data.base_from_tool
+        data = PoseDataset.from_poses(poses, start.camera_from_world(poses))
     given = {"camera.v0": Prior(std=1.0, mean=200.0), "camera.u0": Prior(std=1.0)}
-    built = build_problem(scene.data, start, priors=given | {"camera_from_tool": Prior(std=1e-3)})
+    built = build_problem(data, start, priors=given | {"camera_from_tool": Prior(std=1e-3)})
     camera = dataclasses.replace(start.camera, u0=start.camera.u0 + 3.0, v0=start.camera.v0 + 4.0)
     centre = dataclasses.replace(
         start, camera=camera, camera_from_mount=start.camera_from_mount.inverse()
