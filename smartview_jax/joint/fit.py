@@ -62,7 +62,7 @@ from ..staged import with_region
 from ..variance import NoiseEstimate, estimate_noise
 from .fitted_depth_sensor import fitted_depth_sensor, weighed_depths
 from .gross_errors import remove_gross_errors, without_views
-from .held_parameters import held_value_warnings
+from .held_parameters import HeldValueTest, held_value_test
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
 from .undetermined import require_moving_robot, undetermined_motion, with_undetermined
@@ -270,8 +270,8 @@ def fit_joint(
     judged = accepted
     if judging is not robot_prior:
         accepted = first if used_data is first_data else fit_once(used_data)[0]
-    contradicted = () if isinstance(used_data, PoseDataset) else held_value_warnings(judged)
-    return _finish_fit(accepted, used_data, all_data, contradicted)
+    stated = None if isinstance(used_data, PoseDataset) else held_value_test(judged)
+    return _finish_fit(accepted, used_data, all_data, stated)
 
 
 def _alike(prior: RobotPrior | None) -> RobotPrior:
@@ -307,7 +307,7 @@ def _embedded(
 
 
 def _finish_fit(
-    fit: JointFit, used_data: Dataset, all_data: Dataset, contradicted: tuple[str, ...]
+    fit: JointFit, used_data: Dataset, all_data: Dataset, stated: HeldValueTest | None
 ) -> JointFit:
     """Return the fit with the residuals of all data, its region of viewpoints and its warnings."""
     # Residuals include rejected observations. The region is added after they are computed, because
@@ -316,7 +316,11 @@ def _finish_fit(
     calibration = with_region(fit.calibration, used_data)
     digests = () if isinstance(all_data, PoseDataset) else digests_to_keep(all_data)
     fit = with_fields(fit, residuals=residuals, calibration=calibration, picture_digests=digests)
-    return with_fields(fit, warnings=plausibility_warnings(fit, contradicted))
+    if stated is None or not stated.warnings:
+        return with_fields(fit, warnings=plausibility_warnings(fit))
+    wider = stated.widened(fit.covariance, fit.std, fit.parameter_names)
+    fit = with_fields(fit, covariance=wider[0], std=wider[1])
+    return with_fields(fit, warnings=plausibility_warnings(fit, stated.warnings))
 
 
 def _assemble_fit(

@@ -3,7 +3,8 @@
 With a camera that was held without its distortion, or a wrong prior on the principal point, a fit
 converges, but its mount may be wrong by many standard deviations. So after the fit held parameters
 are freed, and priors removed. If the result contradicts the given values, a warning states the
-estimate.
+estimate, and the covariance of all else is widened by what the given values change: intervals for
+values that the pictures contradict would hold nothing true.
 """
 
 import dataclasses
@@ -11,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from scipy.special import fdtrc
 
 from ..cameras import Pinhole
@@ -54,6 +55,44 @@ PINHOLE_COUNT = 4
 """Number of pinhole parameters of a camera, which come before the lens's."""
 
 
+class HeldValueTest(NamedTuple):
+    """What the pictures say about the values that a user stated.
+
+    Attributes:
+        warnings: a sentence for each contradiction.
+        names: names of the fitted parameters.
+        added_covariance: covariance of their errors that contradicted values cause; zero without.
+    """
+
+    warnings: tuple[str, ...]
+    names: tuple[str, ...]
+    added_covariance: Float[np.ndarray, "free free"]
+
+    def widened(
+        self,
+        covariance: Float[np.ndarray, "free free"],
+        std: Mapping[str, float],
+        names: Sequence[str],
+    ) -> tuple[Float[np.ndarray, "free free"], dict[str, float]]:
+        """Return the covariance and the standard deviations of a fit, widened by what is added.
+
+        Args:
+            covariance: of the fit's parameters.
+            std: their standard deviations, and others, by name.
+            names: names of the parameters in their order.
+        """
+        place = {name: k for k, name in enumerate(names)}
+        kept = [k for k, name in enumerate(self.names) if name in place]
+        rows = [place[self.names[k]] for k in kept]
+        added = np.zeros_like(covariance)
+        added[np.ix_(rows, rows)] = self.added_covariance[np.ix_(kept, kept)]
+        variances = np.diagonal(added)
+        wider = {
+            n: float(np.hypot(std[n], np.sqrt(v))) for n, v in zip(names, variances, strict=True)
+        }
+        return covariance + added, {**std, **wider}
+
+
 class _Refit(NamedTuple):
     """A fit with more free parameters than the fit under test.
 
@@ -62,6 +101,7 @@ class _Refit(NamedTuple):
         chain: the chain of every view, or of every camera of a rig.
         difference: difference of every free shared parameter from the fit under test, by name.
         std: standard deviations of these parameters.
+        covariance: covariance of these parameters.
         cost: half the sum of squared whitened residuals, with the residuals of the priors.
         freedom: number of residuals minus number of parameters.
     """
@@ -70,6 +110,7 @@ class _Refit(NamedTuple):
     chain: Any
     difference: dict[str, float]
     std: dict[str, float]
+    covariance: Float[np.ndarray, "free free"]
     cost: float
     freedom: int
 
@@ -89,6 +130,27 @@ class _Refit(NamedTuple):
         farthest = sorted(sigmas, key=lambda name: -sigmas[name])[:MAX_NAMED_VALUES]
         return [name for name in farthest if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
 
+    def effect_of_held(self, names: Sequence[str]) -> Float[np.ndarray, "fitted fitted"]:
+        """Return the covariance of the errors that wrong held values cause in the other parameters.
+
+        With P the covariance of this fit, f the parameters that the fit under test has too and h
+        those that it holds, its errors follow the held ones by B = P_fh P_hh^-1. What it does not
+        know of them is B P_hh B^T, and what it has wrong d d^T, with d the difference of the fits.
+
+        Args:
+            names: names of the parameters of the fit under test.
+        """
+        whole = list(self.difference)
+        fitted = [whole.index(name) for name in names]
+        held = np.setdiff1d(np.arange(len(whole)), fitted)
+        d = np.array([self.difference[name] for name in names])
+        of_both = self.covariance[np.ix_(fitted, held)]
+        scale = np.sqrt(np.diagonal(self.covariance)[held])
+        correlation = self.covariance[np.ix_(held, held)] / np.outer(scale, scale)
+        scaled = of_both / scale
+        unknown = scaled @ np.linalg.solve(correlation, scaled.T) if len(held) else 0.0
+        return np.outer(d, d) + unknown
+
     def text(self, name: str, values: Mapping[str, tuple[float, str]]) -> str:
         """Return the value of a parameter with its standard deviation and unit.
 
@@ -101,8 +163,8 @@ class _Refit(NamedTuple):
         return f"{value:.6g} +- {std:.2g} {unit}".rstrip()
 
 
-def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
-    """Return a warning for each held value or prior that the pictures contradict.
+def held_value_test(fit: JointFit) -> HeldValueTest:
+    """Return what the pictures say about each held value and prior.
 
     The target's size and shape and the robot's errors are not tested here but by the noise models.
 
@@ -119,14 +181,23 @@ def held_value_warnings(fit: JointFit) -> tuple[str, ...]:
     names = parameter_names(problem.parameters.start)
     held = np.array([k for k in np.setdiff1d(stated, free) if names[k] not in fit.std], dtype=int)
     with_prior = np.intersect1d(stated[weight[stated] > 0.0], free)
-    return (
-        *(_contradicted_values(fit, held) if len(held) else ()),
-        *(_contradicted_priors(fit, with_prior) if len(with_prior) else ()),
-    )
+    added = np.zeros((len(fit.parameter_names),) * 2)
+    tests = []
+    if len(held):
+        tests.append(_contradicted_values(fit, held))
+    if len(with_prior):
+        tests.append(_contradicted_priors(fit, with_prior))
+    for texts, refit in tests:
+        if texts and refit is not None:
+            added = added + refit.effect_of_held(fit.parameter_names)
+    warnings = tuple(text for texts, _ in tests for text in texts)
+    return HeldValueTest(warnings, fit.parameter_names, added)
 
 
-def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[str]:
-    """Return a warning about held parameters that the pictures contradict, if there are any."""
+def _contradicted_values(
+    fit: JointFit, held: Int[np.ndarray, "held"]
+) -> tuple[list[str], _Refit | None]:
+    """Return a warning about held parameters that the pictures contradict, and the fit without."""
     problem, z = fit.problem, fit.solution.z
     before, rms = fit.solution.costs[-1], _rms(problem, fit.solution.chain)
     if (
@@ -145,11 +216,11 @@ def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[s
     )
     determined = [refit for refit in refits if refit is not None]
     if not determined:
-        return []
+        return [], None
     refit = min(determined, key=lambda candidate: candidate.cost)
     contradicted = refit.contradicted([all_names[k] for k in held], before)
     if not contradicted:
-        return []
+        return [], None
     assert isinstance(refit.problem, JointProblem)
     text = _contradiction_text(
         contradicted,
@@ -160,7 +231,7 @@ def _contradicted_values(fit: JointFit, held: Int[np.ndarray, "held"]) -> list[s
     return [
         f"{text}; freed, the residual falls from {rms:.3g} to "
         f"{_rms(refit.problem, refit.chain):.3g} px RMS: correct or free them"
-    ]
+    ], refit
 
 
 def _contradiction_text(
@@ -181,13 +252,14 @@ def _contradiction_text(
     return f"the pictures contradict held parameters: estimated {listed}"
 
 
-def held_camera_warnings(arm: SolvedArm) -> tuple[str, ...]:
-    """Return a warning if the pictures of a rig contradict cameras that are known and held.
+def held_camera_test(arm: SolvedArm) -> HeldValueTest:
+    """Return whether the pictures of a rig contradict cameras that are known and held.
 
     Args:
         arm: the fit of the cameras of one arm.
     """
-    problem, z = arm.built.problem, arm.solution.z
+    problem, z, fitted = arm.built.problem, arm.solution.z, arm.built.shared_names
+    nothing = HeldValueTest((), fitted, np.zeros((len(fitted),) * 2))
     by_camera = arm.built.camera_names.values()
     names = tuple(dict.fromkeys(name for of_camera in by_camera for name in of_camera))
     free = np.asarray(problem.free)
@@ -200,13 +272,13 @@ def held_camera_warnings(arm: SolvedArm) -> tuple[str, ...]:
     is_held = ~np.isin(np.arange(len(names)), free)
     held = [k for k in np.flatnonzero(is_held).tolist() if names[k].startswith(told)]
     if not held:
-        return ()
+        return nothing
     refit = _refit(problem, names, z, np.union1d(free, held))
     if refit is None:
-        return ()
+        return nothing
     contradicted = refit.contradicted([names[k] for k in held], arm.solution.costs[-1])
     if not contradicted:
-        return ()
+        return nothing
     start = problem.host_start_values()
     # Rounding errors of a coefficient that is zero would look like a value.
     stated = {names[k]: (round(float(start[k]), 12), display_unit(names[k])[1]) for k in held}
@@ -214,11 +286,17 @@ def held_camera_warnings(arm: SolvedArm) -> tuple[str, ...]:
         name: (value + refit.difference[name], unit) for name, (value, unit) in stated.items()
     }
     text = _contradiction_text(contradicted, refit, estimated, stated)
-    return (f"{text}: correct them, or leave out these cameras (camera=, --camera)",)
+    return HeldValueTest(
+        (f"{text}: correct them, or leave out these cameras (camera=, --camera)",),
+        fitted,
+        refit.effect_of_held(fitted),
+    )
 
 
-def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -> list[str]:
-    """Return a warning for each prior that the pictures contradict."""
+def _contradicted_priors(
+    fit: JointFit, with_prior: Int[np.ndarray, "priors"]
+) -> tuple[list[str], _Refit | None]:
+    """Return a warning for each prior that the pictures contradict, and the fit without priors."""
     problem, z = fit.problem, fit.solution.z
     weight = np.array(problem.prior_weight.shared)
     stds = 1.0 / weight[with_prior]
@@ -233,7 +311,7 @@ def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -
     names = parameter_names(problem.parameters.start)
     refit = _refit(without, names, z, free)
     if refit is None:
-        return []
+        return [], None
     estimated = displayed_values(refit.chain.calibration)
     sentences = []
     for name, std, offset in zip((names[k] for k in with_prior), stds, offsets, strict=True):
@@ -246,7 +324,7 @@ def _contradicted_priors(fit: JointFit, with_prior: Int[np.ndarray, "priors"]) -
             f"the pictures contradict the prior on {name}, {mean:.6g} +- {factor * std:.2g}: "
             f"estimated {refit.text(name, estimated)} without it; correct or remove it"
         )
-    return sentences
+    return sentences, refit
 
 
 def _refit(
@@ -280,7 +358,8 @@ def _refit(
         return None
     freedom = max(2 * problem.visible_count - len(free), 1)
     cost = solution.costs[-1]
-    variance = 2.0 * cost / freedom * np.diagonal(np.linalg.inv(correlation)) / norms**2
+    covariance = 2.0 * cost / freedom * np.linalg.inv(correlation) / np.outer(norms, norms)
+    variance = np.diagonal(covariance)
     if not (variance > 0.0).all():
         return None
     free_names = np.array(names)[free].tolist()
@@ -289,6 +368,7 @@ def _refit(
         solution.chain,
         dict(zip(free_names, map(float, estimate - start[free]), strict=True)),
         dict(zip(free_names, map(float, np.sqrt(variance)), strict=True)),
+        covariance,
         cost,
         freedom,
     )

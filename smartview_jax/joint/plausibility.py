@@ -84,7 +84,7 @@ def plausibility_warnings(
 
     Args:
         fit: the fit to judge.
-        contradicted_values: warnings about values that the user stated (`held_value_warnings`).
+        contradicted_values: warnings about values that the user stated (`held_value_test`).
     """
     warnings = [] if fit.result.converged else [fit.result.message]
     has_pixels = not isinstance(fit.problem.observations, PoseObservations)

@@ -43,7 +43,7 @@ from ..variance import SmallSampleCorrection
 from .arm_fit import ArmOptions, SolvedArm, bases_of_pair, fit_arm
 from .fit import MAX_INLIER_CHI_SQUARE, solver_result
 from .fitted_depth_sensor import fitted_depth_sensor
-from .held_parameters import held_camera_warnings
+from .held_parameters import held_camera_test
 from .open_directions import OpenDirections
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
@@ -127,7 +127,11 @@ def fit_rig(
     joined = join_arms(rig, arms, choice.priors, devices) if several else None
     fit = _assembled(rig, arms, joined, tuple(rejected), choice)
     disagreement = () if joined is None else joined.disagreement
-    held = [text for arm in arms.values() for text in held_camera_warnings(arm)]
+    tests = [held_camera_test(arm) for arm in arms.values()]
+    for test in tests:
+        wider = test.widened(fit.covariance, fit.std, fit.parameter_names)
+        fit = dataclasses.replace(fit, covariance=wider[0], std=wider[1])
+    held = [text for test in tests for text in test.warnings]
     return dataclasses.replace(
         fit,
         warnings=(*held, *rig_warnings(fit, prior), *disagreement),

@@ -11,6 +11,7 @@ from starts import nudged
 
 from smartview_jax import Noise, Prior, fit_joint
 from smartview_jax.cameras import Camera, Pinhole, Radial
+from smartview_jax.engine import STEP_NAMES
 from smartview_jax.simulation import paper_calibration, random_scene
 
 NOISE = Noise(0.15, 1e-4, float(np.deg2rad(0.01)))
@@ -52,6 +53,17 @@ def value_and_std(sentence, name):
     return float(value), float(std)
 
 
+def standardised_error(fit, scene):
+    """The largest error of the mount, in its stated standard deviations."""
+    found, true = fit.calibration.camera_from_tool, scene.calibration.camera_from_mount
+    turn = (found.rotation() @ true.rotation().inverse()).log()
+    error = np.concatenate([found.translation() - true.translation(), turn])
+    std = [fit.std[f"camera_from_tool.{p}.{k}"] for p in ("translation", "rotation") for k in "xyz"]
+    rows = [fit.parameter_names.index(f"camera_from_tool.{name}") for name in STEP_NAMES]
+    np.testing.assert_allclose(np.sqrt(np.diagonal(fit.covariance))[rows], std, rtol=1e-9)
+    return np.abs(error / std).max()
+
+
 def start_with(scene, **camera):
     start = nudged(scene.calibration)
     true = scene.calibration.camera
@@ -68,9 +80,11 @@ def test_what_is_held_at_its_true_value_is_not_doubted(scene):
 def test_a_held_principal_point_is_named_with_the_value_that_the_pictures_want(scene):
     true = float(scene.calibration.camera.u0)
     start = start_with(scene, u0=jnp.asarray(true + 5.0))
-    (sentence,) = contradictions(fit_joint(scene.data, start, fixed=("camera",)))
+    fit = fit_joint(scene.data, start, fixed=("camera",))
+    (sentence,) = contradictions(fit)
     wanted, std = value_and_std(sentence, "camera.u0")
     assert abs(wanted - true) < 4.0 * std
+    assert standardised_error(fit, scene) < 2.5
     assert f"(held at {true + 5.0:.6g})" in sentence
     before, after = map(float, re.search(r"from ([\d.]+) to ([\d.]+) px RMS", sentence).groups())
     assert after == pytest.approx(0.15 * np.sqrt(2.0), rel=0.15)
@@ -102,8 +116,9 @@ def test_a_wrong_focal_length_is_named_before_the_target_that_it_makes_look_wron
 def test_a_prior_that_the_pictures_contradict_is_named(scene):
     true = float(scene.calibration.camera.u0)
     prior = Prior(mean=true + 20.0, std=2.0)
-    start = start_with(scene)
-    (sentence,) = contradictions(fit_joint(scene.data, start, priors={"camera.u0": prior}))
+    fit = fit_joint(scene.data, start_with(scene), priors={"camera.u0": prior})
+    (sentence,) = contradictions(fit)
+    assert standardised_error(fit, scene) < 2.5
     assert f"prior on camera.u0, {true + 20.0:.6g} +- 2:" in sentence
     wanted, std = value_and_std(sentence, "estimated")
     assert abs(wanted - true) < 4.0 * std

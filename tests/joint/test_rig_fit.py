@@ -83,6 +83,14 @@ def test_a_known_camera_that_the_pictures_contradict_is_named():
     (text,) = rig.warnings
     assert "estimated only.camera.alpha_u" in text
     assert text.split(": correct")[0].replace("only.", "") == expected.split("; freed")[0]
+    # The intervals of the rest hold what the wrong camera changes.
+    for name in alone.parameter_names:
+        in_rig = name.replace("camera_from", "only.camera_from")
+        assert rig.std[in_rig] == pytest.approx(alone.std[name], rel=1e-3)
+    found = rig.calibrations["only"].camera_from_tool.translation()
+    error = found - paper_calibration().camera_from_tool.translation()
+    for axis, offset in zip("xyz", error, strict=True):
+        assert abs(float(offset)) < 2.5 * rig.std[f"only.camera_from_tool.translation.{axis}"]
     true = fit_rig(
         Rig({"only": data}), {"only": paper_calibration()}, noise=NOISE, fixed=("only.camera",)
     )
