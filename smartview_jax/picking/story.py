@@ -149,11 +149,19 @@ def numbers_section(
     rows.append(("in the hand after the lift, by the physics", "yes" if held else "no"))
     rows += [(f"time: {name}", f"{seconds:.1f} s") for name, seconds in times]
     # Without a look only the outcome can be reported.
-    notes = (attempt.outcome,)
-    if look is not None:
-        notes = (*look.notes, *look.found.messages, *attempt.considered)
-    rows += [("note", text) for text in notes]
+    if look is None:
+        rows.append(("outcome", attempt.outcome))
+    else:
+        rows += [("views", text) for text in look.notes]
+        rows += [("object", text) for text in _objects(look, attempt.considered)]
     return Section("What happened", "", (), (), rows)
+
+
+def _objects(look: Look, considered: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a clause for each object: its best grasp, or why it was not found or not grasped."""
+    # An open verdict keeps an object from being grasped, which then says the same again.
+    repeated = {obj.message for obj in look.found.open} if considered else set()
+    return (*considered, *(text for text in look.found.messages if text not in repeated))
 
 
 def verdict_sentence(attempt: Pick, held: bool) -> str:

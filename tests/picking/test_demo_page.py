@@ -81,11 +81,27 @@ def test_numbers_without_a_look_tell_the_outcome():
     attempt = Pick(None, None, None, None, float("nan"), "not found: view 1: picture: blank")
     rows = numbers_section(attempt, CALIBRATED, MODEL, float("nan"), False, []).rows
     assert ("views of the bin", "0") in rows
-    assert rows[-1] == ("note", "not found: view 1: picture: blank")
-    look = look_of(3, view_of(), seen(MODEL, "open", "ambiguous"))
-    rows = numbers_section(attempt._replace(look=look), CALIBRATED, MODEL, 0.0, False, []).rows
+    assert rows[-1] == ("outcome", "not found: view 1: picture: blank")
+
+
+def test_every_object_says_once_what_became_of_it():
+    look = look_of(
+        3, view_of(), seen(MODEL, "open", "ambiguous"), seen(box(name="nut"), "rejected", "hidden")
+    )
+    attempt = Pick(look, None, None, None, float("nan"), "nothing")
+    rows = numbers_section(attempt, CALIBRATED, MODEL, 0.0, False, []).rows
     assert ("views of the bin", "3") in rows
-    assert rows[-2:] == [("note", "view 3: why"), ("note", "box: open: ambiguous")]
+    assert rows[-3:] == [
+        ("views", "view 3: why"),
+        ("object", "box: open: ambiguous"),
+        ("object", "nut: not found: hidden"),
+    ]
+    attempt = attempt._replace(considered=("box is not grasped: open: ambiguous",))
+    rows = numbers_section(attempt, CALIBRATED, MODEL, 0.0, False, []).rows
+    assert rows[-2:] == [
+        ("object", "box is not grasped: open: ambiguous"),
+        ("object", "nut: not found: hidden"),
+    ]
 
 
 def test_the_verdict_says_what_happened_unless_the_object_is_in_the_hand():
