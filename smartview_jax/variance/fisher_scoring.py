@@ -45,6 +45,13 @@ LOG_LIKELIHOOD_TOLERANCE = 1e-4
 MAX_SCORING_STEPS = 100
 """Largest number of steps of the search."""
 
+MAX_TOGETHER_BYTES = 2**18
+"""Largest size of the border blocks of all searches that take their steps together.
+
+Several arrays of this size then fit into a processor's cache of 1 MB. With 500 views eight searches
+together, in 20 MB, take 2.5 times as long as one after the other.
+"""
+
 INITIAL_DAMPING, DAMPING_BOUNDS = 1e-2, (1e-6, 1e8)
 """Damping of the first step (INITIAL_DAMPING), and its lower and upper limit (DAMPING_BOUNDS)."""
 
@@ -221,8 +228,8 @@ def maximise_each(
 ) -> list[LikelihoodMaximum]:
     """Maximise as `maximise` does for several choices of the errors that are fitted.
 
-    The searches are independent but take their steps together: for few views nearly all of the time
-    of a step is NumPy's calls, however many matrices each is given.
+    The searches are independent. With few views they take their steps together, because nearly all
+    of the time of a step is NumPy's calls, however many matrices each is given.
 
     Args:
         views: the linearised views.
@@ -231,12 +238,17 @@ def maximise_each(
         prior: prior of the standard deviations; None for none.
     """
     views, start, prior = jax.tree.map(np.asarray, (views, start, prior))
-    search = _Search(views, start, np.asarray(active), prior)
-    for _ in range(MAX_SCORING_STEPS):
-        if not search.is_running:
-            break
-        search.step()
-    return search.maxima
+    active = np.asarray(active)
+    together = max(1, int(MAX_TOGETHER_BYTES / views.matrix.border.nbytes))
+    maxima: list[LikelihoodMaximum] = []
+    for first in range(0, len(active), together):
+        search = _Search(views, start, active[first : first + together], prior)
+        for _ in range(MAX_SCORING_STEPS):
+            if not search.is_running:
+                break
+            search.step()
+        maxima += search.maxima
+    return maxima
 
 
 class _Points(NamedTuple):

@@ -16,6 +16,7 @@ from linear_world import (
 )
 from scipy.optimize import minimize
 
+from smartview_jax.variance import fisher_scoring
 from smartview_jax.variance.fisher_scoring import fisher_information, maximise, maximise_each
 from smartview_jax.variance.likelihood import (
     ROBOT_SIGMA_FLOOR,
@@ -153,6 +154,29 @@ def test_views_that_cannot_be_linearised_have_no_maximum(world):
         found = maximise(broken, TRUTH, ALL_ACTIVE)
         assert np.isnan(found.deviance)
         assert found.steps == 0
+
+
+def test_searches_step_together_as_far_as_their_arrays_are_small(world, monkeypatch):
+    """The third of these searches runs alone, and ends where it does with the others."""
+    views = linearised(world, drawn(world, 7))
+    active = np.array(
+        [[True, True, True, True], [True, True, False, False], [True, True, True, False]]
+    )
+    together = maximise_each(views, TRUTH, active)
+    sizes, search = [], fisher_scoring._Search
+
+    def recorded(views, start, active, prior):
+        sizes.append(len(active))
+        return search(views, start, active, prior)
+
+    monkeypatch.setattr(fisher_scoring, "_Search", recorded)
+    limit = 2.5 * np.asarray(views.matrix.border).nbytes
+    monkeypatch.setattr(fisher_scoring, "MAX_TOGETHER_BYTES", limit)
+    apart = maximise_each(views, TRUTH, active)
+    assert sizes == [2, 1]
+    for one, other in zip(together, apart, strict=True):
+        assert one.steps == other.steps
+        np.testing.assert_allclose(one.sigmas.vector, other.sigmas.vector, rtol=1e-9)
 
 
 def test_searches_that_step_together_end_where_scipy_does(world):
