@@ -12,7 +12,7 @@ from jaxlie import SE3
 import smartview_jax as sv
 from smartview_jax import io
 from smartview_jax.files import dump_yaml, read_yaml, write_atomically
-from smartview_jax.geometry import ViewedRegion
+from smartview_jax.geometry import ViewedRegion, host_exponentials, host_transforms
 from smartview_jax.io import robot_cal_tools
 from smartview_jax.io.folder_description import rough_pose
 from smartview_jax.robot_errors import JointOffsets, LinearInPosition, RobotError
@@ -42,7 +42,7 @@ FARTHEST = 100.0
 """Of a coordinate, m, and of a joint's reading, rad or m."""
 
 _TARGET = CircleGrid(3, 4, 0.01)
-_POSES = SE3.exp(jnp.asarray(np.random.default_rng(0).normal(scale=0.3, size=(3, 6))))
+_POSES = host_transforms(host_exponentials(np.random.default_rng(0).normal(scale=0.3, size=(3, 6))))
 
 
 class Format(NamedTuple):

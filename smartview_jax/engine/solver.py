@@ -23,14 +23,13 @@ from .parameters import Step, host_step
 from .problem import JointProblem
 from .structured_lm import (
     StructuredLM,
-    decrease_along,
     gauss_newton_matrix,
-    gauss_newton_step,
     is_converged,
     jacobi_scale,
     ordered_residuals,
     quadratic_model,
     rescale,
+    undamped_decrease,
 )
 
 _Problem = TypeVar("_Problem", bound=AbstractProblem)
@@ -246,7 +245,7 @@ def minimise(
         model, scale = solution.state.f_info, solution.state.scale
     else:
         model, scale = quadratic_model(problem, solution.value), jax.tree.map(jnp.ones_like, z)
-    predicted_decrease = decrease_along(model, gauss_newton_step(model))
+    predicted_decrease = undamped_decrease(model)
     # `unscale` converts the normal equations from scaled units to the parameters' own.
     unscale = jax.tree.map(lambda s, t: 1.0 / (s * t), scale, problem.scale)
     unscaled = rescale(model, unscale)

@@ -141,7 +141,7 @@ class StructuredLM(optx.AbstractLeastSquaresSolver):
         is_negligible = decrease_along(f_info, scaled_step) <= tolerance
         converged = jax.lax.cond(
             is_negligible,
-            lambda: decrease_along(f_info, gauss_newton_step(f_info)) <= tolerance,
+            lambda: undamped_decrease(f_info) <= tolerance,
             lambda: jnp.array(False),
         )
         rejections = jnp.where(accept, 0, state.rejections + 1)
@@ -229,6 +229,13 @@ def gauss_newton_step(model: QuadraticModel) -> Step:
     return jax.tree.map(jnp.negative, solver.compute(factors, model.grad, {})[0])
 
 
+# Compiled separately like the linearisation, for its two uses in a program.
+@compiled
+def undamped_decrease(model: QuadraticModel) -> Float[Array, ""]:
+    """Compute the decrease of the linearised problem's cost by the Gauss-Newton step."""
+    return decrease_along(model, gauss_newton_step(model))
+
+
 def is_converged(predicted_decrease: Any, cost: Any) -> Any:
     """Return whether a fit has converged: a further step predicts a negligible decrease.
 
@@ -237,6 +244,8 @@ def is_converged(predicted_decrease: Any, cost: Any) -> Any:
     return (abs(predicted_decrease) < 1e-8 * cost) | (abs(predicted_decrease) < 1e-12)
 
 
+# Compiled separately: optimistix traces the function, and the solver asks for its shapes.
+@compiled
 def ordered_residuals(z: Step, problem: AbstractProblem) -> tuple[Array, Array, Array]:
     """Return the residuals with the arguments in the order that optimistix expects."""
     return problem.residuals(z)

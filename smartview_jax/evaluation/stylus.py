@@ -10,6 +10,9 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
+from ..geometry import host_matrices
+from ..runtime.array_namespace import to_device
+from ..runtime.compilation import is_traced
 
 
 def touching_pose(
@@ -25,6 +28,12 @@ def touching_pose(
         point: point to touch, or one for each orientation, m; by default the origin.
     """
     # touched_point = R tip + t, so t = touched_point - R tip.
+    if not is_traced(tip, world_from_tool, point):
+        # NumPy has no program to compile.
+        wxyz = np.asarray(world_from_tool.wxyz)
+        rotations = host_matrices(SE3(np.concatenate([wxyz, 0.0 * wxyz[..., 1:]], axis=-1)))
+        translations = (np.zeros(3) if point is None else point) - rotations[..., :3, :3] @ tip
+        return SE3(to_device(np.concatenate([wxyz, translations], axis=-1)))
     touched_point = jnp.zeros(3) if point is None else jnp.asarray(point)
     rotated_tip = world_from_tool.apply(
         jnp.broadcast_to(tip, (*world_from_tool.get_batch_axes(), 3))

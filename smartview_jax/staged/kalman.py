@@ -27,12 +27,12 @@ from jaxlie import SE3
 from jaxtyping import Array, Bool, Float
 
 from ..cameras import Camera
-from ..dataset import MAD_TO_SIGMA, Observations, medians_by_view
-from ..geometry import transformed_coordinates
-from ..runtime.array_namespace import AnyArray
-from ..runtime.compilation import compiled, is_traced
+from ..dataset import MAD_TO_SIGMA, Observations, medians_by_view, view_residuals
+from ..geometry import host_matrices
+from ..runtime.array_namespace import AnyArray, to_device
+from ..runtime.compilation import is_traced
 from ..runtime.modules import HostModule
-from ..runtime.padding import host_without_padding, repeat_last, without_padding
+from ..runtime.padding import repeat_last, without_padding
 from .kalman_pass import PassResult, PassSettings, run_pass
 from .staged_fit import CommonCameraOptions
 
@@ -45,6 +45,9 @@ _MAX_RELATIVE_COST_INCREASE = 0.01
 """Fraction by which a pass may raise the cost once the gate is on.
 
 The points rejected during a pass are not exactly those with large residuals after it."""
+
+FAR_PIXELS = 1e4
+"""Residual in u and in v of a visible point that has no projection, px."""
 
 _MAX_PASSES = 100
 """Maximum number of passes; three to ten are usual, a hundred if Step 1 was far off."""
@@ -234,27 +237,16 @@ def _mean_squared_residual(
 def pixel_residuals(
     observations: Observations, camera: Camera, camera_from_world: SE3
 ) -> Float[AnyArray, "views points 2"]:
-    """Return measured minus projected pixels; 1e4 px for a visible point without projection."""
+    """Return measured minus projected pixels; `FAR_PIXELS` for a point without projection."""
+    # The program of all fits: Step 2 has none of its own to compile.
     if is_traced(observations, camera, camera_from_world):
-        return _pixel_residuals(observations, camera, camera_from_world)
-    padded = observations.padded()
-    poses = repeat_last(camera_from_world, len(padded.visible))
-    residuals = _pixel_residuals(padded, camera, poses)
-    return host_without_padding(residuals, *observations.visible.shape)
-
-
-@compiled
-def _pixel_residuals(observations: Observations, camera: Camera, camera_from_world: SE3) -> Array:
-    """Return what `pixel_residuals` returns, compiled for the shapes that are given."""
-    # By matrices: quaternions applied to each of many points take ten times as long.
-    in_camera = transformed_coordinates(
-        camera_from_world.rotation().as_matrix(),
-        camera_from_world.translation(),
-        observations.points,
-    )
-    predicted, valid = camera.project(jnp.stack(in_camera, axis=-1))
-    residuals = observations.residuals(predicted, valid)
-    return jnp.where((observations.visible & ~valid)[..., None], 1e4, residuals)
+        residuals = view_residuals(
+            camera, jnp.ones(()), camera_from_world.as_matrix(), observations
+        )
+        return jnp.where(jnp.isinf(residuals), FAR_PIXELS, residuals)
+    poses = host_matrices(camera_from_world)
+    residuals = view_residuals(camera, to_device(1.0), poses, observations)
+    return np.where(np.isinf(residuals), FAR_PIXELS, residuals)
 
 
 def robust_sigma(

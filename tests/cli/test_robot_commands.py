@@ -2,16 +2,18 @@
 
 from types import SimpleNamespace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxlie import SE3
 
 from smartview_jax.cli.robot_commands import print_viewpoints
-from smartview_jax.geometry import POSE_CODECS
+from smartview_jax.geometry import POSE_CODECS, host_exponentials, host_transforms
 
 NAMES = ("before_grasp", "after")
-MOVED = SE3.exp(jnp.array([[-0.612345, 0.1, -0.9, 0.1, -0.2, 3.0], [0.2, 0.3, 1.0, 0.3, 2.0, 0.1]]))
+MOVED = host_transforms(
+    host_exponentials(
+        np.array([[-0.612345, 0.1, -0.9, 0.1, -0.2, 3.0], [0.2, 0.3, 1.0, 0.3, 2.0, 0.1]])
+    )
+)
 
 
 @pytest.mark.parametrize("codec", POSE_CODECS.values(), ids=lambda codec: codec.name)

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxlie import SE3, SO3
+from scipy.spatial.transform import Rotation
 
 import smartview_jax as sv
 from smartview_jax.evaluation import stylus_error, touching_pose
@@ -11,7 +12,8 @@ from smartview_jax.robot_errors import LinearInPosition, RobotError
 from smartview_jax.simulation import paper_calibration
 
 TIP = np.array([0.01, -0.02, 0.15])
-WAYS = SO3.from_x_radians(jnp.full(3, jnp.pi)) @ SO3.from_z_radians(jnp.array([0.0, 1.0, 2.0]))
+DOWN = Rotation.from_euler("XZ", [(np.pi, turn) for turn in (0.0, 1.0, 2.0)])
+WAYS = SO3(jnp.asarray(DOWN.as_quat(scalar_first=True)))
 
 
 def test_touching_puts_the_tip_where_it_is_wanted():
