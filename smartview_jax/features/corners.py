@@ -7,6 +7,7 @@ location of distinct points, corners and centres of circular features", 1987), a
 them that OpenCV's cornerSubPix finds.
 """
 
+from collections.abc import Sequence
 from itertools import combinations_with_replacement
 from typing import NamedTuple
 
@@ -93,23 +94,20 @@ def line_corners(lines: Lines) -> LineCorners:
     """Return the corners where two or more segments end, or one ends on another."""
     first, second, meeting = _meeting_points(lines)
     groups = _groups(meeting)
-    points, covariances, joined = [], [], []
-    for group in groups:
-        members = np.unique(np.concatenate([first[group], second[group]]))
-        solution = _common_point(lines, members, meeting[group].mean(axis=0))
-        if solution is None:
-            continue
-        points.append(solution[0])
-        covariances.append(solution[1])
-        # The same number of columns for every corner, so that corners form one array.
-        row = np.full(MAX_SEGMENTS_PER_CORNER, -1)
-        row[: len(members)] = members[:MAX_SEGMENTS_PER_CORNER]
-        joined.append(row)
-    return LineCorners(
-        np.array(points).reshape(-1, 2),
-        np.array(covariances).reshape(-1, 2, 2),
-        np.array(joined, dtype=int).reshape(-1, MAX_SEGMENTS_PER_CORNER),
-    )
+    # Which pairs meet in each corner, and which segments, each of them once.
+    corner = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
+    pair = np.concatenate([np.zeros(0, dtype=int), *groups])
+    both = np.stack([np.tile(corner, 2), np.concatenate([first[pair], second[pair]])])
+    corner_of, segment = np.unique(both, axis=1)
+    starts = np.stack([np.bincount(corner, x, len(groups)) for x in meeting[pair].T], axis=1)
+    starts = starts / np.maximum(np.bincount(corner, minlength=len(groups)), 1)[:, None]
+    points, covariances, good = _common_points(lines, corner_of, segment, starts)
+    # The same number of columns for every corner, so that corners form one array.
+    joined = np.full((len(groups), MAX_SEGMENTS_PER_CORNER), -1)
+    column = np.arange(len(segment)) - np.searchsorted(corner_of, corner_of)
+    few = column < MAX_SEGMENTS_PER_CORNER
+    joined[corner_of[few], column[few]] = segment[few]
+    return LineCorners(points[good], covariances[good], joined[good])
 
 
 def _meeting_points(lines: Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -151,24 +149,41 @@ def _groups(points: Float[np.ndarray, "points 2"]) -> list[np.ndarray]:
     return groups
 
 
-def _common_point(
-    lines: Lines, members: Int[np.ndarray, "members"], start: Float[np.ndarray, "2"]
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the point nearest to several lines and its covariance; None if poorly determined."""
-    variances = lines.variances_at(members, np.tile(start, (len(members), 1)))
-    normals = lines.normals[members]
-    distances = (normals * lines.centres[members]).sum(axis=1)
+def _common_points(
+    lines: Lines,
+    corner: Int[np.ndarray, "members"],
+    segment: Int[np.ndarray, "members"],
+    starts: Float[np.ndarray, "corners 2"],
+) -> tuple[
+    Float[np.ndarray, "corners 2"], Float[np.ndarray, "corners 2 2"], Bool[np.ndarray, "corners"]
+]:
+    """Return the points nearest to several lines each, their covariances, and which are certain.
+
+    Args:
+        lines: all segments.
+        corner, segment: index of each corner, and of a line that runs through it.
+        starts: where the corners are, roughly.
+    """
+    variances, normals = lines.variances_at(segment, starts[corner]), lines.normals[segment]
+    distances = (normals * lines.centres[segment]).sum(axis=1)
+
+    def sums(values: Float[np.ndarray, "members"]) -> Float[np.ndarray, "corners"]:
+        return np.bincount(corner, values, len(starts))
+
     # Least squares: (sum n n^T / var) x = sum n d / var, whose matrix is the inverse covariance.
-    information = (normals / variances[:, None]).T @ normals
-    if np.linalg.eigvalsh(information)[0] < MAX_CORNER_SIGMA**-2:
-        return None
-    covariance = np.linalg.inv(information)
-    point = covariance @ (normals / variances[:, None]).T @ distances
+    weighted = normals / variances[:, None]
+    uu, uv, vv = (sums(weighted[:, i] * normals[:, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    information = np.stack([np.stack([uu, uv], axis=-1), np.stack([uv, vv], axis=-1)], axis=-1)
+    good = np.linalg.eigvalsh(information)[:, 0] >= MAX_CORNER_SIGMA**-2
+    covariances = np.linalg.inv(np.where(good[:, None, None], information, np.eye(2)))
+    towards = np.stack([sums(part * distances) for part in weighted.T], axis=-1)
+    points = (covariances @ towards[..., None])[..., 0]
     # Lines that miss their common point by more than their variance do not form one vertex: the
     # covariance grows by the excess, as for a weighted mean.
-    misses = (normals @ point - distances) ** 2 / variances
-    excess = misses.sum() / max(len(members) - 2, 1) if len(members) > 2 else 1.0
-    return point, covariance * max(excess, 1.0)
+    misses = sums(((normals * points[corner]).sum(axis=1) - distances) ** 2 / variances)
+    freedom = np.bincount(corner, minlength=len(starts)) - 2
+    excess = np.where(freedom > 0, misses / np.maximum(freedom, 1), 1.0)
+    return points, covariances * np.maximum(excess, 1.0)[:, None, None], good
 
 
 def gradient_corners(
@@ -220,26 +235,45 @@ def far_from(
 
 def _structure_peaks(gradient: Gradient) -> Float[np.ndarray, "peaks 2"]:
     """Return the sub-pixel peaks of det / trace of the structure tensor, the strongest first."""
-    uu, uv, vv = (
+    tensor = [
         cv2.GaussianBlur(first * second, (0, 0), INTEGRATION_SIGMA)
         for first, second in combinations_with_replacement((gradient.by_u, gradient.by_v), 2)
-    )
-    determinant, trace = uu * vv - uv * uv, np.maximum(uu + vv, 1e-12)
-    strength = determinant / trace
-    gate = STRUCTURE_GATE * gradient.sigma**2
-    is_peak = (strength == cv2.dilate(strength, np.ones((3, 3)))) & (strength > gate)
-    is_peak[[0, -1], :] = is_peak[:, [0, -1]] = False
-    row, column = np.nonzero(is_peak)
-    is_round = 4.0 * determinant[row, column] > MIN_ROUNDNESS * trace[row, column] ** 2
+    ]
+    trace = tensor[0] + tensor[2]
+    # The strength is a quarter of the trace at most: few pixels can exceed the gate.
+    gate, may_be = STRUCTURE_GATE * gradient.sigma**2, np.zeros(trace.shape)
+    row, column = np.nonzero(trace > 4.0 * gate)
+    may_be[row, column] = _strengths(tensor, row, column)
+    strong = may_be[row, column] > gate
+    row, column = row[strong], column[strong]
+    largest = np.asarray(cv2.dilate(may_be, np.ones((3, 3))))
+    is_peak = may_be[row, column] == largest[row, column]
+    rows, columns = trace.shape
+    is_peak &= (row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1)
+    row, column = row[is_peak], column[is_peak]
+    # 4 det / trace^2
+    is_round = 4.0 * may_be[row, column] > MIN_ROUNDNESS * trace[row, column]
     row, column = row[is_round], column[is_round]
     # A textured picture has tens of thousands of peaks; the strongest are found in other views too.
-    order = np.argsort(-strength[row, column])[:MAX_GRADIENT_CORNERS]
+    order = np.argsort(-may_be[row, column])[:MAX_GRADIENT_CORNERS]
     row, column = row[order], column[order]
     shifts = [
-        _parabola_peak(*(strength[row + k * down, column + k * across] for k in (-1, 0, 1)))
+        _parabola_peak(
+            *(_strengths(tensor, row + k * down, column + k * across) for k in (-1, 0, 1))
+        )
         for across, down in ((1, 0), (0, 1))
     ]
     return np.column_stack([column, row]) + np.column_stack(shifts)
+
+
+def _strengths(
+    tensor: Sequence[Float[np.ndarray, "rows columns"]],
+    row: Int[np.ndarray, "pixels"],
+    column: Int[np.ndarray, "pixels"],
+) -> Float[np.ndarray, "pixels"]:
+    """Return det / trace of the structure tensor of pixels, given its entries uu, uv and vv."""
+    uu, uv, vv = (part[row, column] for part in tensor)
+    return (uu * vv - uv * uv) / np.maximum(uu + vv, 1e-12)
 
 
 def _parabola_peak(before: np.ndarray, middle: np.ndarray, after: np.ndarray) -> np.ndarray:

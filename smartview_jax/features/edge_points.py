@@ -109,8 +109,12 @@ def _across(
     along_u = np.abs(by_u) >= np.abs(by_v)
     unit_u, unit_v = by_u / size, by_v / size
     # The neighbours' gradients along this pixel's own direction, so that opposite edges do not mix.
-    neighbours = [(row + step * ~along_u, column + step * along_u) for step in (-1, 1)]
-    before, after = (unit_u * gradient.by_u[at] + unit_v * gradient.by_v[at] for at in neighbours)
+    columns = gradient.magnitude.shape[1]
+    steps = np.where(along_u, 1, columns)
+    before, after = (
+        unit_u * gradient.by_u.take(place) + unit_v * gradient.by_v.take(place)
+        for place in (row * columns + column + sign * steps for sign in (-1, 1))
+    )
     return before, size, after, along_u
 
 

@@ -177,14 +177,14 @@ def _end_pixels(
     covariances = lines.variances_at(index, ends)[:, None, None] * _outer(across)
     covariances = covariances + END_SIGMA**2 * _outer(along)
     free = np.ones(2 * count, dtype=bool)
-    for k, corner in enumerate(junctions.points):
-        for segment in junctions.segments[k][junctions.segments[k] >= 0]:
-            # Use the nearer end; the corner of a T is in the middle of one of its segments.
-            gaps = np.linalg.norm(lines.ends[segment] - corner, axis=1)
-            if gaps.min() <= MAX_END_GAP:
-                end = 2 * segment + int(np.argmin(gaps))
-                ends[end], covariances[end] = corner, junctions.covariances[k]
-                free[end] = False
+    corner, place = np.nonzero(junctions.segments >= 0)
+    segment = junctions.segments[corner, place]
+    # The nearer end; the corner of a T is in the middle of one of its segments.
+    gaps = np.linalg.norm(lines.ends[segment] - junctions.points[corner][:, None], axis=2)
+    near = gaps.min(axis=1) <= MAX_END_GAP
+    corner, end = corner[near], (2 * segment + np.argmin(gaps, axis=1))[near]
+    ends[end], covariances[end] = junctions.points[corner], junctions.covariances[corner]
+    free[end] = False
     pixels, derivatives = plane.to_pixels(ends)
     covariances = derivatives @ covariances @ derivatives.transpose(0, 2, 1)
     free &= np.isfinite(pixels).all(axis=1)

@@ -44,9 +44,24 @@ class IdealPlane:
         pixels, derivatives = self._run(_to_pixels, ideal / self.focal_length)
         return pixels, derivatives / self.focal_length
 
-    def derivatives(self, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2 2"]:
-        """Return the derivatives of ideal coordinates by pixels."""
-        return self.focal_length * self._run(_to_normalised, pixels)[1]
+    def with_normals(
+        self, pixels: Float[np.ndarray, "points 2"], normals: Float[np.ndarray, "points 2"]
+    ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2"]]:
+        """Return ideal coordinates of edge points and the unit directions of their gradients there.
+
+        NaN as in `from_pixels`.
+
+        Args:
+            pixels: of the edge points.
+            normals: unit directions of their gradients in the picture.
+        """
+        normalised, derivatives = self._run(_to_normalised, pixels)
+        # A gradient is a covector: J^-T g with J the derivative of ideal coordinates by pixels. The
+        # length does not matter: J^-T is the matrix of cofactors over the determinant.
+        (a, b), (c, d) = derivatives.transpose(1, 2, 0)
+        u, v = normals.T
+        turned = np.sign(a * d - b * c) * np.stack([d * u - c * v, a * v - b * u])
+        return self.focal_length * normalised, (turned / np.linalg.norm(turned, axis=0)).T
 
     def rays(self, ideal: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
         """Return the unit rays to points of the ideal plane, in the camera's frame."""

@@ -104,6 +104,9 @@ class PointGrid:
         fits = place < POINTS_PER_CELL
         self._cells = np.full((int(self._size.prod()), POINTS_PER_CELL), -1, dtype=np.int32)
         self._cells[flat[order[fits]], place[fits]] = order[fits]
+        # Most cells are empty, and a table of bytes stays in the processor's cache.
+        self._is_occupied = np.zeros(len(self._cells), dtype=bool)
+        self._is_occupied[flat] = True
 
     def near(
         self,
@@ -155,10 +158,11 @@ class PointGrid:
         inside &= ((step >= 0) & (step < self._size[major]))[:, None]
         strides = self._strides
         cells = (step * strides[major])[:, None] + minor * strides[1 - major][:, None]
-        row, offset = np.nonzero(inside)
-        points = self._cells[cells[row, offset]]
+        # Cells outside have no points; any cell is looked up in their place.
+        occupied = np.flatnonzero(self._is_occupied.take(cells, mode="clip") & inside)
+        points = self._cells[cells.ravel()[occupied]]
         place, layer = np.nonzero(points >= 0)
-        return line[row[place]], points[place, layer]
+        return line[occupied[place] // minor.shape[1]], points[place, layer]
 
 
 def directions_of(normals: Float[np.ndarray, "lines 2"]) -> Float[np.ndarray, "lines 2"]:

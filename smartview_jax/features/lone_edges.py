@@ -48,17 +48,21 @@ def lone_points(points: EdgePoints) -> Bool[np.ndarray, "points"]:
     column, row = cells.T + margin
     index = np.full((rows, columns), -1, dtype=np.int32)
     index[row, column] = np.arange(len(cells))
-    directions = np.column_stack([-normals[:, 1], normals[:, 0]])
     displaced = np.zeros((rows, columns), dtype=np.uint8)
-    for across, along, sign in product(SEARCHED_ACROSS, SEARCHED_ALONG, (-1.0, 1.0)):
-        place = np.rint(pixels + sign * across * normals + along * directions).astype(int) + margin
-        other = index[place[:, 1], place[:, 0]]
-        occupied = np.flatnonzero(other >= 0)
-        gap = pixels[other[occupied]] - pixels[occupied]
-        distance = np.abs((gap * normals[occupied]).sum(axis=1))
-        is_other = (distance > OTHER_EDGE) & (distance < CLEARANCE)
-        is_other &= np.abs((gap * directions[occupied]).sum(axis=1)) <= MAX_ALONG
-        crowded = occupied[is_other]
-        displaced[row[crowded], column[crowded]] = 1
+    for across in SEARCHED_ACROSS:
+        # Nothing more is to be found about points that another edge is known to displace.
+        some = np.flatnonzero(displaced[row, column] == 0)
+        p, n = pixels[some], normals[some]
+        d = np.column_stack([-n[:, 1], n[:, 0]])
+        for along, sign in product(SEARCHED_ALONG, (-1.0, 1.0)):
+            place = np.rint(p + sign * across * n + along * d).astype(np.int32) + margin
+            other = index.take(place[:, 1] * columns + place[:, 0])
+            near = np.flatnonzero(other >= 0)
+            gap = pixels[other[near]] - p[near]
+            distance = np.abs((gap * n[near]).sum(axis=1))
+            is_other = (distance > OTHER_EDGE) & (distance < CLEARANCE)
+            is_other &= np.abs((gap * d[near]).sum(axis=1)) <= MAX_ALONG
+            crowded = some[near[is_other]]
+            displaced[row[crowded], column[crowded]] = 1
     around = np.ones((2 * SPREAD + 1, 2 * SPREAD + 1), dtype=np.uint8)
     return np.asarray(cv2.dilate(displaced, around))[row, column] == 0

@@ -41,8 +41,10 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
             f"{picture.shape[1]} x {picture.shape[0]} px"
         )
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    white, black = float((grey == 255).mean()), float((grey == 0).mean())
-    darkest, brightest = np.percentile(grey, [1.0, 99.0])
+    counts = np.bincount(grey.ravel(), minlength=256)
+    black, white = float(counts[0]) / grey.size, float(counts[255]) / grey.size
+    ranks = np.array([0.01, 0.99]) * (grey.size - 1)
+    darkest, brightest = np.searchsorted(np.cumsum(counts), ranks, side="right")
     # A dark object may be a few bright pixels on black, so blackness is tested first.
     if black > MAX_BLACK_FRACTION:
         raise ValueError(f"picture: under-exposed, {black:.0%} of its pixels are 0")

@@ -91,8 +91,7 @@ def find_lines(
     grey: Float[np.ndarray, "rows columns"], edge_points: EdgePoints, plane: IdealPlane
 ) -> Lines:
     """Return the straight segments of a picture, the longest proposals first."""
-    points = plane.from_pixels(edge_points.pixels)
-    normals = _ideal_normals(edge_points.normals, points, plane)
+    points, normals = plane.with_normals(edge_points.pixels, edge_points.normals)
     # Points that have no place in the ideal plane are left out.
     usable = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     grid = PointGrid(points[usable], normals[usable])
@@ -113,18 +112,6 @@ def _proposals(
     ends = plane.from_pixels(detected.reshape(-1, 2).astype(float)).reshape(-1, 2, 2)
     ends = ends[np.isfinite(ends).all(axis=(1, 2))]
     return ends[np.argsort(-np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))]
-
-
-def _ideal_normals(
-    normals: Float[np.ndarray, "points 2"],
-    ideal: Float[np.ndarray, "points 2"],
-    plane: IdealPlane,
-) -> Float[np.ndarray, "points 2"]:
-    """Return the directions of gradients in the ideal plane, given their directions in pixels."""
-    # A gradient is a covector: with J the derivative of ideal coordinates by pixels, J^-T g.
-    inverse = plane.to_pixels(ideal)[1]
-    turned = np.einsum("nji,nj->ni", inverse, normals)
-    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
 def _lines(grid: PointGrid, fits: LineFits) -> tuple[Lines, Bool[np.ndarray, "lines"]]:

@@ -148,13 +148,9 @@ def seen_ellipses(
         evidence, views.cameras, views.camera_from_world, strict=True
     ):
         plane, edge_points = IdealPlane(camera), picture.edge_points
-        points = plane.from_pixels(edge_points.pixels)
-        usable = np.isfinite(points).all(axis=1)
-        by_pixels = plane.derivatives(edge_points.pixels)[usable]
-        # A gradient g by pixels p is g dp/dq by ideal coordinates q.
-        normals = np.linalg.solve(by_pixels.swapaxes(1, 2), edge_points.normals[usable, :, None])
-        normals = normals[:, :, 0] / np.linalg.norm(normals, axis=1)
-        points = points[usable]
+        points, normals = plane.with_normals(edge_points.pixels, edge_points.normals)
+        usable = np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
+        points, normals = points[usable], normals[usable]
         conics = find_ellipses(points, normals, options.ellipses)[: options.max_ellipses]
         seen.append(SeenEllipses(plane, points, normals, conics, camera_from_world))
     return seen

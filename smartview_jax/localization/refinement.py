@@ -278,9 +278,12 @@ def explained_edge_points(
     measured = lines.points[view][with_edge][sample]
     n = lines.normals[view][with_edge][sample]
     along = np.column_stack([n[:, 1], -n[:, 0]])
-    tree = KDTree(points.pixels[measured] + offsets[k, None] * along)
-    gap, nearest = tree.query(points.pixels, distance_upper_bound=EXPLAINED_REACH)
-    near = np.flatnonzero(np.isfinite(gap))
-    normals = points.normals[measured[np.asarray(nearest)[near]]]
+    places = points.pixels[measured] + offsets[k, None] * along
+    low, high = places.min(axis=0) - EXPLAINED_REACH, places.max(axis=0) + EXPLAINED_REACH
+    around = np.flatnonzero(((points.pixels >= low) & (points.pixels <= high)).all(axis=1))
+    pixels = points.pixels[around]
+    gap, nearest = KDTree(places).query(pixels, distance_upper_bound=EXPLAINED_REACH)
+    is_near = np.isfinite(gap)
+    near, normals = around[is_near], points.normals[measured[np.asarray(nearest)[is_near]]]
     aligned = np.abs((points.normals[near] * normals).sum(axis=1)) >= MIN_ALIGNMENT
     return near[aligned]
