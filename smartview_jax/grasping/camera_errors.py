@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from ..calibration import Calibration
 from ..engine import ROBOT_ERROR, covariance_factor, parameter_names
 from ..evaluation import CalibrationEstimate
+from ..geometry import host_matrices
 from ..modeling import CalibrationUncertainty, RigViews, SeenViews
 from ..robots import Command
 
@@ -60,7 +61,19 @@ def camera_errors(
     estimate: "CalibrationEstimate | RigFit | RigEstimate",
     command: Command,
 ) -> CameraErrors:
-    """Return the uncertainty of the camera's pose at commands `(n)`."""
+    """Return the uncertainty of the camera's pose at commands `(n)`.
+
+    Raises:
+        ValueError: a command is NaN, since the arm does not reach its pose; or as in
+            `camera_covariance`.
+    """
+    is_reached = np.isfinite(host_matrices(command.base_from_tool)).all(axis=(1, 2))
+    if not is_reached.all():
+        unreached = ", ".join(str(1 + k) for k in np.flatnonzero(~is_reached))
+        raise ValueError(
+            f"the arm does not reach pose {unreached} of {len(is_reached)}: without a command "
+            "nothing is known of its error"
+        )
     noise = getattr(estimate, "noise", None)
     # A rig has several calibrations.
     if not isinstance(estimate, CalibrationEstimate):

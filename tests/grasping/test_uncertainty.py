@@ -131,3 +131,12 @@ def test_an_exact_calibration_adds_nothing(setup):
     adjoint = host_adjoints(np.linalg.inv(pose))
     assert np.allclose(total[:6, :6], 1e-6 * adjoint @ adjoint.T)
     assert np.all(total[6:] == 0.0)
+
+
+def test_poses_out_of_reach_are_named(setup):
+    """An arm with errors of its own has no command for them."""
+    scene, command, _ = setup
+    poses = host_matrices(command.base_from_tool).repeat(3, axis=0)
+    poses[[0, 2]] = np.nan
+    with pytest.raises(ValueError, match="the arm does not reach pose 1, 3 of 3: without"):
+        gripper_errors(scene, GRIPPER, Command(sv.geometry.as_se3(poses)))
