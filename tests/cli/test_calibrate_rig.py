@@ -132,6 +132,9 @@ def test_a_calibration_for_each_camera_and_one_report(
         assert entry["rms_px"] == pytest.approx(document["cameras"][name]["rms_px"], rel=0.5)
         # They are the pictures of the fit.
         assert entry["fitted_views"] == list(data.view_ids)
+    told = CliRunner().invoke(app, ["evaluate", str(out / "camera1.yaml"), folder])
+    assert told.exit_code == 2
+    assert "expected the folder with a calibration of each camera" in " ".join(told.stderr.split())
     page = (out / "report.html").read_text(encoding="utf-8")
     for text in (
         "camera2 in camera1",
@@ -181,6 +184,7 @@ def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
     [
         (["--together"], "expected folders of different names"),
         (["{0}", "{0}", "--together"], "expected folders of different names"),
+        (["{0}", "{2}", "--together"], "cell has several cameras"),
         (["{0}", "{1}", "--together", "--free", "target_scale"], "--free: not for several cameras"),
         (["{0}", "{1}", "--together", "--noise", "trusted"], "--noise: not for several cameras"),
         (["{0}", "{1}", "--together", "--time-offset"], "--time-offset: not for several cameras"),
@@ -190,8 +194,8 @@ def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
         ),
     ],
 )
-def test_what_a_rig_cannot_have_is_refused(folders, tmp_path, arguments, message):
-    texts = [text.format(*folders) for text in arguments]
+def test_what_a_rig_cannot_have_is_refused(folders, folder, tmp_path, arguments, message):
+    texts = [text.format(*folders, folder) for text in arguments]
     out = tmp_path / "out"
     told = CliRunner().invoke(app, ["calibrate", *texts, "--out", str(out)])
     assert told.exit_code == 2
