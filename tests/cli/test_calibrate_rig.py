@@ -132,9 +132,6 @@ def test_a_calibration_for_each_camera_and_one_report(
         assert entry["rms_px"] == pytest.approx(document["cameras"][name]["rms_px"], rel=0.5)
         # They are the pictures of the fit.
         assert entry["fitted_views"] == list(data.view_ids)
-    told = CliRunner().invoke(app, ["evaluate", str(out / "camera1.yaml"), folder])
-    assert told.exit_code == 2
-    assert "expected the folder with a calibration of each camera" in " ".join(told.stderr.split())
     page = (out / "report.html").read_text(encoding="utf-8")
     for text in (
         "camera2 in camera1",
@@ -201,6 +198,12 @@ def test_what_a_rig_cannot_have_is_refused(folders, folder, tmp_path, arguments,
     assert told.exit_code == 2
     assert message in " ".join(told.stderr.split())
     assert not out.exists()
+
+
+def test_several_cameras_are_evaluated_by_the_folder_of_their_calibrations(folder, tmp_path):
+    told = CliRunner().invoke(app, ["evaluate", str(tmp_path / "camera1.yaml"), folder])
+    assert told.exit_code == 2
+    assert "expected the folder with a calibration of each camera" in " ".join(told.stderr.split())
 
 
 def test_check_looks_at_every_camera(rig, tmp_path):
