@@ -59,7 +59,7 @@ def test_the_calibration_file_is_the_result(result):
     assert np.isfinite(np.asarray(calibration.camera_from_tool.wxyz_xyz)).all()
 
 
-def test_programs_that_cannot_correct_the_robot_have_a_file_of_their_own(result):
+def test_programs_that_cannot_correct_the_robot_have_a_file_of_their_own(result, tmp_path):
     """By the pixels it was fitted to it is the better one without the correction."""
     out, data = result.out, detected_sample()
     assert "calibration_uncorrected.yaml" in result.stdout
@@ -74,6 +74,11 @@ def test_programs_that_cannot_correct_the_robot_have_a_file_of_their_own(result)
     )
     told = RUNNER.invoke(app, ["export", str(out / "calibration.yaml"), "--to", "ros"])
     assert "export calibration_uncorrected.yaml" in told.stderr
+    # Of a camera of a rig there is none.
+    alone = tmp_path / "left.yaml"
+    alone.write_text((out / "calibration.yaml").read_text())
+    told = RUNNER.invoke(app, ["export", str(alone), "--to", "ros"])
+    assert "predict worse without the correction" in " ".join(told.stderr.split())
 
 
 def test_what_speaks_against_the_answer_is_said_everywhere(result):

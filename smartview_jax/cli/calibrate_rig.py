@@ -149,6 +149,11 @@ def loaded_rig(
             f"--together: expected folders of different names, one for each camera; found "
             f"{', '.join(names) or 'none'}"
         )
+    for folder in folders:
+        if folder.is_dir() and sv.io.is_rig_folder(folder):
+            raise ValueError(
+                f"--together: expected a folder for each camera; {folder} has several cameras"
+            )
     cameras = {
         name: loaded_folder(folder, settings, progress)[0]
         for name, folder in zip(names, folders, strict=True)

@@ -230,7 +230,7 @@ def _note_corrections(exported: list[Exported], to: ExportFormat) -> None:
         return
     # The note goes to stderr, because stdout may be redirected to the exported file.
     advice = "export calibration_uncorrected.yaml, which was fitted without the correction"
-    if len(exported) > 1:
+    if not exported[0].path.with_name("calibration_uncorrected.yaml").is_file():
         advice = "its transforms are the true ones, but predict worse without the correction"
     typer.echo(
         f"note: this calibration corrects the robot's error, but the exported one cannot; {advice}",

@@ -108,8 +108,9 @@ def repeated_pairs(data: "PoseDataset") -> dict[int, str]:
 
     Two measurements of a standing target differ in their last digits; equal ones are one, copied.
     """
-    robot, tracked = host_matrices(data.base_from_tool), data.tracked_matrices
-    first, known, reasons = first_equal_pose(robot), {}, {}
+    first, tracked = first_equal_pose(host_matrices(data.base_from_tool)), data.tracked_matrices
+    known: dict[tuple[int, bytes], int] = {}
+    reasons: dict[int, str] = {}
     for view in np.flatnonzero(data.seen).tolist():
         earlier = known.setdefault((first[view], tracked[view].tobytes()), view)
         if earlier != view:

@@ -3,12 +3,20 @@
 import os
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Discriminator, Field, Tag, TypeAdapter, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from ..files import read_yaml
 from .arm import ArmEntry, TransformEntry
 from .covariances import check_covariance
-from .entry import Entry, Expected, FiniteNumber, FocalLength, PrintableText, check_pixel_shape
+from .entry import (
+    Entry,
+    Expected,
+    FiniteNumber,
+    FocalLength,
+    PrintableText,
+    check_pixel_shape,
+    refuse_other_kind,
+)
 from .validation import validate_content
 
 END_MARK = "smartview_calibration"
@@ -290,8 +298,19 @@ class HandToHandFile(_CalibrationFile):
     base_from_other_base: TransformEntry
 
 
+def _of_this_kind(content: Any) -> Any:
+    """Return the content; raise a ValueError if it is not a calibration's."""
+    # Files of other kinds have no mount, by which the schema is chosen.
+    refuse_other_kind(content, [END_MARK])
+    return content
+
+
 CALIBRATION_SCHEMA: TypeAdapter[EyeInHandFile | EyeToHandFile | HandToHandFile] = TypeAdapter(
-    Annotated[EyeInHandFile | EyeToHandFile | HandToHandFile, Field(discriminator="mount")]
+    Annotated[
+        EyeInHandFile | EyeToHandFile | HandToHandFile,
+        Field(discriminator="mount"),
+        BeforeValidator(_of_this_kind),
+    ]
 )
 
 

@@ -1,7 +1,7 @@
 """Define what all schemas share: mappings without unknown keys, numbers with unit and range."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, ClassVar
 
 from pydantic import (
@@ -28,6 +28,22 @@ _KIND_PREFIX = "smartview_"
 """What the entry begins with that tells the kind of a file, such as `smartview_dataset`."""
 
 
+def refuse_other_kind(content: Any, known: Iterable[str]) -> None:
+    """Raise a ValueError for the content of a file of another kind.
+
+    Args:
+        content: as read from the file.
+        known: keys of the expected file, with its kind.
+    """
+    keys = list(content) if isinstance(content, dict) else []
+    this_kind, other = (
+        next((key for key in some if str(key).startswith(_KIND_PREFIX)), None)
+        for some in (known, keys)
+    )
+    if this_kind is not None and other is not None and this_kind not in keys:
+        raise ValueError(f"a file of the kind {this_kind} is expected, found {other}")
+
+
 class Entry(BaseModel):
     """A mapping in a file: every key is known, every value of its type, nothing is converted."""
 
@@ -44,12 +60,7 @@ class Entry(BaseModel):
         known = list(cls.model_fields)
         unknown = [key for key in content if key not in known] if isinstance(content, dict) else []
         if unknown and cls.model_config.get("extra") == "forbid":
-            this_kind, other = (
-                next((key for key in keys if str(key).startswith(_KIND_PREFIX)), None)
-                for keys in (known, unknown)
-            )
-            if this_kind is not None and other is not None and this_kind not in content:
-                raise ValueError(f"a file of the kind {this_kind} is expected, found {other}")
+            refuse_other_kind(content, known)
             raise PydanticCustomError(
                 "unknown_entry",
                 "no entry is called {key}{hint} It has {known}",

@@ -181,6 +181,7 @@ def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
     [
         (["--together"], "expected folders of different names"),
         (["{0}", "{0}", "--together"], "expected folders of different names"),
+        (["{0}", "{2}", "--together"], "cell has several cameras"),
         (["{0}", "{1}", "--together", "--free", "target_scale"], "--free: not for several cameras"),
         (["{0}", "{1}", "--together", "--noise", "trusted"], "--noise: not for several cameras"),
         (["{0}", "{1}", "--together", "--time-offset"], "--time-offset: not for several cameras"),
@@ -190,13 +191,19 @@ def test_cameras_and_starts_may_be_known(rig, fit, tmp_path, monkeypatch):
         ),
     ],
 )
-def test_what_a_rig_cannot_have_is_refused(folders, tmp_path, arguments, message):
-    texts = [text.format(*folders) for text in arguments]
+def test_what_a_rig_cannot_have_is_refused(folders, folder, tmp_path, arguments, message):
+    texts = [text.format(*folders, folder) for text in arguments]
     out = tmp_path / "out"
     told = CliRunner().invoke(app, ["calibrate", *texts, "--out", str(out)])
     assert told.exit_code == 2
     assert message in " ".join(told.stderr.split())
     assert not out.exists()
+
+
+def test_several_cameras_are_evaluated_by_the_folder_of_their_calibrations(folder, tmp_path):
+    told = CliRunner().invoke(app, ["evaluate", str(tmp_path / "camera1.yaml"), folder])
+    assert told.exit_code == 2
+    assert "expected the folder with a calibration of each camera" in " ".join(told.stderr.split())
 
 
 def test_check_looks_at_every_camera(rig, tmp_path):
