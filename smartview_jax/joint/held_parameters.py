@@ -56,7 +56,7 @@ PINHOLE_COUNT = 4
 
 
 class HeldValueTest(NamedTuple):
-    """What the pictures say about the values that a user stated.
+    """The contradictions between the pictures and the values that a user stated.
 
     Attributes:
         warnings: a sentence for each contradiction.
