@@ -239,7 +239,7 @@ def maximise_each(
     """
     views, start, prior = jax.tree.map(np.asarray, (views, start, prior))
     active = np.asarray(active)
-    together = max(1, int(MAX_TOGETHER_BYTES / views.matrix.border.nbytes))
+    together = max(1, int(MAX_TOGETHER_BYTES / max(views.matrix.border.nbytes, 1)))
     maxima: list[LikelihoodMaximum] = []
     for first in range(0, len(active), together):
         search = _Search(views, start, active[first : first + together], prior)

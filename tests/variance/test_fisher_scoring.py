@@ -16,6 +16,7 @@ from linear_world import (
 )
 from scipy.optimize import minimize
 
+from smartview_jax.runtime.modules import with_fields
 from smartview_jax.variance import fisher_scoring
 from smartview_jax.variance.fisher_scoring import fisher_information, maximise, maximise_each
 from smartview_jax.variance.likelihood import (
@@ -154,6 +155,28 @@ def test_views_that_cannot_be_linearised_have_no_maximum(world):
         found = maximise(broken, TRUTH, ALL_ACTIVE)
         assert np.isnan(found.deviance)
         assert found.steps == 0
+
+
+def test_views_without_a_common_parameter_have_standard_deviations(world):
+    """All common parameters are held; the maximum is SciPy's."""
+    views = linearised(world, drawn(world, 7))
+    matrix, offset = views.matrix, views.offset_from_prior
+    nothing = np.zeros(0)
+    views = views._replace(
+        matrix=with_fields(matrix, shared=np.zeros((0, 0)), border=matrix.border[..., :0]),
+        gradient=views.gradient._replace(shared=nothing),
+        offset_from_prior=offset._replace(shared=nothing),
+        known_weight=nothing,
+        group_index=np.zeros(0, dtype=int),
+    )
+    start = TRUTH._replace(field=nothing)
+
+    def deviance_at(logs):
+        return marginalise(views, StandardDeviations.from_vector(np.exp(logs))).deviance
+
+    best = minimize(deviance_at, np.log(start.vector), method="Nelder-Mead")
+    found = maximise(views, start, np.ones(2, dtype=bool))
+    assert found.deviance == pytest.approx(best.fun, abs=1e-3)
 
 
 def test_searches_step_together_as_far_as_their_arrays_are_small(world, monkeypatch):
