@@ -261,16 +261,16 @@ def _minimise(
         # Each step solves (J^T J + lambda I) step = -J^T r; the damping lambda falls where the cost
         # does. It holds what the data do not determine.
         singular = np.linalg.svd(jacobian, full_matrices=False)
-        decrease = -1.0
+        trial, trial_residuals, decrease = axes, residuals, -1.0
         while decrease < 0.0 and damping < MAX_DAMPING:
             step = np.zeros(5 * len(axes.ratios) + 6)
             step[free] = -_damped_solution(singular, residuals, damping * scale)
-            displaced = axes.displaced(step)
-            displaced_residuals = measured.residuals(displaced).ravel()
-            decrease = cost - displaced_residuals @ displaced_residuals
+            trial = axes.displaced(step)
+            trial_residuals = measured.residuals(trial).ravel()
+            decrease = cost - trial_residuals @ trial_residuals
             damping = max(damping * (0.1 if decrease >= 0.0 else 10.0), MIN_DAMPING)
         if decrease >= 0.0:
-            axes, residuals = displaced, displaced_residuals
+            axes, residuals = trial, trial_residuals
         if decrease <= RELATIVE_DECREASE * cost:
             return axes, optx.RESULTS.successful
     return axes, optx.RESULTS.nonlinear_max_steps_reached

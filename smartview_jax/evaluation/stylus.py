@@ -31,7 +31,8 @@ def touching_pose(
     if not is_traced(tip, world_from_tool, point):
         # NumPy has no program to compile.
         wxyz = np.asarray(world_from_tool.wxyz)
-        rotations = host_matrices(SE3(np.concatenate([wxyz, 0.0 * wxyz[..., 1:]], axis=-1)))
+        at_origin = to_device(np.concatenate([wxyz, 0.0 * wxyz[..., 1:]], axis=-1))
+        rotations = host_matrices(SE3(at_origin))
         translations = (np.zeros(3) if point is None else point) - rotations[..., :3, :3] @ tip
         return SE3(to_device(np.concatenate([wxyz, translations], axis=-1)))
     touched_point = jnp.zeros(3) if point is None else jnp.asarray(point)

@@ -1,5 +1,6 @@
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -67,3 +68,9 @@ def test_an_error_of_the_robot_is_corrected_where_it_is_known():
     # What to command is found by iteration, to some nanometres.
     np.testing.assert_allclose(stylus_error(truth, truth, TIP, poses), 0.0, atol=1e-7)
     assert np.abs(stylus_error(truth.uncorrected, truth, TIP, poses)).max() > 1e-4
+
+
+def test_a_pose_is_the_same_within_a_trace():
+    place = np.array([0.1, -0.2, 0.3])
+    traced = jax.jit(lambda wxyz: touching_pose(TIP, SO3(wxyz), place).wxyz_xyz)(WAYS.wxyz)
+    np.testing.assert_allclose(traced, touching_pose(TIP, WAYS, place).wxyz_xyz, atol=1e-15)
