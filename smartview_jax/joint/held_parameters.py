@@ -142,7 +142,7 @@ class _Refit(NamedTuple):
         """
         whole = list(self.difference)
         fitted = [whole.index(name) for name in names]
-        held = np.setdiff1d(np.arange(len(whole)), fitted)
+        held = [k for k in range(len(whole)) if k not in fitted]
         d = np.array([self.difference[name] for name in names])
         of_both = self.covariance[np.ix_(fitted, held)]
         scale = np.sqrt(np.diagonal(self.covariance)[held])
