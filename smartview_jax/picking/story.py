@@ -167,7 +167,11 @@ def _objects(look: Look, considered: tuple[str, ...]) -> tuple[str, ...]:
 def verdict_sentence(attempt: Pick, held: bool) -> str:
     """Return the result in a sentence."""
     if attempt.grasp is None:
-        return f"Nothing was grasped: {attempt.outcome}."
+        # Hundreds of refused grasps have too many reasons for a sentence.
+        why = attempt.outcome
+        if attempt.considered:
+            why = "no object that was found has a safe grasp. The last table says why for each"
+        return f"Nothing was grasped: {why}."
     object_name = attempt.target.model.name if attempt.target is not None else "object"
     state = "is in the hand" if held else "is not in the hand"
     sentence = (

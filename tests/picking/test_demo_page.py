@@ -112,4 +112,9 @@ def test_the_verdict_says_what_happened_unless_the_object_is_in_the_hand():
     failed = f"{sentence.format('not in')} The fingers closed to 0.0 mm."
     assert verdict_sentence(attempt, False) == failed
     nothing = attempt._replace(grasp=None, outcome="not found: view 1: blank")
-    assert verdict_sentence(nothing, False) == ("Nothing was grasped: not found: view 1: blank.")
+    assert verdict_sentence(nothing, False) == "Nothing was grasped: not found: view 1: blank."
+    refused = nothing._replace(considered=("no safe grasp of box: the palm touches table",))
+    assert verdict_sentence(refused, False) == (
+        "Nothing was grasped: no object that was found has a safe grasp. "
+        "The last table says why for each."
+    )
