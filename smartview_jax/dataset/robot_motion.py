@@ -290,7 +290,7 @@ def undetermined_twists(mount_from_holder: Poses) -> Float[np.ndarray, "twists 6
 
 
 def undetermined_motions(
-    effects: Sequence[Float[np.ndarray, "views 6 numbers"]],
+    effects: Sequence[Float[np.ndarray, "_ 6 numbers"]],
 ) -> Float[np.ndarray, "motions numbers"]:
     """Return orthonormal motions of several poses that move each mount equally in all its views.
 

@@ -130,7 +130,7 @@ def _effects(sight: Sight, poses: Sequence[str]) -> Float[np.ndarray, "views 6 m
 
 def _parameter_directions(
     motions: Float[np.ndarray, "directions motions"],
-    effects: Sequence[Float[np.ndarray, "views 6 motions"]],
+    effects: Sequence[Float[np.ndarray, "_ 6 motions"]],
     sights: Sequence[Sight],
     poses: Mapping[str, MovablePose],
 ) -> _Directions:
