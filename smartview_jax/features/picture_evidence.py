@@ -278,7 +278,7 @@ def _nearest_points(
     gap, nearest = cv2.distanceTransformWithLabels(
         is_free, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    labels = np.asarray(nearest)
+    labels = np.asarray(nearest, np.int32)
     # Each occupied cell has its own label, shared by the cells nearest to it.
     point_of = np.zeros(int(labels.max()) + 1, np.int32)
     occupied = is_free == 0

@@ -67,7 +67,7 @@ def camera_errors(
         ValueError: a command is NaN, since the arm does not reach its pose; or as in
             `camera_covariance`.
     """
-    is_reached = np.isfinite(host_matrices(command.base_from_tool)).all(axis=(1, 2))
+    is_reached = np.isfinite(host_matrices(command.base_from_tool)[:, 0, 0])
     if not is_reached.all():
         unreached = ", ".join(str(1 + k) for k in np.flatnonzero(~is_reached))
         raise ValueError(
