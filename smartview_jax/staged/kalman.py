@@ -294,4 +294,4 @@ def outlier_limits(
         return limits
     # The squared median of n lengths has the relative standard error 1 / (log(2) sqrt(n)).
     error = 1.0 / (np.log(2.0) * np.sqrt(np.maximum(inliers.sum(axis=1), 1)))
-    return np.where(np.abs(np.log(limits / previous)) <= error, previous, limits)
+    return np.where(np.abs(limits - previous) <= error * previous, previous, limits)
