@@ -7,9 +7,9 @@ from two_cameras import rig_of, seen_by_both
 from smartview_jax.data_checks import exchanged_cameras, target_findings
 
 
-def exchanged(states, seed=0):
+def exchanged(states, seed=0, count=12):
     """What two cameras see, with their pictures exchanged in some states."""
-    seen = seen_by_both(np.eye(4), np.random.default_rng(seed))
+    seen = seen_by_both(np.eye(4), np.random.default_rng(seed), count)
     left, right = (target.camera_from_world for target in seen.values())
     left[states], right[states] = right[states].copy(), left[states].copy()
     return seen
@@ -24,6 +24,12 @@ def test_states_with_exchanged_pictures_are_named(states):
     named = {int(name) for name in text.split("(")[1].split(")")[0].split(", ")}
     # Of two halves nothing tells which is right.
     assert named in ({*states}, set(range(12)) - {*states} if len(states) == 6 else {*states})
+
+
+def test_exchanged_pictures_are_named_among_very_many_states():
+    """There are 2^1200 ways to exchange them, more than any number of 64 bits can count."""
+    (text,) = exchanged_cameras(rig_of((1, 2), 1200), exchanged([3, 700], count=1200))
+    assert "exchanged in 2 of 1200 states (3, 700)" in text
 
 
 def test_pictures_in_order_are_not_doubted():
