@@ -101,15 +101,26 @@ def _exchange(relative: Poses) -> _Exchange | None:
     is_explained = (after <= MAX_LEFT_OVER * before)[exchanged].all()
     if not is_explained or after.sum() > MAX_LEFT_OVER * before.sum():
         return None
+    freedom = _dimensions(host_logarithms(corrected) / scale) * (count - 1)
     # Exact poses leave nothing over.
-    log_chance = _log_chance(before.sum() / max(after.sum(), 1e-9), 6 * count - 6)
+    log_chance = _log_chance(before.sum() / max(after.sum(), 1e-9), freedom)
     # Each state may be exchanged or not: two to the number of states chances.
     if log_chance + count * np.log(2.0) > np.log(MAX_CHANCE):
         return None
     return _Exchange(exchanged, given, corrected)
 
 
-def _log_chance(ratio: float, freedom: int) -> float:
+def _dimensions(twists: Float[np.ndarray, "states 6"]) -> float:
+    """Return in how many directions twists scatter: 6 if alike in all, 1 if along one line.
+
+    Cameras at one place whose errors lie along one line, as of a flat target's tilt, agree better
+    with about half of the states exchanged, by chance. This is Satterthwaite's number.
+    """
+    moments = twists.T @ twists
+    return max(float(np.trace(moments) ** 2 / max((moments**2).sum(), 1e-300)), 1.0)
+
+
+def _log_chance(ratio: float, freedom: float) -> float:
     """Return the logarithm of the probability that equal variances have a larger ratio by chance.
 
     Fisher's distribution gives I_y(a, a) with a = freedom / 2 and y = 1 / (1 + ratio). Its series
