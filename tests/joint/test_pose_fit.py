@@ -364,7 +364,8 @@ def test_copied_pairs_count_once(fit):
 def test_poses_that_are_both_inverted_are_doubted(fit):
     """They fit as well; camera and target have exchanged their places, unless a prior says so."""
     assert not any("both the robot's and the tracked poses" in text for text in fit.warnings)
-    inverted = PoseDataset.from_poses(*map(np.linalg.inv, tracked(0)))
+    robot, measured = map(np.linalg.inv, tracked(0))
+    inverted = PoseDataset.from_poses(robot, measured)
     known = {"camera_from_tool": Prior(std=10.0)}
     for priors, doubted in ((None, True), (known, False)):
         again = sv.fit_poses(inverted, field=None, priors=priors)
