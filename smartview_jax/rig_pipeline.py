@@ -314,15 +314,13 @@ def doubts_told_by_others(
     Few views may not tell in which direction the poses are, or how large the target is. A camera of
     the same arm that sees the same target from more sides tells both.
     """
-    ambiguities = {
-        name: fit.conventions.ambiguities
-        for name, fit in staged.items()
-        if isinstance(fit, StagedFit)
+    reports = {name: fit.conventions for name, fit in staged.items() if isinstance(fit, StagedFit)}
+    certain = {
+        name: _used_views(staged[name]) for name, report in reports.items() if report.is_certain
     }
-    certain = {name: _used_views(staged[name]) for name, texts in ambiguities.items() if not texts}
     return {
-        name: () if reference_camera(rig, name, certain) is None else texts
-        for name, texts in ambiguities.items()
+        name: () if reference_camera(rig, name, certain) is None else report.ambiguities
+        for name, report in reports.items()
     }
 
 

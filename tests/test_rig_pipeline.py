@@ -11,6 +11,7 @@ from smartview_jax import Noise, Prior, Rig, calibrate, fit_staged
 from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 from smartview_jax.rig_pipeline import doubts_told_by_others
 from smartview_jax.runtime.array_namespace import to_device
+from smartview_jax.runtime.modules import with_fields
 from smartview_jax.simulation import paper_calibration
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
@@ -165,6 +166,10 @@ def test_a_doubt_that_another_camera_ends_is_not_told():
     assert text in staged["right"].warnings
     alone = Rig({"right": rig.cameras["right"]})
     assert doubts_told_by_others(alone, {"right": staged["right"]}) == {"right": ()}
+    # Turns about one axis tell no direction of the poses, and have no closure error.
+    report = staged["left"].conventions._replace(closure_score=0.0)
+    staged["left"] = with_fields(staged["left"], conventions=report)
+    assert doubts_told_by_others(rig, staged)["right"] == ()
 
 
 def test_pictures_of_two_cameras_that_were_exchanged_are_named():

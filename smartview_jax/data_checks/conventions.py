@@ -92,6 +92,12 @@ class ConventionReport(NamedTuple):
         """Whether the closure error is small enough for a good arm."""
         return self.closure_score < MAX_CLOSURE_SCORE
 
+    @property
+    def is_certain(self) -> bool:
+        """Whether the motions agree, and tell the direction of the poses and all lengths."""
+        is_compared = self.closure_score > 0.0
+        return is_compared and self.is_close and not (self.problems or self.ambiguities)
+
 
 DOUBTED_SCORE, MAX_CERTAIN_SCORE_RATIO = 0.01, 0.1
 """Closure score from which mistakes are tried although a weak robot may have it, and the ratio of

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.special import fdtrc
+from scipy.special import betaln
 
 from ..dataset import Rig
 from ..geometry import host_logarithms, mean_matrix
@@ -98,15 +98,40 @@ def _exchange(relative: Poses) -> _Exchange | None:
     # In units in which rotation and translation of the corrected poses scatter alike.
     scale = np.repeat(np.maximum(np.sqrt(_parts(corrected).mean(axis=0)), 1e-9), 3)
     before, after = (_squares(poses, scale) for poses in (given, corrected))
-    freedom = 6 * count - 6
-    # Each state may be exchanged or not: two to the number of states chances.
-    log_chance = np.log(max(fdtrc(freedom, freedom, before.sum() / after.sum()), 1e-300))
-    if log_chance + count * np.log(2.0) > np.log(MAX_CHANCE):
-        return None
     is_explained = (after <= MAX_LEFT_OVER * before)[exchanged].all()
     if not is_explained or after.sum() > MAX_LEFT_OVER * before.sum():
         return None
+    freedom = _dimensions(host_logarithms(corrected) / scale) * (count - 1)
+    # Exact poses leave nothing over.
+    log_chance = _log_chance(before.sum() / max(after.sum(), 1e-9), freedom)
+    # Each state may be exchanged or not: two to the number of states chances.
+    if log_chance + count * np.log(2.0) > np.log(MAX_CHANCE):
+        return None
     return _Exchange(exchanged, given, corrected)
+
+
+def _dimensions(twists: Float[np.ndarray, "states 6"]) -> float:
+    """Return in how many directions twists scatter: 6 if alike in all, 1 if along one line.
+
+    Cameras at one place whose errors lie along one line, as of a flat target's tilt, agree better
+    with about half of the states exchanged, by chance. This is Satterthwaite's number.
+    """
+    moments = twists.T @ twists
+    return max(float(np.trace(moments) ** 2 / max((moments**2).sum(), 1e-300)), 1.0)
+
+
+def _log_chance(ratio: float, freedom: float) -> float:
+    """Return the logarithm of the probability that equal variances have a larger ratio by chance.
+
+    Fisher's distribution gives I_y(a, a) with a = freedom / 2 and y = 1 / (1 + ratio). Its series
+    is bounded by the geometric series of 2 y. So the result is a little too large, but finite.
+
+    Args:
+        ratio: of two estimated variances, above 1.
+        freedom: degrees of freedom of each.
+    """
+    a, y = freedom / 2.0, 1.0 / (1.0 + ratio)
+    return float(a * np.log(y * (1.0 - y)) - np.log(a) - betaln(a, a) - np.log1p(-2.0 * y))
 
 
 def _about_mean(poses: Poses) -> Poses:

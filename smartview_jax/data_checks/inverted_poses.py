@@ -8,10 +8,10 @@ line of sight.
 
 If a tracker's poses are inverted as well as the robot's, no motion tells it: in the chain C = X H W
 with the target's pose C, the mount X and the target's place W exchange their parts, because
-C^-1 = W^-1 H^-1 X^-1. Only their distances tell it: a camera on the hand is nearer to the tool than
-the target is to the base, and a target on the hand is nearer to the tool than the camera is to the
-base. Some files of samples have the robot's poses inverted for a camera next to the arm; read for
-the wrong mount, they give the same motions, with base and tool exchanged.
+C^-1 = W^-1 H^-1 X^-1. Only their distances tell it: what is on a hand is near the tool, compared
+with the arm's reach, and what stands in the cell is mostly farther from the base. Some files of
+samples have the robot's poses inverted for a camera next to the arm; read for the wrong mount, they
+give the same motions, with base and tool exchanged.
 """
 
 import numpy as np
@@ -19,6 +19,21 @@ from jaxtyping import Bool
 
 from .closure import Poses, closure_error, relative_motions
 from .transform_fit import Matrix, fit_transforms
+
+MAX_HAND_SHARE = 0.5
+"""Largest distance from the tool of what is on a hand, over the median distance of tool and base.
+
+An arm does not carry a thing half as far from its flange as the arm itself reaches. A camera or a
+target close to the base alone says nothing: many base frames are set at the table, even at the
+target.
+"""
+
+MAX_DISTANCE_RATIO = 2.0
+"""Largest ratio of the distance of what is on a hand from the tool to the other's from the base.
+
+A target on a long tool may be as far from the tool as a camera that stands close to the arm is from
+the base.
+"""
 
 
 def inverted_poses_doubt(
@@ -54,19 +69,24 @@ def inverted_poses_doubt(
     )
 
 
-def both_inverted_doubt(mount_from_camera: Matrix, holder_from_world: Matrix, in_hand: bool) -> str:
+def both_inverted_doubt(
+    mount_from_camera: Matrix, holder_from_world: Matrix, tool_distance: float, in_hand: bool
+) -> str:
     """Return a sentence if robot and tracked poses are likely both inverted, else nothing.
 
     Args:
         mount_from_camera: the camera's place on the tool; in the base if it is next to the arm.
         holder_from_world: the target's place in the base; on the tool if the camera is next to the
             arm.
+        tool_distance: median distance of the tool from the base, m; inverted poses do not change
+            it.
         in_hand: whether the camera is stated to be on the hand.
     """
     camera, target = (
-        1e3 * float(np.linalg.norm(pose[:3, 3])) for pose in (mount_from_camera, holder_from_world)
+        float(np.linalg.norm(pose[:3, 3])) for pose in (mount_from_camera, holder_from_world)
     )
-    if (camera <= target) == in_hand:
+    from_tool, from_base = (camera, target) if in_hand else (target, camera)
+    if from_tool <= max(MAX_DISTANCE_RATIO * from_base, MAX_HAND_SHARE * tool_distance):
         return ""
     mount, holder, relation, other_mount = (
         ("tool", "base", "farther", "eye_to_hand")
@@ -74,8 +94,8 @@ def both_inverted_doubt(mount_from_camera: Matrix, holder_from_world: Matrix, in
         else ("base", "tool", "nearer", "eye_in_hand")
     )
     return (
-        f"the camera is {camera:.0f} mm from the robot's {mount}, {relation} than the target from "
-        f"its {holder} ({target:.0f} mm): is the mount {other_mount}, or are both the robot's and "
-        "the tracked poses inverted (tool_from_base and target_from_camera)? No motion tells it, "
-        "only these distances: check them"
+        f"the camera is {1e3 * camera:.0f} mm from the robot's {mount}, {relation} than the target "
+        f"from its {holder} ({1e3 * target:.0f} mm): is the mount {other_mount}, or are both the "
+        "robot's and the tracked poses inverted (tool_from_base and target_from_camera)? No motion "
+        "tells it, only these distances: check them"
     )

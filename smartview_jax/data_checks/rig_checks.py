@@ -131,7 +131,7 @@ def _states_with_two_names(rig: Rig) -> list[str]:
                 f"cameras {first!r} and {second!r} have no view of the same name, but {len(equal)} "
                 f"equal poses, such as of view {data.view_ids[earlier]} and view "
                 f"{other.view_ids[place]}: if their pictures were taken at the same moment, give "
-                "them one name; else the cameras tell less about each other"
+                "both views one name, so that the cameras are compared by them"
             )
     return doubts
 

@@ -57,7 +57,8 @@ class DescribedFolder(NamedTuple):
         """
         path = Path(folder) / file
         if not path.exists():
-            raise FileNotFoundError(f"{path}: no such file; smartview new begins a data set")
+            hint = "; smartview new begins a data set" if file == DESCRIPTION_FILE else ""
+            raise FileNotFoundError(f"{path}: no such file{hint}")
         return cls(path.parent, read_yaml(path), path)
 
     def validated(

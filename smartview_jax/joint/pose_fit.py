@@ -290,7 +290,7 @@ def fit_poses(
         used, fit, drift = fit_consistent()
     if drift is not None:
         fit = with_uncertain_drift(fit, drift)
-    doubts = (*ambiguities, *_doubt_of_direction(data, fit.calibration, start))
+    doubts = (*ambiguities, *_doubt_of_direction(data, fit.calibration, start, priors))
     fit = dataclasses.replace(fit, warnings=(*doubts, *fit.warnings))
     covariance = used.covariance
     if drift is not None:
@@ -328,18 +328,25 @@ def _without_target(prior: RobotPrior, scale: bool) -> RobotPrior:
 
 
 def _doubt_of_direction(
-    data: PoseDataset, calibration: Calibration, start: Mapping[str, PoseLike] | None
+    data: PoseDataset,
+    calibration: Calibration,
+    start: Mapping[str, PoseLike] | None,
+    priors: Mapping[str, Prior] | None,
 ) -> tuple[str, ...]:
     """Return a sentence if robot and tracked poses are likely both inverted.
 
-    A depth sensor's poses are the library's own, and a start says where camera or target are.
+    A depth sensor's poses are the library's own, and a start or a prior says where camera or target
+    are.
     """
-    if start or data.sensor is not None:
+    is_placed = any(path.startswith(calibration.transform_names) for path in priors or ())
+    if start or is_placed or data.sensor is not None:
         return ()
-    mount_from_camera = host_matrices(calibration.camera_from_mount.inverse())
+    mount_from_camera = np.linalg.inv(host_matrices(calibration.camera_from_mount))
     holder_from_world = host_matrices(calibration.holder_from_world)
+    positions = host_matrices(data.base_from_tool)[data.seen][:, :3, 3]
+    tool_distance = float(np.median(np.linalg.norm(positions, axis=1)))
     in_hand = data.mount == "eye_in_hand"
-    doubt = both_inverted_doubt(mount_from_camera, holder_from_world, in_hand)
+    doubt = both_inverted_doubt(mount_from_camera, holder_from_world, tool_distance, in_hand)
     return (doubt,) if doubt else ()
 
 

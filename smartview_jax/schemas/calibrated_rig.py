@@ -84,6 +84,9 @@ class RelativePoseFile(Entry):
         ]
         if any(entry is None for row in rows for entry in row):
             raise ValueError("covariance: null stands for an infinite variance, on the diagonal")
+        for i, row in enumerate(self.covariance):
+            if None in row and any(row[:i] + row[i + 1 :]):
+                raise ValueError("covariance: expected zeros next to an infinite variance (null)")
         check_covariance([[float(entry or 0.0) for entry in row] for row in rows], AXES)
         if self.degrees_of_freedom is not None and len(self.degrees_of_freedom) != len(AXES):
             raise ValueError(f"degrees_of_freedom: expected {len(AXES)} numbers")

@@ -89,8 +89,10 @@ def test_robot_and_tracked_poses_that_are_both_inverted_are_told(in_hand):
         assert report.problems == ()
         assert not [text for text in report.ambiguities if "inverted" in text]
         found = fit_transforms(np.linalg.inv(robot), tracked, np.ones(10, bool))
+        tool_distance = np.median(np.linalg.norm(base_from_tool[:, :3, 3], axis=1))
+        mount_from_camera = np.linalg.inv(found.camera_from_mount)
         doubt = both_inverted_doubt(
-            np.linalg.inv(found.camera_from_mount), found.holder_from_world, in_hand
+            mount_from_camera, found.holder_from_world, tool_distance, in_hand
         )
         assert bool(doubt) == inverted
         if inverted:
@@ -98,3 +100,52 @@ def test_robot_and_tracked_poses_that_are_both_inverted_are_told(in_hand):
                 f"{1e3 * np.linalg.norm(place[:3, 3]):.0f} mm" in doubt
                 for place in (BASE_FROM_WORLD, CAMERA_FROM_TOOL)
             )
+
+
+def doubt_of_cell(from_tool, from_base, tool_distance, in_hand):
+    """The doubt where things are so far from tool and base, and the tool from the base, in m."""
+    on_hand, in_cell = (pose([0.1, 0.2, 0.3], [0.0, 0.0, d]) for d in (from_tool, from_base))
+    camera, target = (on_hand, in_cell) if in_hand else (in_cell, on_hand)
+    return both_inverted_doubt(camera, target, tool_distance, in_hand)
+
+
+@pytest.mark.parametrize("in_hand", [True, False])
+@pytest.mark.parametrize(
+    "distances",
+    [
+        # A target on a long tool, and a camera close to the arm.
+        (0.45, 0.40, 0.60),
+        # A base frame that was set at the target, or at the camera.
+        (0.12, 0.03, 0.50),
+        (0.15, 0.00, 0.80),
+        # A small arm.
+        (0.12, 0.10, 0.20),
+        # A pan-tilt unit: its axes meet where base and tool are.
+        (0.05, 1.00, 0.00),
+    ],
+)
+def test_unusual_cells_are_not_doubted(distances, in_hand):
+    assert doubt_of_cell(*distances, in_hand) == ""
+
+
+REAL_CELLS = {
+    "rct_circle10x10": (0.108, 0.976, 1.244),
+    "tampere_kuka_2": (0.136, 1.831, 1.446),
+    "lwr4_joint": (0.110, 0.764, 0.890),
+    "koide_charuco": (0.057, 0.336, 0.596),
+    "visp_franka_eih": (0.078, 0.434, 0.570),
+    "ur5e_kinect_78": (0.247, 1.296, 0.963),
+    "visp_franka_eth": (0.060, 1.068, 0.934),
+    "metric_workcell": (0.117, 2.631, 0.787),
+}
+"""Distances of hand-held camera or target from the tool, of the other, and of the tool, from the
+base, m, by a closed form."""
+
+
+@pytest.mark.parametrize("cell", REAL_CELLS)
+def test_real_cells_are_doubted_only_when_inverted(cell):
+    from_tool, from_base, tool_distance = REAL_CELLS[cell]
+    in_hand = cell not in ("visp_franka_eth", "metric_workcell")
+    assert doubt_of_cell(from_tool, from_base, tool_distance, in_hand) == ""
+    # With both inverted, camera and target exchange their places.
+    assert doubt_of_cell(from_base, from_tool, tool_distance, in_hand) != ""

@@ -20,6 +20,12 @@ def folder(tmp_path):
     return write_object_views(tmp_path / "object", NAMES, PICTURES, POSES)
 
 
+def test_a_folder_without_a_description_is_named(tmp_path):
+    """Without the hint at `smartview new`, which begins data sets alone."""
+    with pytest.raises(FileNotFoundError, match=r"\.yaml: no such file$"):
+        load_object_views(tmp_path)
+
+
 def test_what_is_written_is_read(folder):
     views = load_object_views(folder)
     assert views.view_ids == tuple(NAMES)

@@ -12,6 +12,7 @@ from tracked_scene import MOUNT, ROBOT, TRACKER, VIEWS, WORLD, data_of, tracked,
 import smartview_jax as sv
 from smartview_jax.cameras import Camera, Pinhole
 from smartview_jax.dataset import PoseDataset
+from smartview_jax.engine import Prior
 from smartview_jax.evaluation import mean_nees, nees
 from smartview_jax.geometry import host_adjoints, host_exponentials, host_logarithms, host_matrices
 from smartview_jax.joint import TrackerPrior
@@ -358,3 +359,15 @@ def test_copied_pairs_count_once(fit):
     assert [rejection.view for rejection in again.rejected] == ["16", "17", "18"]
     assert any("repeat both poses of an earlier view" in text for text in again.warnings)
     np.testing.assert_allclose(covariance_of(again), covariance_of(fit), rtol=1e-3)
+
+
+def test_poses_that_are_both_inverted_are_doubted(fit):
+    """They fit as well; camera and target have exchanged their places, unless a prior says so."""
+    assert not any("both the robot's and the tracked poses" in text for text in fit.warnings)
+    robot, measured = map(np.linalg.inv, tracked(0))
+    inverted = PoseDataset.from_poses(robot, measured)
+    known = {"camera_from_tool": Prior(std=10.0)}
+    for priors, doubted in ((None, True), (known, False)):
+        again = sv.fit_poses(inverted, field=None, priors=priors)
+        doubts = [text for text in again.warnings if "both the robot's and the tracked" in text]
+        assert len(doubts) == doubted

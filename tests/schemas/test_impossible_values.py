@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from smartview_jax.schemas.calibrated_rig import RELATIVE_POSE_SCHEMA
 from smartview_jax.schemas.calibration import PinholeEntry, UncertaintyEntry
 from smartview_jax.schemas.external_formats import VISP_CAMERA_SCHEMA, VISP_POSE_SCHEMA
 from smartview_jax.targets import TagGrid
@@ -24,6 +25,18 @@ def test_a_covariance_with_a_negative_direction_is_refused():
     with pytest.raises(ValidationError, match="not positive semidefinite"):
         uncertainty([[1.0, r, r], [r, 1.0, r], [r, r, 1.0]])
     assert uncertainty([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1e-12]])
+
+
+def test_an_infinite_variance_has_no_covariances():
+    matrix = np.eye(6).tolist()
+    matrix[2][2] = None
+    kind = "smartview_relative_pose"
+    transform = {"quaternion_wxyz": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, 0.0, 1.0]}
+    content = {kind: 1, "first_from_second": transform, "covariance": matrix, "end": kind}
+    assert RELATIVE_POSE_SCHEMA.validate_python(content)
+    matrix[2][4] = matrix[4][2] = 0.5
+    with pytest.raises(ValidationError, match="expected zeros next to an infinite variance"):
+        RELATIVE_POSE_SCHEMA.validate_python(content)
 
 
 def test_a_parameter_that_comes_twice_is_named():
