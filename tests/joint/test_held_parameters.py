@@ -124,6 +124,18 @@ def test_a_prior_that_the_pictures_contradict_is_named(scene):
     assert abs(wanted - true) < 4.0 * std
 
 
+def test_a_prior_that_is_right_is_still_believed_where_another_is_wrong(scene):
+    true = scene.calibration.camera
+    right = {f"camera.{name}": Prior(std=0.02) for name in ("alpha_u", "alpha_v")}
+    wrong = {"camera.u0": Prior(mean=float(true.u0) + 20.0, std=2.0)}
+    fit = fit_joint(scene.data, start_with(scene), noise=NOISE, priors=right | wrong)
+    assert len(contradictions(fit)) == 1
+    assert fit.std["camera.u0"] > 4.0
+    assert max(fit.std[name] for name in right) < 0.05
+    # The wrong prior is the cause of wide intervals, and not that views are few.
+    assert not any("take more views" in warning for warning in fit.warnings)
+
+
 @pytest.mark.parametrize("gross_errors", ["auto", "keep"])
 def test_a_held_mount_is_named_in_millimetres(scene, gross_errors):
     """Also where all views are kept: it is not taken for a robot that errs along its tool."""
