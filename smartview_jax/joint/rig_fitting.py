@@ -136,6 +136,7 @@ def fit_rig(
         fit,
         covariance=wider[0],
         std=wider[1],
+        contradicted_covariance=wider[0] - fit.covariance if held else None,
         warnings=(*held, *rig_warnings(fit, prior), *disagreement),
         picture_digests={name: digests_to_keep(data) for name, data in rig.cameras.items()},
     )
