@@ -104,9 +104,9 @@ def test_an_arm_that_turns_about_one_axis_does_not_tell_where_the_other_is(arm):
     prior = Prior(std=1e-3, mean=0.0)
     known = ParameterChoice((), (), {f"{arm}_table.camera_from_tool.translation": prior})
     assert undetermined_motion_of_rig(rig, truths, known, bases, "mounts").held == ()
-    own = rig.of_arm(arm)
+    rig_of_arm = rig.of_arm(arm)
     alone = undetermined_motion_of_rig(
-        own, {n: truths[n] for n in own.cameras}, NOTHING, {}, "mounts"
+        rig_of_arm, {n: truths[n] for n in rig_of_arm.cameras}, NOTHING, {}, "mounts"
     )
     assert alone.held == motion.held
 
