@@ -14,6 +14,7 @@ from .joint_fit import JointFit as JointFit
 from .joint_fit import view_influence as view_influence
 from .many import ManyFits as ManyFits
 from .many import fit_many as fit_many
+from .open_directions import OpenDirections as OpenDirections
 from .options import JointOptions as JointOptions
 from .parameter_estimates import ParameterEstimate as ParameterEstimate
 from .parameter_estimates import displayed_values as displayed_values

@@ -318,9 +318,10 @@ def _finish_fit(
     fit = with_fields(fit, residuals=residuals, calibration=calibration, picture_digests=digests)
     if stated is None or not stated.warnings:
         return with_fields(fit, warnings=plausibility_warnings(fit))
+    # The warnings judge what the views tell: more views do not narrow what wrong values widen.
+    warnings = plausibility_warnings(fit, stated.warnings)
     wider = stated.widened(fit.covariance, fit.std, fit.parameter_names)
-    fit = with_fields(fit, covariance=wider[0], std=wider[1])
-    return with_fields(fit, warnings=plausibility_warnings(fit, stated.warnings))
+    return with_fields(fit, covariance=wider[0], std=wider[1], warnings=warnings)
 
 
 def _assemble_fit(

@@ -296,35 +296,44 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
 def _contradicted_priors(
     fit: JointFit, with_prior: Int[np.ndarray, "priors"]
 ) -> tuple[list[str], _Refit | None]:
-    """Return a warning for each prior that the pictures contradict, and the fit without priors."""
+    """Return a warning for each prior that the pictures contradict, and the fit without these."""
     problem, z = fit.problem, fit.solution.z
-    weight = np.array(problem.prior_weight.shared)
-    stds = 1.0 / weight[with_prior]
+    stds = 1.0 / np.asarray(problem.prior_weight.shared)[with_prior]
     free, step = np.asarray(problem.free), np.asarray(problem.scale.shared) * np.asarray(z.shared)
     offsets = problem.host_offset_at_start()
     offsets[free] += step
-    offsets = offsets[with_prior]
-    weight[with_prior] = 0.0
-    without = dataclasses.replace(
-        problem, prior_weight=problem.prior_weight._replace(shared=to_device(weight))
-    )
     names = parameter_names(problem.parameters.start)
-    refit = _refit(without, names, z, free)
+    refit = _refit(_without_priors(problem, with_prior), names, z, free)
     if refit is None:
         return [], None
     estimated = displayed_values(refit.chain.calibration)
-    sentences = []
-    for name, std, offset in zip((names[k] for k in with_prior), stds, offsets, strict=True):
+    sentences, contradicted = [], []
+    for k, std, offset in zip(with_prior.tolist(), stds, offsets[with_prior], strict=True):
+        name = names[k]
         difference = refit.difference[name] + offset
         if not abs(difference) > MIN_DIFFERENCE_SIGMAS * np.hypot(std, refit.std[name]):
             continue
         factor, _ = display_unit(name)
         mean = estimated[name][0] - factor * difference
+        contradicted.append(k)
         sentences.append(
             f"the pictures contradict the prior on {name}, {mean:.6g} +- {factor * std:.2g}: "
             f"estimated {refit.text(name, estimated)} without it; correct or remove it"
         )
+    if 0 < len(contradicted) < len(with_prior):
+        # The other priors are believed: without them intervals would be wide for no reason.
+        without = _without_priors(problem, np.array(contradicted))
+        refit = _refit(without, names, z, free) or refit
     return sentences, refit
+
+
+def _without_priors(problem: JointProblem, priors: Int[np.ndarray, "priors"]) -> JointProblem:
+    """Return the problem without the priors on some shared parameters, given by their indices."""
+    weight = np.array(problem.prior_weight.shared)
+    weight[priors] = 0.0
+    return dataclasses.replace(
+        problem, prior_weight=problem.prior_weight._replace(shared=to_device(weight))
+    )
 
 
 def _refit(

@@ -71,6 +71,8 @@ class RigFit(eqx.Module):
         data: the data sets of the cameras.
         undetermined: combinations of parameters that neither the robots' motions nor anything else
             determines; they have the values of the start.
+        contradicted_covariance: part of `covariance` for errors that held values cause, which the
+            pictures contradict; None without such values.
 
     For example, with one camera in the place of two:
 
@@ -105,6 +107,7 @@ class RigFit(eqx.Module):
     sensors: dict[str, DepthSensor] = eqx.field(static=True, default_factory=dict)
     picture_digests: dict[str, tuple[str, ...]] = eqx.field(static=True, default_factory=dict)
     undetermined: tuple[OpenDirections, ...] = ()
+    contradicted_covariance: Float[np.ndarray, "free free"] | None = None
 
     def __repr__(self) -> str:
         return f"<RigFit of {', '.join(self.calibrations)}: {self.result.message}>"

@@ -128,12 +128,15 @@ def fit_rig(
     fit = _assembled(rig, arms, joined, tuple(rejected), choice)
     disagreement = () if joined is None else joined.disagreement
     tests = [held_camera_test(arm) for arm in arms.values()]
-    for test in tests:
-        wider = test.widened(fit.covariance, fit.std, fit.parameter_names)
-        fit = dataclasses.replace(fit, covariance=wider[0], std=wider[1])
     held = [text for test in tests for text in test.warnings]
+    wider = fit.covariance, fit.std
+    for test in tests:
+        wider = test.widened(*wider, fit.parameter_names)
     return dataclasses.replace(
         fit,
+        covariance=wider[0],
+        std=wider[1],
+        contradicted_covariance=wider[0] - fit.covariance if held else None,
         warnings=(*held, *rig_warnings(fit, prior), *disagreement),
         picture_digests={name: digests_to_keep(data) for name, data in rig.cameras.items()},
     )

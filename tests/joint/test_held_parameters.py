@@ -85,6 +85,8 @@ def test_a_held_principal_point_is_named_with_the_value_that_the_pictures_want(s
     wanted, std = value_and_std(sentence, "camera.u0")
     assert abs(wanted - true) < 4.0 * std
     assert standardised_error(fit, scene) < 2.5
+    # The wrong value is the cause of wide intervals, and not that views are few.
+    assert not any("take more views" in warning for warning in fit.warnings)
     assert f"(held at {true + 5.0:.6g})" in sentence
     before, after = map(float, re.search(r"from ([\d.]+) to ([\d.]+) px RMS", sentence).groups())
     assert after == pytest.approx(0.15 * np.sqrt(2.0), rel=0.15)
@@ -122,6 +124,17 @@ def test_a_prior_that_the_pictures_contradict_is_named(scene):
     assert f"prior on camera.u0, {true + 20.0:.6g} +- 2:" in sentence
     wanted, std = value_and_std(sentence, "estimated")
     assert abs(wanted - true) < 4.0 * std
+
+
+def test_a_prior_that_is_right_is_still_believed_where_another_is_wrong(scene):
+    true = scene.calibration.camera
+    right = {f"camera.{name}": Prior(std=0.02) for name in ("alpha_u", "alpha_v")}
+    wrong = {"camera.u0": Prior(mean=float(true.u0) + 5.0, std=0.1)}
+    fit = fit_joint(scene.data, start_with(scene), noise=NOISE, priors=right | wrong)
+    assert len(contradictions(fit)) == 1
+    error = abs(float(fit.calibration.camera.u0 - true.u0))
+    assert 1.0 < error < 2.5 * fit.std["camera.u0"]
+    assert max(fit.std[name] for name in right) < 0.03
 
 
 @pytest.mark.parametrize("gross_errors", ["auto", "keep"])

@@ -26,6 +26,7 @@ from smartview_jax import (
 )
 from smartview_jax.cameras import Radial
 from smartview_jax.dataset import picture_digests
+from smartview_jax.evaluation.diagnosis.rig_budget import covariance_by_cause
 from smartview_jax.files import read_yaml
 from smartview_jax.joint import RIG_FILE, RigEstimate, is_rig
 from smartview_jax.joint.rig_fitting import rig_warnings
@@ -87,6 +88,8 @@ def test_a_known_camera_that_the_pictures_contradict_is_named():
     for name in alone.parameter_names:
         in_rig = name.replace("camera_from", "only.camera_from")
         assert rig.std[in_rig] == pytest.approx(alone.std[name], rel=1e-3)
+    parts = covariance_by_cause(rig)
+    np.testing.assert_allclose(np.sum(list(parts.values()), axis=0), rig.covariance, rtol=1e-6)
     found = rig.calibrations["only"].camera_from_tool.translation()
     error = found - paper_calibration().camera_from_tool.translation()
     for axis, offset in zip("xyz", error, strict=True):
@@ -95,6 +98,7 @@ def test_a_known_camera_that_the_pictures_contradict_is_named():
         Rig({"only": data}), {"only": paper_calibration()}, noise=NOISE, fixed=("only.camera",)
     )
     assert true.warnings == ()
+    assert true.contradicted_covariance is None
 
 
 def test_cameras_of_one_arm_know_it_better_together(scene, fit):

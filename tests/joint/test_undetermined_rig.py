@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from smartview_jax import Rig, fit_rig
 from smartview_jax.engine import ParameterChoice, Prior
+from smartview_jax.evaluation.diagnosis.rig_budget import pose_uncertainties
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.joint.undetermined import undetermined_motion
 from smartview_jax.joint.undetermined_rig import undetermined_motion_of_rig
@@ -41,6 +42,9 @@ def test_two_cameras_on_one_hand_are_known_to_each_other():
     found, truth = fit.calibrations["left"].camera_from_tool, start.camera_from_tool
     assert np.linalg.norm(found.translation() - truth.translation()) < 0.01
     assert len(fit.estimate("left").observability.null_directions) == 4
+    left, right, between = pose_uncertainties(fit)
+    assert left.translation == right.translation == np.inf
+    assert np.isfinite([left.rotation, right.rotation, between.translation]).all()
 
 
 def test_one_camera_in_a_rig_is_held_as_alone():
@@ -100,9 +104,9 @@ def test_an_arm_that_turns_about_one_axis_does_not_tell_where_the_other_is(arm):
     prior = Prior(std=1e-3, mean=0.0)
     known = ParameterChoice((), (), {f"{arm}_table.camera_from_tool.translation": prior})
     assert undetermined_motion_of_rig(rig, truths, known, bases, "mounts").held == ()
-    own = rig.of_arm(arm)
+    rig_of_arm = rig.of_arm(arm)
     alone = undetermined_motion_of_rig(
-        own, {n: truths[n] for n in own.cameras}, NOTHING, {}, "mounts"
+        rig_of_arm, {n: truths[n] for n in rig_of_arm.cameras}, NOTHING, {}, "mounts"
     )
     assert alone.held == motion.held
 

@@ -5,7 +5,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...dataset import Rig
 from ...engine import (
@@ -38,6 +38,8 @@ OTHER_PRIORS = "priors"
 """The name of the cause: what other priors leave open."""
 SIZES_OF_ERRORS = "sizes of the errors"
 """The name of the cause: the noise, and the model of the robot's error, are estimates."""
+CONTRADICTED_VALUES = "contradicted values"
+"""The name of the cause: held values that the pictures contradict."""
 
 
 class PoseCause(NamedTuple):
@@ -60,8 +62,9 @@ class PoseUncertainty(NamedTuple):
     Attributes:
         name: path of a hand-eye transform, such as `left.camera_from_tool`, or `right in left` for
             the pose of one camera in another's frame.
-        translation: standard deviation of the translation, all axes together, m.
-        rotation: standard deviation of the rotation, all axes together, rad.
+        translation: standard deviation of the translation, all axes together, m; infinite if
+            nothing determines it along an axis.
+        rotation: the same of the rotation, rad.
         causes: causes, the one with the largest effect on the translation first.
     """
 
@@ -141,7 +144,8 @@ def pose_uncertainties(fit: RigFit) -> tuple[PoseUncertainty, ...]:
         variances = {
             cause: np.append(np.diagonal(matrix), 0.0)[rows] for cause, matrix in by_cause.items()
         }
-        poses.append(_pose_uncertainty(path, variances))
+        is_open = np.isinf([fit.std.get(step_name, 0.0) for step_name in step_names(path)])
+        poses.append(_pose_uncertainty(path, variances, is_open))
     for first, second in combinations(calibrations, 2):
         if fit.on_one_mount(first, second):
             covariances = {
@@ -149,7 +153,8 @@ def pose_uncertainties(fit: RigFit) -> tuple[PoseUncertainty, ...]:
                 for cause, matrix in by_cause.items()
             }
             variances = {cause: np.diagonal(matrix) for cause, matrix in covariances.items()}
-            poses.append(_pose_uncertainty(f"{second} in {first}", variances))
+            is_open = np.isinf(fit.relative(first, second).std)
+            poses.append(_pose_uncertainty(f"{second} in {first}", variances, is_open))
     return tuple(poses)
 
 
@@ -182,15 +187,26 @@ def covariance_by_cause(fit: RigFit) -> dict[str, Float[np.ndarray, "free free"]
     parts = {cause: known @ inner @ known for cause, inner in precisions.items()}
     # The pixels' part is what remains of P, as P is the inverse of the sum of all precisions.
     parts[PIXEL_NOISE] = known - np.sum(list(parts.values()), axis=0)
+    if fit.contradicted_covariance is not None:
+        known = known + fit.contradicted_covariance
+        parts[CONTRADICTED_VALUES] = fit.contradicted_covariance
     if fit.noise_estimates:
         parts[SIZES_OF_ERRORS] = np.asarray(fit.covariance) - known
     return {cause: part for cause, part in parts.items() if part.any()}
 
 
 def _pose_uncertainty(
-    name: str, variances: Mapping[str, Float[np.ndarray, "6"]]
+    name: str,
+    variances: Mapping[str, Float[np.ndarray, "6"]],
+    is_open: Bool[np.ndarray, "6"],
 ) -> PoseUncertainty:
-    """Return the uncertainty of a pose from the variances of its parameters due to each cause."""
+    """Return the uncertainty of a pose from the variances of its parameters due to each cause.
+
+    Args:
+        name: of the pose.
+        variances: variance of each of its parameters, by cause.
+        is_open: whether nothing determines the parameter.
+    """
     # Of translation and rotation, all axes together.
     sums = {cause: variance.reshape(2, 3).sum(axis=1) for cause, variance in variances.items()}
     # Rounding may make the part of a cause without effect slightly negative.
@@ -198,5 +214,6 @@ def _pose_uncertainty(
         PoseCause(cause, *np.sqrt(variance.clip(0.0)).tolist()) for cause, variance in sums.items()
     ]
     causes.sort(key=lambda cause: -cause.translation)
-    places, turns = np.sqrt(np.sum(list(sums.values()), axis=0))
+    stds = np.sqrt(np.sum(list(sums.values()), axis=0))
+    places, turns = np.where(is_open.reshape(2, 3).any(axis=1), np.inf, stds)
     return PoseUncertainty(name, float(places), float(turns), tuple(causes))

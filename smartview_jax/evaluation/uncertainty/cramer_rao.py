@@ -27,7 +27,7 @@ from ...engine import (
     observability,
     padded,
 )
-from ...joint import RelativePose, relative_pose
+from ...joint import OpenDirections, RelativePose, relative_pose
 from ...robot_errors import FieldChoice
 from ...runtime.array_namespace import to_device
 from ...runtime.compilation import compiled
@@ -61,12 +61,14 @@ class RigBound(eqx.Module):
             `parameter_names`.
         std: smallest possible standard deviation by name; infinite for an undetermined parameter.
         parameter_names: names of the free parameters that all states have in common.
+        undetermined: combinations of parameters that the data do not determine.
     """
 
     calibrations: dict[str, Calibration]
     covariance: Float[np.ndarray, "free free"]
     std: dict[str, float]
     parameter_names: tuple[str, ...] = eqx.field(static=True)
+    undetermined: OpenDirections
 
     def relative(self, first: str, second: str) -> RelativePose:
         """Return the pose of the second camera in the frame of the first, with its bound.
@@ -75,7 +77,12 @@ class RigBound(eqx.Module):
             ValueError: no such camera, or cameras that the robot moves against each other.
         """
         return relative_pose(
-            self.calibrations, self.parameter_names, self.covariance, first, second
+            self.calibrations,
+            self.parameter_names,
+            self.covariance,
+            first,
+            second,
+            undetermined=[self.undetermined],
         )
 
 
@@ -137,8 +144,10 @@ def cramer_rao(
         if not isinstance(noise, Noise) or not isinstance(calibration, Mapping):
             raise TypeError("cramer_rao: a rig needs a Noise, and calibrations by camera")
         built = build_rig(data, calibration, noise=noise, field=field, **parameters)
-        _, bound_covariance, std = _bound(built)
-        return RigBound(dict(calibration), bound_covariance, std, built.shared_names)
+        scaled_jacobian, bound_covariance, std = _bound(built)
+        names = built.shared_names
+        undetermined = OpenDirections.of_jacobian(names, scaled_jacobian)
+        return RigBound(dict(calibration), bound_covariance, std, names, undetermined)
     if not isinstance(calibration, Calibration):
         raise TypeError("cramer_rao: calibrations by camera are for a Rig")
     noise_model = noise if isinstance(noise, Noise) else "trusted"

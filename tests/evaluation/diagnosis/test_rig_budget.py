@@ -18,6 +18,7 @@ from smartview_jax.evaluation.diagnosis.causes import (
     TOO_FEW_VIEWS,
 )
 from smartview_jax.evaluation.diagnosis.rig_budget import (
+    CONTRADICTED_VALUES,
     OTHER_PRIORS,
     SIZES_OF_ERRORS,
     TARGET_SIZE,
@@ -95,7 +96,7 @@ def test_squares_of_causes_add_up_to_the_poses_own_deviations(fitted_rig):
     assert of_robot[2] < 0.1 * min(of_robot[:2])
 
 
-def test_estimated_sizes_of_errors_are_a_cause(fitted_rig, parts):
+def test_estimated_sizes_of_errors_and_contradicted_values_are_causes(fitted_rig, parts):
     fit = fitted_rig.fit
     whole, size = np.asarray(fit.covariance), len(fit.parameter_names)
     added = SmallSampleCorrection(
@@ -105,9 +106,13 @@ def test_estimated_sizes_of_errors_are_a_cause(fitted_rig, parts):
         "", fit.noise, None, {}, (), None, True, fit.built, fit.solution.z, added, 0.75 * whole
     )
     wider = dataclasses.replace(
-        fit, covariance=2.0 * whole, noise_estimates={next(iter(fit.noises)): estimate}
+        fit,
+        covariance=2.5 * whole,
+        contradicted_covariance=0.5 * whole,
+        noise_estimates={next(iter(fit.noises)): estimate},
     )
     found = covariance_by_cause(wider)
+    np.testing.assert_allclose(found.pop(CONTRADICTED_VALUES), 0.5 * whole, rtol=1e-9)
     np.testing.assert_allclose(found.pop(SIZES_OF_ERRORS), whole, rtol=1e-9)
     assert found.keys() == parts.keys()
     for cause, part in found.items():

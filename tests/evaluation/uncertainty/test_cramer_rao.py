@@ -19,6 +19,7 @@ from smartview_jax import (
 from smartview_jax.engine import build_problem, build_rig
 from smartview_jax.evaluation import covariance_of
 from smartview_jax.geometry import host_exponentials
+from smartview_jax.joint import OpenDirections
 from smartview_jax.robot_errors import RobotError
 from smartview_jax.simulation import random_scene, simulate
 from smartview_jax.simulation.scenes import reported_poses
@@ -141,6 +142,12 @@ def test_the_bound_of_a_rig_is_the_covariance_of_its_fit(fitted_rig):
         assert bound.std[name] == pytest.approx(fit.std[name], rel=1e-6)
     expected = fit.relative("left", "right").covariance
     np.testing.assert_allclose(bound.relative("left", "right").covariance, expected, rtol=1e-6)
+    # As if nothing told where the left camera is along its axis.
+    names = ("left.camera_from_tool.translation.z",)
+    undetermined = OpenDirections(names, np.eye(1), np.ones(1), 1e-6)
+    std = dataclasses.replace(bound, undetermined=undetermined).relative("left", "right").std
+    assert np.isinf(std[2])
+    assert np.isfinite(std[3:]).all()
     with pytest.raises(TypeError, match="a rig needs a Noise, and calibrations by camera"):
         cramer_rao(truths, rig, 0.15)
 
