@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, Int
 from ..geometry import (
     PoseLike,
     as_se3,
-    host_cross_matrices,
+    host_inverse_left_jacobians,
     host_matrices,
     host_rotation_vectors,
 )
@@ -118,8 +118,9 @@ def fit_kinematics(
         metres_per_radian: weight of orientations: an error of 1 rad counts as this many metres.
 
     Raises:
-        ValueError: the shapes do not match, the free parameters outnumber the measured numbers, or
-            no axis is found without `start`; the message names the joint.
+        ValueError: the shapes do not match, `metres_per_radian` is not positive, the free
+            parameters outnumber the measured numbers, or no axis is found without `start`; the
+            message names the joint.
 
     For example:
 
@@ -138,6 +139,10 @@ def fit_kinematics(
         )
     if not (np.isfinite(joints).all() and np.isfinite(poses).all()):
         raise ValueError("joints or poses contain NaN or infinity")
+    if not 0.0 < metres_per_radian < np.inf:
+        raise ValueError(
+            f"metres_per_radian: expected a positive number, found {metres_per_radian}"
+        )
     if start is not None and start.joint_count != joints.shape[1]:
         raise ValueError(f"start has {start.joint_count} joints, the readings {joints.shape[1]}")
     if prismatic is None:
@@ -223,26 +228,13 @@ class _Measurements(NamedTuple):
         # -J_l(r)^-1 w at the rotation vector r, where J_l is the left Jacobian of exp.
         by_translation = predicted[:, :3, :3] @ twists[:, :3]
         vectors = host_rotation_vectors(self._turns(predicted))
-        by_rotation = _inverse_left_jacobians(vectors) @ twists[:, 3:]
+        by_rotation = host_inverse_left_jacobians(vectors) @ twists[:, 3:]
         derivatives = np.concatenate([by_translation, by_rotation], axis=1)
         return -self.weights[:, None] * derivatives
 
     def _turns(self, predicted: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "views 3 3"]:
         """Return the rotations from measured to predicted orientations."""
         return predicted[:, :3, :3].swapaxes(1, 2) @ self.poses[:, :3, :3]
-
-
-def _inverse_left_jacobians(
-    vectors: Float[np.ndarray, "views 3"],
-) -> Float[np.ndarray, "views 3 3"]:
-    """Return the inverse left Jacobians of the exponentials of rotation vectors."""
-    # J_l(r)^-1 = I - [r] / 2 + (1 - h cot h) [r]^2 / a^2 for the angle a and h = a / 2; at angle
-    # zero the last term is zero, whatever the divisor.
-    angles = np.linalg.norm(vectors, axis=1)[:, None, None]
-    factors = 1.0 - np.cos(0.5 * angles) / np.sinc(0.5 * angles / np.pi)
-    factors /= np.where(angles > 0.0, angles, 1.0) ** 2
-    cross = host_cross_matrices(vectors)
-    return np.eye(3) - 0.5 * cross + factors * (cross @ cross)
 
 
 def _minimise(

@@ -68,11 +68,10 @@ class ProductOfExponentials:
 
         For a small step d, the pose becomes `camera_from_target @ exp(twists @ d)`.
         """
-        later, motions = self._targets_from_the_end(joints, prismatic)[1:], self._motions
+        later = self._targets_from_the_end(joints, prismatic)[1:]
+        motions = self._motions(joints, prismatic)
         identity, columns = np.eye(6), []
-        for k, (frame, motion) in enumerate(
-            zip(self.frames, motions(joints, prismatic), strict=True)
-        ):
+        for k, (frame, motion) in enumerate(zip(self.frames, motions, strict=True)):
             # F exp(x) M exp(-x) F^-1 S = F M F^-1 S exp(Ad(F^-1 S)^-1 (Ad(M)^-1 - I) x), where S is
             # the product of all factors after this joint.
             target_from_axis = host_adjoints(np.linalg.inv(later[k]) @ frame)

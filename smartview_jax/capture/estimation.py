@@ -116,14 +116,15 @@ class Estimate(NamedTuple):
         The information of each view is assumed to be the mean of the planned ones: information, one
         over the error squared, adds up.
         """
+        # Fewer views than are believed need more, whatever error they state.
+        unbelieved = max(MINIMUM_RELIABLE_VIEWS - self.views, 0)
+        if self.error <= goal:
+            return unbelieved
         if not np.isfinite(self.error) or not self.next_errors:
             return None
         known, wanted, planned = (1.0 / e**2 for e in (self.error, goal, self.next_errors[-1]))
         gained = (planned - known) / len(self.next_errors)
-        views = int(np.ceil((wanted - known) / gained)) if gained > 0.0 else None
-        # Fewer views than are believed need more, whatever error they state.
-        missing = MINIMUM_RELIABLE_VIEWS - self.views
-        return views if views is None else max(views, missing, 0)
+        return max(int(np.ceil((wanted - known) / gained)), unbelieved) if gained > 0.0 else None
 
 
 def is_near(

@@ -158,12 +158,13 @@ def _limit_words(session: CaptureSession) -> str:
         return f"{taken}, but none is fitted yet: a fit needs {session.options.first_fit}"
     if not math.isfinite(last.error):
         return "; ".join([f"{taken}, but the error is not known yet", *last.warnings[:1]])
-    goal = session.options.goal
-    words = f"{taken}: {1e3 * last.error:.2g} mm reached instead of {1e3 * goal:g} mm"
+    goal, error = session.options.goal, f"{1e3 * last.error:.2g} mm"
     missing = last.missing_views(goal)
-    if missing is None:
-        return words
-    return f"{words}; that needs about {missing} more {'view' if missing == 1 else 'views'}"
+    more = f"{missing} more {'view' if missing == 1 else 'views'}"
+    if last.error <= goal:
+        return f"{taken}: {error} reached, but an error is believed only with {more}"
+    words = f"{taken}: {error} reached instead of {1e3 * goal:g} mm"
+    return words if missing is None else f"{words}; that needs about {more}"
 
 
 def _outcome(session: CaptureSession, reason: str) -> CaptureOutcome:

@@ -241,21 +241,21 @@ def _structure_peaks(gradient: Gradient) -> Float[np.ndarray, "peaks 2"]:
     ]
     trace = tensor[0] + tensor[2]
     # The strength is a quarter of the trace at most: few pixels can exceed the gate.
-    gate, may_be = STRUCTURE_GATE * gradient.sigma**2, np.zeros(trace.shape)
+    gate, strength = STRUCTURE_GATE * gradient.sigma**2, np.zeros(trace.shape)
     row, column = np.nonzero(trace > 4.0 * gate)
-    may_be[row, column] = _strengths(tensor, row, column)
-    strong = may_be[row, column] > gate
+    strength[row, column] = _strengths(tensor, row, column)
+    strong = strength[row, column] > gate
     row, column = row[strong], column[strong]
-    largest = np.asarray(cv2.dilate(may_be, np.ones((3, 3))))
-    is_peak = may_be[row, column] == largest[row, column]
+    largest = np.asarray(cv2.dilate(strength, np.ones((3, 3))))
+    is_peak = strength[row, column] == largest[row, column]
     rows, columns = trace.shape
     is_peak &= (row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1)
     row, column = row[is_peak], column[is_peak]
     # 4 det / trace^2
-    is_round = 4.0 * may_be[row, column] > MIN_ROUNDNESS * trace[row, column]
+    is_round = 4.0 * strength[row, column] > MIN_ROUNDNESS * trace[row, column]
     row, column = row[is_round], column[is_round]
     # A textured picture has tens of thousands of peaks; the strongest are found in other views too.
-    order = np.argsort(-may_be[row, column])[:MAX_GRADIENT_CORNERS]
+    order = np.argsort(-strength[row, column])[:MAX_GRADIENT_CORNERS]
     row, column = row[order], column[order]
     shifts = [
         _parabola_peak(

@@ -75,10 +75,10 @@ def correlated_length(
 def _along(
     segments: Float[np.ndarray, "segments 2 2"], pixels: Float[np.ndarray, "points 2"]
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the segments of the edge points next to them, their places along them, and distances.
+    """Return the segment that each nearby edge point is on, its place along it and its distance.
 
-    Places and distances are px; the places of each segment ascend, and distances to one side are
-    negative. Segments with few points are left out.
+    Places and distances are px. Segments ascend, and so do the places on each; distances to one
+    side are negative. Segments with few points are left out.
     """
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     along = (segments[:, 1] - segments[:, 0]) / lengths[:, None]

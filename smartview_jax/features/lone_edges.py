@@ -51,8 +51,8 @@ def lone_points(points: EdgePoints) -> Bool[np.ndarray, "points"]:
     displaced = np.zeros((rows, columns), dtype=np.uint8)
     for across in SEARCHED_ACROSS:
         # Nothing more is to be found about points that another edge is known to displace.
-        some = np.flatnonzero(displaced[row, column] == 0)
-        p, n = pixels[some], normals[some]
+        candidates = np.flatnonzero(displaced[row, column] == 0)
+        p, n = pixels[candidates], normals[candidates]
         d = np.column_stack([-n[:, 1], n[:, 0]])
         for along, sign in product(SEARCHED_ALONG, (-1.0, 1.0)):
             place = np.rint(p + sign * across * n + along * d).astype(np.int32) + margin
@@ -62,7 +62,7 @@ def lone_points(points: EdgePoints) -> Bool[np.ndarray, "points"]:
             distance = np.abs((gap * n[near]).sum(axis=1))
             is_other = (distance > OTHER_EDGE) & (distance < CLEARANCE)
             is_other &= np.abs((gap * d[near]).sum(axis=1)) <= MAX_ALONG
-            crowded = some[near[is_other]]
+            crowded = candidates[near[is_other]]
             displaced[row[crowded], column[crowded]] = 1
     around = np.ones((2 * SPREAD + 1, 2 * SPREAD + 1), dtype=np.uint8)
     return np.asarray(cv2.dilate(displaced, around))[row, column] == 0

@@ -41,7 +41,7 @@ def grey_levels(picture: np.ndarray, camera: Camera) -> Float[np.ndarray, "rows 
             f"{picture.shape[1]} x {picture.shape[0]} px"
         )
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    counts = np.bincount(grey.ravel(), minlength=256)
+    counts = cv2.calcHist([grey], [0], None, [256], [0.0, 256.0]).ravel().astype(int)
     black, white = float(counts[0]) / grey.size, float(counts[255]) / grey.size
     ranks = np.array([0.01, 0.99]) * (grey.size - 1)
     darkest, brightest = np.searchsorted(np.cumsum(counts), ranks, side="right")

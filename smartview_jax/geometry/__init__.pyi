@@ -11,6 +11,7 @@ from .euler import ypr_from_rotation as ypr_from_rotation
 from .host import host_adjoints as host_adjoints
 from .host import host_cross_matrices as host_cross_matrices
 from .host import host_exponentials as host_exponentials
+from .host import host_inverse_left_jacobians as host_inverse_left_jacobians
 from .host import host_logarithms as host_logarithms
 from .host import host_matrices as host_matrices
 from .host import host_pairwise_rotation_angles as host_pairwise_rotation_angles

@@ -107,17 +107,36 @@ def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarr
     if finite.any():
         t = matrices[finite][:, :3, 3]
         w = Rotation.from_matrix(matrices[finite][:, :3, :3]).as_rotvec()
-        angle = np.linalg.norm(w, axis=1, keepdims=True)
-        # The translation t is V v of the tangent (v, w), and with half the angle, h,
-        #   V^-1 t = t - w x t / 2 + (1 - h cot h) w x (w x t) / angle^2.
-        # At angle zero the last term is exactly zero, whatever the divisor.
-        factor = 1.0 - np.cos(0.5 * angle) / np.sinc(0.5 * angle / np.pi)
-        factor /= np.where(angle > 0.0, angle, 1.0) ** 2
+        # The translation t is V v of the tangent (v, w), with V the left Jacobian at w.
         turned = np.cross(w, t)
+        factor = _inverse_left_jacobian_factors(w)
         tangents[finite] = np.concatenate(
             [t - 0.5 * turned + factor * np.cross(w, turned), w], axis=1
         )
     return tangents
+
+
+def host_inverse_left_jacobians(
+    vectors: Float[np.ndarray, "*batch 3"],
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the inverse left Jacobians of `SO3.exp` at rotation vectors (rad).
+
+    For small d, `log(exp(d) @ exp(vector)) = vector + inverse @ d`.
+    """
+    cross = host_cross_matrices(vectors)
+    factors = _inverse_left_jacobian_factors(vectors)[..., None]
+    return np.eye(3) - 0.5 * cross + factors * (cross @ cross)
+
+
+def _inverse_left_jacobian_factors(
+    vectors: Float[np.ndarray, "*batch 3"],
+) -> Float[np.ndarray, "*batch 1"]:
+    """Return the factor of `[vector]^2` in the inverse left Jacobian."""
+    # J^-1 = I - [w] / 2 + (1 - h cot h) [w]^2 / angle^2, with [w] the matrix of w x and h half the
+    # angle. At angle zero the last term is exactly zero, whatever the divisor.
+    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    factors = 1.0 - np.cos(0.5 * angle) / np.sinc(0.5 * angle / np.pi)
+    return factors / np.where(angle > 0.0, angle, 1.0) ** 2
 
 
 def host_rotation_angles(

@@ -117,7 +117,7 @@ class CalibrationUncertainty(NamedTuple):
         covariance: CalibrationEstimate,
         noise: Noise | None = None,
     ) -> "CalibrationUncertainty":
-        """Return the description for reported poses at which no extrinsics are needed.
+        """Return the description for reported poses, for which no extrinsics are computed.
 
         Args:
             calibration: the calibration of one camera.

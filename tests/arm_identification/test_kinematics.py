@@ -149,5 +149,7 @@ def test_wrong_input_is_named():
         fit_kinematics(joints, poses, start=puma_560())
     with pytest.raises(ValueError, match="NaN"):
         fit_kinematics(np.full((20, 2), np.nan), poses)
+    with pytest.raises(ValueError, match="metres_per_radian: expected a positive number, found 0"):
+        fit_kinematics(joints, poses, metres_per_radian=0.0)
     with pytest.raises(ValueError, match="2 poses give 12 numbers; 16 parameters are free"):
         fit_kinematics(joints[:2], SE3(poses.wxyz_xyz[:2]), start=arm)

@@ -208,6 +208,13 @@ def test_views_that_are_not_enough_for_a_fit_or_an_error_say_so(tmp_path, rig, m
     assert reason == (
         "4 views were taken, but the error is not known yet; not determined yet: the camera's z"
     )
+    small = unknown._replace(error=3e-4, warnings=())
+    monkeypatch.setattr("smartview_jax.capture.session.estimate", lambda *_: small)
+    with rig.session(folder) as session:
+        reason = capture_unattended(session, 4).reason
+    assert reason == (
+        "4 views were taken: 0.3 mm reached, but an error is believed only with 4 more views"
+    )
 
 
 def test_the_missing_views_are_counted_by_their_information():
@@ -216,8 +223,10 @@ def test_the_missing_views_are_counted_by_their_information():
     found = Estimate(10, errors[0], 0.5, None, (), (), tuple(errors[1:]))
     assert found.missing_views(0.501e-3) == 30
     assert found.missing_views(0.9e-3) == 3
-    # Reached, but too few views to be believed; views that bring nothing; nothing planned.
+    # Reached, but too few views to be believed, whatever is planned.
     assert found._replace(views=5).missing_views(2e-3) == 3
+    assert found._replace(views=5, next_errors=()).missing_views(2e-3) == 3
+    # Views that bring nothing; nothing planned.
     assert found._replace(next_errors=(1e-3,)).missing_views(5e-4) is None
     assert found._replace(next_errors=()).missing_views(5e-4) is None
 

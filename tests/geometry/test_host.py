@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from smartview_jax.geometry import (
     host_exponentials,
+    host_inverse_left_jacobians,
     host_logarithms,
     host_matrices,
     host_nearest_rotation,
@@ -52,6 +53,18 @@ def test_angles_between_every_two_rotations_are_scipys():
     of_second = Rotation.from_matrix(second[:, :3, :3])
     expected = [(Rotation.from_matrix(R) * of_second.inv()).magnitude() for R in first[:, :3, :3]]
     np.testing.assert_allclose(host_pairwise_rotation_angles(first, second), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-6, 0.3, 3.0])
+def test_a_small_turn_changes_a_rotation_vector_by_the_inverse_left_jacobian(length):
+    vectors = RNG.normal(size=(4, 3))
+    vectors *= length / np.linalg.norm(vectors, axis=1, keepdims=True)
+    step = 1e-5
+    turns = Rotation.from_rotvec(np.repeat(step * np.concatenate([np.eye(3), -np.eye(3)]), 4, 0))
+    turned = (turns * Rotation.from_rotvec(np.tile(vectors, (6, 1)))).as_rotvec()
+    forward, backward = turned.reshape(2, 3, 4, 3)
+    expected = (forward - backward).transpose(1, 2, 0) / (2.0 * step)
+    np.testing.assert_allclose(host_inverse_left_jacobians(vectors), expected, atol=1e-8)
 
 
 def test_poses_that_are_not_finite_stay_marked_and_spoil_no_others():

@@ -62,7 +62,7 @@ def test_the_correction_fades_beyond_the_data():
     assert "5.0 times as far out" in commands.checks.reasons()[-1]
 
 
-def test_the_expected_pose_is_that_of_the_command_where_the_inversion_stops_short():
+def test_the_expected_pose_belongs_to_the_command_where_the_inversion_stops_short():
     """Errors a thousand times as large shrink to a fifth in every step, not to nothing."""
     error = RobotError(FIELD, to_device(1e3 * COEFFICIENTS))
     # As many poses as a padded request, which has the same program.
