@@ -37,7 +37,7 @@ def test_two_cameras_on_one_hand_are_known_to_each_other():
     assert warning.startswith("the data do not determine left.camera_from_tool.translation.x, ")
     relative = fit.relative("left", "right")
     assert np.isfinite(relative.half_widths()).all()
-    # The twin is the same camera; without what is held both were 0.2 m from where they are.
+    # The twins are one camera, and so at one place.
     assert np.linalg.norm(host_matrices(relative.transform)[:3, 3]) < 4.0 * relative.std[:3].max()
     found, truth = fit.calibrations["left"].camera_from_tool, start.camera_from_tool
     assert np.linalg.norm(found.translation() - truth.translation()) < 0.01
@@ -104,15 +104,14 @@ def test_an_arm_that_turns_about_one_axis_does_not_tell_where_the_other_is(arm):
     prior = Prior(std=1e-3, mean=0.0)
     known = ParameterChoice((), (), {f"{arm}_table.camera_from_tool.translation": prior})
     assert undetermined_motion_of_rig(rig, truths, known, bases, "mounts").held == ()
-    rig_of_arm = rig.of_arm(arm)
-    alone = undetermined_motion_of_rig(
-        rig_of_arm, {n: truths[n] for n in rig_of_arm.cameras}, NOTHING, {}, "mounts"
-    )
+    one_arm = rig.of_arm(arm)
+    truths_of_arm = {name: truths[name] for name in one_arm.cameras}
+    alone = undetermined_motion_of_rig(one_arm, truths_of_arm, NOTHING, {}, "mounts")
     assert alone.held == motion.held
 
 
 def moved(pose, path, step):
-    """The pose after the steps of its parameters; none of those that are not named."""
+    """The pose after the steps of its parameters; parameters that are not named do not move."""
     shift, turn = (
         np.array([step.get(f"{path}.{part}.{axis}", 0.0) for axis in "xyz"])
         for part in ("translation", "rotation")

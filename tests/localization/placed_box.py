@@ -21,14 +21,14 @@ def placed(points, pose=POSE):
 
 MIDDLE = placed(MODEL.vertices.mean(axis=0))
 
-OTHER = POSE.copy()
-"""Of a second box, with some room between both."""
-OTHER[:3, 3] += POSE[:3, :3] @ [0.085, 0.01, 0.0]
+OTHER_POSE = POSE.copy()
+"""The pose of a second box, with some room between both."""
+OTHER_POSE[:3, 3] += POSE[:3, :3] @ [0.085, 0.01, 0.0]
 
 
 def views_of_both():
     """Two views from so far away that the box and a second one next to it are in the picture."""
-    return seen_views(MIDDLE + 0.5 * (OTHER - POSE)[:3, 3], distance=0.6)
+    return seen_views(MIDDLE + 0.5 * (OTHER_POSE - POSE)[:3, 3], distance=0.6)
 
 
 @jax.jit

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 from drawn_edges import calibration, drawn, evidence, together
-from placed_box import MODEL, NOISE, OTHER, POSE, views_of_both
+from placed_box import MODEL, NOISE, OTHER_POSE, POSE, views_of_both
 
 from smartview_jax.engine import Observability
 from smartview_jax.geometry import (
@@ -83,10 +83,12 @@ def test_what_localize_and_the_gripper_share_cancels():
     rng, squares = np.random.default_rng(0), []
     for _ in range(2):
         world = world_moved(SPREAD * rng.standard_normal(6))
-        found = found_in(world, (POSE, OTHER), ESTIMATE, rng)
+        found = found_in(world, (POSE, OTHER_POSE), ESTIMATE, rng)
         assert len(found) == 2
         for one in found:
-            pose = min((POSE, OTHER), key=lambda p: np.linalg.norm((p - one.world_from_object)[:3]))
+            pose = min(
+                (POSE, OTHER_POSE), key=lambda p: np.linalg.norm((p - one.world_from_object)[:3])
+            )
             eta, tau, gripper_from_object, errors = grasp_error(one, pose, world)
             stated = error_covariance(one, gripper_from_object, errors)
             # The object errs by millimetres, and the gripper with it.

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from drawn_edges import calibration, drawn, evidence, together
-from placed_box import MODEL, NOISE, OTHER, POSE, views_of_both
+from placed_box import MODEL, NOISE, OTHER_POSE, POSE, views_of_both
 from scipy.linalg import block_diag
 
 from smartview_jax.evaluation import mean_nees, nees
@@ -83,12 +83,14 @@ def test_all_objects_tell_of_the_calibrations_error(views, uncertainty, prepared
         true = views._replace(camera_from_world=twists @ views.camera_from_world)
         pictures = together(
             drawn(MODEL, true, POSE, 0.05, rng),
-            drawn(MODEL, true, OTHER, 0.3, rng, hidden=few),
+            drawn(MODEL, true, OTHER_POSE, 0.3, rng, hidden=few),
         )
         scene = scene_of(views, pictures)
-        before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER)]
+        before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER_POSE)]
         after = refined_together(before, scene, [prepared], uncertainty)
-        errors = np.array([error_of(one, p) for one, p in zip(after, (POSE, OTHER), strict=True)])
+        errors = np.array(
+            [error_of(one, p) for one, p in zip(after, (POSE, OTHER_POSE), strict=True)]
+        )
         squares += list(nees(errors, np.array([one.covariance for one in after])))
         gains.append(
             np.linalg.slogdet(after[1].covariance)[1] - np.linalg.slogdet(before[1].covariance)[1]
@@ -113,9 +115,11 @@ UNCERTAIN = dataclasses.replace(
 def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model):
     """Least squares with the errors of the calibration and the model's as unknowns, for both."""
     rng, prepared = np.random.default_rng(2), Prepared.of(model)
-    pictures = together(drawn(MODEL, views, POSE, 0.2, rng), drawn(MODEL, views, OTHER, 0.2, rng))
+    pictures = together(
+        drawn(MODEL, views, POSE, 0.2, rng), drawn(MODEL, views, OTHER_POSE, 0.2, rng)
+    )
     scene = scene_of(views, pictures)
-    before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER)]
+    before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER_POSE)]
     after = refined_together(before, scene, [prepared], uncertainty)
     own = [one.refined.equations for one in after]
     J = block_diag(*(one.by_pose for one in own))
