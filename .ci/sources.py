@@ -26,6 +26,11 @@ RECORD = ROOT / ".ci" / "verified.json"
 ALWAYS = [PACKAGE / "__init__.py", PACKAGE / "__init__.pyi", PACKAGE / "samples"]
 """Files and folders that are read by everything that imports the package."""
 
+PAGE_WRITERS = {
+    PACKAGE / name for name in ("calibration_pipeline.py", "joint/pose_fit.py", "joint/rig_fit.py")
+}
+"""Results whose `report` writes a page: only what calls it needs the room `report`."""
+
 VERSIONS = [ROOT / "pyproject.toml", ROOT / ".ci" / "constraints.txt"]
 
 OPENCV_ROOMS = ("detection", "io", "simulation", "cameras", "features", "recordings")
@@ -119,6 +124,16 @@ def imported_files(file: Path) -> frozenset[Path]:
         and node.value.id in package_names
         and node.attr in public_names()
     }
+    report = public_names()["report"]
+    methods = {
+        node.func.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+    }
+    if file in PAGE_WRITERS:
+        modules.discard(report)
+    elif "report" in methods:
+        modules.add(report)
     for module in list(modules):
         package, _, name = module.partition(".")
         if package == PACKAGE.name and name in public_names():

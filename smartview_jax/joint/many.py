@@ -61,7 +61,8 @@ class ManyFits(eqx.Module):
         calibrations: one `Calibration` whose arrays are stacked; `fits[k]` is the k-th.
         pose_corrections: as in `JointFit`; zero for the views that other data sets have more.
         covariance: covariance of the free common parameters, in the order of `parameter_names`;
-            infinite if the data do not determine all of them.
+            infinite if the data do not determine all of them. Unlike `fit_joint`'s, it does not
+            contain errors of held values and priors that the pictures contradict.
         cost: half the sum of squared residuals in pixel sigmas, at the end.
         steps: number of solver steps.
         converged: whether a further step would lower the cost by a negligible amount.

@@ -71,9 +71,8 @@ def test_only_the_tables_say_rms(fit):
 
 
 def test_every_warning_is_said_in_text_and_in_a_notebook(fit):
-    doubtful = type(fit).of(
-        fit.staged, dataclasses.replace(fit.joint, warnings=("the lens is < too simple",))
-    )
+    joint = dataclasses.replace(fit.joint, warnings=("the lens is < too simple",))
+    doubtful = type(fit).of(fit.staged, joint, fit.data)
     assert "warning: the lens is < too simple" in str(doubtful)
     assert "warning: the lens is &lt; too simple" in doubtful._repr_html_()
     assert doubtful._repr_html_().count("<tr>") > 15

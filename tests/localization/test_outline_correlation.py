@@ -9,6 +9,7 @@ from smartview_jax.localization.outline_correlation import light_correlations, v
 from smartview_jax.localization.pose_equations import CommonErrors, PoseEquations
 
 OUTLINES = 60
+SCENES = 60
 NO_ERRORS = CommonErrors(np.zeros((0, 0)), np.zeros((0, 0)))
 
 
@@ -62,11 +63,13 @@ def test_edges_of_two_views_and_of_no_outline_err_by_themselves():
 def test_the_covariance_of_a_pose_has_what_neighbouring_outlines_have_in_common():
     rng = np.random.default_rng(2)
     errors, covariances, without = [], [], []
-    for _ in range(60):
+    for _ in range(SCENES):
         equations = outlines_of(rng)
         # An error of 0.02 px of each outline, and 0.05 px of all that look the same way.
-        shared = light_correlations(equations)
-        alike = rng.multivariate_normal(np.zeros(OUTLINES), 0.05**2 * shared)
+        # The symmetric root is unique: the draws are the same on every machine.
+        sizes, axes = np.linalg.eigh(light_correlations(equations))
+        root = (axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T
+        alike = 0.05 * root @ rng.standard_normal(OUTLINES)
         residuals = 0.02 * rng.standard_normal(2 * OUTLINES)
         residuals[::2] += alike
         drawn = equations._replace(residuals=residuals)

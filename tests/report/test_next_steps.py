@@ -57,6 +57,6 @@ def test_a_fit_that_failed_is_not_judged_by_its_numbers(fit, data):
     failed = dataclasses.replace(
         fit.joint, result=FitResult(FitCode.STOPPED_EARLY, "ran out of steps")
     )
-    sentences = next_steps(type(fit).of(fit.staged, failed), data, error_summaries(fit, data))
+    sentences = next_steps(type(fit).of(fit.staged, failed, data), data, error_summaries(fit, data))
     assert len(sentences) == 1
     assert "rejected views" in sentences[0]
