@@ -77,8 +77,8 @@ def target_findings(rig: Rig, seen: Mapping[str, SeenTarget]) -> TargetFindings:
         if turned is not None:
             problems.append(turned)
             continue
-        _, *poses = states_in_common(rig, first, second, seen)
-        displacement = _displacement(*poses, roughly)
+        _, in_first, in_second = states_in_common(rig, first, second, seen)
+        displacement = _displacement(in_first, in_second, roughly)
         if displacement is None:
             continue
         points = _points(rig, second)
