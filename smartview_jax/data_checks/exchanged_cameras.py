@@ -6,21 +6,24 @@ K^-1. Each camera by itself then seems to have been moved to another place and b
 """
 
 from collections.abc import Mapping
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import betaln
 
+from ..argument_checks import listed
 from ..dataset import Rig
 from ..geometry import host_logarithms, mean_matrix
 from .closure import Poses
-from .rig_states import MIN_COMMON_STATES, SeenTarget, states_in_common
+from .rig_states import (
+    MAX_CHANCE,
+    MIN_COMMON_STATES,
+    SeenTarget,
+    pairs_with_one_target,
+    states_in_common,
+)
 from .transform_fit import misfit_text, misfits
-
-MAX_CHANCE = 1e-6
-"""Probability by chance below which exchanged pictures are said, as a displaced target is."""
 
 MAX_LEFT_OVER = 0.5
 """Largest share of the misfit that exchanged pictures may leave over, in all and in each state."""
@@ -53,22 +56,19 @@ def exchanged_cameras(rig: Rig, seen: Mapping[str, SeenTarget]) -> tuple[str, ..
         seen: the target as each camera sees it; cameras that are not listed are not compared.
     """
     sentences = []
-    for first, second in combinations(seen, 2):
-        if rig.targets[first] != rig.targets[second] or rig.arms[first] != rig.arms[second]:
-            continue
+    for first, second in pairs_with_one_target(rig, seen):
         states, *poses = states_in_common(rig, first, second, seen)
         exchange = _exchange(poses[1] @ np.linalg.inv(poses[0]))
         if exchange is None:
             continue
         names = [rig.view_ids[state] for state in states[exchange.exchanged]]
-        more = f" and {len(names) - MAX_NAMED_STATES} more" * (len(names) > MAX_NAMED_STATES)
         given, corrected = (
             misfit_text(misfits(closure).mean(axis=0))
             for closure in (exchange.given, exchange.corrected)
         )
         sentences.append(
             f"the pictures of cameras {first!r} and {second!r} are exchanged in {len(names)} of "
-            f"{len(states)} states ({', '.join(names[:MAX_NAMED_STATES])}{more}), or in the "
+            f"{len(states)} states ({listed(names, MAX_NAMED_STATES)}), or in the "
             f"others: the relative pose of the cameras then varies by {corrected} instead of "
             f"{given} (means over the states). Exchange them there"
         )
@@ -96,12 +96,14 @@ def _exchange(relative: Poses) -> _Exchange | None:
     corrected = np.where(exchanged[:, None, None], both[1], both[0])
     given, corrected = (_about_mean(poses) for poses in (relative, corrected))
     # In units in which rotation and translation of the corrected poses scatter alike.
-    scale = np.repeat(np.maximum(np.sqrt(_parts(corrected).mean(axis=0)), 1e-9), 3)
-    before, after = (_squares(poses, scale) for poses in (given, corrected))
+    twists = host_logarithms(corrected)
+    parts = np.sqrt((twists**2).reshape(-1, 2, 3).mean(axis=(0, 2)))
+    scale = np.repeat(np.maximum(parts, 1e-9), 3)
+    before, after = _squares(given, scale), np.sum((twists / scale) ** 2, axis=-1)
     is_explained = (after <= MAX_LEFT_OVER * before)[exchanged].all()
     if not is_explained or after.sum() > MAX_LEFT_OVER * before.sum():
         return None
-    freedom = _dimensions(host_logarithms(corrected) / scale) * (count - 1)
+    freedom = _dimensions(twists / scale) * (count - 1)
     # Exact poses leave nothing over.
     log_chance = _log_chance(before.sum() / max(after.sum(), 1e-9), freedom)
     # Each state may be exchanged or not: two to the number of states chances.
@@ -137,11 +139,6 @@ def _log_chance(ratio: float, freedom: float) -> float:
 def _about_mean(poses: Poses) -> Poses:
     """Return poses in the axes of their mean."""
     return np.linalg.inv(mean_matrix(poses, np.ones(len(poses)))) @ poses
-
-
-def _parts(poses: Poses) -> Float[np.ndarray, "states 2"]:
-    """Return the mean squares of translation and rotation of each pose."""
-    return (host_logarithms(poses) ** 2).reshape(-1, 2, 3).mean(axis=2)
 
 
 def _squares(

@@ -21,18 +21,19 @@ from .closure import Poses, closure_error, relative_motions
 from .transform_fit import Matrix, fit_transforms
 
 MAX_HAND_SHARE = 0.5
-"""Largest distance from the tool of what is on a hand, over the median distance of tool and base.
+"""Largest distance between the tool and a camera or target that it carries, relative to the reach.
 
-An arm does not carry a thing half as far from its flange as the arm itself reaches. A camera or a
-target close to the base alone says nothing: many base frames are set at the table, even at the
-target.
+The reach is the median distance of the tool from the base. An arm does not carry a thing half as
+far from its flange as the arm itself reaches. A camera or a target close to the base alone says
+nothing: many base frames are set at the table, even at the target.
 """
 
 MAX_DISTANCE_RATIO = 2.0
-"""Largest ratio of the distance of what is on a hand from the tool to the other's from the base.
+"""Largest ratio of two distances, if the poses are not inverted.
 
-A target on a long tool may be as far from the tool as a camera that stands close to the arm is from
-the base.
+They are between the tool and the camera or target that it carries, and between the base and the one
+that stands in the cell. A target on a long tool may be as far from the tool as a camera that stands
+close to the arm is from the base.
 """
 
 

@@ -28,11 +28,14 @@ from ..geometry import (
 from .closure import Poses
 from .exchanged_cameras import exchanged_cameras
 from .given_poses import target_turns
-from .rig_states import MIN_COMMON_STATES, SeenTarget, states_in_common
+from .rig_states import (
+    MAX_CHANCE,
+    MIN_COMMON_STATES,
+    SeenTarget,
+    pairs_with_one_target,
+    states_in_common,
+)
 from .transform_fit import Matrix, misfit_text, misfits
-
-MAX_CHANCE = 1e-6
-"""Probability of a displacement by chance below which it is said, as of arms that disagree."""
 
 MAX_LEFT_OVER = 0.5
 """Largest share of the misfit that an explanation may leave over: it must explain most of it."""
@@ -68,9 +71,7 @@ def target_findings(rig: Rig, seen: Mapping[str, SeenTarget]) -> TargetFindings:
     if exchanged:
         return TargetFindings(exchanged, tuple(doubts))
     problems: list[str] = []
-    for first, second in combinations(seen, 2):
-        if rig.targets[first] != rig.targets[second] or rig.arms[first] != rig.arms[second]:
-            continue
+    for first, second in pairs_with_one_target(rig, seen):
         places = [seen[name].holder_from_world for name in (first, second)]
         roughly = np.linalg.inv(places[0]) @ places[1]
         turned = _numbering(rig, first, second, roughly)

@@ -1,6 +1,7 @@
 """Hold what cameras of a rig see of their targets, and find the states that two of them saw."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,10 @@ from .transform_fit import Matrix
 
 MIN_COMMON_STATES = 6
 """Fewest states in common that tell a displaced target from noise."""
+
+MAX_CHANCE = 1e-6
+"""Probability by chance below which a displaced target or exchanged pictures are said, as of arms
+that disagree."""
 
 
 class SeenTarget(NamedTuple):
@@ -26,6 +31,13 @@ class SeenTarget(NamedTuple):
     views: Int[np.ndarray, "used"]
     camera_from_world: Poses
     holder_from_world: Matrix
+
+
+def pairs_with_one_target(rig: Rig, cameras: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names of every two of some cameras that see one target and share an arm."""
+    for first, second in combinations(cameras, 2):
+        if rig.targets[first] == rig.targets[second] and rig.arms[first] == rig.arms[second]:
+            yield first, second
 
 
 def states_in_common(

@@ -400,7 +400,7 @@ class _Search(NamedTuple):
         """Return the search for a hypothesis."""
         rotations = np.tile(np.eye(6), (len(tool_from_base), 1, 1))
         if hypothesis.frame == "base":
-            rotations[:, :3, :3] = rotations[:, 3:, 3:] = tool_from_base
+            rotations = _twist_rotations(tool_from_base)
         # H is the logarithm of variances, twice the logarithm of standard deviations.
         precision = (2.0 * np.log(prior.axis_geometric_std)) ** -2
         return cls(
