@@ -10,8 +10,7 @@ from jaxlie import SE3, SO3
 from jaxtyping import Array, Float
 
 from ..calibration import Calibration
-from ..geometry import host_matrices
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import as_float_array
 from ..runtime.compilation import is_traced
 
 
@@ -27,20 +26,19 @@ def touching_pose(
         world_from_tool: `(*touches)` orientations of the tool.
         point: point to touch, or one for each orientation, m; by default the origin.
     """
-    # touched_point = R tip + t, so t = touched_point - R tip.
-    if not is_traced(tip, world_from_tool, point):
-        # NumPy has no program to compile.
-        wxyz = np.asarray(world_from_tool.wxyz)
-        at_origin = to_device(np.concatenate([wxyz, 0.0 * wxyz[..., 1:]], axis=-1))
-        rotations = host_matrices(SE3(at_origin))
-        translations = (np.zeros(3) if point is None else point) - rotations[..., :3, :3] @ tip
-        return SE3(to_device(np.concatenate([wxyz, translations], axis=-1)))
-    touched_point = jnp.zeros(3) if point is None else jnp.asarray(point)
-    rotated_tip = world_from_tool.apply(
-        jnp.broadcast_to(tip, (*world_from_tool.get_batch_axes(), 3))
+    # NumPy has no program to compile.
+    xp = jnp if is_traced(tip, world_from_tool, point) else np
+    wxyz = xp.asarray(world_from_tool.wxyz)
+    tips, points = (
+        xp.broadcast_to(xp.asarray(position), (*wxyz.shape[:-1], 3))
+        for position in (tip, np.zeros(3) if point is None else point)
     )
-    translation = jnp.broadcast_to(touched_point, rotated_tip.shape) - rotated_tip
-    return SE3.from_rotation_and_translation(world_from_tool, translation)
+    # point = R tip + t, so t = point - R tip, where for the unit quaternion (w, v)
+    #     R tip = tip + 2 (w v x tip + v x (v x tip)).
+    across = xp.cross(wxyz[..., 1:], tips)
+    turned = tips + 2.0 * (wxyz[..., :1] * across + xp.cross(wxyz[..., 1:], across))
+    numbers = xp.concatenate([wxyz, points - turned], axis=-1)
+    return SE3(as_float_array(numbers))
 
 
 def stylus_error(
