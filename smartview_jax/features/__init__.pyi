@@ -9,6 +9,7 @@ from .features import Features as Features
 from .features import find as find
 from .gradient import SMOOTHED_LENGTH as SMOOTHED_LENGTH
 from .gradient import SMOOTHING as SMOOTHING
+from .groups import grouped_indices as grouped_indices
 from .ideal_plane import IdealPlane as IdealPlane
 from .lone_edges import CLEARANCE as CLEARANCE
 from .lone_edges import lone_points as lone_points

@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from .edge_points import EdgePoints
 from .gradient import SMOOTHED_LENGTH
+from .groups import grouped_indices
 
 MIN_LENGTH = 24.0
 """Length of the shortest segment that is measured, px: some lengths of smoothing."""
@@ -84,8 +85,7 @@ def _along(
     along = (segments[:, 1] - segments[:, 0]) / lengths[:, None]
     # Circles about middles `MIDDLES_APART` px apart cover what is within `REACH` of a segment.
     counts = np.ceil(lengths / MIDDLES_APART).astype(int) + 1
-    owner = np.repeat(np.arange(len(segments)), counts)
-    steps = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    owner, steps = grouped_indices(counts)
     middles = segments[owner, 0] + MIDDLES_APART * steps[:, None] * along[owner]
     pairs = KDTree(middles).sparse_distance_matrix(
         KDTree(pixels), float(np.hypot(0.5 * MIDDLES_APART, REACH)), output_type="ndarray"
@@ -132,7 +132,6 @@ def _near_pairs(
     # One after the other, the segments are farther apart than any two places of a pair.
     starts, apart = np.arange(len(places)), places.max(initial=0.0) + 2.0 * MAX_LAG
     counts = np.searchsorted(places + apart * line, places + apart * line + MAX_LAG) - starts
-    first = np.repeat(starts, counts)
     # The pairs of each place begin with itself.
-    steps = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+    first, steps = grouped_indices(counts)
     return first, first + steps

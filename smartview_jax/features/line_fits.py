@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from .groups import grouped_indices
+
 BAND_HALF_WIDTHS = (2.5, 1.5, 1.2)
 """Largest distances of edge points from the line, px, in successive fits."""
 
@@ -132,9 +134,9 @@ class PointGrid:
         parts = [(np.zeros(0, dtype=int), np.zeros(0, dtype=int))]
         for batch in np.unique(batches):
             some = np.flatnonzero(batches == batch)
-            line = np.repeat(some, counts[some])
-            starts = np.cumsum(counts[some]) - counts[some]
-            step = lows[line] + np.arange(len(line)) - np.repeat(starts, counts[some])
+            member, place = grouped_indices(counts[some])
+            line = some[member]
+            step = lows[line] + place
             across = centres[line, 1 - major[line]]
             across = across + slope[line] * (step - centres[line, major[line]])
             minor = np.rint(across).astype(int)[:, None] + offsets

@@ -21,6 +21,7 @@ from .edge_correlation import correlated_length
 from .edge_points import EdgePoints, find_edge_points
 from .features import Features, features_from_edge_points
 from .gradient import SMOOTHED_LENGTH, Gradient
+from .groups import grouped_indices
 from .ideal_plane import IdealPlane
 from .lone_edges import lone_points
 from .picture_checks import grey_levels
@@ -257,8 +258,7 @@ def _points_on_segments(
     starts, spans = ends[:, 0], ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(spans, axis=1)
     counts = np.maximum(2, np.ceil(lengths).astype(int) + 1)
-    index = np.repeat(np.arange(len(starts)), counts)
-    place = np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)
+    index, place = grouped_indices(counts)
     along = (place / (counts - 1)[index])[:, None]
     # The lighter side is to the left as seen in the picture, where v points down.
     directions = spans / np.maximum(lengths, 1e-9)[:, None]

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..features import grouped_indices
 from ..geometry import spiral_directions
 from ..modeling import ObjectModel, faces_by_edge
 from .curves import Curves
@@ -160,8 +161,7 @@ class OutlineSamples(NamedTuple):
         starts, ends = model.vertices[pairs].transpose(1, 0, 2)
         lengths = np.linalg.norm(ends - starts, axis=1)
         counts = np.maximum(1, np.rint(density * lengths).astype(int))
-        owners = np.repeat(np.arange(len(pairs)), counts)
-        order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+        owners, order = grouped_indices(counts)
         along = (ends - starts)[owners] / counts[owners, None]
         places = (order + 0.5) / counts[owners]
         points = starts[owners] + (order + 0.5)[:, None] * along

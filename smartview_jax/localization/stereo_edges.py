@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from ..features import Features, IdealPlane
+from ..features import Features, IdealPlane, grouped_indices
 from ..modeling import ObjectModel
 
 MIN_OVERLAP, MIN_OVERLAP_OF_LONGER = 0.5, 0.25
@@ -236,8 +236,7 @@ def _alike(
     angles = np.arccos(np.clip(in_model.cosine, -1.0, 1.0))
     bounds = [np.cos(np.clip(angles + e, 0.0, np.pi)) for e in (MAX_ANGLE_ERROR, -MAX_ANGLE_ERROR)]
     first, last = (np.searchsorted(in_space.cosine[order], bound) for bound in bounds)
-    b = np.repeat(np.arange(len(angles)), last - first)
-    place = np.arange(len(b)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
+    b, place = grouped_indices(last - first)
     a = order[first[b] + place]
     near = np.abs(in_space.distance[a] - in_model.distance[b]) < MAX_DISTANCE_ERROR * extent
     a, b = a[near], b[near]

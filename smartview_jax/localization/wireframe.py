@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..features import grouped_indices
 from ..modeling import Face, ObjectModel, shape_sigma
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import one_program
@@ -218,9 +219,7 @@ def _sampled_curves(
         size *= 2
         counts = _counts(lengths, size, per_edge)
     counts = np.asarray(counts, int)
-    owners = np.repeat(np.arange(len(lengths)), counts)
-    # The rank of each sample on its curve.
-    order = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+    owners, order = grouped_indices(counts)
     return size, owners, (lengths / counts)[owners], (order + 0.5) / counts[owners]
 
 
