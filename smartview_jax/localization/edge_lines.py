@@ -13,7 +13,6 @@ Points that another edge displaces are left out: near other edges of the model a
 other points remain, next to any other edge of the picture, such as the border of a shadow.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -24,6 +23,17 @@ from ..cameras import AnyCamera, camera_axes
 from ..features import CLEARANCE
 from ..runtime.array_namespace import AnyArray
 from ..runtime.compilation import compiled_optimised
+from .edge_line_fit import (
+    MIN_SHARE,
+    EdgeSamples,
+    FittedLines,
+    fitted_lines,
+    point_variance,
+    positive,
+    robust_weights,
+    undisplaced,
+    visible_samples,
+)
 from .edge_lookup import DEPTH_CELL_PX, EdgeLookup
 from .outlines import with_outline
 from .prediction import centre_in_object, predict_view, within_picture
@@ -49,9 +59,6 @@ nearest edge point is chosen."""
 MIN_ALIGNMENT = 0.9
 """Smallest cosine, about 25 degrees, between an edge point's gradient and the edge's normal."""
 
-MIN_POINT_SIGMA = 0.03
-"""Smallest standard deviation of an edge point, px; a smaller estimate is not believed."""
-
 MODEL_SIGMA = 0.003
 """Standard deviation of a whole line's position, px, no matter how many points it has, where the
 object is exactly as its model."""
@@ -63,9 +70,6 @@ points are displaced or have neither direction."""
 MIN_EDGE_PX = 8.0
 """Visible length, px, below which an edge is not measured."""
 
-MIN_SHARE = 0.25
-"""Smallest share of an edge's visible length with edge points for a line to be fitted."""
-
 MIN_LINE_POINTS = 4.0
 """Smallest number of samples in a line: two more than its two numbers."""
 
@@ -73,9 +77,6 @@ HIDING_DEPTH = 0.01
 """Share of its depth by which a point must be behind a known surface to be hidden by it.
 
 Objects touch, and the surface is known in cells of `DEPTH_CELL_PX` only."""
-
-ROBUST_SCALES = (12.0, 4.0, 1.5, 0.6)
-"""Scales of the robust line fit's rounds, px, each limited by the search radius."""
 
 
 class EdgeLines(NamedTuple):
@@ -154,106 +155,112 @@ def edge_lines(
     view = predict_view(wireframe, camera, camera_from_object)
     in_sight = view.sample_visible & lookup.valid
     behind = in_sight & _is_behind(wireframe, lookup, camera_from_object, view.samples)
-    visible = in_sight & ~behind
-    places = view.samples
-    # The gradient of a blurred disc of radius R peaks s^2 / 2R inside its border, because more than
-    # half of the neighbourhood of a point on a circle is outside the circle.
-    if view.bends is not None:
-        places = places + 0.5 * EDGE_BLUR**2 * view.bends
-    p = jnp.where(visible[:, None], places, 0.0)
-    d = jnp.where(visible[:, None], view.directions, 0.0)
-    n = jnp.stack([-d[:, 1], d[:, 0]], axis=1)
-    r, point = _nearest_along_normals(lookup, p, n, d, radius)
-    has_point = visible & jnp.isfinite(r)
+    samples = visible_samples(wireframe, view, in_sight & ~behind)
+    r, point = _nearest_along_normals(lookup, samples.p, samples.n, samples.d, radius)
+    has_point = samples.visible & jnp.isfinite(r)
     r = jnp.where(has_point, r, 0.0)
-    place = wireframe, camera, camera_from_object
-    J = _by_pose(*place, n, visible)
-    edges, px = wireframe.sample_curves, jnp.where(visible, view.sample_px, 0.0)
-    # A product with a 0/1 matrix compiles in a fraction of a scatter's time.
-    membership = (edges[None] == jnp.arange(wireframe.curve_count)[:, None]).astype(r.dtype)
+    gap, turned_gap = _gaps_to_others(wireframe, view.vertices, view.edge_px, samples)
+    clear = undisplaced(samples, has_point & (gap > CLEARANCE), lookup.lone[point])
+    line = fitted_lines(samples, r, robust_weights(samples, r, clear.astype(r.dtype), radius))
 
-    def over_edges(values: Float[Array, "S *k"]) -> Float[Array, "E *k"]:
-        return membership @ values
+    def by_pose(directions: Float[Array, "S 2"]) -> Float[Array, "S 6"]:
+        return _by_pose(wireframe, camera, camera_from_object, directions, samples.visible)
 
-    # Positions along the edge, from the mean of its visible samples.
-    middle = over_edges(px[:, None] * p) / _positive(over_edges(px))[:, None]
-    t = ((p - middle[edges]) * d).sum(axis=1)
-    gap, turned_gap = _gaps_to_others(wireframe, view.vertices, view.edge_px, p, d)
-    clear = has_point & (gap > CLEARANCE)
-    # In texture most points have another edge next to them; there all points are used.
-    lone = clear & lookup.lone[point]
-    are_enough = over_edges(jnp.where(lone, px, 0.0)) >= MIN_SHARE * over_edges(px)
-    clear = jnp.where(are_enough[edges], lone, clear)
-    weights = _robust_weights(over_edges, edges, t, r, clear.astype(r.dtype), radius)
-    # a = sum w r / W,  b = sum w (t - t_mean) r / S,  S = sum w (t - t_mean)^2
-    W = _positive(over_edges(weights))
-    t = t - (over_edges(weights * t) / W)[edges]
-    S = _positive(over_edges(weights * t**2))
-    spread = jnp.sqrt(S / W)
-    combination = jnp.stack([weights / W[edges], weights * t * (spread / S)[edges]])
-    numbers = jnp.stack([over_edges(row * r) for row in combination], axis=1)
-    by_pose = jnp.stack([over_edges(row[:, None] * J) for row in combination], axis=1)
-    rest = r - numbers[edges, 0] - numbers[edges, 1] * t / spread[edges]
-    found_px = over_edges(px * weights)
-    independent = jnp.maximum(jnp.minimum(W, found_px / lookup.correlated_lengths), 1.0)
-    # Two numbers of the line are fitted to this many independent points.
-    variance = over_edges(weights * rest**2) / W
-    variance = variance * independent / jnp.maximum(independent - 2.0, 1.0)
-    variance = jnp.maximum(variance, MIN_POINT_SIGMA**2)
+    J = by_pose(samples.n)
+    sums, px = samples.sums, samples.px
+    found_px, visible_px = sums(px * line.weights), sums(px)
+    measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
+    measured &= line.total_weight >= MIN_LINE_POINTS
+    strengths = sums(line.weights * lookup.strengths[point]) / line.total_weight
     # The line as a whole may be off by so much at either end, independently. The derivative of the
     # distance by a shift of the object is the number of pixels to a metre.
-    px_per_metre = over_edges(combination[0] * jnp.linalg.norm(J[:, :3], axis=1))
+    px_per_metre = sums(line.combination[0] * jnp.linalg.norm(J[:, :3], axis=1))
     tolerance = wireframe.tolerance * px_per_metre
-    tilted = jnp.minimum(2.0 * spread / jnp.maximum(found_px, 1.0), 1.0)
-    visible_px = over_edges(px)
-    measured = (visible_px >= MIN_EDGE_PX) & (found_px >= MIN_SHARE * visible_px)
-    # The blur rounds corners: what is missing there is no evidence against the object.
-    counted_px = jnp.where(has_point | (turned_gap > ROUNDED_REACH), px, 0.0)
-    measured &= W >= MIN_LINE_POINTS
-    strengths = over_edges(weights * lookup.strengths[point]) / W
     whole = MODEL_SIGMA**2 + tolerance**2
     by_light = None
     if wireframe.smooth is not None:
-        centre, along = centre_in_object(camera_from_object), _by_pose(*place, d, visible)[:, :3]
-        shifts = shading_shifts(wireframe, centre, J[:, :3], along)
-        points = (lookup.strengths > 0.0).astype(r.dtype).sum()
-        usual = jnp.sqrt((lookup.strengths**2).sum() / jnp.maximum(points, 1.0))
-        whole = whole + (over_edges(combination[0] * shifts) * usual / _positive(strengths)) ** 2
-        # One light shades all outlines of a view: towards the brighter side where the surface is
-        # brighter than the ground, away from it where it is darker.
-        assert wireframe.sample_radii is not None
-        brighter = jnp.sign((lookup.normals[point] * n).sum(axis=1))
-        inwards = jnp.where(wireframe.sample_radii > 0.0, shifts * brighter, 0.0)
-        by_light = jnp.stack([over_edges(row * inwards) for row in combination], axis=1)
-        by_light = by_light * (LIGHT_SIGMA / _positive(strengths))[:, None]
+        centre = centre_in_object(camera_from_object)
+        shifts = shading_shifts(wireframe, centre, J[:, :3], by_pose(samples.d)[:, :3])
+        whole = whole + _light_variance(samples, line, lookup, shifts, strengths)
+        by_light = _by_light(wireframe, samples, line, lookup.normals[point], shifts, strengths)
         by_light = jnp.where(measured[:, None], by_light, 0.0)
+    variance, independent = point_variance(samples, line, found_px / lookup.correlated_lengths)
+    tilted = jnp.minimum(2.0 * line.spread / jnp.maximum(found_px, 1.0), 1.0)
     variances = jnp.stack(
         [variance / independent + whole, variance / independent + whole * tilted**2], axis=1
     )
+    # The blur rounds corners: what is missing there is no evidence against the object.
+    counted_px = jnp.where(has_point | (turned_gap > ROUNDED_REACH), px, 0.0)
     keep = measured[:, None]
     in_picture = (wireframe.vertex_mask & within_picture(view.vertices, camera)).sum()
     return EdgeLines(
-        jnp.where(keep, numbers, 0.0),
+        jnp.where(keep, line.numbers, 0.0),
         jnp.where(keep, variances, 1.0),
-        jnp.where(keep[..., None], by_pose, 0.0),
+        jnp.where(keep[..., None], line.combined(samples, J), 0.0),
         measured,
-        over_edges(counted_px),
-        over_edges(jnp.where(has_point, px, 0.0)),
+        sums(counted_px),
+        sums(jnp.where(has_point, px, 0.0)),
         jnp.where(measured, found_px, 0.0),
         jnp.where(measured, strengths, 0.0),
         jnp.sqrt(variance),
         jnp.where(measured, tolerance * jnp.sqrt(1.0 + tilted**2), 0.0),
-        p,
+        samples.p,
         px,
-        n,
+        samples.n,
         jnp.where(has_point, r, jnp.nan),
-        jnp.where(measured[edges][None], combination, 0.0),
+        jnp.where(measured[samples.edges][None], line.combination, 0.0),
         point,
         in_picture / wireframe.vertex_mask.sum(),
         jnp.where(behind, view.sample_px, 0.0).sum(),
         None if wireframe.smooth is None else (wireframe.samples, wireframe.sample_curves),
         by_light,
     )
+
+
+def _light_variance(
+    samples: EdgeSamples,
+    line: FittedLines,
+    lookup: EdgeLookup,
+    shifts: Float[Array, "S"],
+    strengths: Float[Array, "E"],
+) -> Float[Array, "E"]:
+    """Return the variance of outlines by shading with the picture's usual contrast, px^2.
+
+    Args:
+        samples: of the outlines.
+        line: fitted to them.
+        lookup: edge points of the picture.
+        shifts: of the samples by shading, as of `shading_shifts`.
+        strengths: mean gradients of the lines' points.
+    """
+    points = (lookup.strengths > 0.0).astype(strengths.dtype).sum()
+    usual = jnp.sqrt((lookup.strengths**2).sum() / jnp.maximum(points, 1.0))
+    return (samples.sums(line.combination[0] * shifts) * usual / positive(strengths)) ** 2
+
+
+def _by_light(
+    wireframe: Wireframe,
+    samples: EdgeSamples,
+    line: FittedLines,
+    gradients: Float[Array, "S 2"],
+    shifts: Float[Array, "S"],
+    strengths: Float[Array, "E"],
+) -> Float[Array, "E 2"]:
+    """Return how a light of one standard deviation changes the two numbers of outlines, px.
+
+    One light shades all outlines of a view: towards the brighter side where the surface is brighter
+    than the ground, away from it where it is darker.
+
+    Args:
+        wireframe: with radii of curvature.
+        samples, line, shifts, strengths: as in `_light_variance`.
+        gradients: directions of the gradients at the samples' edge points.
+    """
+    assert wireframe.sample_radii is not None
+    brighter = jnp.sign((gradients * samples.n).sum(axis=1))
+    inwards = jnp.where(wireframe.sample_radii > 0.0, shifts * brighter, 0.0)
+    numbers = line.combined(samples, inwards[:, None])[..., 0]
+    return numbers * (LIGHT_SIGMA / positive(strengths))[:, None]
 
 
 def _is_behind(
@@ -297,17 +304,11 @@ def _by_pose(
     return jnp.where(visible[:, None], jnp.concatenate([g, jnp.cross(p, g)], axis=1), 0.0)
 
 
-def _positive(values: Array) -> Array:
-    """Return values with zeros replaced by ones, to be divided by."""
-    return jnp.where(values > 0.0, values, 1.0)
-
-
 def _gaps_to_others(
     wireframe: Wireframe,
     vertices: Float[Array, "V 2"],
     edge_px: Float[Array, "E"],
-    p: Float[Array, "S 2"],
-    d: Float[Array, "S 2"],
+    samples: EdgeSamples,
 ) -> tuple[Float[Array, "S"], Float[Array, "S"]]:
     """Return how far samples are from all visible edges but their own edge or rim, px.
 
@@ -318,20 +319,19 @@ def _gaps_to_others(
         wireframe: of the model.
         vertices: pixels of the vertices.
         edge_px: visible lengths of the edges, px.
-        p: pixels of the samples.
-        d: unit directions of their edges in the picture.
+        samples: of the edges.
     """
     a, b = (vertices[wireframe.edges[:, k]] for k in (0, 1))
     is_visible = (edge_px > 0.0) & jnp.isfinite(a + b).all(axis=1)
     a, b = (jnp.where(is_visible[:, None], x, 0.0) for x in (a, b))
-    squared_lengths = _positive(((b - a) ** 2).sum(axis=1))
+    squared_lengths = positive(((b - a) ** 2).sum(axis=1))
     along = (b - a) / squared_lengths[:, None]
-    gap = p[:, None] - a[None]
+    gap = samples.p[:, None] - a[None]
     s = jnp.clip((gap * along[None]).sum(axis=2), 0.0, 1.0)
     squared = ((gap - s[..., None] * (b - a)[None]) ** 2).sum(axis=2)
     is_own_edge = wireframe.sample_chains[:, None] == wireframe.edge_chains[None]
     squared = jnp.where(is_own_edge | ~is_visible[None], jnp.inf, squared)
-    cosines = jnp.abs(d @ (b - a).T) / jnp.sqrt(squared_lengths)[None]
+    cosines = jnp.abs(samples.d @ (b - a).T) / jnp.sqrt(squared_lengths)[None]
     turned = jnp.where(cosines < MIN_ALIGNMENT, squared, jnp.inf)
     return jnp.sqrt(squared.min(axis=1)), jnp.sqrt(turned.min(axis=1))
 
@@ -364,32 +364,6 @@ def _nearest_along_normals(
     best = jnp.argmin(distance, axis=1)[:, None]
     r = jnp.take_along_axis(jnp.where(jnp.isfinite(distance), across, jnp.inf), best, axis=1)
     return r[:, 0], jnp.take_along_axis(index, best, axis=1)[:, 0]
-
-
-def _robust_weights(
-    over_edges: Callable[[Array], Array],
-    edges: Int[Array, "S"],
-    t: Float[Array, "S"],
-    r: Float[Array, "S"],
-    found: Float[Array, "S"],
-    radius: Float[Array, ""],
-) -> Float[Array, "S"]:
-    """Return weights of samples in their line; outliers have zero weight."""
-
-    def reweighted(
-        weights: Float[Array, "S"], largest: Float[Array, ""]
-    ) -> tuple[Float[Array, "S"], Float[Array, "S"]]:
-        W = _positive(over_edges(weights))
-        mean_t, mean_r = over_edges(weights * t) / W, over_edges(weights * r) / W
-        t0, r0 = t - mean_t[edges], r - mean_r[edges]
-        slope = over_edges(weights * t0 * r0) / _positive(over_edges(weights * t0**2))
-        # Geman and McClure's weight.
-        scaled = (r0 - slope[edges] * t0) / jnp.minimum(radius, largest)
-        return found / (1.0 + scaled**2) ** 2, scaled
-
-    _, scaled = jax.lax.scan(reweighted, found, jnp.asarray(ROBUST_SCALES))
-    # In the last round inliers have full weight, so that the noise is not underestimated.
-    return jnp.where(jnp.abs(scaled[-1]) <= 1.0, found, 0.0)
 
 
 @compiled_optimised

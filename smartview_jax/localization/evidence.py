@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import binom, gammaln
 
-from .edge_lines import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, MIN_POINT_SIGMA, EdgeLines
+from .edge_line_fit import MIN_POINT_SIGMA
+from .edge_lines import EXPLAINED_DISTANCE, INDEPENDENT_LENGTH, EdgeLines
 from .moved_faces import MovedFace
 from .rig_noise import ViewDisagreement
 from .wireframe import Wireframe

@@ -23,7 +23,7 @@ from ..modeling import ObjectModel
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import repeat_last
-from .edge_lines import MIN_POINT_SIGMA
+from .edge_line_fit import MIN_POINT_SIGMA
 from .evidence import FOUND_PROBABILITY, INDEPENDENT_LENGTH, TYPICAL_CHANCE
 from .localization import Localization
 from .occluders import Occluder, hidden_in_views, leading, occluders_around
