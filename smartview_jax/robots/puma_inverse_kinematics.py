@@ -213,13 +213,36 @@ def _solve_branch(
     The three singularity flags are for shoulder, elbow and wrist. An angle that is arbitrary at a
     singularity is taken from `near`.
     """
-    # s_k = sin(alpha_k) is +1 or -1 where the twist is +-90 degrees; t_k is the angle of joint k.
-    s = jnp.sin(arm.alpha)
     first_from_flange = (
         arm.base_from_first.inverse() @ base_from_tool @ arm.flange_from_tool.inverse()
     )
     first_from_wrist = first_from_flange @ _wrist_from_flange(arm).inverse()
-    x, y, z = first_from_wrist.translation()
+    (t1, t2, t3), clearances = _arm_angles(arm, first_from_wrist.translation(), signs, near)
+    forearm_rotation = SO3.from_z_radians(t1) @ SO3.from_x_radians(arm.alpha[0])
+    forearm_rotation = (
+        forearm_rotation @ SO3.from_z_radians(t2 + t3) @ SO3.from_x_radians(arm.alpha[2])
+    )
+    rotation = (forearm_rotation.inverse() @ first_from_wrist.rotation()).as_matrix()
+    (t4, t5, t6), wrist_singular = _wrist_angles(arm, rotation, signs[2], near[3])
+    reached = (clearances > -SINGULARITY_TOLERANCE).all()
+    singular = jnp.append(clearances < SINGULARITY_TOLERANCE, wrist_singular)
+    return jnp.stack([t1, t2, t3, t4, t5, t6]), reached, singular
+
+
+def _arm_angles(
+    arm: SerialArm,
+    wrist: Float[Array, "3"],
+    signs: Float[Array, "3"],
+    near: Float[Array, "6"],
+) -> tuple[tuple[Float[Array, ""], ...], Float[Array, "2"]]:
+    """Return the angles of joints 1 to 3, which put the wrist's centre at a place.
+
+    Both clearances, of shoulder and elbow, measure the distance to the boundary of the workspace,
+    m: negative outside, near zero at a singularity.
+    """
+    # s_k = sin(alpha_k) is +1 or -1 where the twist is +-90 degrees; t_k is the angle of joint k.
+    s = jnp.sin(arm.alpha)
+    x, y, z = wrist
 
     # The wrist's centre is Rz(t1) (a1 + reach_x, -s1 shoulder_offset, d1 + s1 reach_y).
     shoulder_offset = arm.d[1] + arm.d[2]
@@ -261,46 +284,44 @@ def _solve_branch(
         forearm_length * jnp.sin(bend), upper_arm_length + forearm_length * jnp.cos(bend)
     )
     t2 = _atan2_or(reach_y, reach_x, near[1] + wrist_angle) - wrist_angle
+    arm_length = jnp.abs(upper_arm_length) + forearm_length
+    # A gap is in m^2, hence the division.
+    elbow_clearance = jnp.minimum(outer_gap, inner_gap) / arm_length
+    return (t1, t2, t3), jnp.stack([shoulder_clearance, elbow_clearance])
 
-    # With the forearm's rotation known, the wrist's remains. It is W = Rz(t4) Ry(-s4 t5) Rz(u)
-    # with u = -s4 s5 t6, followed by a rotation by 180 degrees about x if s4 = s5. That rotation is
-    # removed by `flip`.
-    forearm_rotation = SO3.from_z_radians(t1) @ SO3.from_x_radians(arm.alpha[0])
-    forearm_rotation = (
-        forearm_rotation @ SO3.from_z_radians(t2 + t3) @ SO3.from_x_radians(arm.alpha[2])
-    )
+
+def _wrist_angles(
+    arm: SerialArm,
+    rotation: Float[Array, "3 3"],
+    sign: Float[Array, ""],
+    near: Float[Array, ""],
+) -> tuple[tuple[Float[Array, ""], ...], Bool[Array, ""]]:
+    """Return the angles of joints 4 to 6, and whether the wrist is singular.
+
+    Args:
+        arm: a Puma-like arm.
+        rotation: of the hand relative to the forearm.
+        sign: of the branch.
+        near: angle of joint 4 where it is arbitrary.
+    """
+    # The rotation is W = Rz(t4) Ry(-s4 t5) Rz(u) with u = -s4 s5 t6, followed by a rotation by 180
+    # degrees about x if s4 = s5. That rotation is removed by `flip`.
+    s = jnp.sin(arm.alpha)
     sign_product = s[3] * s[4]
     flip = jnp.stack([jnp.ones(()), -sign_product, -sign_product])
-    W = (forearm_rotation.inverse() @ first_from_wrist.rotation()).as_matrix() * flip[None]
+    W = rotation * flip[None]
     # The third column of W is (cos t4 sin b, sin t4 sin b, cos b), with b = -s4 t5. It gives t4 and
     # t5; for b = 0 only t4 + u is determined, and t4 is arbitrary.
     wrist_sine = jnp.sqrt(_floored_square(W[0, 2] ** 2 + W[1, 2] ** 2))
     wrist_singular = wrist_sine < SINGULARITY_TOLERANCE
-    t4 = jnp.where(
-        wrist_singular, near[3], _atan2_or(signs[2] * W[1, 2], signs[2] * W[0, 2], near[3])
-    )
+    t4 = jnp.where(wrist_singular, near, _atan2_or(sign * W[1, 2], sign * W[0, 2], near))
     sin4, cos4 = jnp.sin(t4), jnp.cos(t4)
     t5 = -s[3] * jnp.arctan2(cos4 * W[0, 2] + sin4 * W[1, 2], W[2, 2])
     # The second row of Rz(-t4) W is (sin u, cos u, 0): it determines t6 for any t5, even zero.
     t6 = -sign_product * jnp.arctan2(
         cos4 * W[1, 0] - sin4 * W[0, 0], cos4 * W[1, 1] - sin4 * W[0, 1]
     )
-
-    # Both clearances measure the distance to the boundary of the workspace, m: negative outside,
-    # near zero at a singularity of shoulder or elbow. A gap is in m^2, hence the division.
-    arm_length = jnp.abs(upper_arm_length) + forearm_length
-    elbow_clearance = jnp.minimum(outer_gap, inner_gap) / arm_length
-    reached = (shoulder_clearance > -SINGULARITY_TOLERANCE) & (
-        elbow_clearance > -SINGULARITY_TOLERANCE
-    )
-    singular = jnp.stack(
-        [
-            shoulder_clearance < SINGULARITY_TOLERANCE,
-            elbow_clearance < SINGULARITY_TOLERANCE,
-            wrist_singular,
-        ]
-    )
-    return jnp.stack([t1, t2, t3, t4, t5, t6]), reached, singular
+    return (t4, t5, t6), wrist_singular
 
 
 def _wrist_from_flange(arm: SerialArm) -> SE3:

@@ -18,6 +18,7 @@ filter is the Gauss-Newton method.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -133,18 +134,11 @@ def kalman_filter(
         progress: called with a sentence about every pass.
     """
     options = options or CommonCameraOptions()
-    pixel_sigma = options.pixel_sigma
     view_count, point_count = observations.visible.shape
-    inliers = np.asarray(observations.visible)
-    if start_inliers is not None:
-        inliers = inliers & np.asarray(start_inliers)
-    # Without visible points the views that padding adds keep their start pose.
-    observations = observations.padded()
+    observations, inliers = _padded(observations, start_inliers)
     visible = np.asarray(observations.visible)
-    missing = np.subtract(visible.shape, inliers.shape)
-    inliers = np.pad(inliers, ((0, missing[0]), (0, missing[1])))
-    state = (start_camera, repeat_last(start_camera_from_world, len(visible)))
-    residuals = np.asarray(pixel_residuals(observations, *state))
+    start_camera_from_world = repeat_last(start_camera_from_world, len(visible))
+    point = _LinearisationPoint.at(observations, start_camera, start_camera_from_world)
     gating, gated_limits = False, None
     variance_scale, message = 1.0, "the passes did not settle"
     converged, passes, gated_passes = False, 0, 0
@@ -154,31 +148,20 @@ def kalman_filter(
         if gated_passes > _MAX_GATED_PASSES:
             message = "the outliers kept changing"
             break
-        sigma = robust_sigma(residuals, inliers, pixel_sigma)
-        limits = outlier_limits(residuals, inliers, sigma, options, gated_limits)
+        sigma = robust_sigma(point.residuals, inliers, options.pixel_sigma)
+        limits = outlier_limits(point.residuals, inliers, sigma, options, gated_limits)
         gated_limits = limits if gating else None
-        trial = run_pass(
-            observations,
-            *state,
-            residuals,
-            inliers,
-            PassSettings(
-                sigma,
-                limits / sigma**2 if gating else np.full(len(visible), np.inf),
-                variance_scale,
-                options.hold_camera,
-            ),
-        )
+        gate = limits if gating else np.full(len(visible), np.inf)
+        settings = PassSettings(sigma, gate / sigma**2, variance_scale, options.hold_camera)
+        trial = run_pass(observations, *point, inliers, settings)
         if progress is not None:
             progress(
                 f"pass {passes}: sigma {sigma:.3f} px, changed by {trial.max_change:.2g} sigma"
             )
-        trial_state = (trial.camera, trial.camera_from_world)
-        trial_residuals = np.asarray(pixel_residuals(observations, *trial_state))
-        max_squared_residual = limits[:, None] if gating else np.inf
+        trial_point = _LinearisationPoint.at(observations, trial.camera, trial.camera_from_world)
         before, after = (
-            _mean_squared_residual(r, visible if gating else inliers, max_squared_residual)
-            for r in (residuals, trial_residuals)
+            _mean_squared_residual(p.residuals, visible if gating else inliers, gate[:, None])
+            for p in (point, trial_point)
         )
         # Rounding, and a step of a thousandth of a standard deviation, may raise the cost so much.
         allowed = (_MAX_RELATIVE_COST_INCREASE if gating else 0.0) * before + 1e-6 * sigma**2
@@ -189,10 +172,10 @@ def kalman_filter(
                 message = "the passes kept raising the cost"
                 break
             continue
-        state, residuals, accepted = trial_state, trial_residuals, trial
+        point, accepted = trial_point, trial
         # Points with large residuals after this pass are rejected in the next; points that fit
         # again are readmitted.
-        within_gate = visible & (np.sum(residuals**2, axis=-1) <= limits[:, None])
+        within_gate = visible & (np.sum(point.residuals**2, axis=-1) <= limits[:, None])
         new_inliers = within_gate if gating else inliers
         inliers_unchanged = np.array_equal(new_inliers, inliers)
         inliers = new_inliers
@@ -204,21 +187,51 @@ def kalman_filter(
             converged, message = True, f"converged after {passes} passes"
             break
         variance_scale = min(1.0, 10.0 * variance_scale)
-    sigma = robust_sigma(residuals, inliers, pixel_sigma)
-    rms = float(np.sqrt(_mean_squared_residual(residuals, inliers, np.inf)))
+    rms = float(np.sqrt(_mean_squared_residual(point.residuals, inliers, np.inf)))
     if not np.isfinite(rms):
         converged, message = False, "the filter diverged: its state is not finite"
     return KalmanResult(
-        state[0],
-        without_padding(state[1], view_count),
+        point.camera,
+        without_padding(point.camera_from_world, view_count),
         jax.device_put(inliers[:view_count, :point_count]),
-        sigma,
+        robust_sigma(point.residuals, inliers, options.pixel_sigma),
         rms,
         passes,
         converged,
         message,
         accepted,
     )
+
+
+class _LinearisationPoint(NamedTuple):
+    """A state of the filter and the residuals there, px."""
+
+    camera: Camera
+    camera_from_world: SE3
+    residuals: Float[np.ndarray, "views points 2"]
+
+    @classmethod
+    def at(
+        cls, observations: Observations, camera: Camera, camera_from_world: SE3
+    ) -> "_LinearisationPoint":
+        """Compute the residuals of a state."""
+        residuals = np.asarray(pixel_residuals(observations, camera, camera_from_world))
+        return cls(camera, camera_from_world, residuals)
+
+
+def _padded(
+    observations: Observations, start_inliers: Bool[AnyArray, "views points"] | None
+) -> tuple[Observations, Bool[np.ndarray, "padded_views padded_points"]]:
+    """Return padded observations, and which of them are used at the start.
+
+    Without visible points the views that padding adds keep their start pose.
+    """
+    inliers = np.asarray(observations.visible)
+    if start_inliers is not None:
+        inliers = inliers & np.asarray(start_inliers)
+    padded = observations.padded()
+    missing = np.subtract(padded.visible.shape, inliers.shape)
+    return padded, np.pad(inliers, ((0, missing[0]), (0, missing[1])))
 
 
 def _mean_squared_residual(
