@@ -343,11 +343,13 @@ def _require_equal_sizes(cameras: Mapping[str, Dataset], targets: Mapping[str, s
     first: dict[str, str] = {}
     for name, data in cameras.items():
         other = first.setdefault(targets[name], name)
-        ours, theirs = _stated_points(data), _stated_points(cameras[other])
-        if ours is None or theirs is None or ours.shape != theirs.shape:
+        points, others = _stated_points(data), _stated_points(cameras[other])
+        if points is None or others is None or points.shape != others.shape:
             continue
-        ratio = np.vdot(theirs, ours) / max(np.vdot(theirs, theirs), np.finfo(float).tiny)
-        is_copy = np.allclose(ours, ratio * theirs, rtol=0.0, atol=SIZE_TOLERANCE * abs(ours).max())
+        ratio = np.vdot(others, points) / max(np.vdot(others, others), np.finfo(float).tiny)
+        is_copy = np.allclose(
+            points, ratio * others, rtol=0.0, atol=SIZE_TOLERANCE * abs(points).max()
+        )
         if is_copy and abs(ratio - 1.0) > SIZE_TOLERANCE:
             raise ValueError(
                 f"Rig: camera {name!r} states the target {targets[name]!r} {ratio:.6g} times as "

@@ -219,8 +219,8 @@ def _shared_parameters(parts: Sequence["_Part"], place: Mapping[str, int]) -> _S
         # have the weakest of their priors, since the pixels of all are in the fit.
         weaker = own_free & (~free[index] | (own_weight < weight[index]))
         taken = weaker | ~known[index]
-        for values, own in ((step, own_step), (mean, own_mean), (weight, own_weight)):
-            values[index[taken]] = own[taken]
+        for values, of_arm in ((step, own_step), (mean, own_mean), (weight, own_weight)):
+            values[index[taken]] = of_arm[taken]
         free[index] |= own_free
         known[index] = True
     # Bases, and poses of targets that the first arm does not see, are free.

@@ -82,14 +82,14 @@ class ParameterChoice(NamedTuple):
         """Return the choice that concerns the lens of a rig's camera, in the camera's own names."""
         start, lens = f"{name}.", f"{name}.camera"
 
-        def own(paths: Iterable[str]) -> tuple[str, ...]:
+        def lens_paths(paths: Iterable[str]) -> tuple[str, ...]:
             """Return the paths of the lens, without the camera's name."""
             whole = (lens if path == name else path for path in paths)
             return tuple(path.removeprefix(start) for path in whole if path.startswith(lens))
 
         of_lens = {path: prior for path, prior in self.priors.items() if path.startswith(lens)}
         priors = {path.removeprefix(start): prior for path, prior in of_lens.items()}
-        return ParameterChoice(own(self.fixed), own(self.free), priors)
+        return ParameterChoice(lens_paths(self.fixed), lens_paths(self.free), priors)
 
     def holding(self, *paths: str) -> "ParameterChoice":
         """Return the choice with further parameters held."""

@@ -60,7 +60,7 @@ class PlacedObject(NamedTuple):
 
 
 def checked_object(
-    found: LocalizedObject,
+    localized: LocalizedObject,
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "6 6"]]:
     """Return pose and covariance of an object.
 
@@ -68,20 +68,20 @@ def checked_object(
         ValueError: the pose is in the base frame or not rigid, or the covariance is not finite,
             symmetric and positive semidefinite; the message names the object.
     """
-    name = found.model.name or "without a name"
-    if getattr(found, "frame", "world") != "world":
+    name = localized.model.name or "without a name"
+    if getattr(localized, "frame", "world") != "world":
         raise ValueError(
             f"object {name}: expected its pose in the world frame of the calibration, found it in "
             'the base frame: localise with RigViews(..., frame="world")'
         )
-    pose = np.asarray(found.world_from_object, dtype=float)
+    pose = np.asarray(localized.world_from_object, dtype=float)
     if pose.shape != (4, 4):
         raise ValueError(f"object {name}: world_from_object has shape {pose.shape}, not (4, 4)")
     # A transposed rotation or millimetres would send the gripper to a wrong place.
     problems = check_rigid(pose[None], (f"object {name}",))
     if problems:
         raise ValueError("; ".join(f"{label}: {text}" for label, text in problems.items()))
-    covariance = np.asarray(found.covariance, dtype=float)
+    covariance = np.asarray(localized.covariance, dtype=float)
     if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
         raise ValueError(f"object {name}: covariance: expected 6x6 finite numbers")
     # Rounding leaves eigenvalues down to about -1e-16 times the largest.

@@ -50,12 +50,12 @@ class Obstacle(NamedTuple):
         return cls.box("table", (2.0 * half_width, 2.0 * half_width, thickness), pose)
 
     @classmethod
-    def of_object(cls, found: LocalizedObject) -> "Obstacle":
+    def of_object(cls, localized: LocalizedObject) -> "Obstacle":
         """Return an object at its pose; its model needs faces."""
-        pose, _ = checked_object(found)
-        mesh = to_trimesh(found.model)
+        pose, _ = checked_object(localized)
+        mesh = to_trimesh(localized.model)
         vertices = host_transformed(pose, np.asarray(mesh.vertices))
-        return cls(found.model.name or "another object", vertices, np.asarray(mesh.faces))
+        return cls(localized.model.name or "another object", vertices, np.asarray(mesh.faces))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

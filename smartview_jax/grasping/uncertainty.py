@@ -70,21 +70,21 @@ def gripper_errors(
 
 
 def error_covariance(
-    found: LocalizedObject, gripper_from_object: Float[np.ndarray, "4 4"], errors: GripperErrors
+    localized: LocalizedObject, gripper_from_object: Float[np.ndarray, "4 4"], errors: GripperErrors
 ) -> Float[np.ndarray, "12 12"]:
     """Return the joint covariance of eta and tau, in this order, for one grasp.
 
     Args:
-        found: the object.
+        localized: the object.
         gripper_from_object: its pose in the gripper's frame.
         errors: of the gripper's pose.
     """
-    _, covariance = checked_object(found)
+    _, covariance = checked_object(localized)
     to_gripper = host_adjoints(gripper_from_object)
-    jacobian = found.calibration_jacobian
+    jacobian = localized.calibration_jacobian
     shared = np.zeros_like(errors.shared)
     if jacobian is not None and len(errors.root):
-        names = found.calibration_names
+        names = localized.calibration_names
         if jacobian.shape != (6, len(names)):
             raise ValueError(
                 f"calibration_jacobian: expected (6, {len(names)}), one column for each of "

@@ -14,7 +14,7 @@ from .hypotheses import Hypothesis
 from .localization import Localization
 from .rig_noise import ViewDisagreement
 from .scene import Scene
-from .search_rounds import Found, judged_in_rounds
+from .search_rounds import SearchResult, judged_in_rounds
 from .views_alone import noise_of_rig
 
 SearchIn = Callable[[SeenViews, Sequence[PictureEvidence], Sequence[int]], list[Hypothesis]]
@@ -25,18 +25,18 @@ class JudgedScene(NamedTuple):
     """The verdicts on a scene, with the views and the uncertainty for which they hold.
 
     Attributes:
-        found: verdicts, and where the search ended.
+        result: verdicts, and where the search ended.
         scene: pictures, and views with the likeliest camera poses.
         query: with the uncertainty of these views.
     """
 
-    found: Found
+    result: SearchResult
     scene: Scene
     query: Query
 
 
 def judged_with_rig(
-    found: Found,
+    result: SearchResult,
     scene: Scene,
     query: Query,
     searched: Sequence[int],
@@ -50,25 +50,25 @@ def judged_with_rig(
     are judged again in the corrected views, and models without a pose are searched again.
 
     Args:
-        found: verdicts with the views as given.
+        result: verdicts with the views as given.
         scene: pictures and views as given.
         query: what is looked for, with the uncertainty of these views.
         searched: indices of the models that may be searched again.
         search: how they are.
         occluders: triangles of known obstacles in the world, m.
     """
-    noise = noise_of_rig(found.results, found.first, scene, query)
+    noise = noise_of_rig(result.results, result.first, scene, query)
     disagreement = None if noise is None else noise.disagreement
     if noise is None or not noise.disagreement.is_likely:
         return JudgedScene(
-            found._replace(results=_with_disagreement(found.results, disagreement)), scene, query
+            result._replace(results=_with_disagreement(result.results, disagreement)), scene, query
         )
     uncertainty = query.uncertainty.with_view_errors(noise.translation, noise.rotation)
     errors = np.concatenate([np.zeros(len(query.uncertainty.names)), noise.errors.ravel()])
     views = corrected_views(scene.views, uncertainty, errors)
     scene = Scene(views, scene.pictures, occluders)
     query = query._replace(uncertainty=uncertainty, disagreement=disagreement)
-    known = {obj.model_index for obj in found.results if obj.verdict.decision != "rejected"}
+    known = {obj.model_index for obj in result.results if obj.verdict.decision != "rejected"}
 
     def search_again(
         pictures: Sequence[PictureEvidence], indices: Sequence[int]
@@ -78,7 +78,7 @@ def judged_with_rig(
     again = judged_in_rounds(
         scene,
         query,
-        [*_hypotheses_of(found.results), *(h for h in found.first if h.model not in known)],
+        [*_hypotheses_of(result.results), *(h for h in result.first if h.model not in known)],
         [k for k in searched if k not in known],
         search_again,
     )

@@ -43,11 +43,11 @@ class Judgement(NamedTuple):
 
     Attributes:
         results: verdicts, known objects first.
-        left: candidates that might be objects, after `MAX_REJECTED` that are not.
+        unjudged: candidates that might be objects, after `MAX_REJECTED` that are not.
     """
 
     results: list[Localization]
-    left: list[Candidate]
+    unjudged: list[Candidate]
 
 
 def judged(
@@ -136,8 +136,8 @@ class _Judging:
                 # them.
                 self.take(obj)
                 waiting = measured_candidates(self.scene, self._prepared, waiting)
-        left = [c for c in waiting if c.explained >= self._options.rejected_share]
-        return Judgement(results, left)
+        unjudged = [c for c in waiting if c.explained >= self._options.rejected_share]
+        return Judgement(results, unjudged)
 
     def _elsewhere(self, obj: Localization, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the candidates that do not overlap with an object."""
@@ -257,11 +257,11 @@ class _Judging:
         explains the other would be rejected.
         """
         entry, pose = self._prepared[best.model], refined.world_from_object
-        left = self.scene.claim(refined.lines).free
+        free = self.scene.claim(refined.lines).free
         near = [
             c
             for c in others
-            if self._overlap(best.model, refined, c) or self._needs_edges_of(best, pose, left, c)
+            if self._overlap(best.model, refined, c) or self._needs_edges_of(best, pose, free, c)
         ]
         near = [
             c
@@ -284,14 +284,14 @@ class _Judging:
         self,
         best: Candidate,
         pose: Float[np.ndarray, "4 4"],
-        left: Sequence[Bool[np.ndarray, "_"]],
+        free_points: Sequence[Bool[np.ndarray, "_"]],
         candidate: Candidate,
     ) -> bool:
         """Return whether a candidate near an object would be rejected without its edge points.
 
         Args:
             best, pose: the object, and its refined pose.
-            left: for each view, which edge points it does not explain.
+            free_points: for each view, which edge points it does not explain.
             candidate: another pose.
         """
         model, other = self._prepared[best.model].model, self._prepared[candidate.model]
@@ -299,7 +299,7 @@ class _Judging:
             return False
         lines = self.scene.lines(candidate.pose, other.coarse)
         smallest = self._options.rejected_share * candidate.visible_px
-        return explained_among(lines, left) < smallest
+        return explained_among(lines, free_points) < smallest
 
     def _as_rival(self, model: int, pose: Float[np.ndarray, "4 4"]) -> Rival:
         """Return a pose as a rival, measured with all samples."""

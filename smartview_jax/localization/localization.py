@@ -172,14 +172,14 @@ class Localizations(tuple[Localization, ...]):
 
     def __new__(
         cls,
-        found: Iterable[Localization],
+        localizations: Iterable[Localization],
         messages: tuple[str, ...],
         pictures: tuple[PictureEvidence, ...],
         command: Command,
         calibration: AnyCalibration | None = None,
     ) -> "Localizations":
         """Return the localizations with their messages, pictures, command and calibration."""
-        self = super().__new__(cls, found)
+        self = super().__new__(cls, localizations)
         self.messages, self.pictures, self.command = messages, pictures, command
         self.calibration = calibration
         return self

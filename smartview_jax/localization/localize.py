@@ -29,7 +29,7 @@ from .picture_scales import at_one_scale
 from .pose_convergence import THREADS
 from .refining_together import refined_together
 from .scene import Scene
-from .search_rounds import Found, judged_in_rounds
+from .search_rounds import SearchResult, judged_in_rounds
 from .verdict import DEFAULT_OPTIONS, VerdictOptions
 from .wireframe import shows
 
@@ -123,13 +123,13 @@ def localize(
     search = partial(_searched, prepared, box)
     scene = Scene(views, pictures, triangles)
     query = Query(prepared, uncertainty, options, box)
-    found = judged_in_rounds(scene, query, given, missing, partial(search, views))
-    found, scene, query = judged_with_rig(found, scene, query, missing, search, triangles)
-    results = refined_together(found.results, scene, prepared, query.uncertainty)
+    searched = judged_in_rounds(scene, query, given, missing, partial(search, views))
+    searched, scene, query = judged_with_rig(searched, scene, query, missing, search, triangles)
+    results = refined_together(searched.results, scene, prepared, query.uncertainty)
     frame = calibration.frame if isinstance(calibration, RigViews) else "world"
     return Localizations(
         [result._replace(frame=frame) for result in _reported(results)],
-        _messages(prepared, found),
+        _messages(prepared, searched),
         pictures,
         own_command(views),
         calibration,
@@ -242,12 +242,12 @@ def _reported(results: Sequence[Localization]) -> list[Localization]:
     return sorted(kept, key=lambda result: order[result.verdict.decision])
 
 
-def _messages(prepared: Sequence[Prepared], found: Found) -> tuple[str, ...]:
+def _messages(prepared: Sequence[Prepared], searched: SearchResult) -> tuple[str, ...]:
     """Return the reason for every model that was not accepted, and where the search ended early."""
     messages = []
     for index, entry in enumerate(prepared):
-        results = [result for result in found.results if result.model_index == index]
-        name, left = model_name(entry.model, index), found.left[index]
+        results = [result for result in searched.results if result.model_index == index]
+        name, unjudged = model_name(entry.model, index), searched.unjudged[index]
         undecided = [result for result in results if result.verdict.decision == "open"]
         if any(result.accepted for result in results):
             pass
@@ -257,11 +257,11 @@ def _messages(prepared: Sequence[Prepared], found: Found) -> tuple[str, ...]:
             messages.append(f"{name}: not found: {'; '.join(results[0].verdict.reasons)}")
         else:
             messages.append(
-                f"{name}: not found: {found.tried[index]} hypotheses, none with enough edges"
+                f"{name}: not found: {searched.tried[index]} hypotheses, none with enough edges"
             )
-        if left:
+        if unjudged:
             messages.append(
                 f"{name}: the search ended after {MAX_REJECTED} rejected poses in a row; "
-                f"{left} more were not judged"
+                f"{unjudged} more were not judged"
             )
     return tuple(messages)

@@ -62,13 +62,13 @@ def leading(localizations: Sequence[Localization]) -> list[Localization]:
 
 
 def occluders_around(
-    one: Localization,
+    obj: Localization,
     others: Sequence[Localization],
     triangles: Float[np.ndarray, "triangles 3 3"],
 ) -> list[Occluder]:
     """Return what may occlude an object: known triangles, and objects at other places."""
     walls = [Occluder.of_triangles(triangles)] if len(triangles) else []
-    neighbours = [other for other in others if not _one_place(one, other)]
+    neighbours = [other for other in others if not _one_place(obj, other)]
     return walls + [Occluder.of_object(other) for other in neighbours if other.model.faces]
 
 

@@ -30,7 +30,7 @@ from .scene import Claim, Scene
 
 
 def refined_together(
-    found: Sequence[Localization],
+    localizations: Sequence[Localization],
     scene: Scene,
     prepared: Sequence[Prepared],
     uncertainty: CalibrationUncertainty,
@@ -38,14 +38,14 @@ def refined_together(
     """Return the results with the poses of all accepted objects refined together.
 
     Args:
-        found: all results; the verdicts, and all poses that are not accepted, stay unchanged.
+        localizations: all results; verdicts, and poses that are not accepted, stay unchanged.
         scene: pictures and views.
         prepared: the models.
         uncertainty: of the calibration in these views.
     """
-    accepted = [obj for obj in found if obj.accepted]
+    accepted = [obj for obj in localizations if obj.accepted]
     if len(accepted) < 2:
-        return list(found)
+        return list(localizations)
     claims = [
         scene.claim(obj.refined.lines, prepared[obj.model_index].coarse, obj.world_from_object)
         for obj in accepted
@@ -56,7 +56,7 @@ def refined_together(
     ]
     poses = _solved_together(refined, accepted, uncertainty)
     updated = iter(obj._replace(refined=pose) for obj, pose in zip(accepted, poses, strict=True))
-    return [next(updated) if obj.accepted else obj for obj in found]
+    return [next(updated) if obj.accepted else obj for obj in localizations]
 
 
 def _remeasured(

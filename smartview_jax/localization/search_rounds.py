@@ -35,13 +35,13 @@ class Found(NamedTuple):
     Attributes:
         results: verdicts.
         tried: number of hypotheses of each model that were tried.
-        left: number of poses of each model that might be objects, but were not judged.
+        unjudged: number of poses of each model that might be objects, but were not judged.
         first: hypotheses of the first round, the best first.
     """
 
     results: list[Localization]
     tried: list[int]
-    left: list[int]
+    unjudged: list[int]
     first: list[Hypothesis]
 
 
@@ -51,7 +51,7 @@ def judged_in_rounds(
     given: Sequence[Hypothesis],
     searched: Sequence[int],
     search: Search,
-) -> Found:
+) -> SearchResult:
     """Return the verdicts on hypotheses, round after round until one brings no further object.
 
     Args:
@@ -62,7 +62,7 @@ def judged_in_rounds(
         search: how they are.
     """
     prepared = query.models
-    tried, left = [0] * len(prepared), [0] * len(prepared)
+    tried, unjudged = [0] * len(prepared), [0] * len(prepared)
     results: list[Localization] = []
     accepted: list[Localization] = []
     first: list[Hypothesis] = []
@@ -81,7 +81,7 @@ def judged_in_rounds(
         batch, waiting = _first_of_each_model(waiting)
         batch, given = [*given, *batch], ()
         if not batch:
-            return Found(results, tried, left, first)
+            return SearchResult(results, tried, unjudged, first)
         first = first or batch
         tried = _added(tried, batch)
         candidates = _within(converged_candidates(free, prepared, batch), query)
@@ -94,7 +94,7 @@ def judged_in_rounds(
             candidates = measured_candidates(free, prepared, [*candidates, *poses])
         rejected = [obj for obj in results if obj.verdict.decision == "rejected"]
         judgement = judged(free, query, candidates, sum(tried), accepted)
-        left = _added(left, judgement.left)
+        unjudged = _added(unjudged, judgement.unjudged)
         results = [*judgement.results, *rejected]
         now = [obj for obj in results if obj.accepted]
         by_round = Counter(

@@ -91,7 +91,7 @@ def pose_uncertainties(poses: Sequence[PoseUncertainty]) -> PlotFigure:
     parts = (("translation", 1e3, "mm"), ("rotation", np.rad2deg(1.0), "degrees"))
     all_axes = figure.subplots(1, 2, sharey=True)
     for axes, (part, factor, unit) in zip(all_axes, parts, strict=True):
-        left = np.zeros(len(poses))
+        starts = np.zeros(len(poses))
         totals = np.array([getattr(pose, part) for pose in poses])
         for k, cause in enumerate(causes):
             squares = np.array(
@@ -106,11 +106,11 @@ def pose_uncertainties(poses: Sequence[PoseUncertainty]) -> PlotFigure:
                 np.arange(len(poses)),
                 shares,
                 0.7,
-                left,
+                starts,
                 color=method_colour(cause, k),
                 hatch="//" if k >= 5 else None,
             )
-            left += shares
+            starts += shares
         for row, total in enumerate(totals):
             axes.text(101.0, row, f"{factor * total:.2g} {unit}", va="center", fontsize=9)
         axes.set_xlim(0.0, 100.0)

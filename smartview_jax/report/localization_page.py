@@ -27,10 +27,10 @@ LOCALIZATION_HEADINGS = (
 """The headings of `localization_rows`; the intervals are 95 % intervals."""
 
 
-def localization_rows(found: "Sequence[Localization]") -> list[list[str]]:
+def localization_rows(localizations: "Sequence[Localization]") -> list[list[str]]:
     """Return a row for each object: verdict, pose, its uncertainty, and the evidence."""
     rows = []
-    for obj in found:
+    for obj in localizations:
         std, evidence = np.sqrt(np.diagonal(obj.covariance)), obj.verdict.evidence
         # 1.96 standard deviations are 95 % of a Gaussian; the worst of three axes is shown.
         rows.append(
@@ -55,19 +55,19 @@ def object_pose_text(obj: "Localization") -> str:
     return ",".join([f"{x:.6f}" for x in numbers[:3]] + [f"{x:.4f}" for x in numbers[3:]])
 
 
-def localization_verdict(found: "Localizations") -> str:
+def localization_verdict(localizations: "Localizations") -> str:
     """Return the result in a sentence."""
-    if not found.accepted:
+    if not localizations.accepted:
         return "Nothing was found for certain."
-    names = ", ".join(obj.name for obj in found.accepted)
-    return f"Found for certain in {len(found.pictures)} pictures: {names}."
+    names = ", ".join(obj.name for obj in localizations.accepted)
+    return f"Found for certain in {len(localizations.pictures)} pictures: {names}."
 
 
 def write_localization_page(
     path: Path,
     title: str,
     calibration: AnyCalibration,
-    found: "Localizations",
+    localizations: "Localizations",
     pictures: Sequence[UInt8[np.ndarray, "rows columns"]],
     view_ids: Sequence[str],
 ) -> None:
@@ -77,24 +77,25 @@ def write_localization_page(
         path: of the HTML file.
         title: of the page.
         calibration: of the camera, or the cameras of the views.
-        found: the objects.
+        localizations: the objects.
         pictures: of all views.
         view_ids: their names.
     """
-    seen = SeenViews.of(calibration, found.command)
+    seen = SeenViews.of(calibration, localizations.command)
     sections = [
         Section(
             "What was found",
             "95 % intervals, from the pictures' noise and the calibration's covariance.",
             header=LOCALIZATION_HEADINGS,
-            rows=localization_rows(found),
+            rows=localization_rows(localizations),
         )
     ]
-    if found.messages:
-        sections.append(Section("What was not found", rows=[[text] for text in found.messages]))
+    if localizations.messages:
+        rows = [[text] for text in localizations.messages]
+        sections.append(Section("What was not found", rows=rows))
     # Open objects are drawn too: a person sees at once whether they are right.
     for decision in ("accepted", "open"):
-        results = [result for result in found if result.verdict.decision == decision]
+        results = [result for result in localizations if result.verdict.decision == decision]
         objects = [(result.model, np.asarray(result.world_from_object)) for result in results]
         if objects:
             figures = [
@@ -104,4 +105,4 @@ def write_localization_page(
                 )
             ]
             sections.append(Section(f"In the pictures: {decision}", figures=figures))
-    write_story(path, title, localization_verdict(found), sections)
+    write_story(path, title, localization_verdict(localizations), sections)

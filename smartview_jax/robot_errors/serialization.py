@@ -107,12 +107,12 @@ def _field_from_dict(content: dict[str, Any], field: AbstractField | None) -> Ab
     return field_class(**converted)
 
 
-def _differences(found: Iterable[str], known: Iterable[str]) -> str:
+def _differences(names: Iterable[str], known: Iterable[str]) -> str:
     """Return which names are missing and which are unknown, with their closest match."""
-    missing = [name for name in known if name not in found]
+    missing = [name for name in known if name not in names]
     unknown = [
         f"{shortened_repr(name)}{spelling_suggestion(name, missing)}"
-        for name in found
+        for name in names
         if name not in known
     ]
     return "; ".join(

@@ -56,7 +56,7 @@ def check_start(start: Calibration | Mapping[str, PoseLike] | None, data: Datase
 
 
 def merged_start(
-    found: Calibration,
+    fitted: Calibration,
     start: Calibration | Mapping[str, PoseLike] | None,
     data: Dataset,
     camera: Camera | None,
@@ -64,7 +64,7 @@ def merged_start(
     """Return where a joint fit starts: as given, or what was found with some transforms as given.
 
     Args:
-        found: the staged fit's calibration.
+        fitted: the staged fit's calibration.
         start: a calibration, or transforms by name; None takes what was found. A transform that is
             not given follows from the pose of the first usable view before the camera.
         data: the data set, checked by `check_start`.
@@ -74,50 +74,49 @@ def merged_start(
     if isinstance(start, Calibration):
         return start if camera is None else dataclasses.replace(start, camera=camera)
     if not start:
-        return found
+        return fitted
     mount_name, holder_name = transform_names(data.mount)
     # The staged fit has the bases of two arms where they are given.
     given = {name: host_matrices(as_se3(pose)) for name, pose in start.items() if name != BASES}
     if not given:
-        return found
-    data = (
-        data if found.base_from_other_base is None else data.with_bases(found.base_from_other_base)
-    )
+        return fitted
+    if fitted.base_from_other_base is not None:
+        data = data.with_bases(fitted.base_from_other_base)
     # One view is enough: both transforms of the staged fit agree with all views alike.
     view = int(data.usable_views()[0])
     # camera_from_world = camera_from_mount @ mount_from_holder @ holder_from_world, of that view
     reported = host_matrices(host_mount_from_holder(data.mount, data.base_from_tool))[view]
     seen = (
-        host_matrices(found.camera_from_mount) @ reported @ host_matrices(found.holder_from_world)
+        host_matrices(fitted.camera_from_mount) @ reported @ host_matrices(fitted.holder_from_world)
     )
     if mount_name not in given:
         given[mount_name] = seen @ np.linalg.inv(reported @ given[holder_name])
     if holder_name not in given:
         given[holder_name] = np.linalg.inv(given[mount_name] @ reported) @ seen
     return dataclasses.replace(
-        found,
+        fitted,
         camera_from_mount=host_transforms(given[mount_name]),
         holder_from_world=host_transforms(given[holder_name]),
     )
 
 
 def start_without(
-    start: Calibration | Mapping[str, PoseLike], names: Collection[str], found: Calibration
+    start: Calibration | Mapping[str, PoseLike], names: Collection[str], fitted: Calibration
 ) -> Calibration | Mapping[str, PoseLike]:
     """Return a start without some of its transforms; a calibration has those that were found.
 
     Args:
         start: a calibration, or transforms by name.
         names: names of the transforms to leave out.
-        found: the staged fit's calibration.
+        fitted: the staged fit's calibration.
     """
     if not isinstance(start, Calibration):
         return {name: pose for name, pose in start.items() if name not in names}
     mount_name, holder_name = start.transform_names
     return dataclasses.replace(
         start,
-        camera_from_mount=(found if mount_name in names else start).camera_from_mount,
-        holder_from_world=(found if holder_name in names else start).holder_from_world,
+        camera_from_mount=(fitted if mount_name in names else start).camera_from_mount,
+        holder_from_world=(fitted if holder_name in names else start).holder_from_world,
     )
 
 

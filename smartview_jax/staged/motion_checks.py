@@ -83,8 +83,8 @@ def pair_views(
     """
     robot = host_mount_from_holder(data.mount, data.base_from_tool)
     groups = contradictory_views(data.mask_views(list(pictures.unusable)))
-    found = stale_views(groups, robot, pictures.common.camera_from_world, pictures.used)
-    stale = {view: repeated_pose_reason(data, view, other) for view, other in found.items()}
+    repeated = stale_views(groups, robot, pictures.common.camera_from_world, pictures.used)
+    stale = {view: repeated_pose_reason(data, view, other) for view, other in repeated.items()}
     pictures = _without(pictures, stale)
     choice = choose_poses(
         pictures.observations,

@@ -67,7 +67,7 @@ class _Reading(NamedTuple):
 
 def start_doubts(
     start: Calibration | Mapping[str, PoseLike] | None,
-    found: Calibration,
+    fitted: Calibration,
     camera_from_world: SE3,
     inliers: Bool[Array, "views points"] | np.ndarray,
     data: Dataset,
@@ -76,15 +76,15 @@ def start_doubts(
 
     Args:
         start: a calibration, or transforms by name, as far as they are known.
-        found: the calibration without the start.
+        fitted: the calibration without the start.
         camera_from_world: from the pictures alone, `(views)`.
-        inliers: mask of the points that `found` was fitted to.
+        inliers: mask of the points that `fitted` was fitted to.
         data: the data set.
     """
 
     def distance(start: Mapping[str, SE3]) -> float:
         """Return how far off the points are with a start, px: the median over points and views."""
-        calibration = merged_start(found, start, data, None)
+        calibration = merged_start(fitted, start, data, None)
         errors = median_reprojection_errors(calibration, data.observations, np.asarray(inliers))
         return float(np.median(errors[used]))
 
@@ -115,7 +115,7 @@ def start_doubts(
         elif mixed_up:
             doubts[name] = f"{as_given}: it is {mixed_up}"
         else:
-            transform = found.camera_from_mount if pose is known[0] else found.holder_from_world
+            transform = fitted.camera_from_mount if pose is known[0] else fitted.holder_from_world
             difference = _difference(host_matrices(transform), host_matrices(pose))
             if difference:
                 doubts[name] = f"{as_given}. {difference}"

@@ -44,4 +44,4 @@ def test_what_is_skipped_leaves_the_others_their_places():
     judgement = recorded.in_order([good, *[poor] * most, *[good] * (most + 2)], [])
     assert recorded.asked == [good] * most
     # The others are not forgotten without a word.
-    assert judgement.left == [good] * 3
+    assert judgement.unjudged == [good] * 3
