@@ -163,25 +163,48 @@ def judge(
         options: the limits.
     """
     log_false_alarms = float(np.log10(max(tested, 1)) - evidence.log_odds / np.log(10.0))
-    share, rms = evidence.explained, evidence.edge_rms
-    against = []
-    if share < options.rejected_share:
-        against.append(f"only {share:.0%} of its visible edges match the pictures")
+    shadow_odds = np.inf if evidence.shadow_odds is None else evidence.shadow_odds
+    differs = evidence.disagreement
+    wrong_rig = () if differs is None or not _is_rig_wrong(differs, options) else (differs.message,)
+    against = _contradictions(evidence, log_false_alarms, shadow_odds, options)
+    if against:
+        reasons = (*against, *wrong_rig)
+        return Verdict("rejected", reasons, evidence, log_false_alarms, margin)
+    doubts = [
+        *_missing_edges(evidence, options),
+        *_weaknesses(evidence, log_false_alarms, uncertainty, options),
+        *wrong_rig,
+    ]
+    if margin < options.min_margin:
+        doubts.append(f"ambiguous: {rival} matches the pictures almost as well")
+    if shadow_odds < options.min_margin:
+        doubts.append("ambiguous: it may be the shadow of an equal object")
+    return Verdict(
+        "open" if doubts else "accepted", tuple(doubts), evidence, log_false_alarms, margin
+    )
+
+
+def _contradictions(
+    evidence: Evidence, log_false_alarms: float, shadow_odds: float, options: VerdictOptions
+) -> list[str]:
+    """Return why no object is at a pose; nothing if one may be."""
+    reasons = []
+    if evidence.explained < options.rejected_share:
+        reasons.append(f"only {evidence.explained:.0%} of its visible edges match the pictures")
     is_clutter = evidence.log_likelihood < 0.0 or log_false_alarms > 0.0
     if is_clutter or evidence.edges < options.min_edges:
-        against.append(f"background clutter matches as well: {_amount(evidence)}")
-    shadow_odds = np.inf if evidence.shadow_odds is None else evidence.shadow_odds
+        reasons.append(f"background clutter matches as well: {_amount(evidence)}")
     if shadow_odds <= -options.min_margin:
-        against.append("it is the shadow of an equal object: its other edges are missing")
-    differs = evidence.disagreement
-    is_rig_wrong = differs is not None and _is_rig_wrong(differs, options)
-    wrong_rig = [differs.message] if differs is not None and is_rig_wrong else []
-    if against:
-        against += wrong_rig
-        return Verdict("rejected", tuple(against), evidence, log_false_alarms, margin)
-    doubts = []
+        reasons.append("it is the shadow of an equal object: its other edges are missing")
+    return reasons
+
+
+def _missing_edges(evidence: Evidence, options: VerdictOptions) -> list[str]:
+    """Return doubts about a pose because the pictures do not show enough of the object."""
+    doubts, share = [], evidence.explained
     if share < _accepted_share(evidence, options):
-        more = f", and these fit to {rms:.2f} px" if share >= options.hidden_share else ""
+        fit = f", and these fit to {evidence.edge_rms:.2f} px"
+        more = fit if share >= options.hidden_share else ""
         doubts.append(f"only {share:.0%} of its visible edges match the pictures{more}")
     in_view = evidence.explained_in_view
     showing, needed = sum(np.isfinite(in_view)), min(options.min_good_views, len(in_view))
@@ -197,6 +220,14 @@ def judge(
             for k, matched in enumerate(in_view)
             if matched < options.accepted_view_share
         ]
+    return doubts
+
+
+def _weaknesses(
+    evidence: Evidence, log_false_alarms: float, uncertainty: float, options: VerdictOptions
+) -> list[str]:
+    """Return doubts about a pose because its edges are few, far off or do not determine it."""
+    doubts, rms = [], evidence.edge_rms
     if log_false_alarms > options.max_log_false_alarms:
         doubts.append(
             f"little evidence: {_amount(evidence)}; {10.0**log_false_alarms:.2g} poses as good as "
@@ -217,14 +248,7 @@ def judge(
             f"the object seems {size} than the model: moving face {face} {way} by {length} matches "
             "more edges"
         )
-    doubts += wrong_rig
-    if margin < options.min_margin:
-        doubts.append(f"ambiguous: {rival} matches the pictures almost as well")
-    if shadow_odds < options.min_margin:
-        doubts.append("ambiguous: it may be the shadow of an equal object")
-    return Verdict(
-        "open" if doubts else "accepted", tuple(doubts), evidence, log_false_alarms, margin
-    )
+    return doubts
 
 
 def _is_rig_wrong(disagreement: ViewDisagreement, options: VerdictOptions) -> bool:

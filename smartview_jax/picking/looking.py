@@ -146,7 +146,7 @@ def look_for(
         TypeError: the scene's estimate is of a rig.
         ValueError: as in `localize`, for invalid models, estimate or noise.
     """
-    calibration, estimate, arm = scene.calibration, scene.estimate, scene.arm
+    estimate = scene.estimate
     if isinstance(estimate, RigFit | RigEstimate):
         raise TypeError(
             "scene.estimate: expected the estimate of the camera that takes the pictures, such as "
@@ -157,15 +157,14 @@ def look_for(
     # As in `localize`: these views are taken by the calibrated robot.
     if noise is None and isinstance(estimate, JointFit | SavedEstimate):
         noise = estimate.noise
-    occluders = scene.triangles
     search = partial(
         localize,
-        calibration=calibration,
+        calibration=scene.calibration,
         models=models,
         covariance=estimate,
         noise=noise,
         workspace=workspace,
-        occluders=occluders,
+        occluders=scene.triangles,
     )
     views = _first_views(cell, scene, region, options.first, say)
     say("localising")
@@ -177,15 +176,10 @@ def look_for(
         if not looked_at:
             break
         number = len(views) + 1
-        # Near the current joints, so that the arm stays on its branch.
-        reachable = Reachable(
-            distance=options.first.distance, arm=arm, near=_start_joints(cell, arm)
-        )
         try:
-            chosen = next_view(
-                looked_at, calibration, reachable,
-                noise=noise, models=models, neighbours=results, occluders=occluders,
-            )  # fmt: skip
+            chosen = _chosen_view(
+                cell, scene, models, options.first.distance, noise, results, looked_at
+            )
             if chosen.gain < options.view_cost:
                 notes.append(
                     f"no further view: view {number} would gain {chosen.gain:.2g} nats and costs "
@@ -196,7 +190,7 @@ def look_for(
                 f"{'verifying' if looked_at[0].accepted else 'deciding'}: view {number}: "
                 f"{chosen.reason}"
             )
-            view = _seen(cell, cell.move(_view_command(chosen)), calibration.camera)
+            view = _seen(cell, cell.move(_view_command(chosen)), scene.calibration.camera)
             # Judged again, from all views together.
             latest = stacked_commands([view.command])
             results = search([view.evidence], latest, previous=results)
@@ -267,6 +261,29 @@ def _seen(cell: Cell, command: Command, camera: Camera) -> _View:
     """
     picture = cell.picture()
     return _View(picture, picture_evidence(picture, camera), command)
+
+
+def _chosen_view(
+    cell: Cell,
+    scene: GraspScene,
+    models: Sequence[ObjectModel],
+    distance: float,
+    noise: Noise | None,
+    results: Localizations,
+    looked_at: Sequence[Localization],
+) -> NextView:
+    """Return the most informative further view of objects, from a distance (m), within reach."""
+    # Near the current joints, so that the arm stays on its branch.
+    near = _start_joints(cell, scene.arm)
+    return next_view(
+        looked_at,
+        scene.calibration,
+        Reachable(distance=distance, arm=scene.arm, near=near),
+        noise=noise,
+        models=models,
+        neighbours=results,
+        occluders=scene.triangles,
+    )
 
 
 def _undecided(results: Localizations, unverified: bool) -> Sequence[Localization]:
