@@ -151,23 +151,10 @@ class Dataset(HostModule):
         matrices = checked_matrices("base_from_tool", base_from_tool, view_count)
         is_visible = visibility_mask(visible, pixels, ids)
 
-        # The caller's reason takes precedence over a reason found here.
-        reasons = dict(masked_views)
-        unknown = set(reasons) - set(ids)
-        if unknown:
-            raise ValueError(f"masked_views: no view is called {sorted(unknown)}")
-        # The error names all views with wrong values.
         wrong_values = check_rigid(matrices, ids)
         for view, problem in pixel_problems(pixels, is_visible, image_size, ids).items():
             wrong_values.setdefault(view, problem)
-        wrong_values = {
-            view: problem for view, problem in wrong_values.items() if view not in reasons
-        }
-        if wrong_values and bad_views == "raise":
-            raise ValueError(
-                "; ".join(f"view {view}: {text}" for view, text in wrong_values.items())
-            )
-        reasons = {**wrong_values, **reasons}
+        reasons = _mask_reasons(dict(masked_views), wrong_values, ids, bad_views == "mask")
 
         # Masked views stay in the arrays, with finite poses: one NaN would spread through sums.
         usable = np.array([view not in reasons for view in ids], dtype=bool)
@@ -441,3 +428,27 @@ class Dataset(HostModule):
 def of_views(arrays: Any, index: np.ndarray) -> Any:
     """Return the entries of some views in all arrays; indexing by NumPy compiles nothing."""
     return jax.tree.map(lambda values: jax.device_put(np.asarray(values)[index]), arrays)
+
+
+def _mask_reasons(
+    given: dict[str, str], wrong_values: dict[str, str], ids: Sequence[str], mask: bool
+) -> dict[str, str]:
+    """Return why views are masked, by their names.
+
+    Args:
+        given: reasons of the caller, which take precedence.
+        wrong_values: what is wrong with views.
+        ids: names of all views.
+        mask: whether views with wrong values are masked.
+
+    Raises:
+        ValueError: a reason for a view that does not exist; or, unless masked, views with wrong
+            values, which are all named.
+    """
+    unknown = set(given) - set(ids)
+    if unknown:
+        raise ValueError(f"masked_views: no view is called {sorted(unknown)}")
+    wrong_values = {view: text for view, text in wrong_values.items() if view not in given}
+    if wrong_values and not mask:
+        raise ValueError("; ".join(f"view {view}: {text}" for view, text in wrong_values.items()))
+    return {**wrong_values, **given}

@@ -135,12 +135,7 @@ def build_problem(
             f'"estimated" is for fit_joint only; found {noise!r}'
         )
     choice = ParameterChoice.of(**parameters)
-    if start.mount != data.mount:
-        raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
-    if (data.hands is None) != (start.base_from_other_base is None):
-        raise ValueError(
-            "base_from_other_base: a start has it for the data of two arms, and only for these"
-        )
+    _require_same_setup(data, start)
     if start.base_from_other_base is not None:
         data = data.with_bases(start.base_from_other_base)
     field = checked_field_choice(field)
@@ -158,12 +153,8 @@ def build_problem(
     shared = Parameters(start)
     shared_size = shared.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
-    default_fixed = [TARGET_SCALE]
-    if field == "auto" and start.robot_error is not None:
-        default_fixed.append(ROBOT_ERROR)
-    # `free` overrides what is held by default; `fixed` overrides both.
-    is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, choice.free)
-    is_free &= ~parameter_mask(names, choice.fixed)
+    holds_error = field == "auto" and start.robot_error is not None
+    is_free = _is_free(names, [TARGET_SCALE, *([ROBOT_ERROR] if holds_error else [])], choice)
     fitted_field = None if field == "auto" else field
     mean, weight = prior_means_and_weights(
         names,
@@ -207,6 +198,27 @@ def build_problem(
         noise_model,
         unprojectable,
     )
+
+
+def _require_same_setup(data: Dataset, start: Calibration) -> None:
+    """Raise a ValueError if a start is of another mount, or number of arms, than the data."""
+    if start.mount != data.mount:
+        raise ValueError(f"mount: the start is {start.mount}, but the data are {data.mount}")
+    if (data.hands is None) != (start.base_from_other_base is None):
+        raise ValueError(
+            "base_from_other_base: a start has it for the data of two arms, and only for these"
+        )
+
+
+def _is_free(
+    names: tuple[str, ...], default_fixed: Sequence[str], choice: ParameterChoice
+) -> Bool[np.ndarray, "parameters"]:
+    """Return which parameters are fitted.
+
+    `free` overrides what is held by default; `fixed` overrides both.
+    """
+    is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, choice.free)
+    return is_free & ~parameter_mask(names, choice.fixed)
 
 
 def with_free_camera_poses(

@@ -15,7 +15,7 @@ result depends on the unit of length. It is the metre here, unless a length scal
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import equinox as eqx
@@ -113,27 +113,45 @@ def solve_hand_eye(
     if rough_translation is not None and known[1] is None and known[0] is None:
         known[1] = np.eye(4)
         known[1][:3, 3] = np.asarray(rough_translation)
+    used = w != 0.0
     finite = np.isfinite(T).all() and np.isfinite(C).all()
     if finite:
         place_is_given = any(pose is not None for pose in known)
-        require_motion(T[w != 0.0], "camera_from_mount", place_is_given)
-    if finite and len(undetermined_twists(T[w != 0.0])):
+        require_motion(T[used], "camera_from_mount", place_is_given)
+    if finite and len(undetermined_twists(T[used])):
         initial = np.eye(4) if known[1] is None else known[1]
-        transforms = minimum_norm_transforms(
-            T[w != 0.0], C[w != 0.0], (known[0], known[1]), camera_on_hand
-        )
-        factor = frobenius_factor(T[w != 0.0], C[w != 0.0], w[w != 0.0], length_scale)
+        transforms = minimum_norm_transforms(T[used], C[used], (known[0], known[1]), camera_on_hand)
+        factor = frobenius_factor(T[used], C[used], w[used], length_scale)
         return _minimum_norm_result(*transforms, initial, factor)
+    paper_start = np.eye(4)
+    if rough_translation is not None:
+        paper_start[:3, 3] = np.asarray(rough_translation)
     # The closed forms are starts in addition to the paper's.
     closed_forms = {
         name: tuple(host_matrices(x) for x in form(mount_from_holder, camera_from_world, w))
         for name, form in CLOSED_FORMS.items()
     }
-    T, C, w = T[w != 0.0], C[w != 0.0], w[w != 0.0]
+    return _by_both_searches(T[used], C[used], w[used], paper_start, closed_forms, length_scale)
+
+
+def _by_both_searches(
+    T: Float[np.ndarray, "views 4 4"],
+    C: Float[np.ndarray, "views 4 4"],
+    w: Float[np.ndarray, "views"],
+    paper_start: Float[np.ndarray, "4 4"],
+    closed_forms: Mapping[str, tuple[Float[np.ndarray, "4 4"], ...]],
+    length_scale: float,
+) -> HandEyeResult:
+    """Return the world transform by the paper's search, the hand-eye transform by averaging.
+
+    Args:
+        T, C: robot poses and camera poses, as in `solve_hand_eye`.
+        w: weights of the views, above zero.
+        paper_start: start of `holder_from_world`.
+        closed_forms: further starts by name, of `camera_from_mount` and `holder_from_world`.
+        length_scale: as in `solve_hand_eye`.
+    """
     total = float(w.sum())
-    paper_start = np.eye(4)
-    if rough_translation is not None:
-        paper_start[:3, 3] = np.asarray(rough_translation)
     # First search: X = holder_from_world in T_i^-1 T_j X = X C_i^-1 C_j (Eq. 17).
     world_solution, world_searches, world_best = _search(
         frobenius_factor(T, C, w, length_scale) / total,
