@@ -4,7 +4,11 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, TypedDict
 
+import numpy as np
+from jaxtyping import Bool
+
 from ..argument_checks import require_instance, require_names
+from .parameters import parameter_mask
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -77,6 +81,19 @@ class ParameterChoice(NamedTuple):
     def states(self, path: str) -> bool:
         """Return whether the user made any choice of this very path."""
         return path in (*self.fixed, *self.free, *self.priors)
+
+    def is_free(self, names: Sequence[str], held: Iterable[str]) -> Bool[np.ndarray, "parameters"]:
+        """Return which parameters are fitted.
+
+        Args:
+            names: names of all parameters.
+            held: paths of parameters that are held unless the choice frees them.
+
+        Raises:
+            ValueError: a path selects nothing; the message suggests similar names.
+        """
+        is_free = ~parameter_mask(names, held) | parameter_mask(names, self.free)
+        return is_free & ~parameter_mask(names, self.fixed)
 
     def of_camera(self, name: str) -> "ParameterChoice":
         """Return the choice that concerns the lens of a rig's camera, in the camera's own names."""

@@ -154,7 +154,7 @@ def build_problem(
     shared_size = shared.layout.size
     names = parameter_names(start, data.view_ids if noise_model else ())
     holds_error = field == "auto" and start.robot_error is not None
-    is_free = _is_free(names, [TARGET_SCALE, *([ROBOT_ERROR] if holds_error else [])], choice)
+    is_free = choice.is_free(names, [TARGET_SCALE, *([ROBOT_ERROR] if holds_error else [])])
     fitted_field = None if field == "auto" else field
     mean, weight = prior_means_and_weights(
         names,
@@ -208,17 +208,6 @@ def _require_same_setup(data: Dataset, start: Calibration) -> None:
         raise ValueError(
             "base_from_other_base: a start has it for the data of two arms, and only for these"
         )
-
-
-def _is_free(
-    names: tuple[str, ...], default_fixed: Sequence[str], choice: ParameterChoice
-) -> Bool[np.ndarray, "parameters"]:
-    """Return which parameters are fitted.
-
-    `free` overrides what is held by default; `fixed` overrides both.
-    """
-    is_free = ~parameter_mask(names, default_fixed) | parameter_mask(names, choice.free)
-    return is_free & ~parameter_mask(names, choice.fixed)
 
 
 def with_free_camera_poses(

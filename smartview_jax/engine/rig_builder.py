@@ -23,7 +23,6 @@ from .parameters import (
     Step,
     correction_names,
     is_size,
-    parameter_mask,
     parameter_names,
 )
 from .prepared_poses import PreparedPoses, prepare_poses
@@ -138,8 +137,7 @@ def build_rig(
     held = [name for name in names if is_size(name)]
     if field == "auto" and error is not None:
         held.append(ROBOT_ERROR)
-    is_free = ~parameter_mask(whole, held) | parameter_mask(whole, choice.free)
-    is_free &= ~parameter_mask(whole, choice.fixed)
+    is_free = choice.is_free(whole, held)
     # A state that no camera saw well enough keeps its reported pose.
     placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
     is_free[size:] &= placed.repeat(6)

@@ -29,7 +29,7 @@ Search = Callable[[Sequence[PictureEvidence], Sequence[int]], list[Hypothesis]]
 """Return the hypotheses of some models, given by their indices, in pictures; the best first."""
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """The verdicts on a scene, and where the search ended.
 
     Attributes:
