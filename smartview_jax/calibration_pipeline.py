@@ -214,25 +214,15 @@ def calibrate(
     if isinstance(data, Rig):
         if step2 != "kalman":
             raise ValueError("calibrate: a rig takes no step2")
-        if isinstance(start, Calibration):
-            raise TypeError("start: expected starts by camera for a rig, found a Calibration")
-        if isinstance(camera, Camera):
-            raise TypeError("camera: expected known cameras by name for a rig, found a Camera")
-        starts = cast(RigStart | None, start)
+        cameras, starts = _by_camera(camera, start)
         return calibrate_rig(
-            data, lens, cameras=camera, start=starts, progress=progress, **joint_options
+            data, lens, cameras=cameras, start=starts, progress=progress, **joint_options
         )
     refuse_traced("calibrate", data, camera)
     # The second thread has settings of its own: it would compile everything before the refusal.
     require_double_precision()
-    require_instance("data", data, Dataset)
-    if isinstance(data, PoseDataset):
-        raise TypeError("data: tracked poses have no pixels: fit_poses fits them")
-    if camera is not None:
-        require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
-        assert isinstance(camera, Camera)
-        require_picture_size("the known camera", camera, data.image_size)
     require_one_of("step2", step2, STEP2_METHODS)
+    camera = _checked_camera(data, camera)
     if camera is not None:
         joint_options["fixed"] = ("camera", *joint_options.get("fixed", ()))
     start = cast(Calibration | Mapping[str, PoseLike] | None, start)
@@ -282,6 +272,40 @@ def calibrate(
             raise
         raise ValueError(f"{'; '.join(doubts)} (what the fit says: {error})") from error
     return CalibrationFit.of(staged, joint, data)
+
+
+def _by_camera(
+    camera: Camera | Mapping[str, Camera] | None,
+    start: Calibration | Mapping[str, PoseLike] | RigStart | None,
+) -> tuple[Mapping[str, Camera] | None, RigStart | None]:
+    """Return known cameras and starts by the cameras' names, as a rig takes them.
+
+    Raises:
+        TypeError: a single camera, or a single calibration.
+    """
+    if isinstance(start, Calibration):
+        raise TypeError("start: expected starts by camera for a rig, found a Calibration")
+    if isinstance(camera, Camera):
+        raise TypeError("camera: expected known cameras by name for a rig, found a Camera")
+    return camera, cast(RigStart | None, start)
+
+
+def _checked_camera(data: Dataset, camera: Camera | Mapping[str, Camera] | None) -> Camera | None:
+    """Return the known camera of a data set.
+
+    Raises:
+        TypeError: data or camera of the wrong type.
+        ValueError: a camera whose pictures have another size.
+    """
+    require_instance("data", data, Dataset)
+    if isinstance(data, PoseDataset):
+        raise TypeError("data: tracked poses have no pixels: fit_poses fits them")
+    if camera is None:
+        return None
+    require_instance("camera", camera, Camera, "Camera(alpha_u, alpha_v, u0, v0, lens, size)")
+    assert isinstance(camera, Camera)
+    require_picture_size("the known camera", camera, data.image_size)
+    return camera
 
 
 def _places_of_priors(priors: Mapping[str, Prior], mount: str) -> dict[str, PoseLike]:

@@ -1,6 +1,7 @@
 """Read and write text files safely and atomically, with errors that name the file."""
 
 import json
+import math
 import os
 import re
 import shutil
@@ -435,6 +436,11 @@ def dump_yaml(content: Mapping[str, Any]) -> str:
 
 _NO_YAML_CHARACTERS = re.compile("[\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]")
 """Characters that JSON allows in a text but YAML refuses or takes as the end of a line."""
+
+
+def finite_or_null(number: float) -> float | None:
+    """Return a number as files have it: None for infinity and NaN, which JSON does not know."""
+    return float(number) if math.isfinite(number) else None
 
 
 def dump_json(content: Mapping[str, Any]) -> str:

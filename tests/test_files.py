@@ -1,6 +1,8 @@
+import json
 import os
 import signal
 
+import numpy as np
 import pytest
 import yaml
 
@@ -8,6 +10,7 @@ from smartview_jax.files import (
     dump_json,
     dump_yaml,
     file_transaction,
+    finite_or_null,
     folder_transaction,
     read_yaml,
     write_atomically,
@@ -138,6 +141,13 @@ def test_numbers_are_those_of_yaml_1_2(tmp_path):
     (tmp_path / "numbers.yaml").write_text("a: [1e-3, 010, 1:30, -.inf, 1_000, 2024-01-01, .5]\n")
     found = read_yaml(tmp_path / "numbers.yaml")["a"]
     assert found == [1e-3, 10, "1:30", -float("inf"), "1_000", "2024-01-01", 0.5]
+
+
+def test_infinity_and_nan_are_null():
+    numbers = [np.float64(0.5), 2, float("inf"), -float("inf"), float("nan")]
+    plain = [finite_or_null(number) for number in numbers]
+    assert plain == [0.5, 2.0, None, None, None]
+    assert json.dumps(plain, allow_nan=False)
 
 
 def test_results_of_two_runs_never_stand_side_by_side(tmp_path, monkeypatch):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,6 +9,8 @@ import numpy as np
 import typer
 
 import smartview_jax as sv
+
+from ..files import finite_or_null
 
 
 def print_document(subcommand: str, content: Mapping[str, Any]) -> None:
@@ -42,7 +43,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Sequence):
         return [_plain(entry) for entry in value]
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return finite_or_null(value)
     return value if isinstance(value, int) else str(value)
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from ..calibration import Calibration
 from ..engine import base_path, step_names, twist_by_step
-from ..files import read_yaml
+from ..files import finite_or_null, read_yaml
 from ..geometry import (
     host_adjoints,
     host_matrices,
@@ -83,8 +83,8 @@ class RelativePose(NamedTuple):
             "smartview_relative_pose": 1,
             **({} if run is None else {"run": run}),
             "first_from_second": transform_to_dict(self.transform),
-            "covariance": [_without_infinity(row) for row in self.covariance],
-            "degrees_of_freedom": _without_infinity(self.degrees_of_freedom),
+            "covariance": [list(map(finite_or_null, row)) for row in self.covariance],
+            "degrees_of_freedom": list(map(finite_or_null, self.degrees_of_freedom)),
             "end": "smartview_relative_pose",
         }
         write_validated(path, content, RELATIVE_POSE_SCHEMA)
@@ -105,11 +105,6 @@ class RelativePose(NamedTuple):
         covariance = [_with_infinity(row) for row in content.covariance]
         freedom = _with_infinity(content.degrees_of_freedom or [None] * 6)
         return cls(pose, np.array(covariance), tuple(freedom))
-
-
-def _without_infinity(numbers: Iterable[float]) -> list[float | None]:
-    """Return numbers with None for infinity, which JSON does not have."""
-    return [float(number) if np.isfinite(number) else None for number in numbers]
 
 
 def _with_infinity(numbers: Iterable[float | None]) -> list[float]:

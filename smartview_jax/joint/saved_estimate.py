@@ -15,7 +15,7 @@ from ..argument_checks import errors_at
 from ..calibration import Calibration
 from ..dataset import DepthSensor
 from ..engine import Noise, Observability, parameter_names
-from ..files import read_yaml
+from ..files import finite_or_null, read_yaml
 
 if TYPE_CHECKING:
     from .joint_fit import JointFit
@@ -154,17 +154,11 @@ def noise_to_dict(noise: Noise) -> dict[str, Any]:
     """Return a noise model as plain numbers; None stands for infinity."""
     return {
         "pixel": float(noise.pixel),
-        # YAML and JSON have no common notation for infinity.
-        "translation": _finite(noise.translation),
-        "rotation": _finite(noise.rotation),
+        "translation": finite_or_null(noise.translation),
+        "rotation": finite_or_null(noise.rotation),
         "field": [float(sigma) for sigma in noise.field],
         "white_pixel": None if noise.white_pixel is None else float(noise.white_pixel),
     }
-
-
-def _finite(sigma: float) -> float | None:
-    """Return a standard deviation, or None for an infinite one."""
-    return float(sigma) if np.isfinite(sigma) else None
 
 
 def noise_from_dict(entry: dict[str, Any] | None) -> Noise | None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..dataset import Dataset
+from ..files import finite_or_null
 from .camera_scene import CameraScene, camera_scene
 from .figures import BLUE, GREEN, GREY, RED
 
@@ -102,7 +103,7 @@ def _coordinates(points: np.ndarray) -> dict[str, list[float | None]]:
     # More digits would enlarge the page without a visible difference.
     millimetres = np.round(1e3 * points, 2)
     return {
-        name: [float(x) if np.isfinite(x) else None for x in column]
+        name: list(map(finite_or_null, column))
         for name, column in zip("xyz", millimetres.T, strict=True)
     }
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..argument_checks import require_one_of
+from ..files import finite_or_null
 from ..geometry import transform_from_dict, transform_to_dict
 from .serial_arm import SerialArm
 
@@ -130,11 +131,7 @@ def arm_to_dict(arm: SerialArm) -> dict[str, Any]:
         **{name: np.asarray(getattr(arm, name)).tolist() for name in _DH_PARAMETERS},
         "flange_from_tool": transform_to_dict(arm.flange_from_tool),
         "base_from_first": transform_to_dict(arm.base_from_first),
-        # JSON has no infinity: a limit that does not exist is null.
-        "limits": [
-            [bound if np.isfinite(bound) else None for bound in row]
-            for row in np.asarray(arm.limits).tolist()
-        ],
+        "limits": [list(map(finite_or_null, row)) for row in np.asarray(arm.limits).tolist()],
     }
 
 
