@@ -267,11 +267,11 @@ def test_the_papers_lens_is_solved_to_the_last_digits(k1):
     assert valid.all()
     residuals = solved[:, 0] + k1 * solved[:, 0] ** 3 - ideals
     assert (np.abs(residuals) < 1e-14 * np.maximum(1.0, ideals)).all()
-    for ideal, found in zip(ideals, solved[:, 0], strict=True):
+    for ideal, actual in zip(ideals, solved[:, 0], strict=True):
         roots = np.roots([k1, 0.0, 1.0, -ideal])
         real = roots[np.abs(roots.imag) < 1e-7].real
         expected = real[np.argmin(np.abs(real - ideal))] if k1 >= 0 else min(real[real > 0])
-        np.testing.assert_allclose(found, expected, rtol=1e-5)
+        np.testing.assert_allclose(actual, expected, rtol=1e-5)
 
 
 def test_radial_is_weng_with_k1_alone():

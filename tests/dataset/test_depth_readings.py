@@ -28,7 +28,7 @@ def dataset(points, views):
 
 def test_the_noise_is_the_likeliest():
     points, _, depths = boards(0)
-    found = dataset(points, len(depths)).with_depths(depths).depth_noise
+    actual = dataset(points, len(depths)).with_depths(depths).depth_noise
     design = np.column_stack([np.ones(len(points)), points[:, :2]])
     off = depths.T - design @ np.linalg.lstsq(design, depths.T, rcond=None)[0]
     sums, middle = np.square(off).sum(axis=0), np.median(depths, axis=1)
@@ -39,7 +39,7 @@ def test_the_noise_is_the_likeliest():
 
     best = minimize(deviance, np.log([1e-7, 1e-6]), method="Nelder-Mead", options={"xatol": 1e-6})
     expected = np.exp(0.5 * best.x)
-    np.testing.assert_allclose([found.constant, found.quadratic], expected, rtol=0.02)
+    np.testing.assert_allclose([actual.constant, actual.quadratic], expected, rtol=0.02)
     # Over many boards it is the true one.
     many = [dataset(points, 30).with_depths(boards(seed)[2]).depth_noise for seed in range(20)]
     assert np.mean([noise.constant for noise in many]) == pytest.approx(NOISE.constant, rel=0.1)

@@ -32,15 +32,15 @@ def test_rendered_circles_are_found_where_the_bias_puts_them():
     board = CircleGrid(4, 5, 0.008, radius=0.003)
     middle = board.points.mean(axis=0)
     pose = truth.command_for(look_at_from_above(middle, 0.22, np.deg2rad(180.0 - 40.0), 0.5))
-    found = detect(render(truth, pose, board, noise=0.0), board).pixels
-    orders = [found[order] for order in board.symmetries]
+    actual = detect(render(truth, pose, board, noise=0.0), board).pixels
+    orders = [actual[order] for order in board.symmetries]
     known = np.asarray(truth.project(pose, board.points)[0])
-    found = min(orders, key=lambda pixels: np.abs(pixels - known).max())
+    actual = min(orders, key=lambda pixels: np.abs(pixels - known).max())
     data = sv.Dataset.from_arrays(
-        board.points, found[None], pose.as_matrix()[None], (640, 480), target=board
+        board.points, actual[None], pose.as_matrix()[None], (640, 480), target=board
     )
     corrected = np.asarray(sv.correct_circle_centres(data, truth).pixels)[0]
-    before, after = (np.linalg.norm(p - known, axis=-1) for p in (found, corrected))
+    before, after = (np.linalg.norm(p - known, axis=-1) for p in (actual, corrected))
     assert before.min() > 0.15
     assert after.max() < 0.03
 

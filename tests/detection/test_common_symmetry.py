@@ -37,11 +37,11 @@ def ordered(grid, pixels, mounts, first, seed=0, **rough):
     turns[0] = first
     scrambled = np.stack([p[symmetries[k]] for p, k in zip(pixels, turns, strict=True)])
     visible = np.ones(pixels.shape[:2], dtype=bool)
-    found = consistent_ordering(scrambled, visible, grid, mounts, SIZE, **rough)
-    back = np.stack([p[symmetries[k]] for p, k in zip(scrambled, found.symmetry, strict=True)])
+    ordering = consistent_ordering(scrambled, visible, grid, mounts, SIZE, **rough)
+    back = np.stack([p[symmetries[k]] for p, k in zip(scrambled, ordering.symmetry, strict=True)])
     return [
         k for k, s in enumerate(symmetries) if np.array_equal(back, pixels[:, s])
-    ], found.message
+    ], ordering.message
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -107,7 +107,7 @@ def test_a_view_in_a_wrong_order_of_its_own_does_not_turn_the_others():
     turns = np.random.default_rng(0).integers(0, 4, len(pixels))
     scrambled = np.stack([p[grid.symmetries[k]] for p, k in zip(pixels, turns, strict=True)])
     visible = np.ones(pixels.shape[:2], dtype=bool)
-    found = consistent_ordering(scrambled, visible, grid, mounts, SIZE)
-    back = [p[grid.symmetries[k]] for p, k in zip(scrambled, found.symmetry, strict=True)]
+    ordering = consistent_ordering(scrambled, visible, grid, mounts, SIZE)
+    back = [p[grid.symmetries[k]] for p, k in zip(scrambled, ordering.symmetry, strict=True)]
     others = np.arange(len(pixels)) != 4
     np.testing.assert_array_equal(np.stack(back)[others], pixels[others])

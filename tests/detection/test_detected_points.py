@@ -48,26 +48,26 @@ def test_a_chessboard_with_a_narrow_margin_is_found_where_it_is(margin, seed):
     board, corners = chessboard_print(3, 4, margin, ground=20)
     picture, truth = seen_in_perspective(board, corners, seed=seed)
     target = Chessboard(3, 4, 0.03)
-    found = detect(picture, target)
-    assert found.visible.all()
+    detection = detect(picture, target)
+    assert detection.visible.all()
     # The print's first square is dark, so that the order begins at its other end.
-    np.testing.assert_allclose(found.pixels, truth[::-1], atol=0.15)
+    np.testing.assert_allclose(detection.pixels, truth[::-1], atol=0.15)
 
 
 def test_a_board_that_only_the_classic_detector_finds():
     board, corners = chessboard_print(6, 9, 0.2, ground=20)
     picture, truth = seen_in_perspective(board, corners)
-    found = detect(picture, Chessboard(6, 9, 0.03))
-    np.testing.assert_allclose(found.pixels, truth[::-1], atol=0.15)
+    detection = detect(picture, Chessboard(6, 9, 0.03))
+    np.testing.assert_allclose(detection.pixels, truth[::-1], atol=0.15)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(6, 10), (5, 9), (5, 6), (4, 4), (3, 3)])
 def test_another_number_of_corners_is_not_found(rows, columns):
     board, corners = chessboard_print(6, 9, 1.0, ground=128)
     picture, _ = seen_in_perspective(board, corners, seed=1)
-    found = detect(picture, Chessboard(rows, columns, 0.03))
-    assert not found.visible.any()
-    assert found.reason
+    detection = detect(picture, Chessboard(rows, columns, 0.03))
+    assert not detection.visible.any()
+    assert detection.reason
 
 
 @pytest.mark.parametrize(

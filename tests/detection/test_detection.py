@@ -35,13 +35,13 @@ def test_real_pictures_give_the_known_points(name):
     views = np.unique(corners[:, 0]).astype(int)
     total = 0
     for view in views:
-        found = detect(read_picture(folder / pattern.format(view, view + 1)), target)
-        assert found.reason is None
+        detection = detect(read_picture(folder / pattern.format(view, view + 1)), target)
+        assert detection.reason is None
         known = corners[corners[:, 0] == view, 4:6]
-        seen = found.pixels[found.visible]
+        seen = detection.pixels[detection.visible]
         nearest = np.linalg.norm(seen[:, None] - known[None], axis=-1).min(axis=1)
         assert np.sqrt(np.mean(nearest**2)) < 0.05
-        total += found.visible.sum()
+        total += detection.visible.sum()
     assert total == count
 
 
@@ -50,20 +50,20 @@ def test_the_samples_circles_are_the_known_points_in_their_order():
     folder, sample = shared_data("rct_circle10x10"), detected_sample()
     corners = np.genfromtxt(folder / "corners.csv", delimiter=",", skip_header=1)
     assert np.asarray(sample.visible).all()
-    for view, found in enumerate(np.asarray(sample.pixels)):
+    for view, actual in enumerate(np.asarray(sample.pixels)):
         known = corners[corners[:, 0] == view, 4:6][::-1]
-        assert np.sqrt(np.mean(np.sum((found - known) ** 2, axis=1))) < 0.05
+        assert np.sqrt(np.mean(np.sum((actual - known) ** 2, axis=1))) < 0.05
 
 
 @pytest.mark.parametrize(("name", "view"), [("tampere_kuka_2", 3), ("lwr4_joint", 10)])
 def test_large_chessboards_are_found(name, view):
     target = Chessboard(17, 24, 0.015) if name == "tampere_kuka_2" else Chessboard(6, 9, 0.025)
     folder = shared_data(name)
-    found = detect(read_picture(folder / f"images/{view:03d}.png"), target)
+    detection = detect(read_picture(folder / f"images/{view:03d}.png"), target)
     corners = np.genfromtxt(folder / "corners.csv", delimiter=",", skip_header=1)
     known = corners[corners[:, 0] == view, 4:6]
     # OpenCV 5 finds them up to 0.025 px from where OpenCV 4 does.
-    np.testing.assert_allclose(found.pixels, known, atol=0.05)
+    np.testing.assert_allclose(detection.pixels, known, atol=0.05)
 
 
 def drawn_circles(target, pitch=30, radius=9):
@@ -90,9 +90,9 @@ def drawn_circles(target, pitch=30, radius=9):
 )
 def test_drawn_circles_are_found_where_they_are(target):
     image, centres = drawn_circles(target)
-    found = detect(image, target)
-    assert found.reason is None
-    best = min(np.abs(found.pixels[order] - centres).max() for order in target.symmetries)
+    detection = detect(image, target)
+    assert detection.reason is None
+    best = min(np.abs(detection.pixels[order] - centres).max() for order in target.symmetries)
     assert best < 0.1
 
 

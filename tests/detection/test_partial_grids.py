@@ -37,12 +37,12 @@ def hidden(image, centres, which):
     return image, left
 
 
-def assert_seen(found, target, centres, left):
+def assert_seen(actual, target, centres, left):
     """Every circle that is left, in one of the orders that look alike, within the bias."""
-    assert found.reason is None
+    assert actual.reason is None
     fits = [
-        np.array_equal(found.visible[order], left)
-        and np.abs(found.pixels[order][left] - centres[left]).max() < 0.3
+        np.array_equal(actual.visible[order], left)
+        and np.abs(actual.pixels[order][left] - centres[left]).max() < 0.3
         for order in target.symmetries
     ]
     assert any(fits)
@@ -62,8 +62,8 @@ def test_a_circle_cut_by_the_border_is_left_out_and_no_other():
     edge = int(np.floor(centres[:, 0].max()))
     left = edge - centres[:, 0] > 12.0
     assert left.sum() == 77
-    found = detect(np.ascontiguousarray(image[:, :edge]), PLAIN)
-    assert_seen(found, PLAIN, centres, left)
+    detection = detect(np.ascontiguousarray(image[:, :edge]), PLAIN)
+    assert_seen(detection, PLAIN, centres, left)
 
 
 @pytest.mark.parametrize("target", [MARKED, SQUARE], ids=["8 x 10", "7 x 7"])
@@ -92,13 +92,13 @@ def test_a_hidden_mark_is_where_a_corner_is_missing():
 def test_a_missing_row_that_nothing_tells_is_named(target, why):
     image, centres = drawn(target)
     image, _ = hidden(image, centres, range(10))
-    found = detect(image, target)
-    assert not found.visible.any()
+    detection = detect(image, target)
+    assert not detection.visible.any()
     assert (
         "70 circles found, on 7 x 10 positions of 8 x 10: rows or columns are missing"
-        in found.reason
+        in detection.reason
     )
-    assert why in found.reason
+    assert why in detection.reason
 
 
 def test_another_grid_is_not_taken_for_this_one():
@@ -123,8 +123,8 @@ def test_a_picture_of_noise_is_not_searched_for_long(monkeypatch):
         return finder(points, *rest)
 
     monkeypatch.setattr(cv2, "findCirclesGrid", spied)
-    found = detect(noise_picture(), CircleGrid(5, 5, 0.01))
-    assert "25 expected; the picture has noise or texture" in found.reason
+    detection = detect(noise_picture(), CircleGrid(5, 5, 0.01))
+    assert "25 expected; the picture has noise or texture" in detection.reason
     assert max(handed, default=0) <= MAX_BLOBS_PER_CIRCLE * 25
 
 

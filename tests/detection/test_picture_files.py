@@ -24,9 +24,9 @@ def test_a_deep_picture_is_stretched(tmp_path, picture, bits):
     deep[0, 0], deep[5, 5] = 0, 65535
     path = tmp_path / "deep.png"
     cv2.imwrite(str(path), deep)
-    found = detect(read_picture(path), Chessboard(6, 9, 0.03))
+    detection = detect(read_picture(path), Chessboard(6, 9, 0.03))
     expected = detect(picture, Chessboard(6, 9, 0.03))
-    np.testing.assert_allclose(found.pixels, expected.pixels, atol=0.1)
+    np.testing.assert_allclose(detection.pixels, expected.pixels, atol=0.1)
     read = decode_picture(path, picture_bytes(path))
     assert read.grey_range[0] >= 7000
     assert "of 65535" in read.range_in_words

@@ -27,9 +27,9 @@ def kalibrs_board(rows=6, columns=6):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_board_of_kalibr_is_found_where_it_is(size, least, seed):
     picture, truth = seen_in_perspective(*kalibrs_board(), size=size, seed=seed)
-    found = detect(picture, KALIBR)
-    assert found.visible.sum() >= least
-    errors = np.linalg.norm(found.pixels - truth, axis=1)[found.visible]
+    detection = detect(picture, KALIBR)
+    assert detection.visible.sum() >= least
+    errors = np.linalg.norm(detection.pixels - truth, axis=1)[detection.visible]
     assert errors.max() < 0.2
 
 
@@ -84,9 +84,9 @@ def test_a_grid_of_tags_has_its_order_and_border(rows_from, border_bits):
     corners = corners[:, [3, 2, 1, 0]].reshape(-1, 2)
     picture, truth = seen_in_perspective(board, corners, size=(1280, 960))
     target = TagGrid(3, 4, 0.04, 0.02, border_bits=border_bits, rows_from=rows_from)
-    found = detect(picture, target)
-    assert found.visible.all()
-    np.testing.assert_allclose(found.pixels, truth, atol=0.6)
+    detection = detect(picture, target)
+    assert detection.visible.all()
+    np.testing.assert_allclose(detection.pixels, truth, atol=0.6)
     other = TagGrid(
         3, 4, 0.04, 0.02, border_bits=border_bits, rows_from={"top": "bottom"}.get(rows_from, "top")
     )
@@ -113,9 +113,9 @@ def test_a_corner_that_cannot_be_refined_is_not_visible():
     target = TagGrid(2, 2, 0.04, 0.02)
     assert detect(picture, target).visible.all()
     picture[y - 3 : y + 14, x - 3 : x + 14] = 20
-    found = detect(picture, target)
-    assert not found.visible[2]
-    assert found.visible.sum() >= 12
+    detection = detect(picture, target)
+    assert not detection.visible[2]
+    assert detection.visible.sum() >= 12
 
 
 def test_a_drawing_of_an_aprilgrid_is_kalibrs():
@@ -135,6 +135,6 @@ def test_a_tag_that_is_there_twice_is_not_taken():
     board, corners = tag_print(2, 2, 100, 50, 1)
     tag_from_left = round(corners[0, 1, 0]) + 25
     twice = np.hstack([board, board[:, :tag_from_left]])
-    found = detect(twice, TagGrid(2, 2, 0.04, 0.02))
+    detection = detect(twice, TagGrid(2, 2, 0.04, 0.02))
     # The tags 0 and 2 are in the left column, and in the picture twice.
-    assert found.visible.tolist() == [False] * 4 + [True] * 4 + [False] * 4 + [True] * 4
+    assert detection.visible.tolist() == [False] * 4 + [True] * 4 + [False] * 4 + [True] * 4

@@ -96,7 +96,7 @@ def target(scene, tmp_path_factory):
             {name: list(scene.click(k, vertex)) for k, name in enumerate(NAMES)} for vertex in loop
         ]
         session.change(
-            {"do": "several", "changes": [{"do": "add_point", "clicks": one} for one in clicks]}
+            {"do": "several", "changes": [{"do": "add_point", "clicks": click} for click in clicks]}
         )
         face = session.add_face(sorted(session.document.points), name=NAMES[1], graspable=True)
         session.add_grasp(face, name=NAMES[0], opening=0.2)

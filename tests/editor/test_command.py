@@ -73,10 +73,10 @@ def test_what_is_missing_is_named(folder, words, said):
 def test_a_data_set_of_a_board_is_a_data_set_of_views(folder):
     from smartview_jax.io import load_view_pictures
 
-    found = load_view_pictures(folder)
-    assert len(found.view_ids) == len(found.pictures) == 12
-    assert all(path.is_file() for path in found.pictures)
-    np.testing.assert_allclose(np.linalg.det(found.base_from_tool[:, :3, :3]), 1.0)
+    loaded = load_view_pictures(folder)
+    assert len(loaded.view_ids) == len(loaded.pictures) == 12
+    assert all(path.is_file() for path in loaded.pictures)
+    np.testing.assert_allclose(np.linalg.det(loaded.base_from_tool[:, :3, :3]), 1.0)
 
 
 def test_a_calibration_comes_with_its_covariance_where_the_file_has_one(

@@ -74,14 +74,14 @@ def test_an_edge_of_another_length_than_its_equals_is_named(scene):
         say(session, "equal_length", *([ids[a], ids[b]] for a, b in (RAFTERS[0], pair)))
     assert session.disagreements() == []
     click_elsewhere(session, scene, ids[8], 8, [0.004, 0.0, 0.0])
-    found = session.disagreements()
-    assert [(one.kind, one.id) for one in found if one.kind != "constraints"] == [
+    disagreements = session.disagreements()
+    assert [(one.kind, one.id) for one in disagreements if one.kind != "constraints"] == [
         ("edges", edges[2])
     ]
-    assert found[0].words.startswith("54.0")
-    assert "mm by its own clicks, where the others say 50.0" in found[0].words
+    assert disagreements[0].words.startswith("54.0")
+    assert "mm by its own clicks, where the others say 50.0" in disagreements[0].words
     # All clicks of the point are off, so no single one explains it.
-    assert found[0].suspects == ()
+    assert disagreements[0].suspects == ()
     # Each fact of the four alone would let them agree, and is doubted too; the page says so.
     shown = Conversation(session).greeting()["parts"]["constraints"]
     assert {k for k, one in shown.items() if "problem" in one} == set(session.document.constraints)

@@ -313,10 +313,10 @@ def check_snapping(page, ids):
         return near;
     }"""
     for scale, corner in ((0.5, 0.1), (20.0, 0.1), (20.0, 2.0)):
-        found = page.page.evaluate(reach, [scale, corner])
+        actual = page.page.evaluate(reach, [scale, corner])
         # One right click in a hundred is farther; a mouse is right to 1.5 px of the screen.
         expected = np.sqrt(chi2.ppf(0.99, 2)) * np.hypot(1.5 / scale, corner)
-        assert found == pytest.approx(expected, rel=1e-3)
+        assert actual == pytest.approx(expected, rel=1e-3)
     # A click on the place where the active point is only predicted is measured, not predicted.
     predicted = """(id) => {
         const view = smartviewEditor.views.find(({ name }) =>

@@ -72,9 +72,9 @@ def test_a_curve_passes_the_feature_at_its_depth(session, scene):
     assert set(curves) == {"v2", "v3", "v4", "v5"}
     depth = np.linalg.norm(scene.truth.vertices[3] - session.geometry.centres[0])
     for k, name in enumerate(session.names[1:], start=1):
-        distance, found = nearest_on(curves[name], scene.pixels[k, 3])
+        distance, actual = nearest_on(curves[name], scene.pixels[k, 3])
         assert distance < 0.05
-        assert found == pytest.approx(depth, rel=1e-3)
+        assert actual == pytest.approx(depth, rel=1e-3)
 
 
 def test_undo_and_redo_lead_to_the_same_documents(session, scene):
@@ -203,8 +203,8 @@ def test_pictures_are_read_from_files(scene, tmp_path):
     files = [tmp_path / f"{k}.png" for k in range(5)]
     for file, picture in zip(files, scene.pictures, strict=True):
         cv2.imwrite(str(file), picture)
-    found = ModelSession(scene.calibration, scene.base_from_tool, files)
-    np.testing.assert_array_equal(found.pictures["v3"], scene.pictures[2])
+    actual = ModelSession(scene.calibration, scene.base_from_tool, files)
+    np.testing.assert_array_equal(actual.pictures["v3"], scene.pictures[2])
     files[1].unlink()
     with pytest.raises(FileNotFoundError, match=r"1\.png"):
         ModelSession(scene.calibration, scene.base_from_tool, files)

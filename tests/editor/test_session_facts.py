@@ -64,10 +64,10 @@ def test_a_symmetry_is_found_confirmed_and_saved(session, scene, tmp_path):
         session.confirm_symmetry()
     drawn_house(session, scene)
     # The house is the same after half a turn about the vertical through the middle of its ridge.
-    found = session.symmetry()
-    assert found.order == 2
-    assert not found.confirmed
-    (axis,) = found.axes
+    actual = session.symmetry()
+    assert actual.order == 2
+    assert not actual.confirmed
+    (axis,) = actual.axes
     np.testing.assert_allclose(axis.direction, [0, 0, 1], atol=0.01)
     assert session.symmetry_said is None
     session.save()
@@ -141,10 +141,10 @@ def test_the_deviation_of_a_length_is_that_of_both_points_together(session, scen
     ]
     _, features = session.geometry.refined(points, constraints)
     pairs = [(0, 1), (0, 4), (1, 6), (5, 9)]
-    for (a, b), found in zip(
+    for (a, b), actual in zip(
         pairs, session.distances([(ids[a], ids[b]) for a, b in pairs]), strict=True
     ):
-        np.testing.assert_allclose(found, dimension(features, a, b), rtol=1e-6)
+        np.testing.assert_allclose(actual, dimension(features, a, b), rtol=1e-6)
     # The saved file gives the same distances, because it keeps the correlations.
     session.save()
     model = load_object_model(tmp_path / "house.json")

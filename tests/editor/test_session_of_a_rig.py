@@ -54,10 +54,10 @@ def test_a_corner_that_both_cameras_see_is_placed_and_drawn_in_all_views(session
         assert away.min() < 5.0
     point = session.click("left/a", pixels[0])
     session.click("right/a", pixels[1], point)
-    found = session.estimates()[point]
-    np.testing.assert_allclose(found.position, CORNER[0], atol=1e-7)
-    np.testing.assert_allclose(found.predicted, pixels, atol=1e-3)
-    assert found.visible.all()
+    actual = session.estimates()[point]
+    np.testing.assert_allclose(actual.position, CORNER[0], atol=1e-7)
+    np.testing.assert_allclose(actual.predicted, pixels, atol=1e-3)
+    assert actual.visible.all()
 
 
 def test_each_view_has_the_size_of_its_picture(session, rig, poses):

@@ -73,13 +73,13 @@ def test_the_calibrations_error_is_part_of_a_clicked_point(fit, command, picture
             curve = session.curves("v1", pixels[0, 0])[name].pixels
             assert np.linalg.norm(curve - pixel, axis=1).min() < 30.0
             session.click(name, pixel, point)
-        found = session.estimates()[point]
-    np.testing.assert_allclose(found.position, POINT, atol=1e-8)
+        actual = session.estimates()[point]
+    np.testing.assert_allclose(actual.position, POINT, atol=1e-8)
     expected = triangulate_points(
         fit.calibration, command, pixels, covariance=fit, pixel_sigma=0.3
     ).covariance()[0]
-    np.testing.assert_allclose(found.covariance, expected, rtol=1e-6)
-    part = found.covariance - found.picture_covariance
+    np.testing.assert_allclose(actual.covariance, expected, rtol=1e-6)
+    part = actual.covariance - actual.picture_covariance
     assert np.linalg.eigvalsh(part)[-1] > 1e-10
     # A journal belongs to its pictures, and to the joint readings as well.
     other = Command(command.base_from_tool, command.joints + 1e-3)

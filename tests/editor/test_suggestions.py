@@ -60,9 +60,9 @@ def test_what_is_suggested_of_a_house_is_true_and_is_stated_as_by_hand(scene):
     # Nothing is assumed unasked.
     assert not session.document.constraints
     for _ in range(6):
-        found = Conversation(session).judge()["suggestions"]
+        verdict = Conversation(session).judge()["suggestions"]
         assert all(is_true(scene, ids, one) for one in session.suggestions())
-        facts = [{"kind": one["kind"], "items": one["items"]} for one in found[::2]]
+        facts = [{"kind": one["kind"], "items": one["items"]} for one in verdict[::2]]
         changes = [{"do": "add_constraint", **fact} for fact in facts]
         session.change({"do": "several", "changes": changes})
     # They hold together, and what they imply is not asked again.

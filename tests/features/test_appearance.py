@@ -88,9 +88,9 @@ def test_patches_are_normalised_and_zero_without_contrast():
 def test_directions_are_those_of_the_segments_from_the_corner():
     level = np.full((480, 640), 60, np.uint8)
     cv2.rectangle(level, (200, 150), (400, 300), 180, -1)
-    found = features.find(level, CAMERA)
-    look = features.describe(level, CAMERA, found, np.array([1.0, 0.0, 0.0]))
-    corner = int(np.argmin(np.linalg.norm(found.corners - [199.5, 149.5], axis=1)))
+    in_picture = features.find(level, CAMERA)
+    look = features.describe(level, CAMERA, in_picture, np.array([1.0, 0.0, 0.0]))
+    corner = int(np.argmin(np.linalg.norm(in_picture.corners - [199.5, 149.5], axis=1)))
     angles = np.sort(look.directions[corner][np.isfinite(look.directions[corner])])
     # Away from the optical axis the patch's plane is tilted, and a right angle nearly one.
     np.testing.assert_allclose(angles, [0.0, 0.5 * np.pi], atol=0.03)

@@ -32,9 +32,9 @@ def rough_edges(blur, rng, count=20, length=600):
 def test_the_length_of_smoothed_noise_is_known(blur):
     """The correlation of the noise is exp(-d^2 / 4 s^2), whose integral is 2 sqrt(pi) s."""
     segments, points = rough_edges(blur, np.random.default_rng(0))
-    found = correlated_length(segments, points, np.ones(len(points.pixels), dtype=bool))
+    length = correlated_length(segments, points, np.ones(len(points.pixels), dtype=bool))
     # Fitting the lines takes some of the longest waves away, the more the shorter they are.
-    assert found == pytest.approx(2.0 * np.sqrt(np.pi) * blur, rel=0.15)
+    assert length == pytest.approx(2.0 * np.sqrt(np.pi) * blur, rel=0.15)
 
 
 def test_no_length_is_shorter_than_what_smoothing_makes_it():

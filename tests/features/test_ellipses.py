@@ -42,12 +42,12 @@ def test_an_ellipse_is_found_where_straight_sides_continue_it():
     points = np.concatenate([rim, tubes, clutter])
     points += 0.05 * rng.standard_normal(points.shape)
     clutter_normals = np.column_stack([np.cos(turns), np.sin(turns)])
-    found = find_ellipses(points, np.concatenate([normals, tube_normals, clutter_normals]))
-    assert len(found) == 1
+    ellipses = find_ellipses(points, np.concatenate([normals, tube_normals, clutter_normals]))
+    assert len(ellipses) == 1
     truth = scaled(conic_of(middle, half, turn))
-    centre = -np.linalg.solve(found[0][:2, :2], found[0][:2, 2])
+    centre = -np.linalg.solve(ellipses[0][:2, :2], ellipses[0][:2, 2])
     np.testing.assert_allclose(centre, middle, atol=0.5)
-    values = [np.sort(np.linalg.eigvalsh(scaled(q)[:2, :2])) for q in (found[0], truth)]
+    values = [np.sort(np.linalg.eigvalsh(scaled(q)[:2, :2])) for q in (ellipses[0], truth)]
     np.testing.assert_allclose(values[0], values[1], rtol=0.03)
 
 

@@ -64,9 +64,9 @@ def views(noise=2.0):
         clean = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         rng = np.random.default_rng(seed)
         noisy = np.rint(clean + noise * rng.standard_normal(clean.shape))
-        found = features.find(np.clip(noisy, 0, 255).astype(np.uint8), CALIBRATION.camera)
+        in_picture = features.find(np.clip(noisy, 0, 255).astype(np.uint8), CALIBRATION.camera)
         in_camera = np.asarray(CALIBRATION.points_in_camera(pose, solid.vertices))
-        yield found, np.asarray(CALIBRATION.project(pose, solid.vertices)[0]), in_camera, solid
+        yield in_picture, np.asarray(CALIBRATION.project(pose, solid.vertices)[0]), in_camera, solid
 
 
 @pytest.fixture(scope="module")
@@ -94,15 +94,15 @@ def is_clear(vertex, pixels, solid):
 def corner_errors(rendered):
     """Errors of corners of segments at clear vertices, and their whitened squares."""
     errors, nees = [], []
-    for found, pixels, _, solid in rendered:
-        joined = found.corner_segments[:, 1] >= 0
+    for actual, pixels, _, solid in rendered:
+        joined = actual.corner_segments[:, 1] >= 0
         for vertex in range(len(pixels)):
-            distance = np.linalg.norm(found.corners[joined] - pixels[vertex], axis=1)
+            distance = np.linalg.norm(actual.corners[joined] - pixels[vertex], axis=1)
             k = int(np.argmin(distance))
             if distance[k] < 3.0 and is_clear(vertex, pixels, solid):
-                error = found.corners[joined][k] - pixels[vertex]
+                error = actual.corners[joined][k] - pixels[vertex]
                 errors.append(error)
-                covariance = found.corner_covariances[joined][k]
+                covariance = actual.corner_covariances[joined][k]
                 nees.append(error @ np.linalg.solve(covariance, error))
     return np.array(errors), np.array(nees)
 
@@ -123,27 +123,27 @@ def test_covariances_of_corners_are_honest(corner_errors):
 
 def test_lines_are_the_planes_through_the_edges(rendered):
     whitened, errors = [], []
-    for found, pixels, in_camera, solid in rendered:
+    for actual, pixels, in_camera, solid in rendered:
         for a, b in solid.edges:
             normal = np.cross(in_camera[a], in_camera[b])
             normal /= np.linalg.norm(normal)
             length = np.linalg.norm(pixels[b] - pixels[a])
             clear = is_clear(a, pixels, solid) and is_clear(b, pixels, solid)
             ends = np.minimum(
-                np.linalg.norm(found.segments - pixels[a], axis=2).min(axis=1),
-                np.linalg.norm(found.segments - pixels[b], axis=2).min(axis=1),
+                np.linalg.norm(actual.segments - pixels[a], axis=2).min(axis=1),
+                np.linalg.norm(actual.segments - pixels[b], axis=2).min(axis=1),
             )
-            sign = np.sign(found.lines @ normal)[:, None]
-            angle = np.linalg.norm(found.lines * sign - normal, axis=1)
+            sign = np.sign(actual.lines @ normal)[:, None]
+            angle = np.linalg.norm(actual.lines * sign - normal, axis=1)
             k = int(np.argmin(angle))
             if not clear or length < 40.0 or ends[k] > 3.0 or angle[k] * FOCAL_LENGTH > 3.0:
                 continue
-            error = found.lines[k] * sign[k] - normal
-            values, vectors = np.linalg.eigh(found.line_covariances[k])
+            error = actual.lines[k] * sign[k] - normal
+            values, vectors = np.linalg.eigh(actual.line_covariances[k])
             assert values[0] < 1e-6 * values[1]
             whitened.append(((vectors[:, 1:].T @ error) ** 2 / values[1:]).sum())
             middle = in_camera[a] + in_camera[b]
-            errors.append(FOCAL_LENGTH * found.lines[k] @ middle / np.linalg.norm(middle))
+            errors.append(FOCAL_LENGTH * actual.lines[k] @ middle / np.linalg.norm(middle))
     assert len(errors) >= 20
     assert np.abs(np.mean(errors)) < 0.05
     assert np.sqrt(np.mean(np.square(errors))) < 0.06
@@ -151,29 +151,29 @@ def test_lines_are_the_planes_through_the_edges(rendered):
 
 
 def test_ends_at_corners_are_the_corners(rendered):
-    found = rendered[0][0]
-    joined = np.nonzero(found.corner_segments[:, 0] >= 0)[0]
+    actual = rendered[0][0]
+    joined = np.nonzero(actual.corner_segments[:, 0] >= 0)[0]
     for k in joined:
-        ends = found.segments[found.corner_segments[k][found.corner_segments[k] >= 0]]
-        assert np.linalg.norm(ends - found.corners[k], axis=2).min() < 1e-9
+        ends = actual.segments[actual.corner_segments[k][actual.corner_segments[k] >= 0]]
+        assert np.linalg.norm(ends - actual.corners[k], axis=2).min() < 1e-9
 
 
 def test_everything_is_finite_and_in_the_picture(rendered):
-    for found, *_ in rendered:
-        for part in found[:-1]:
+    for actual, *_ in rendered:
+        for part in actual[:-1]:
             assert np.isfinite(part).all()
-        assert ((found.corners >= -0.5) & (found.corners <= [639.5, 479.5])).all()
-        np.testing.assert_allclose(np.linalg.norm(found.lines, axis=1), 1.0)
-        assert (np.linalg.eigvalsh(found.corner_covariances) > 0.0).all()
-        assert (np.linalg.eigvalsh(found.end_covariances) > 0.0).all()
+        assert ((actual.corners >= -0.5) & (actual.corners <= [639.5, 479.5])).all()
+        np.testing.assert_allclose(np.linalg.norm(actual.lines, axis=1), 1.0)
+        assert (np.linalg.eigvalsh(actual.corner_covariances) > 0.0).all()
+        assert (np.linalg.eigvalsh(actual.end_covariances) > 0.0).all()
 
 
 def test_the_lighter_side_is_to_the_left():
     picture = np.full((480, 640), 60, np.uint8)
     cv2.rectangle(picture, (200, 150), (400, 300), 180, -1)
-    found = features.find(picture, CALIBRATION.camera)
-    assert len(found.segments) == 4
-    for a, b in found.segments:
+    in_picture = features.find(picture, CALIBRATION.camera)
+    assert len(in_picture.segments) == 4
+    for a, b in in_picture.segments:
         d = (b - a) / np.linalg.norm(b - a)
         # To the left of the direction, in a picture whose v points down.
         left = 0.5 * (a + b) + 10.0 * np.array([d[1], -d[0]])
@@ -185,10 +185,10 @@ def test_a_dot_is_a_corner_of_the_gradient_and_a_colour_picture_is_accepted():
     picture = np.full((480, 640, 3), 60, np.uint8)
     picture[239:242, 319:322] = 255
     cv2.rectangle(picture, (100, 100), (180, 160), (0, 200, 0), -1)
-    found = features.find(picture, CALIBRATION.camera)
-    gap = np.linalg.norm(found.corners - [320.0, 240.0], axis=1)
+    in_picture = features.find(picture, CALIBRATION.camera)
+    gap = np.linalg.norm(in_picture.corners - [320.0, 240.0], axis=1)
     assert gap.min() < 0.3
-    assert found.corner_segments[np.argmin(gap), 0] == -1
+    assert in_picture.corner_segments[np.argmin(gap), 0] == -1
 
 
 def test_an_edge_map_has_thin_lines():
@@ -229,9 +229,9 @@ def test_what_is_no_picture_of_the_camera_is_named(picture, message):
 def test_a_picture_without_straight_edges_has_no_segments():
     v, u = np.mgrid[:480, :640]
     picture = np.rint(120.0 + 60.0 * np.sin(u / 60.0) * np.sin(v / 50.0)).astype(np.uint8)
-    found = features.find(picture, CALIBRATION.camera)
-    assert found.segments.shape == (0, 2, 2)
-    assert found.line_covariances.shape == (0, 3, 3)
+    in_picture = features.find(picture, CALIBRATION.camera)
+    assert in_picture.segments.shape == (0, 2, 2)
+    assert in_picture.line_covariances.shape == (0, 3, 3)
 
 
 def reference_corners(name, views):
@@ -260,8 +260,8 @@ def reference_corners(name, views):
 def test_reference_corners_of_real_pictures_are_among_the_features(name, views, expected):
     hits = []
     for camera, picture, corners in reference_corners(name, views):
-        found = features.find(picture, camera)
-        gap = np.linalg.norm(corners[:, None] - found.corners, axis=2).min(axis=1)
+        in_picture = features.find(picture, camera)
+        gap = np.linalg.norm(corners[:, None] - in_picture.corners, axis=2).min(axis=1)
         hits += list(gap < 1.5)
     assert np.mean(hits) >= expected
 

@@ -86,8 +86,8 @@ def test_points_near_lines_are_all_found(rng):
         inside = (np.abs(gaps @ normals[k]) < 2.5) & (
             np.abs(gaps @ directions_of(normals[k : k + 1])[0]) <= 25.0
         )
-        found = set(near.point[near.line == k])
-        assert found == set(np.flatnonzero(inside))
+        actual = set(near.point[near.line == k])
+        assert actual == set(np.flatnonzero(inside))
 
 
 def test_no_points_or_no_proposals_give_no_lines(rng):

@@ -84,8 +84,8 @@ def test_maps_hold_the_distances_to_edges_of_each_direction(evidence):
         known = maps.distances[k] < FAR
         ours = maps.distances[k][known] * DISTANCE_STEP * maps.cell_size
         assert np.abs(ours - near[known]).max() < 1.3 * maps.cell_size
-        found = np.linalg.norm(centres(maps)[known] - maps.points[maps.nearest[k][known]], axis=1)
-        assert np.abs(found - near[known]).max() < 1.3 * maps.cell_size
+        actual = np.linalg.norm(centres(maps)[known] - maps.points[maps.nearest[k][known]], axis=1)
+        assert np.abs(actual - near[known]).max() < 1.3 * maps.cell_size
         compared += known.sum()
     assert compared > 10_000
 

@@ -74,14 +74,14 @@ def test_only_small_pictures_with_sharp_edges_are_enlarged(width):
 def test_enlarging_a_small_picture_shows_the_corners_of_its_objects():
     """Smoothing by a pixel cuts the corners of a square of 43 px."""
     size = (100, 80)
-    found = picture_evidence(steps(0.35, size=size).astype(np.uint8), camera(size))
-    assert found.features.image_size == (200, 160)
+    evidence = picture_evidence(steps(0.35, size=size).astype(np.uint8), camera(size))
+    assert evidence.features.image_size == (200, 160)
     # Counted from the outer border of the first pixel.
-    enlarged = (found.edge_points.pixels + 0.5) / found.scale - 0.5
+    enlarged = (evidence.edge_points.pixels + 0.5) / evidence.scale - 0.5
     # Turned back, the sides are parallel to the axes.
     signs = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
     gaps = []
-    for points in (found.at(1.0, camera(size)).edge_points.pixels, enlarged):
+    for points in (evidence.at(1.0, camera(size)).edge_points.pixels, enlarged):
         turned = (points - 0.5 * np.array(size)) @ np.array([[0.9, -0.44], [0.44, 0.9]])
         gaps.append(KDTree(turned).query(0.27 * size[1] * signs)[0].max())
     assert gaps[1] < 0.7 * gaps[0]
@@ -100,22 +100,22 @@ def test_an_enlarged_picture_has_the_edge_points_of_the_original():
     picture, size = steps(STANDARD_WIDTH).astype(np.uint8), (2 * SIZE[0], 2 * SIZE[1])
     enlarged = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
     original = picture_evidence(picture, camera())
-    found = picture_evidence(enlarged, camera(size))
-    assert (original.scale, found.scale) == (1.0, 0.5)
-    assert found.grey.shape == enlarged.shape
-    assert scaled_camera(camera(size), 0.5).image_size == found.features.image_size == SIZE
+    evidence = picture_evidence(enlarged, camera(size))
+    assert (original.scale, evidence.scale) == (1.0, 0.5)
+    assert evidence.grey.shape == enlarged.shape
+    assert scaled_camera(camera(size), 0.5).image_size == evidence.features.image_size == SIZE
     points = original.edge_points.pixels
-    assert len(found.edge_points.pixels) == pytest.approx(len(points), rel=0.05)
-    gaps = KDTree(points).query(found.edge_points.pixels)[0]
+    assert len(evidence.edge_points.pixels) == pytest.approx(len(points), rel=0.05)
+    gaps = KDTree(points).query(evidence.edge_points.pixels)[0]
     assert np.quantile(gaps, 0.9) < 0.5
-    assert found.at(0.5, camera(size)) is found
-    assert found.at(1.0, camera(size)).features.image_size == size
+    assert evidence.at(0.5, camera(size)) is evidence
+    assert evidence.at(1.0, camera(size)).features.image_size == size
 
 
 def test_evidence_without_its_picture_stays_at_its_scale():
-    found = picture_evidence(steps(1.5).astype(np.uint8), camera())._replace(grey=None)
+    evidence = picture_evidence(steps(1.5).astype(np.uint8), camera())._replace(grey=None)
     with pytest.raises(ValueError, match="was not kept"):
-        found.at(1.0, camera())
+        evidence.at(1.0, camera())
 
 
 def test_a_resized_camera_sees_the_same_places():

@@ -72,12 +72,12 @@ def test_poses_that_are_not_finite_stay_marked_and_spoil_no_others():
     numbers[1, 5] = np.nan
     matrices = host_matrices(SE3(jnp.asarray(numbers)))
     missing = [[False], [True], [False]]
-    for found in (
+    for actual in (
         host_transforms(matrices).wxyz_xyz,
         host_logarithms(matrices),
         host_nearest_rotation(matrices[:, :3, :3]).reshape(3, 9),
     ):
-        np.testing.assert_array_equal(np.isnan(found), np.broadcast_to(missing, found.shape))
+        np.testing.assert_array_equal(np.isnan(actual), np.broadcast_to(missing, actual.shape))
 
 
 @pytest.mark.filterwarnings("error")
@@ -91,8 +91,8 @@ def test_a_quaternion_of_zeros_is_no_rotation_and_spoils_no_others():
 
 def test_the_nearest_rotation_on_the_host_is_that_of_jax():
     matrices = RNG.normal(size=(4, 3, 3))
-    found = host_nearest_rotation(matrices)
-    for matrix, rotation in zip(matrices, found, strict=True):
+    actual = host_nearest_rotation(matrices)
+    for matrix, rotation in zip(matrices, actual, strict=True):
         np.testing.assert_allclose(rotation, nearest_rotation(jnp.asarray(matrix)), atol=1e-13)
 
 

@@ -24,8 +24,8 @@ def exp_derivative(tangent):
 @pytest.mark.parametrize("size", [1e-3, 0.1, 1.0, 2.5])
 def test_exp_jacobian_is_the_derivative_of_exp(size):
     tangent = size * RNG.normal(size=6) / np.sqrt(6)
-    found = left_jacobian(np.tile(tangent, (2, 1)))[0]
-    np.testing.assert_allclose(found, exp_derivative(tangent), atol=1e-9)
+    actual = left_jacobian(np.tile(tangent, (2, 1)))[0]
+    np.testing.assert_allclose(actual, exp_derivative(tangent), atol=1e-9)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.4999, 0.5001, 3.0, 7.0])
@@ -33,22 +33,22 @@ def test_exp_jacobian_is_the_series_of_the_commutator(angle):
     """The integral of exp(s ad) over s from 0 to 1 is a block of a matrix exponential."""
     axis = np.array([0.6, -0.48, 0.64])
     tangents = np.stack([np.r_[RNG.normal(size=3), sign * angle * axis] for sign in (1.0, -1.0)])
-    for tangent, found in zip(tangents, left_jacobian(tangents), strict=True):
+    for tangent, actual in zip(tangents, left_jacobian(tangents), strict=True):
         v, w = (np.cross(part, np.eye(3), axisb=0).T for part in np.split(tangent, 2))
         ad = np.block([[w, v], [np.zeros((3, 3)), w]])
         block = np.block([[ad, np.eye(6)], [np.zeros((6, 12))]])
-        np.testing.assert_allclose(found, expm(block)[:6, 6:], atol=1e-13)
+        np.testing.assert_allclose(actual, expm(block)[:6, 6:], atol=1e-13)
 
 
 def test_quaternions_of_rotation_vectors_are_scipys():
     angles = np.array([0.0, 1e-9, 1e-3, 0.9999, 1.0001, 3.0, 7.0])
     vectors = angles[:, None] * np.array([0.6, -0.48, 0.64])
-    found = np.asarray(jax.jit(quaternion_exponentials)(vectors))
+    actual = np.asarray(jax.jit(quaternion_exponentials)(vectors))
     x, y, z, w = Rotation.from_rotvec(vectors).as_quat().T
     expected = np.stack([w, x, y, z], axis=1)
     # A quaternion and its negative are one rotation.
-    expected *= np.sign(np.sum(found * expected, axis=1, keepdims=True))
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    expected *= np.sign(np.sum(actual * expected, axis=1, keepdims=True))
+    np.testing.assert_allclose(actual, expected, atol=1e-15)
 
 
 def test_functions_of_the_angle_are_differentiable_at_zero():

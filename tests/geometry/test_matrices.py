@@ -80,8 +80,8 @@ def tangent_matrix(tangent):
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.4999, 0.5001, 3.0, 7.0])
 def test_exponentials_are_scipys(angle):
     tangent = np.r_[RNG.normal(size=3), angle * np.array([0.6, -0.48, 0.64])]
-    found = np.asarray(matrix_exponentials(jnp.asarray(tangent)))
-    np.testing.assert_allclose(found, expm(tangent_matrix(tangent)), atol=2e-14)
+    actual = np.asarray(matrix_exponentials(jnp.asarray(tangent)))
+    np.testing.assert_allclose(actual, expm(tangent_matrix(tangent)), atol=2e-14)
 
 
 def test_exponentials_are_differentiable_at_zero():
@@ -103,7 +103,7 @@ def test_shifts_and_points():
 def test_products_of_quaternions_are_scipys():
     first, second = Rotation.random(5, random_state=1), Rotation.random(5, random_state=2)
     numbers = [jnp.asarray(np.roll(turn.as_quat(), 1, axis=1)) for turn in (first, second)]
-    found = np.asarray(quaternion_product(*numbers))
+    actual = np.asarray(quaternion_product(*numbers))
     expected = np.roll((first * second).as_quat(), 1, axis=1)
-    expected *= np.sign(np.sum(found * expected, axis=1, keepdims=True))
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    expected *= np.sign(np.sum(actual * expected, axis=1, keepdims=True))
+    np.testing.assert_allclose(actual, expected, atol=1e-15)

@@ -115,9 +115,9 @@ def test_angles_agree_with_scipy(name, sequence):
     if sequence[0] == sequence[2]:
         angles[:, 1] += 1.5  # the second angle runs from 0 to 180 degrees
     rows = np.concatenate([np.zeros((20, 3)), np.rad2deg(angles)], axis=1)
-    found = pose_codec(name).decode(rows, "mm", "deg").rotation().as_matrix()
+    actual = pose_codec(name).decode(rows, "mm", "deg").rotation().as_matrix()
     expected = Rotation.from_euler(sequence, angles)
-    np.testing.assert_allclose(found, expected.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(actual, expected.as_matrix(), atol=1e-12)
     written = pose_codec(name).encode(pose_codec(name).decode(rows, "mm", "deg"), "mm", "deg")
     np.testing.assert_allclose(written[:, 3:], expected.as_euler(sequence, degrees=True), atol=1e-9)
 
@@ -147,8 +147,8 @@ def test_eq_18_as_it_is_written_out():
 
     M0 = np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]])
     expected = about("z", O) @ about("x", A) @ M0 @ about("z", T)
-    found = rotation_matrix(np.array([O, A, T]))
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    actual = rotation_matrix(np.array([O, A, T]))
+    np.testing.assert_allclose(actual, expected, atol=1e-15)
     zero = np.asarray(rotation_matrix(np.zeros(3)))
     np.testing.assert_allclose(zero[:, 2], [0.0, -1.0, 0.0], atol=1e-15)  # points along -y
 

@@ -19,18 +19,18 @@ RNG = np.random.default_rng(0)
 @jax.jit
 def nearest_and_slopes(matrix, direction):
     """The nearest rotation, its slope in a direction, and the reverse-mode gradient there."""
-    found, slope = jax.jvp(nearest_rotation, (matrix,), (direction,))
-    return found, slope, jax.grad(lambda m: jnp.sum(nearest_rotation(m) * direction))(matrix)
+    actual, slope = jax.jvp(nearest_rotation, (matrix,), (direction,))
+    return actual, slope, jax.grad(lambda m: jnp.sum(nearest_rotation(m) * direction))(matrix)
 
 
 def test_nearest_rotation_is_a_rotation_and_the_nearest():
     matrix = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix() + 0.1 * RNG.normal(size=(3, 3))
-    found = np.asarray(nearest_and_slopes(matrix, np.eye(3))[0])
-    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-14)
-    assert np.linalg.det(found) > 0.0
-    distance = np.linalg.norm(found - matrix)
+    actual = np.asarray(nearest_and_slopes(matrix, np.eye(3))[0])
+    np.testing.assert_allclose(actual @ actual.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(actual) > 0.0
+    distance = np.linalg.norm(actual - matrix)
     for turn in 1e-3 * RNG.normal(size=(20, 3)):
-        other = Rotation.from_rotvec(turn).as_matrix() @ found
+        other = Rotation.from_rotvec(turn).as_matrix() @ actual
         assert np.linalg.norm(other - matrix) > distance
 
 
@@ -53,10 +53,10 @@ def test_the_mean_pose_is_scipys():
     matrices = np.tile(np.eye(4), (5, 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = rotations.as_matrix(), shifts
     weights = np.array([1.0, 2.0, 0.5, 0.0, 1.0])
-    found = mean_pose(as_se3(matrices), jnp.asarray(weights))
+    mean = mean_pose(as_se3(matrices), jnp.asarray(weights))
     expected = rotations[[0, 1, 2, 4]].mean(weights[[0, 1, 2, 4]]).as_matrix()
-    np.testing.assert_allclose(found.rotation().as_matrix(), expected, atol=1e-12)
-    np.testing.assert_allclose(found.translation(), np.average(shifts, axis=0, weights=weights))
+    np.testing.assert_allclose(mean.rotation().as_matrix(), expected, atol=1e-12)
+    np.testing.assert_allclose(mean.translation(), np.average(shifts, axis=0, weights=weights))
     plain = mean_pose(as_se3(matrices))
     np.testing.assert_allclose(plain.translation(), shifts.mean(axis=0))
 

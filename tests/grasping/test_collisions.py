@@ -101,8 +101,8 @@ def test_distances_are_those_of_trimesh():
             manager.min_distance_single(trimesh.convex.convex_hull(corners))
             for corners in parts.values()
         )
-        found = CollisionChecker([obstacle]).nearest(parts).clearance
-        assert np.isclose(found, max(expected, 0.0), atol=1e-6)
+        actual = CollisionChecker([obstacle]).nearest(parts).clearance
+        assert np.isclose(actual, max(expected, 0.0), atol=1e-6)
 
 
 def test_links_are_cylinders_about_the_lines_between_the_frames():

@@ -14,13 +14,13 @@ GRIPPER = Gripper(max_opening=0.05)
 
 def test_suggestions_take_every_pair_of_faces_that_fits_the_gripper():
     # 60 mm is too wide for 50 mm: two pairs remain, each approached from four sides.
-    found = suggested_grasps(box(0.06, 0.04, 0.03), GRIPPER)
-    widths = [width_between_fingers(box(0.06, 0.04, 0.03), one.object_from_tool) for one in found]
+    grasps = suggested_grasps(box(0.06, 0.04, 0.03), GRIPPER)
+    widths = [width_between_fingers(box(0.06, 0.04, 0.03), one.object_from_tool) for one in grasps]
     assert {round(1e3 * w) for w in widths} == {30, 40}
-    approaches = {tuple(one.approach.round(6)) for one in found}
+    approaches = {tuple(one.approach.round(6)) for one in grasps}
     assert len(approaches) == 6
     # Fingertips stay above the support, and reach down along the object within finger length.
-    assert all(0.0 < one.depth <= GRIPPER.finger_length for one in found)
+    assert all(0.0 < one.depth <= GRIPPER.finger_length for one in grasps)
 
 
 def test_faces_that_may_not_be_touched_are_not():
@@ -32,7 +32,9 @@ def test_faces_that_may_not_be_touched_are_not():
     careful = dataclasses.replace(model, faces=faces)
     assert len(suggested_grasps(careful, GRIPPER)) < len(suggested_grasps(model, GRIPPER))
     # Front and back are at a right angle to y.
-    assert all(abs(one.opening_direction[1]) < 1e-9 for one in suggested_grasps(careful, GRIPPER))
+    assert all(
+        abs(grasp.opening_direction[1]) < 1e-9 for grasp in suggested_grasps(careful, GRIPPER)
+    )
 
 
 def test_a_symmetric_model_repeats_its_grasps():
@@ -52,9 +54,9 @@ def test_a_surface_of_revolution_is_grasped_from_all_around():
     model = prism(24, radius=0.02)
     grasp = grasp_on_face(model, 25)
     model = dataclasses.replace(model, grasps=(grasp,), symmetry=find_symmetry(model))
-    found = candidate_grasps(model, GRIPPER)
+    grasps = candidate_grasps(model, GRIPPER)
     assert model.symmetry.axis is not None
-    turns = {tuple(one.object_from_gripper[:3, 0].round(6)) for one in found}
+    turns = {tuple(one.object_from_gripper[:3, 0].round(6)) for one in grasps}
     # Half a turn of the gripper is one of the twelve.
     assert len(turns) == REVOLUTION_STEPS
 
@@ -74,10 +76,10 @@ def test_half_a_turn_mirrors_what_is_along_the_fingers():
 def test_a_model_without_its_bottom_is_grasped_by_what_it_has():
     model = box(0.06, 0.04, 0.03)
     opened = dataclasses.replace(model, faces=model.faces[1:])
-    found = suggested_grasps(opened, GRIPPER)
+    grasps = suggested_grasps(opened, GRIPPER)
     # Across the box still; no longer over its height, nor from below.
-    assert {round(1e3 * width_between_fingers(model, g.object_from_tool)) for g in found} == {40}
-    assert all(one.approach[2] < 0.5 for one in found)
+    assert {round(1e3 * width_between_fingers(model, g.object_from_tool)) for g in grasps} == {40}
+    assert all(one.approach[2] < 0.5 for one in grasps)
 
 
 def test_a_model_without_faces_says_what_is_missing():

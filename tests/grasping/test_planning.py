@@ -74,8 +74,8 @@ def test_the_tool_is_where_eq_20_puts_it(plan):
         @ np.linalg.inv(GRIPPER.tool_from_gripper)
     )
     half_turn = expected @ np.diag([-1.0, -1.0, 1.0, 1.0])
-    found = best.base_from_tool[PHASES.index("grasp")]
-    assert np.allclose(found, expected) or np.allclose(found, half_turn)
+    actual = best.base_from_tool[PHASES.index("grasp")]
+    assert np.allclose(actual, expected) or np.allclose(actual, half_turn)
 
 
 def test_before_it_the_approach_and_after_it_straight_up(plan):
@@ -93,14 +93,14 @@ def test_the_joints_reach_the_poses(plan):
 
 def test_a_fitted_error_of_the_arm_is_compensated(scene):
     truth = random_truth(3).calibration
-    found = grasps_for(placed(), GRIPPER, dataclasses.replace(scene, calibration=truth)).best
+    grasps = grasps_for(placed(), GRIPPER, dataclasses.replace(scene, calibration=truth)).best
     # The true arm, sent to the joints, has the gripper at the object.
     actual_pose = eqx.filter_jit(lambda error, command: error.actual_pose(command))
-    actual = host_matrices(actual_pose(truth.robot_error, six_axes().command(found.joints)))
+    actual = host_matrices(actual_pose(truth.robot_error, six_axes().command(grasps.joints)))
     gripper = np.linalg.inv(host_matrices(truth.base_from_world)) @ actual
-    assert np.allclose(gripper @ GRIPPER.tool_from_gripper, found.world_from_gripper, atol=1e-7)
+    assert np.allclose(gripper @ GRIPPER.tool_from_gripper, grasps.world_from_gripper, atol=1e-7)
     assert not np.allclose(
-        host_matrices(six_axes().base_from_tool(found.joints)), actual, atol=1e-4
+        host_matrices(six_axes().base_from_tool(grasps.joints)), actual, atol=1e-4
     )
 
 
@@ -137,9 +137,9 @@ def test_what_is_written_opens_and_closes_the_gripper(plan, tmp_path):
     rows = list(csv.DictReader((tmp_path / "grasp.csv").read_text().splitlines()))
     best.write(tmp_path / "grasp.json")
     entries = json.loads((tmp_path / "grasp.json").read_text())["viewpoints"]
-    for found in (rows, entries):
-        assert [one["motion"] for one in found] == ["free", "straight", "straight", "straight"]
-        openings = [float(one["opening_m"]) for one in found]
+    for actual in (rows, entries):
+        assert [one["motion"] for one in actual] == ["free", "straight", "straight", "straight"]
+        openings = [float(one["opening_m"]) for one in actual]
         assert openings == [best.opening, best.opening, 0.0, 0.0]
 
 
@@ -225,9 +225,9 @@ def test_a_singular_wrist_is_refused(scene):
         @ GRIPPER.tool_from_gripper
     )
     pose = world_from_gripper @ np.linalg.inv(TOP.object_from_tool)
-    found = PlacedObject(MODEL, pose, SMALL)
+    actual = PlacedObject(MODEL, pose, SMALL)
     free = dataclasses.replace(scene, obstacles=(), near=joints)
-    plan = grasps_for(found, GRIPPER, free)
+    plan = grasps_for(actual, GRIPPER, free)
     assert not len(plan)
     assert all("singular wrist" in one.reasons[0] for one in plan.refused)
     assert all("grasp" in one.reasons[0] for one in plan.refused)
@@ -288,13 +288,13 @@ def test_a_long_bar_under_a_shelf_is_not_lifted(scene):
     """Far from the fingers: the gripper passes, what it holds does not."""
     bar = box(0.3, 0.02, 0.02, name="bar")
     grasp = grasp_on_face(bar, 1, opening_direction=np.array([0.0, 1.0, 0.0]), depth=0.01)
-    found = placed(model=dataclasses.replace(bar, grasps=(grasp,)), turn=0.0)
-    assert len(grasps_for(found, GRIPPER, scene))
+    actual = placed(model=dataclasses.replace(bar, grasps=(grasp,)), turn=0.0)
+    assert len(grasps_for(actual, GRIPPER, scene))
     shelf = np.eye(4)
     # 5 mm above the last 20 mm of the bar, whose frame is at a corner.
     shelf[:3, 3] = [0.1 + 0.29, -0.1 + 0.01, 0.02 + 5e-3 + 1e-3]
     covered = scene.with_obstacles([Obstacle.box("shelf", (0.02, 0.1, 2e-3), shelf)])
-    plan = grasps_for(found, GRIPPER, covered)
+    plan = grasps_for(actual, GRIPPER, covered)
     assert not len(plan)
     assert "the held object touches shelf" in plan.summary
     # The gripper alone would pass.

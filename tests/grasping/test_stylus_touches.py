@@ -42,10 +42,10 @@ def test_a_small_error_moves_the_tip_as_in_the_simulated_test():
     """The commands of a wrong calibration, where the true one takes the tip."""
     tau = np.array([3e-5, -1e-5, 2e-5, 1e-5, 4e-5, -2e-5])
     touches = ToolCommands(poses(), None, np.tile(tau[:, None], (2, 1, 1)))
-    found = tip_error_factor(touches, TIP)[:, :, 0]
+    actual = tip_error_factor(touches, TIP)[:, :, 0]
     # The tool is displaced: exp(tau) tool_from_world.
     error = stylus_error(TRUTH, TRUTH, TIP, host_transforms(poses()), np.tile(tau, (2, 1)))
-    np.testing.assert_allclose(found, np.asarray(error), atol=1e-8)
+    np.testing.assert_allclose(actual, np.asarray(error), atol=1e-8)
 
 
 def test_an_ellipse_holds_what_it_says():

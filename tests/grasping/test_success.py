@@ -78,8 +78,8 @@ def test_what_the_gripper_is_asked_to_keep_makes_it_harder(candidate):
 
 def test_the_gripper_s_own_error_must_stay_below_the_clearance(candidate):
     expected = (2.0 * norm.cdf(2.0) - 1.0) ** 3
-    found = probability(candidate, clearance=0.002, tx=0.001, ty=0.001, tz=0.001)
-    assert abs(found - expected) < DRAWS_ERROR
+    actual = probability(candidate, clearance=0.002, tx=0.001, ty=0.001, tz=0.001)
+    assert abs(actual - expected) < DRAWS_ERROR
 
 
 def test_correlated_errors_are_those_of_a_multivariate_normal():
@@ -88,12 +88,12 @@ def test_correlated_errors_are_those_of_a_multivariate_normal():
     matrix[[0, 1, 2, 3], [0, 0, 1, 1]] = [1.0, -1.0, 1.0, -1.0]
     full = np.zeros((12, 12))
     full[:2, :2] = sigma
-    found, risks = success_probability(
+    actual, risks = success_probability(
         Conditions(matrix, np.array([2.0, 1.0, 0.5, 1.5]), ("a", "a", "b", "b")), full
     )
     normal = multivariate_normal(np.zeros(2), sigma)
     expected = normal.cdf(np.array([2.0, 0.5]), lower_limit=np.array([-1.0, -1.5]))
-    assert abs(found - expected) < DRAWS_ERROR
+    assert abs(actual - expected) < DRAWS_ERROR
     alone = 1.0 - norm.cdf(2.0 / 2.0) + norm.cdf(-1.0 / 2.0)
     assert abs(risks["a"] - alone) < DRAWS_ERROR
 

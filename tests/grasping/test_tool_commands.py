@@ -62,8 +62,8 @@ def test_a_world_that_may_be_turned_displaces_by_the_lever_arm():
     base_from_world = host_matrices(CALIBRATION.base_from_world)
     arms = WORLD_FROM_TOOL[:, :3, 3] @ base_from_world[:3, :3].T
     expected = 1e-3 * np.hypot(arms[:, 0], arms[:, 1])
-    found = np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2))
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    actual = np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2))
+    np.testing.assert_allclose(actual, expected, rtol=1e-6)
 
 
 def test_the_robots_noise_is_another_one_at_every_pose():

@@ -83,9 +83,9 @@ def test_closed_forms_agree_with_opencv(noisy, name, method, metres):
         world[:, :3, 3],
         method=getattr(cv2, f"CALIB_HAND_EYE_{method}"),
     )
-    found = np.asarray(CLOSED_FORMS[name](T, C, jnp.ones(VIEWS))[0].inverse().as_matrix())
-    np.testing.assert_allclose(found[:3, :3], R, atol=1e-3 if name == "Tsai-Lenz" else 1e-9)
-    np.testing.assert_allclose(found[:3, 3], t[:, 0], atol=metres)
+    actual = np.asarray(CLOSED_FORMS[name](T, C, jnp.ones(VIEWS))[0].inverse().as_matrix())
+    np.testing.assert_allclose(actual[:3, :3], R, atol=1e-3 if name == "Tsai-Lenz" else 1e-9)
+    np.testing.assert_allclose(actual[:3, 3], t[:, 0], atol=metres)
 
 
 def test_shah_agrees_with_opencv(noisy):
@@ -127,24 +127,24 @@ def test_the_factor_of_eq_17_gives_its_cost(noisy, length_scale):
         X = host_transforms(host_exponentials(tangent))
         R, t = host_matrices(X)[:3, :3], host_matrices(X)[:3, 3]
         expected = float(cost_of(X, T, C, jnp.asarray(weights), length_scale))
-        found = np.sum((factor @ np.concatenate([R.ravel(), t, [1.0]])) ** 2)
-        assert found == pytest.approx(expected, rel=1e-12)
+        actual = np.sum((factor @ np.concatenate([R.ravel(), t, [1.0]])) ** 2)
+        assert actual == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_factor_of_eq_17_resolves_the_cost_of_exact_poses(exact):
     """A difference of large sums would leave about 1e-13 of the cost of a pair."""
     scene, T, C = exact
-    found = solve_hand_eye(T, C)
-    assert max(search.final_cost for search in found.searches) / VIEWS**2 < 1e-28
-    assert distance(found.holder_from_world, scene.calibration.base_from_world) < 1e-13
+    result = solve_hand_eye(T, C)
+    assert max(search.final_cost for search in result.searches) / VIEWS**2 < 1e-28
+    assert distance(result.holder_from_world, scene.calibration.base_from_world) < 1e-13
 
 
 def test_poses_that_are_not_finite_give_no_transforms(noisy):
     _, T, C = noisy
     broken = SE3(C.wxyz_xyz.at[2].set(jnp.nan))
-    found = solve_hand_eye(T, broken)
-    assert not found.converged
-    assert np.isnan(np.asarray(found.camera_from_mount.wxyz_xyz)).all()
+    result = solve_hand_eye(T, broken)
+    assert not result.converged
+    assert np.isnan(np.asarray(result.camera_from_mount.wxyz_xyz)).all()
     without = solve_hand_eye(T, broken, jnp.ones(VIEWS).at[2].set(0.0))
     assert without.converged
     assert without.hand_eye_difference[0] < 5e-3
@@ -152,19 +152,19 @@ def test_poses_that_are_not_finite_give_no_transforms(noisy):
 
 def test_bfgs_reaches_the_same_optimum_from_every_start(noisy):
     scene, T, C = noisy
-    found = solve_hand_eye(T, C)
-    assert found.converged
-    assert found.searches[0].name == PAPER_START
-    assert len(found.searches) == 1 + len(CLOSED_FORMS)
-    costs = [tried.final_cost for tried in found.searches]
+    result = solve_hand_eye(T, C)
+    assert result.converged
+    assert result.searches[0].name == PAPER_START
+    assert len(result.searches) == 1 + len(CLOSED_FORMS)
+    costs = [tried.final_cost for tried in result.searches]
     np.testing.assert_allclose(costs, min(costs), rtol=1e-6)
-    assert all(tried.final_cost <= tried.initial_cost for tried in found.searches)
+    assert all(tried.final_cost <= tried.initial_cost for tried in result.searches)
     gradient = jax.jit(jax.grad(lambda step, X: cost_of(SE3.exp(step) @ X, T, C, jnp.ones(VIEWS))))(
-        jnp.zeros(6), found.holder_from_world
+        jnp.zeros(6), result.holder_from_world
     )
     assert np.abs(gradient).max() < 1e-5
-    assert distance(found.holder_from_world, scene.calibration.base_from_world) < 5e-3
-    assert found.hand_eye_difference[0] < 5e-3
+    assert distance(result.holder_from_world, scene.calibration.base_from_world) < 5e-3
+    assert result.hand_eye_difference[0] < 5e-3
 
 
 def test_the_unit_of_length_matters_and_can_be_chosen(noisy):
@@ -183,9 +183,9 @@ def test_a_failed_start_is_listed_and_not_used(exact):
         host_matrices, (scene.calibration.camera_from_tool, scene.calibration.base_from_world)
     )
     C = host_transforms(hand_eye @ host_matrices(T) @ world)
-    found = solve_hand_eye(T, C)
-    assert all(np.isfinite(np.asarray(pose.wxyz_xyz)).all() for pose in (found.holder_from_world,))
-    assert min(tried.final_cost for tried in found.searches) < 1e-12
+    result = solve_hand_eye(T, C)
+    assert all(np.isfinite(np.asarray(pose.wxyz_xyz)).all() for pose in (result.holder_from_world,))
+    assert min(tried.final_cost for tried in result.searches) < 1e-12
 
 
 def test_two_views_are_too_few(exact):

@@ -68,9 +68,9 @@ def two_rounds(tmp_path_factory, poses):
     (folder / "images").mkdir()
     views = [f"{'ab'[k // ROUND]}{k % ROUND}" for k in range(2 * ROUND)]
     outlines = [
-        one
+        outline
         for height in (0, 1)
-        for one in circle_outlines(SE3(poses.wxyz_xyz[ROUND * height :][:ROUND]), height)
+        for outline in circle_outlines(SE3(poses.wxyz_xyz[ROUND * height :][:ROUND]), height)
     ]
     for view, rims in zip(views, outlines, strict=True):
         assert cv2.imwrite(str(folder / "images" / f"{view}.png"), drawn(rims))
@@ -117,8 +117,8 @@ def test_kept_detections_are_of_the_heights_that_the_table_states(copied):
 
 
 def test_the_editor_takes_the_only_picture_of_a_view(two_rounds):
-    found = sv.io.load_view_pictures(two_rounds)
-    assert [path.name for path in found.pictures] == [f"{view}.png" for view in found.view_ids]
+    loaded = sv.io.load_view_pictures(two_rounds)
+    assert [path.name for path in loaded.pictures] == [f"{view}.png" for view in loaded.view_ids]
 
 
 @pytest.mark.parametrize("height", ["2", "-1", "0.012", ""])

@@ -62,8 +62,8 @@ def test_opencv_reads_its_own_format(tmp_path, model):
         expected, _ = cv2.fisheye.projectPoints(points[:, None], zero, zero, K, distortion)
     else:
         expected, _ = cv2.projectPoints(points, zero, zero, K, distortion)
-    found, _ = cal.camera.project(jnp.asarray(points))
-    np.testing.assert_allclose(found, expected[:, 0], atol=1e-9)
+    projected, _ = cal.camera.project(jnp.asarray(points))
+    np.testing.assert_allclose(projected, expected[:, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize("k1", [0.3, -0.1])
@@ -169,9 +169,9 @@ def test_the_angles_are_the_rotation_also_where_two_of_them_are_one(pitch, optic
     cal = calibration(LENSES["plumb_bob"])
     cal = Calibration.eye_in_hand(cal.camera, np.linalg.inv(mount_from_camera), cal.base_from_world)
     rpy = re.search(r'rpy="([^"]*)"', urdf_origin(cal, optical))
-    found = Rotation.from_euler("xyz", np.array(rpy[1].split(), dtype=float)).as_matrix()
+    actual = Rotation.from_euler("xyz", np.array(rpy[1].split(), dtype=float)).as_matrix()
     link = np.eye(3) if optical else np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
-    np.testing.assert_allclose(found, rotation.as_matrix() @ link, atol=1e-14)
+    np.testing.assert_allclose(actual, rotation.as_matrix() @ link, atol=1e-14)
 
 
 def moved(cal, motion):

@@ -20,7 +20,7 @@ BUDGET = 20
 def test_a_malformed_file_is_named_or_its_values_are_in_range(name, tmp_path, monkeypatch):
     monkeypatch.setattr("benchmarks.fuzz.FORMATS", {name: FORMATS[name]})
     tally = campaign(tmp_path, BUDGET, seed=sorted(FORMATS).index(name))
-    assert not [(one.words, one.kinds, one.content) for one in tally.findings]
+    assert not [(finding.words, finding.kinds, finding.content) for finding in tally.findings]
 
 
 @pytest.mark.parametrize(

@@ -38,14 +38,14 @@ def frame_solid():
 @pytest.mark.parametrize("model", [box(), prism(7), frame_solid()], ids=["box", "prism", "frame"])
 def test_flat_faces_and_edges_come_back_from_triangles(tmp_path, kind, model):
     path = write_mesh(model, tmp_path / f"solid.{kind}")
-    found = read_mesh(path)
+    loaded = read_mesh(path)
     np.testing.assert_allclose(
-        sorted_points(found.vertices), sorted_points(model.vertices), atol=2e-8
+        sorted_points(loaded.vertices), sorted_points(model.vertices), atol=2e-8
     )
-    assert len(found.edges) == len(model.edges)
-    assert sorted(len(f.loops) for f in found.faces) == sorted(len(f.loops) for f in model.faces)
-    assert not open_edges(found.faces)
-    assert signed_volume(found.vertices, found.faces) == pytest.approx(
+    assert len(loaded.edges) == len(model.edges)
+    assert sorted(len(f.loops) for f in loaded.faces) == sorted(len(f.loops) for f in model.faces)
+    assert not open_edges(loaded.faces)
+    assert signed_volume(loaded.vertices, loaded.faces) == pytest.approx(
         signed_volume(model.vertices, model.faces), rel=1e-5
     )
 
@@ -59,10 +59,10 @@ def test_any_prism_in_any_pose_comes_back(tmp_path, sides, height, seed):
     pose[:3, :3] = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     pose[:3, 3] = [0.3, -0.2, 0.5]
     model = moved(prism(sides, height=height), pose)
-    found = read_mesh(write_mesh(model, tmp_path / "prism.ply"))
-    assert (len(found.vertices), len(found.faces)) == (2 * sides, sides + 2)
-    assert len(found.edges) == 3 * sides
-    mesh = to_trimesh(found)
+    loaded = read_mesh(write_mesh(model, tmp_path / "prism.ply"))
+    assert (len(loaded.vertices), len(loaded.faces)) == (2 * sides, sides + 2)
+    assert len(loaded.edges) == 3 * sides
+    mesh = to_trimesh(loaded)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(signed_volume(model.vertices, model.faces), rel=1e-5)
 
@@ -124,9 +124,9 @@ def test_the_real_cubes_cad_comes_back(tmp_path, kind):
     cad = json.loads((shared_data("visp_cube") / "object.json").read_text())
     faces = tuple(Face(tuple(loop)) for loop in cad["faces"])
     model = ObjectModel(np.array(cad["vertices"]), np.array(cad["edges"]), faces)
-    found = read_mesh(write_mesh(model, tmp_path / f"cube.{kind}"))
-    assert (len(found.vertices), len(found.edges), len(found.faces)) == (8, 12, 6)
-    assert signed_volume(found.vertices, found.faces) == pytest.approx(0.084**3, rel=1e-5)
+    loaded = read_mesh(write_mesh(model, tmp_path / f"cube.{kind}"))
+    assert (len(loaded.vertices), len(loaded.edges), len(loaded.faces)) == (8, 12, 6)
+    assert signed_volume(loaded.vertices, loaded.faces) == pytest.approx(0.084**3, rel=1e-5)
 
 
 @pytest.mark.parametrize("index", [-1, 8, 10**6])

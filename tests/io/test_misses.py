@@ -19,8 +19,8 @@ def test_a_table_and_a_mapping_say_the_same(tmp_path):
 def test_what_was_recognised_is_said(tmp_path):
     (tmp_path / "m.csv").write_text("view;x_mm;y_mm\nv1;0,5;-1,5\nv2;1,5;0,5\n")
     said = []
-    found = read_misses(tmp_path / "m.csv", NAMES, said.append)
-    np.testing.assert_allclose(found, 1e-3 * np.array([[0.5, -1.5], [1.5, 0.5]]))
+    loaded = read_misses(tmp_path / "m.csv", NAMES, said.append)
+    np.testing.assert_allclose(loaded, 1e-3 * np.array([[0.5, -1.5], [1.5, 0.5]]))
     assert said == ["m.csv was read separated by semicolons; with a decimal comma"]
 
 

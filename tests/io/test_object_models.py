@@ -68,10 +68,10 @@ def test_what_is_saved_is_loaded(tmp_path, full):
         root = np.random.default_rng(1).normal(size=(24, 24)) * 1e-5
         model = dataclasses.replace(model, covariance=root @ root.T)
     save_object_model(model, tmp_path / "box.json")
-    found = load_object_model(tmp_path / "box.json")
-    assert_same(model, found)
-    assert found.symmetry.confirmed
-    np.testing.assert_allclose(found.symmetry.rotations, model.symmetry.rotations, atol=1e-12)
+    loaded = load_object_model(tmp_path / "box.json")
+    assert_same(model, loaded)
+    assert loaded.symmetry.confirmed
+    np.testing.assert_allclose(loaded.symmetry.rotations, model.symmetry.rotations, atol=1e-12)
     text = (tmp_path / "box.json").read_text()
     # A person reads one vertex or one face's loop in a line.
     assert "  [0.06, 0.04, 0.03]\n" in text
@@ -120,15 +120,15 @@ def test_millimetres_are_converted_at_the_edge(tmp_path):
     for key in ("opening", "depth", "tolerance"):
         grasp[key] *= 1e3
     (tmp_path / "mm.json").write_text(json.dumps(content))
-    found = load_object_model(tmp_path / "mm.json")
-    assert found.tolerance == pytest.approx(model.tolerance, rel=1e-12)
-    np.testing.assert_allclose(found.vertices, model.vertices, rtol=1e-12)
-    np.testing.assert_allclose(found.vertex_covariances, model.vertex_covariances, rtol=1e-9)
+    loaded = load_object_model(tmp_path / "mm.json")
+    assert loaded.tolerance == pytest.approx(model.tolerance, rel=1e-12)
+    np.testing.assert_allclose(loaded.vertices, model.vertices, rtol=1e-12)
+    np.testing.assert_allclose(loaded.vertex_covariances, model.vertex_covariances, rtol=1e-9)
     np.testing.assert_allclose(
-        found.grasps[0].object_from_tool, model.grasps[0].object_from_tool, atol=1e-12
+        loaded.grasps[0].object_from_tool, model.grasps[0].object_from_tool, atol=1e-12
     )
-    assert found.grasps[0].opening == pytest.approx(model.grasps[0].opening)
-    np.testing.assert_allclose(found.symmetry.centre, model.symmetry.centre)
+    assert loaded.grasps[0].opening == pytest.approx(model.grasps[0].opening)
+    np.testing.assert_allclose(loaded.symmetry.centre, model.symmetry.centre)
 
 
 def change(*path_and_value):

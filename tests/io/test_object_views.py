@@ -97,8 +97,8 @@ def test_joint_readings_are_written_and_read(tmp_path):
     start = next(k for k, line in enumerate(lines) if line.startswith("poses:"))
     end = next(k for k in range(start + 1, len(lines)) if not lines[k].startswith(" "))
     description.write_text("".join(lines[:start] + lines[end:]))
-    found = host_matrices(load_object_views(folder).base_from_tool)
-    np.testing.assert_allclose(found, host_matrices(poses), atol=1e-12)
+    loaded = host_matrices(load_object_views(folder).base_from_tool)
+    np.testing.assert_allclose(loaded, host_matrices(poses), atol=1e-12)
     description.write_text("".join(lines[:start] + lines[end:]).replace("joints:", "reading:", 1))
     with pytest.raises(ValueError, match=r"object_views.yaml: .*'reading'"):
         load_object_views(folder)

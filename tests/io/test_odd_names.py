@@ -137,9 +137,9 @@ def description(folder, name):
 
 def kept_detections(folder, name):
     path, visible = folder / "detections.csv", np.ones(len(TARGET.points), bool)
-    found = KeptDetection("a1", Detection(PIXELS[0], visible, None))
+    actual = KeptDetection("a1", Detection(PIXELS[0], visible, None))
     nothing = KeptDetection("b2", Detection(np.full_like(PIXELS[0], np.nan), ~visible, "dark"))
-    for detection in (found, nothing):
+    for detection in (actual, nothing):
         write_kept_detections(path, {name: detection})
         (view,) = read_kept_detections(path, [name], len(TARGET.points)) or [None]
         if view != name:
@@ -374,8 +374,8 @@ def test_names_are_read_back_or_refused_and_nothing_is_written(place, tmp_path, 
 
 
 def test_every_writer_is_tested_or_has_no_names():
-    found = set(writers())
-    assert found == set(WRITERS), (found - set(WRITERS), set(WRITERS) - found)
+    actual = set(writers())
+    assert actual == set(WRITERS), (actual - set(WRITERS), set(WRITERS) - actual)
     assert {pair for pair in WRITERS.values() if not pair.startswith("(")} <= set(PAIRS)
 
 

@@ -162,8 +162,8 @@ def in_gaps(times, poses, lost, asked):
 def test_a_gap_is_judged_by_the_motion_of_its_log():
     times, poses = moving_log()
     # A long gap in motion; the pictures before, at its end and after it are good.
-    found = in_gaps(times, poses, (10.01, 13.01), [9.99, 11.5, 13.02, 13.03])
-    np.testing.assert_array_equal(found, [False, True, False, False])
+    actual = in_gaps(times, poses, (10.01, 13.01), [9.99, 11.5, 13.02, 13.03])
+    np.testing.assert_array_equal(actual, [False, True, False, False])
     # One row is missing, or the robot stood still.
     assert not in_gaps(times, poses, (10.01, 10.03), [10.02]).any()
     assert not in_gaps(times, poses, (11.05, 11.95), [11.5]).any()

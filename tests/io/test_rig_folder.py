@@ -45,11 +45,11 @@ def test_what_was_saved_is_loaded(rig, tmp_path):
     assert loaded.targets == rig.targets
     assert loaded.view_ids == rig.view_ids
     for name, data in rig.cameras.items():
-        found = loaded.cameras[name]
-        assert (found.mount, found.view_ids) == (data.mount, data.view_ids)
-        assert found.target == data.target
-        np.testing.assert_array_equal(found.visible, data.visible)
-        np.testing.assert_allclose(found.pixels, data.pixels, atol=1e-9)
+        actual = loaded.cameras[name]
+        assert (actual.mount, actual.view_ids) == (data.mount, data.view_ids)
+        assert actual.target == data.target
+        np.testing.assert_array_equal(actual.visible, data.visible)
+        np.testing.assert_allclose(actual.pixels, data.pixels, atol=1e-9)
 
 
 def test_one_mount_and_target_are_written_once(rig, tmp_path):

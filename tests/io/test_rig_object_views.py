@@ -60,8 +60,8 @@ def test_each_picture_has_its_camera_and_the_pose_of_its_state(folder):
     assert views.cameras == ("left", "right", "right")
     assert views.states == ("1", "1", "2")
     assert [picture.shape for picture in views.pictures] == [(12, 16), (10, 20), (10, 20)]
-    found = host_matrices(views.command.base_from_tool)
-    np.testing.assert_allclose(found, POSES[[0, 0, 1]], atol=1e-15)
+    actual = host_matrices(views.command.base_from_tool)
+    np.testing.assert_allclose(actual, POSES[[0, 0, 1]], atol=1e-15)
 
 
 def test_cameras_next_to_the_arm_need_no_robot(folder):
@@ -80,15 +80,15 @@ def test_cameras_next_to_the_arm_need_no_robot(folder):
 
 def test_a_rigs_calibration_reads_pictures_of_its_cameras(folder, calibrated):
     views = load_views(folder)
-    found, estimate, is_exact = load_calibrated_views(calibrated, views, RigOptions(frame="base"))
-    assert found.cameras == ("left", "right", "right")
-    assert found.states == ("1", "1", "2")
-    assert found.frame == "base"
+    fit, estimate, is_exact = load_calibrated_views(calibrated, views, RigOptions(frame="base"))
+    assert fit.cameras == ("left", "right", "right")
+    assert fit.states == ("1", "1", "2")
+    assert fit.frame == "base"
     assert estimate is None
     assert is_exact
     one = views._replace(cameras=(), states=())
-    found, _, _ = load_calibrated_views(calibrated / RIG_FILE, one, RigOptions("right"))
-    assert found.cameras == ("right",) * 3
+    fit, _, _ = load_calibrated_views(calibrated / RIG_FILE, one, RigOptions("right"))
+    assert fit.cameras == ("right",) * 3
     alone, _, _ = load_calibrated_views(calibrated / "left.yaml", one, RigOptions())
     assert isinstance(alone, sv.Calibration)
 

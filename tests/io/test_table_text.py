@@ -76,11 +76,11 @@ def test_every_way_of_writing_a_table_gives_the_same_poses(tmp_path, form):
     content, seen = WRITTEN[form]
     (tmp_path / "plain.csv").write_text(PLAIN)
     (tmp_path / "poses.csv").write_bytes(content)
-    views, found, (note,) = poses(tmp_path / "poses.csv")
+    views, actual, (note,) = poses(tmp_path / "poses.csv")
     expected_views, expected, notes = poses(tmp_path / "plain.csv")
     assert views == expected_views
     assert notes == ()
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(actual, expected)
     assert re.search(seen, note), note
 
 

@@ -88,8 +88,8 @@ def test_the_tool_is_where_the_format_puts_it(tmp_path, name):
     joints = serial(CHAINS[name])
     arm = load_urdf(urdf(tmp_path, *joints))
     for readings in np.random.default_rng(0).uniform(-2.0, 2.0, (5, arm.joint_count)):
-        found = np.asarray(arm.base_from_tool(readings).as_matrix())
-        np.testing.assert_allclose(found, forward(joints, readings), atol=1e-12)
+        actual = np.asarray(arm.base_from_tool(readings).as_matrix())
+        np.testing.assert_allclose(actual, forward(joints, readings), atol=1e-12)
 
 
 def test_a_second_reader_agrees(tmp_path):
@@ -101,8 +101,8 @@ def test_a_second_reader_agrees(tmp_path):
     )
     readings = np.random.default_rng(1).uniform(-1.0, 1.0, 6)
     theirs.update_cfg(readings)
-    found = np.asarray(arm.base_from_tool(readings).as_matrix())
-    np.testing.assert_allclose(found, theirs.get_transform("l7", "l0"), atol=1e-9)
+    actual = np.asarray(arm.base_from_tool(readings).as_matrix())
+    np.testing.assert_allclose(actual, theirs.get_transform("l7", "l0"), atol=1e-9)
 
 
 def test_limits_and_sliding_joints_are_kept(tmp_path):
@@ -115,8 +115,8 @@ def test_part_of_a_chain(tmp_path):
     joints = serial(CHAINS["ur"])
     arm = load_urdf(urdf(tmp_path, *joints), base="l1", tip="l4")
     assert arm.joint_count == 3
-    found = np.asarray(arm.base_from_tool(np.full(3, 0.3)).as_matrix())
-    np.testing.assert_allclose(found, forward(joints[1:4], np.full(3, 0.3)), atol=1e-12)
+    actual = np.asarray(arm.base_from_tool(np.full(3, 0.3)).as_matrix())
+    np.testing.assert_allclose(actual, forward(joints[1:4], np.full(3, 0.3)), atol=1e-12)
 
 
 def test_what_is_no_chain_is_refused(tmp_path):

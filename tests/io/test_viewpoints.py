@@ -22,15 +22,15 @@ def test_files_are_read_back_as_they_were_written(tmp_path, ending, joints):
     path = tmp_path / f"views.{ending}"
     names = ("above", "x1", "x2", "y1", "y2")
     write_viewpoints(path, POSES, names, joints)
-    found = read_viewpoints(path)
-    assert found.names == names
+    loaded = read_viewpoints(path)
+    assert loaded.names == names
     np.testing.assert_allclose(
-        found.base_from_tool.as_matrix(), POSES.as_matrix(), atol=1e-12, rtol=0.0
+        loaded.base_from_tool.as_matrix(), POSES.as_matrix(), atol=1e-12, rtol=0.0
     )
     if joints is None:
-        assert found.joints is None
+        assert loaded.joints is None
     else:
-        np.testing.assert_array_equal(found.joints, joints)
+        np.testing.assert_array_equal(loaded.joints, joints)
 
 
 @pytest.mark.parametrize("ending", ["csv", "json"])
@@ -38,9 +38,9 @@ def test_files_are_read_back_as_they_were_written(tmp_path, ending, joints):
 def test_every_makers_poses_are_written_and_read_back(tmp_path, ending, pose_format):
     path = tmp_path / f"views.{ending}"
     write_viewpoints(path, POSES, joints=JOINTS, pose_format=pose_format)
-    found = read_viewpoints(path)
-    np.testing.assert_allclose(found.base_from_tool.as_matrix(), POSES.as_matrix(), atol=1e-12)
-    np.testing.assert_array_equal(found.joints, JOINTS)
+    loaded = read_viewpoints(path)
+    np.testing.assert_allclose(loaded.base_from_tool.as_matrix(), POSES.as_matrix(), atol=1e-12)
+    np.testing.assert_array_equal(loaded.joints, JOINTS)
 
 
 def test_a_makers_format_stands_in_the_file(tmp_path):
@@ -80,9 +80,9 @@ def test_units_and_version_stand_in_the_files(tmp_path):
 def test_one_viewpoint_needs_no_row_of_them(tmp_path):
     pose = look_at((0.1, 0.2, 0.0), (0.0, 0.1, -1.0), 0.4)
     write_viewpoints(tmp_path / "one.csv", pose)
-    found = read_viewpoints(tmp_path / "one.csv")
-    assert found.names == ("v1",)
-    assert float(jnp.abs((found.base_from_tool.inverse() @ pose).log()).max()) < 1e-9
+    loaded = read_viewpoints(tmp_path / "one.csv")
+    assert loaded.names == ("v1",)
+    assert float(jnp.abs((loaded.base_from_tool.inverse() @ pose).log()).max()) < 1e-9
 
 
 def test_a_val_program_moves_to_the_poses(tmp_path):
@@ -170,8 +170,8 @@ def test_a_file_without_a_format_has_vals(tmp_path):
     content = json.loads((tmp_path / "v.json").read_text())
     del content["format"], content["columns"]
     (tmp_path / "v.json").write_text(json.dumps(content))
-    found = read_viewpoints(tmp_path / "v.json").base_from_tool
-    np.testing.assert_allclose(found.as_matrix(), POSES.as_matrix(), atol=1e-12)
+    loaded = read_viewpoints(tmp_path / "v.json").base_from_tool
+    np.testing.assert_allclose(loaded.as_matrix(), POSES.as_matrix(), atol=1e-12)
 
 
 def test_a_hand_acts_where_its_opening_changes_and_corners_are_not_cut(tmp_path):

@@ -64,7 +64,7 @@ def base_from_tool():
 def seen_scene():
     """A stepped block and a box."""
     pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in PICTURES]
-    evidence = [picture_evidence(one, CAMERA) for one in pictures]
+    evidence = [picture_evidence(picture, CAMERA) for picture in pictures]
     views = SeenViews.of(CALIBRATION, base_from_tool())
     return SeenScene(pictures, evidence, views, [solid.exact_model() for solid in SOLIDS], POSES)
 

@@ -51,12 +51,12 @@ def is_right(one, truth):
 @pytest.mark.parametrize("spoilt", [blurred, noisy])
 def test_in_spoilt_pictures_no_wrong_pose_is_accepted(spoilt):
     rng = np.random.default_rng(0)
-    found = searched([spoilt(picture, rng) for picture in seen_scene().pictures])
-    for one in found.accepted:
+    scene = searched([spoilt(picture, rng) for picture in seen_scene().pictures])
+    for one in scene.accepted:
         assert is_right(one, seen_scene().world_from_object[one.model_index])
-    indices = {one.model_index for one in found.accepted}
+    indices = {one.model_index for one in scene.accepted}
     # Blurred by little, both are found; whatever is not accepted is explained.
-    assert indices == {0, 1} if spoilt is blurred else len(indices) == 2 or found.messages
+    assert indices == {0, 1} if spoilt is blurred else len(indices) == 2 or scene.messages
 
 
 @pytest.mark.parametrize(("factor", "words"), [(0.0, "under-exposed"), (20.0, "over-exposed")])
@@ -83,9 +83,9 @@ def test_two_objects_that_touch_are_two(gap):
     starts += [pose @ np.block([[np.eye(3), np.array([[x], [0.0], [0.0]])], [0.0, 0.0, 0.0, 1.0]])
                for pose in (POSE, second) for x in (-0.03, 0.03)]  # fmt: skip
     hypotheses = [Hypothesis(0, pose, 0.0, 0.0) for pose in starts]
-    found = localize(evidence(pictures), poses_of(views), calibration(), model,
+    localizations = localize(evidence(pictures), poses_of(views), calibration(), model,
                      hypotheses=hypotheses)  # fmt: skip
-    for one in found:
+    for one in localizations:
         shifts = [errors(model, one.world_from_object[None], t)[1][0] for t in (POSE, second)]
         assert min(shifts) < 0.3
-    assert len(found.accepted) == 2
+    assert len(localizations.accepted) == 2

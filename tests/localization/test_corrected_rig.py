@@ -38,9 +38,9 @@ def squared_error(one):
 
 
 def disagreement(one):
-    found = one.verdict.evidence.disagreement
-    assert found is not None
-    return found
+    actual = one.verdict.evidence.disagreement
+    assert actual is not None
+    return actual
 
 
 @pytest.mark.parametrize("more", [{}, {"noise": EXACT}])

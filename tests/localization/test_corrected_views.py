@@ -48,22 +48,24 @@ def test_edges_lie_on_the_model_once_what_the_calibration_may_err_is_taken_away(
         true = views._replace(camera_from_world=twists @ views.camera_from_world)
         pictures = drawn(MODEL, true, POSE, 0.05, rng)
         lookup = EdgeLookup.of(pictures, views.camera.image_size)
-        found = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
-        corrected = corrected_views(views, uncertainty, found.calibration_error)
+        refined = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
+        corrected = corrected_views(views, uncertainty, refined.calibration_error)
         lines = [
-            measured_lines(wireframe, own, lookup, found.world_from_object, EXPLAINED_DISTANCE)
+            measured_lines(wireframe, own, lookup, refined.world_from_object, EXPLAINED_DISTANCE)
             for own in (views, corrected)
         ]
-        before, after = (evidence_of(one, wireframe, False) for one in lines)
+        before, after = (evidence_of(line, wireframe, False) for line in lines)
         assert before.edge_rms < EXPLAINED_DISTANCE
         assert after.explained >= before.explained
-        assert 0.0 < found.absorbed < 12.0
+        assert 0.0 < refined.absorbed < 12.0
         gains.append(after.edge_rms / before.edge_rms)
         # The corners are seen by the true views, which only the judge knows.
         seen = projected(true, placed(MODEL.vertices))
         misses.append(
             [
-                np.abs(projected(own, placed(MODEL.vertices, found.world_from_object)) - seen).max()
+                np.abs(
+                    projected(own, placed(MODEL.vertices, refined.world_from_object)) - seen
+                ).max()
                 for own in (views, corrected)
             ]
         )

@@ -153,8 +153,8 @@ def test_what_an_accepted_object_hides_is_not_held_against_another():
     assert told.accepted
     with pytest.raises(ValueError, match="occluders: expected finite triangles"):
         localize(pictures, poses, calibration(), BACK, occluders=np.full((1, 3, 3), np.nan))
-    found = localize(pictures, poses, calibration(), [BACK, FRONT], hypotheses=hypotheses)
-    assert {one.model.name for one in found.accepted} == {"back", "front"}
-    (back,) = (one for one in found if one.model.name == "back")
+    localizations = localize(pictures, poses, calibration(), [BACK, FRONT], hypotheses=hypotheses)
+    assert {one.model.name for one in localizations.accepted} == {"back", "front"}
+    (back,) = (one for one in localizations if one.model.name == "back")
     assert back.verdict.evidence.in_front < 0.9
     assert back.verdict.evidence.explained > alone.verdict.evidence.explained + 0.1

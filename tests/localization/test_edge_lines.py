@@ -71,9 +71,9 @@ def test_lines_are_as_exact_as_their_points_are_independent(views, wireframe):
     # n points and a line's two numbers: s^2 n / (n - 2) is the variance of a point.
     n = fine.found_px[long] / 5.0
     expected = (n - 2.0) / (0.5 * n - 2.0)
-    found = rough.variances[long, 0] / fine.variances[long, 0]
+    actual = rough.variances[long, 0] / fine.variances[long, 0]
     # A line has a further error (`MODEL_SIGMA`).
-    np.testing.assert_allclose(found, expected, rtol=0.01)
+    np.testing.assert_allclose(actual, expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("displaced", [0.5, 1.0])

@@ -47,9 +47,9 @@ def test_both_objects_are_found_from_two_views(scene, found):
 
 
 def test_an_object_of_many_corners_is_found_from_one_view(scene, one_view):
-    found = find_hypotheses(scene.evidence[:1], one_view, scene.models[:1], count=5)
-    assert len(found) <= 5
-    poses = np.array([one.world_from_object for one in found])
+    hypotheses = find_hypotheses(scene.evidence[:1], one_view, scene.models[:1], count=5)
+    assert len(hypotheses) <= 5
+    poses = np.array([one.world_from_object for one in hypotheses])
     angles, shifts = errors(scene.models[0], poses, scene.world_from_object[0])
     # One view gives the distance ten times less well than two.
     assert ((angles < 1.0) & (shifts < 2.0))[:2].any()
@@ -94,14 +94,14 @@ def test_a_workspace_keeps_what_is_outside_of_it_from_the_list(scene, one_view):
     table = np.array([[0.3, 0.3, 0.0], [-0.3, -0.3, 0.1]])
     model = scene.models[1]
     anywhere = find_hypotheses(scene.evidence[:1], one_view, [model])
-    found = find_hypotheses(scene.evidence[:1], one_view, [model], workspace=table)
+    hypotheses = find_hypotheses(scene.evidence[:1], one_view, [model], workspace=table)
     heights = [
         np.array([(one.world_from_object @ [*v, 1.0])[2] for one in listed for v in model.vertices])
-        for listed in (anywhere, found)
+        for listed in (anywhere, hypotheses)
     ]
     assert heights[0].min() < -0.02
     assert heights[1].min() > -0.006
-    assert len(found) > 5
+    assert len(hypotheses) > 5
     with pytest.raises(ValueError, match="workspace: expected two corners"):
         find_hypotheses(scene.evidence, scene.views, [model], workspace=np.nan * table)
 

@@ -127,10 +127,10 @@ def test_what_was_found_is_copied_whole(found, copied):
 
 def test_a_symmetry_that_is_not_known_is_ambiguous(pictures):
     turned = POSE @ MODEL.symmetry.object_from_object[1]
-    found = find(pictures, PLAIN, starts() + starts(turned))
-    assert [one.verdict.decision for one in found] == ["open"]
-    assert "ambiguous" in found.messages[0]
-    assert found[0].rivals
+    localizations = find(pictures, PLAIN, starts() + starts(turned))
+    assert [one.verdict.decision for one in localizations] == ["open"]
+    assert "ambiguous" in localizations.messages[0]
+    assert localizations[0].rivals
 
 
 def test_a_pose_that_is_drawn_to_the_found_one_is_no_rival(pictures, monkeypatch):
@@ -146,10 +146,10 @@ def test_a_pose_that_is_drawn_to_the_found_one_is_no_rival(pictures, monkeypatch
     near = POSE @ host_exponentials(np.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
     turned = POSE @ MODEL.symmetry.object_from_object[1]
     given = [Hypothesis(0, p, 0.0, 0.0) for p in (POSE, near, turned)]
-    found = find(pictures, PLAIN, given, options=lenient)
-    (rival,) = found[0].rivals
+    localizations = find(pictures, PLAIN, given, options=lenient)
+    (rival,) = localizations[0].rivals
     # Either may be the likelier by a hair.
-    both = np.stack([found[0].world_from_object, rival.world_from_object])
+    both = np.stack([localizations[0].world_from_object, rival.world_from_object])
     expected = np.stack([POSE, turned])[:: 1 if both[0, 0, 0] * POSE[0, 0] > 0.0 else -1]
     np.testing.assert_allclose(both, expected, atol=1e-3)
 
@@ -160,9 +160,9 @@ def test_another_object_is_not_accepted(pictures):
         Hypothesis(0, POSE @ host_exponentials(t), 0.0, 0.0)
         for t in 0.02 * np.random.default_rng(2).standard_normal((8, 6)) * [1, 1, 1, 40, 40, 40]
     ]
-    found = find(pictures, other, hypotheses)
-    assert not found.accepted
-    assert "prism: not found" in found.messages[0]
+    localizations = find(pictures, other, hypotheses)
+    assert not localizations.accepted
+    assert "prism: not found" in localizations.messages[0]
 
 
 def test_a_box_of_another_height_is_not_accepted(pictures):
@@ -170,8 +170,8 @@ def test_a_box_of_another_height_is_not_accepted(pictures):
     lower = dataclasses.replace(box(z=0.02), name="lower")
     down = np.eye(4)
     down[2, 3] = 0.01
-    found = find(pictures, lower, starts(POSE @ down))
-    assert not found.accepted
+    localizations = find(pictures, lower, starts(POSE @ down))
+    assert not localizations.accepted
 
 
 def test_the_corner_of_another_block_is_not_accepted():
@@ -199,9 +199,9 @@ def test_of_two_models_the_right_one_is_accepted(pictures):
     lower = dataclasses.replace(box(z=0.02), name="lower")
     down = np.eye(4)
     down[2, 3] = 0.01
-    found = find(pictures, [lower, MODEL], starts(POSE @ down) + starts(model=1))
-    assert [one.model.name for one in found.accepted] == ["box"]
-    assert "lower: not found" in found.messages[0]
+    localizations = find(pictures, [lower, MODEL], starts(POSE @ down) + starts(model=1))
+    assert [one.model.name for one in localizations.accepted] == ["box"]
+    assert "lower: not found" in localizations.messages[0]
 
 
 def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictures):
@@ -211,8 +211,8 @@ def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictu
     """
     larger = box(1.003 * 0.06, 1.003 * 0.04, 1.003 * 0.03)
     larger = dataclasses.replace(larger, name="larger", symmetry=find_symmetry(larger))
-    found = find(pictures, [MODEL, larger], starts() + starts(model=1))
-    (one,) = found.accepted
+    localizations = find(pictures, [MODEL, larger], starts() + starts(model=1))
+    (one,) = localizations.accepted
     assert one.model.name == "box"
     found_of_it, (rival, *_) = one.verdict.evidence, one.rivals
     assert found_of_it.log_likelihood < rival.log_likelihood + 6.0
@@ -221,16 +221,16 @@ def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictu
 
 
 def test_clutter_alone_is_nothing():
-    found = find(clutter(np.random.default_rng(0), 20))
-    assert not found.accepted
-    assert found.messages
+    localizations = find(clutter(np.random.default_rng(0), 20))
+    assert not localizations.accepted
+    assert localizations.messages
 
 
 def test_empty_pictures_are_no_object():
     empty = [EdgePoints(*(part[:0] for part in one)) for one in clutter(np.random.default_rng(0))]
-    found = find(empty)
-    assert not len(found)
-    assert found.messages == ("box: not found: 3 hypotheses, none with enough edges",)
+    localizations = find(empty)
+    assert not len(localizations)
+    assert localizations.messages == ("box: not found: 3 hypotheses, none with enough edges",)
 
 
 def test_two_instances_are_both_found():
@@ -239,10 +239,10 @@ def test_two_instances_are_both_found():
     poses = poses_of_both(POSE[:3, :3].T @ [-0.08, 0.03, 0.0])
     seen = sv.modeling.SeenViews.of(CALIBRATION, poses)
     pictures = together(drawn(MODEL, seen, POSE, 0.1), drawn(MODEL, seen, shifted, 0.1))
-    found = find(pictures, hypotheses=starts(shifted) + starts(), poses=poses)
-    assert len(found.accepted) == 2
+    localizations = find(pictures, hypotheses=starts(shifted) + starts(), poses=poses)
+    assert len(localizations.accepted) == 2
     middles = np.array(
-        [one.world_from_object @ [*MODEL.vertices.mean(axis=0), 1.0] for one in found]
+        [one.world_from_object @ [*MODEL.vertices.mean(axis=0), 1.0] for one in localizations]
     )
     assert abs(np.linalg.norm(middles[0] - middles[1]) - np.linalg.norm([0.08, 0.03])) < 1e-4
 
@@ -251,8 +251,8 @@ def test_half_outside_the_picture_is_not_certain():
     across = views().camera_from_world[0, 0, :3]
     poses = poses_towards(MIDDLE + 0.085 * across, TWO_DIRECTIONS[:1])
     seen = sv.modeling.SeenViews.of(CALIBRATION, poses)
-    found = find(drawn(MODEL, seen, POSE, 0.1), poses=poses)
-    assert not found.accepted
+    localizations = find(drawn(MODEL, seen, POSE, 0.1), poses=poses)
+    assert not localizations.accepted
 
 
 def test_pictures_in_one_direction_count_as_one(found):
@@ -327,8 +327,13 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
 
     module = sys.modules["smartview_jax.localization.localize"]
     monkeypatch.setattr(module, "find_hypotheses", find_hypotheses)
-    found = localize(evidence(both[1:]), poses[1:], CALIBRATION, [MODEL, other], previous=first)
-    assert {(one.model.name, one.model_index) for one in found} == {("box", 0), ("prism", 1)}
+    localizations = localize(
+        evidence(both[1:]), poses[1:], CALIBRATION, [MODEL, other], previous=first
+    )
+    assert {(one.model.name, one.model_index) for one in localizations} == {
+        ("box", 0),
+        ("prism", 1),
+    }
 
 
 def test_views_with_and_without_joint_readings_go_together(pictures):
@@ -395,15 +400,15 @@ def test_the_view_that_tells_rivals_apart_is_chosen(pictures):
     lower = dataclasses.replace(box(z=0.02), name="lower")
     down = np.eye(4)
     down[2, 3] = 0.01
-    found = find(pictures, [MODEL, lower], starts() + starts(POSE @ down, model=1))
-    verdict = found[0].verdict._replace(decision="open", margin=1.0)
+    localizations = find(pictures, [MODEL, lower], starts() + starts(POSE @ down, model=1))
+    verdict = localizations[0].verdict._replace(decision="open", margin=1.0)
     own = verdict.evidence
     rival = (
-        found[0]
+        localizations[0]
         .rivals[0]
         ._replace(log_likelihood=own.log_likelihood - 1.0, log_exactness=own.log_exactness)
     )
-    open_one = found[0]._replace(verdict=verdict, rivals=(rival,))
+    open_one = localizations[0]._replace(verdict=verdict, rivals=(rival,))
     up = POSE[:3, 2]
     side = np.cross(up, [1.0, 0.2, 0.0])
     looks = poses_towards(MIDDLE, np.array([-up, -(0.35 * up + side)]))

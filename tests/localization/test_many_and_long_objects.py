@@ -63,11 +63,11 @@ def test_a_short_edge_of_a_long_bar_has_enough_samples():
 
 def test_two_bars_side_by_side_are_both_found():
     places = [at(0.0, 0.0), at(0.0, 0.025)]
-    found = found_among(BAR, places, 0.55, starts(places))
-    assert [one.verdict.decision for one in found] == ["accepted"] * 2, found.messages
-    middles = [one.world_from_object @ [*BAR.vertices.mean(axis=0), 1.0] for one in found]
+    actual = found_among(BAR, places, 0.55, starts(places))
+    assert [one.verdict.decision for one in actual] == ["accepted"] * 2, actual.messages
+    middles = [one.world_from_object @ [*BAR.vertices.mean(axis=0), 1.0] for one in actual]
     assert abs(middles[0] - middles[1])[:3] == pytest.approx([0.0, 0.025, 0.0], abs=2e-4)
-    assert found.messages == ()
+    assert actual.messages == ()
 
 
 def test_all_of_many_objects_are_found_by_two_searches(monkeypatch):
@@ -80,9 +80,9 @@ def test_all_of_many_objects_are_found_by_two_searches(monkeypatch):
 
     module = sys.modules["smartview_jax.localization.localize"]
     monkeypatch.setattr(module, "find_hypotheses", find_hypotheses)
-    found = found_among(CUBE, places, 0.6)
-    assert len(found.accepted) == len(places)
-    assert found.messages == ()
+    actual = found_among(CUBE, places, 0.6)
+    assert len(actual.accepted) == len(places)
+    assert actual.messages == ()
     assert len(searches) == 2
 
 

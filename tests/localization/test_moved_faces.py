@@ -137,7 +137,7 @@ def test_what_is_found_is_that_of_a_model_with_the_face_there(views, name):
         movements = movements_of_face(model, face)
         places = face_places(model, movements, POSE, views)
         distances = places[[0, len(places) // 3, -1]]
-        found = _found_lengths(
+        actual = _found_lengths(
             Wireframe.of(model, MOVED_SAMPLES),
             _rates(Wireframe.of(model, MOVED_SAMPLES), model, movements),
             distances,
@@ -145,7 +145,7 @@ def test_what_is_found_is_that_of_a_model_with_the_face_there(views, name):
             views,
             lookup,
         )
-        for distance, px in zip(distances, found, strict=True):
+        for distance, px in zip(distances, actual, strict=True):
             moved = dataclasses.replace(model, vertices=model.vertices + distance * movements)
             wireframe = Wireframe.of(moved, SAMPLES)
             lines = measured_lines(wireframe, views, lookup, POSE, EXPLAINED_DISTANCE)
@@ -170,11 +170,11 @@ def test_no_edge_vanishes_where_a_face_is_moved(views, name):
 @pytest.mark.parametrize(("axis", "stretch"), [(0, 0.7), (1, 1.4), (2, 1.4)])
 def test_the_face_of_a_block_of_another_length_is_found_where_it_is(views, axis, stretch):
     block = box(*(SIDES * np.where(np.arange(3) == axis, stretch, 1.0)))
-    found = asked(drawn(block, views, POSE, 0.05), views)
-    assert found.face is not None
-    assert MODEL.faces[found.face].name == FAR[axis]
-    assert found.distance == pytest.approx((stretch - 1.0) * SIDES[axis], abs=6e-4)
-    assert found.gained_px > 150.0
+    actual = asked(drawn(block, views, POSE, 0.05), views)
+    assert actual.face is not None
+    assert MODEL.faces[actual.face].name == FAR[axis]
+    assert actual.distance == pytest.approx((stretch - 1.0) * SIDES[axis], abs=6e-4)
+    assert actual.gained_px > 150.0
 
 
 def test_a_sheet_has_no_face_to_move_and_is_not_taken_for_a_solid(views):
@@ -215,5 +215,5 @@ def test_the_hidden_edges_of_an_object_are_nowhere(views):
     towards = views.centres.mean(axis=0) - MIDDLE
     bar[:3, 3] = MIDDLE + 0.15 * towards - bar[:3, :3] @ [0.006, 0.015, 0.04]
     behind = not_behind(drawn(MODEL, views, POSE, 0.05), views, BAR, bar)
-    found = asked(together(behind, drawn(BAR, views, bar, 0.05)), views)
-    assert found.gained_px < 60.0
+    actual = asked(together(behind, drawn(BAR, views, bar, 0.05)), views)
+    assert actual.gained_px < 60.0

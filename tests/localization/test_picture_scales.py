@@ -38,9 +38,9 @@ def searched(evidence, calibration):
 
 def test_pictures_enlarged_by_interpolation_change_neither_decision_nor_covariance():
     original = searched(seen_scene().evidence, CALIBRATION)
-    found = searched(large_evidence(), LARGE_CALIBRATION)
-    assert [one.scale for one in (*original, *found)] == [1.0, 1.0, 0.5, 0.5]
-    for one in found:
+    actual = searched(large_evidence(), LARGE_CALIBRATION)
+    assert [one.scale for one in (*original, *actual)] == [1.0, 1.0, 0.5, 0.5]
+    for one in actual:
         (same,) = (other for other in original if other.model_index == one.model_index)
         assert one.verdict.decision == same.verdict.decision == "accepted"
         grown = np.linalg.slogdet(one.covariance)[1] - np.linalg.slogdet(same.covariance)[1]

@@ -99,9 +99,9 @@ def test_derivatives_of_edges_are_differences_of_their_numbers(views, wireframe)
             for s in (0.5, -0.5)
         )
         # Moving the prediction forwards makes measured minus predicted smaller.
-        found = -(plus.offsets - minus.offsets)[at.measured].reshape(-1) / size
+        actual = -(plus.offsets - minus.offsets)[at.measured].reshape(-1) / size
         scale = np.abs(J[:, k]).max()
-        np.testing.assert_allclose(found / scale, J[:, k] / scale, atol=0.05)
+        np.testing.assert_allclose(actual / scale, J[:, k] / scale, atol=0.05)
 
 
 def starts(rng, count):
@@ -142,10 +142,10 @@ def test_the_pictures_covariance_is_true(views, wireframe):
     for _ in range(RUNS):
         pictures = drawn(MODEL, views, POSE, 0.1, rng)
         lookup = EdgeLookup.of(pictures, views.camera.image_size)
-        found = refine_pose(nearby(rng, 0.2), MODEL, wireframe, views, lookup)
-        errors.append(error_of(found.world_from_object))
-        covariances.append(found.covariance)
-        sigmas.append(found.edge_sigma)
+        refined = refine_pose(nearby(rng, 0.2), MODEL, wireframe, views, lookup)
+        errors.append(error_of(refined.world_from_object))
+        covariances.append(refined.covariance)
+        sigmas.append(refined.edge_sigma)
     assert mean_nees(nees(np.array(errors), np.array(covariances)), 6).is_consistent
     # Nothing is wrong with whole edges.
     assert np.median(sigmas) < 0.02
@@ -156,10 +156,10 @@ def test_edges_that_are_off_as_a_whole_are_noticed(views, wireframe):
     for _ in range(RUNS):
         pictures = drawn(MODEL, views, POSE, 0.1, rng, shift=0.5)
         lookup = EdgeLookup.of(pictures, views.camera.image_size)
-        found = refine_pose(nearby(rng, 0.2), MODEL, wireframe, views, lookup)
-        errors.append(error_of(found.world_from_object))
-        covariances.append(found.covariance)
-        sigmas.append(found.edge_sigma)
+        refined = refine_pose(nearby(rng, 0.2), MODEL, wireframe, views, lookup)
+        errors.append(error_of(refined.world_from_object))
+        covariances.append(refined.covariance)
+        sigmas.append(refined.edge_sigma)
     assert 0.35 < np.median(sigmas) < 0.65
     # An estimated standard deviation has the tails of Student's t, and the mean errs by 1.1 twice.
     assert 3.8 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 9.5
@@ -174,12 +174,12 @@ def test_the_robots_noise_is_in_the_covariance(views, wireframe):
         twists = host_exponentials(sizes * rng.standard_normal((2, 6)))
         true = views._replace(camera_from_world=twists @ views.camera_from_world)
         lookup = EdgeLookup.of(drawn(MODEL, true, POSE, 0.1, rng), views.camera.image_size)
-        found = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
-        errors.append(error_of(found.world_from_object))
-        covariances.append(found.covariance)
-        trusting.append(found.pictures)
+        refined = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=8.0)
+        errors.append(error_of(refined.world_from_object))
+        covariances.append(refined.covariance)
+        trusting.append(refined.pictures)
         np.testing.assert_allclose(
-            found.covariance, found.pictures + found.calibration + found.model
+            refined.covariance, refined.pictures + refined.calibration + refined.model
         )
     assert 3.8 < mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 8.2
     # Without it the pose would be called far better than it is.
@@ -195,9 +195,9 @@ def test_an_uncertain_model_makes_the_pose_uncertain(views, wireframe):
             moved, MODEL.edges, MODEL.faces, covariance=covariance, planar_tolerance=0.1
         )
         lookup = EdgeLookup.of(drawn(MODEL, views, POSE, 0.1, rng), views.camera.image_size)
-        found = refine_pose(POSE, model, Wireframe.of(model, SAMPLES), views, lookup)
-        errors.append(error_of(found.world_from_object))
-        covariances.append(found.covariance)
+        refined = refine_pose(POSE, model, Wireframe.of(model, SAMPLES), views, lookup)
+        errors.append(error_of(refined.world_from_object))
+        covariances.append(refined.covariance)
     assert mean_nees(nees(np.array(errors), np.array(covariances)), 6).value < 8.5
     assert nees(np.array(errors), np.array(covariances)).mean() > 3.5
 
@@ -220,10 +220,10 @@ def test_a_wrong_edge_hardly_counts(views, wireframe):
     moved[own] += 2.5 * pictures[0].normals[own]
     pictures[0] = pictures[0]._replace(pixels=moved, cells=np.round(moved).astype(int))
     lookup = EdgeLookup.of(pictures, views.camera.image_size)
-    found = refine_pose(POSE, MODEL, wireframe, views, lookup)
-    assert not found.consistent[0, edge]
-    assert found.consistent.sum() == found.lines.measured.sum() - 1
-    assert nees(error_of(found.world_from_object)[None], found.covariance[None])[0] < 20.0
+    refined = refine_pose(POSE, MODEL, wireframe, views, lookup)
+    assert not refined.consistent[0, edge]
+    assert refined.consistent.sum() == refined.lines.measured.sum() - 1
+    assert nees(error_of(refined.world_from_object)[None], refined.covariance[None])[0] < 20.0
 
 
 def test_a_fit_whose_steps_go_round_ends_where_it_has_been(views, wireframe, monkeypatch):

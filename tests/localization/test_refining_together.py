@@ -44,8 +44,8 @@ def alone(scene, start, uncertainty, prepared):
     refined = refine_pose(start, model, prepared.fine, scene.views, scene.lookup, uncertainty)
     lines = scene.lines(refined.world_from_object, prepared.fine)
     middle = prepared.middle_at(refined.world_from_object)
-    found = scene.evidence(lines, prepared.fine, middle)
-    verdict = judge(found, 1, np.inf)._replace(decision="accepted")
+    actual = scene.evidence(lines, prepared.fine, middle)
+    verdict = judge(actual, 1, np.inf)._replace(decision="accepted")
     return Localization(model, 0, refined, verdict, ())
 
 

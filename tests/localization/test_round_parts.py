@@ -31,9 +31,9 @@ def test_a_washer_and_a_pipe_are_found():
     searched = find_hypotheses(evidence, views, models())
     # As the search does, but with few of each: the true poses are among the first.
     few = [h for k in (0, 1) for h in [h for h in searched if h.model == k][:4]]
-    found = localize(evidence, base_from_tool(), CALIBRATION, models(), hypotheses=few)
-    assert sorted(obj.model_index for obj in found.accepted) == [0, 1]
-    for obj in found.accepted:
+    localizations = localize(evidence, base_from_tool(), CALIBRATION, models(), hypotheses=few)
+    assert sorted(obj.model_index for obj in localizations.accepted) == [0, 1]
+    for obj in localizations.accepted:
         truth, middle = POSES[obj.model_index], obj.model.vertices.mean(axis=0)
         estimate = obj.world_from_object
         shift = (estimate - truth)[:3] @ np.append(middle, 1.0)
@@ -161,10 +161,10 @@ def test_a_circle_is_at_one_of_two_poses(turn):
     to_unit = np.eye(3)
     to_unit[:2, :2] = np.diag(2.0 / np.array(axes)) @ [[c, s], [-s, c]]
     to_unit[:2, 2] = -to_unit[:2, :2] @ middle
-    found = circle_poses(to_unit.T @ np.diag([1.0, 1.0, -1.0]) @ to_unit, f, 0.02)
-    assert len(found) == 2
-    gaps = [np.linalg.norm(circle.centre - pose[:3, 3]) for circle in found]
-    best = found[int(np.argmin(gaps))]
+    poses = circle_poses(to_unit.T @ np.diag([1.0, 1.0, -1.0]) @ to_unit, f, 0.02)
+    assert len(poses) == 2
+    gaps = [np.linalg.norm(circle.centre - pose[:3, 3]) for circle in poses]
+    best = poses[int(np.argmin(gaps))]
     assert min(gaps) < 1e-4
     assert abs(best.normal @ pose[:3, 2]) > np.cos(np.deg2rad(0.3))
 

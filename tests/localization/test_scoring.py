@@ -52,13 +52,13 @@ def test_scores_are_lengths_near_edges_of_the_pictures(scene, maps, wireframe):
     rng = np.random.default_rng(0)
     poses = shaken(scene.world_from_object[0], rng, 3.0, 2.0, 6)
     poses[0] = scene.world_from_object[0]
-    found = np.stack(score_poses(maps, wireframe, poses, GATE), axis=1)
+    scores = np.stack(score_poses(maps, wireframe, poses, GATE), axis=1)
     expected = np.array([lengths_by_tree(scene, wireframe, pose) for pose in poses])
-    np.testing.assert_allclose(found[:, 0], expected[:, 0], rtol=0.03)
+    np.testing.assert_allclose(scores[:, 0], expected[:, 0], rtol=0.03)
     # Cells of a pixel, and directions sorted into eight maps, are coarser than the tree.
-    assert np.abs(found - expected).max() < 0.08 * expected[:, 0].max()
-    assert found[0, 1] > 0.95 * found[0, 0]
-    assert (found[1:, 2] < found[0, 2]).all()
+    assert np.abs(scores - expected).max() < 0.08 * expected[:, 0].max()
+    assert scores[0, 1] > 0.95 * scores[0, 0]
+    assert (scores[1:, 2] < scores[0, 2]).all()
 
 
 def test_scores_do_not_depend_on_the_other_poses(scene, maps, wireframe):

@@ -125,10 +125,10 @@ def test_a_pose_from_a_stereo_pair_is_as_uncertain_as_it_is_said_to_be(rig, wire
     for numbers in drawn_errors(rig, rng, RUNS):
         true = true_views(rig, PAIR, POSES, numbers, noise_twist(rng))
         lookup = EdgeLookup.of(drawn(MODEL, true, POSE, 0.1, rng), views.largest_picture)
-        found = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=10.0)
-        errors.append(error_of(found.world_from_object))
-        covariances.append(found.covariance)
-        grasps.append(grasped(rig, found, uncertainty.shared_names, numbers, rng))
+        refined = refine_pose(POSE, MODEL, wireframe, views, lookup, uncertainty, radius=10.0)
+        errors.append(error_of(refined.world_from_object))
+        covariances.append(refined.covariance)
+        grasps.append(grasped(rig, refined, uncertainty.shared_names, numbers, rng))
     assert mean_nees(nees(np.array(errors), np.array(covariances)), 6).is_consistent
     misses, together, alone = map(np.array, zip(*grasps, strict=True))
     assert mean_nees(nees(misses, together), 6).is_consistent
@@ -159,11 +159,11 @@ def test_an_object_is_found_in_a_stereo_pair(rig, pictures, monkeypatch):
         )
         for frame, pose in (("world", POSE), ("base", BASE_FROM_WORLD @ POSE))
     )
-    (found,), (in_base,) = results, in_base
-    assert found.verdict.decision == "accepted"
-    assert np.linalg.norm(error_of(found.world_from_object)[:3]) < 1e-4
+    (actual,), (in_base,) = results, in_base
+    assert actual.verdict.decision == "accepted"
+    assert np.linalg.norm(error_of(actual.world_from_object)[:3]) < 1e-4
     assert results.calibration.cameras == ("left", "right")
-    expected = BASE_FROM_WORLD @ found.world_from_object
+    expected = BASE_FROM_WORLD @ actual.world_from_object
     np.testing.assert_allclose(in_base.world_from_object, expected, atol=1e-6)
     # What is in the base frame is not taken for what is in the world frame.
     with pytest.raises(ValueError, match="found poses in the base frame"):

@@ -16,28 +16,28 @@ def problems(count, seed=0):
     return points, poses, seen / np.linalg.norm(seen, axis=2, keepdims=True)
 
 
-def gaps(found, good, pose):
+def gaps(actual, good, pose):
     """The largest differences of all solutions from a pose."""
-    return np.where(good, np.abs(found - pose).max(axis=(-1, -2)), np.inf)
+    return np.where(good, np.abs(actual - pose).max(axis=(-1, -2)), np.inf)
 
 
 def test_the_true_pose_is_among_the_solutions_and_all_solutions_fit():
     points, poses, rays = problems(5000)
-    found, good = three_point_poses(rays, points)
-    nearest = gaps(found, good, poses[:, None]).min(axis=1)
+    actual, good = three_point_poses(rays, points)
+    nearest = gaps(actual, good, poses[:, None]).min(axis=1)
     # Where two solutions meet, both are ill-defined: a few in a thousand.
     assert (nearest < 1e-6).mean() > 0.998
     n, k = np.nonzero(good)
-    seen = points[n] @ found[n, k, :3, :3].transpose(0, 2, 1) + found[n, k, None, :3, 3]
+    seen = points[n] @ actual[n, k, :3, :3].transpose(0, 2, 1) + actual[n, k, None, :3, 3]
     seen /= np.linalg.norm(seen, axis=2, keepdims=True)
     assert np.abs(seen - rays[n]).max() < 1e-4
-    rotations = found[n, k, :3, :3]
+    rotations = actual[n, k, :3, :3]
     np.testing.assert_allclose(np.linalg.det(rotations), 1.0, atol=1e-9)
 
 
 def test_solutions_are_those_of_opencv():
     points, _, rays = problems(400, seed=1)
-    found, good = three_point_poses(rays, points)
+    poses, good = three_point_poses(rays, points)
     missed = extra = total = 0
     for k in range(len(points)):
         pixels = rays[k, :, :2] / rays[k, :, 2:]
@@ -45,7 +45,7 @@ def test_solutions_are_those_of_opencv():
         theirs = np.tile(np.eye(4), (len(turns), 1, 1))
         for i, (turn, shift) in enumerate(zip(turns, shifts, strict=True)):
             theirs[i, :3, :3], theirs[i, :3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-        ours = found[k, good[k]]
+        ours = poses[k, good[k]]
         apart = np.abs(ours[:, None] - theirs).max(axis=(-1, -2))
         missed += (apart.min(axis=0, initial=np.inf) > 1e-4).sum()
         extra += (apart.min(axis=1, initial=np.inf) > 1e-4).sum()
@@ -58,7 +58,7 @@ def test_solutions_are_those_of_opencv():
 def test_points_on_one_line_have_no_solutions():
     points, _, rays = problems(2, seed=2)
     points[1, 2] = 2.0 * points[1, 1] - points[1, 0]
-    found, good = three_point_poses(rays, points)
+    poses, good = three_point_poses(rays, points)
     assert good[0].any()
     assert not good[1].any()
-    assert np.isnan(found[1]).all()
+    assert np.isnan(poses[1]).all()

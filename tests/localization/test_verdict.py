@@ -52,15 +52,15 @@ def test_clear_pose_is_accepted():
     ],
 )
 def test_each_weakness_is_named(changes, decision, words):
-    found = verdict(**changes)
-    assert found.decision == decision
-    assert any(words in reason for reason in found.reasons)
+    actual = verdict(**changes)
+    assert actual.decision == decision
+    assert any(words in reason for reason in actual.reasons)
 
 
 def test_limits_are_those_that_are_given():
     strict = VerdictOptions(accepted_share=0.97, certain_edge_rms=0.05)
-    found = judge(CLEAR, 24, np.inf, options=strict)
-    assert found.reasons[0].startswith("only 95% of its visible edges match")
+    actual = judge(CLEAR, 24, np.inf, options=strict)
+    assert actual.reasons[0].startswith("only 95% of its visible edges match")
     with pytest.raises(ValueError, match="min_margin: expected a finite number, found nan"):
         VerdictOptions(min_margin=np.nan)
 
@@ -75,9 +75,9 @@ def test_edges_may_be_off_by_the_tolerance_of_the_model():
 def test_in_a_third_view_something_may_be_before_the_object():
     good = {"explained": 0.75, "explained_in_view": (0.9, 0.9, 0.3)}
     assert verdict(**good).decision == "accepted"
-    found = verdict(**good | {"explained_in_view": (0.9, 0.4, 0.3)})
-    assert found.decision == "open"
-    assert found.reasons[0].startswith("view 1: 40%")
+    actual = verdict(**good | {"explained_in_view": (0.9, 0.4, 0.3)})
+    assert actual.decision == "open"
+    assert actual.reasons[0].startswith("view 1: 40%")
     assert verdict(**good | {"explained_in_view": (0.9, 0.9, np.nan)}).decision == "accepted"
 
 
@@ -110,9 +110,9 @@ def test_without_faces_nothing_can_be_taken_for_hidden():
     ],
 )
 def test_a_solid_of_another_size_that_explains_more_is_named(face, distance, words):
-    found = verdict(**HIDDEN | {"moved": MovedFace(face, distance, 150.0)})
-    assert found.decision == "open"
-    assert words in found.reasons[0]
+    actual = verdict(**HIDDEN | {"moved": MovedFace(face, distance, 150.0)})
+    assert actual.decision == "open"
+    assert words in actual.reasons[0]
     assert verdict(**HIDDEN | {"moved": MovedFace(face, distance, 90.0)}).decision == "accepted"
 
 
@@ -142,6 +142,6 @@ def test_one_picture_alone_has_to_be_fitted_closely():
     """Scale and tilt are free, so that a box of another size may be fitted to most edges."""
     loose = {"explained": 0.97, "edges": 9, "edge_rms": 0.6}
     assert verdict(**loose).decision == "accepted"
-    found = verdict(**loose | {"is_alone": True})
-    assert found.decision == "open"
-    assert "too far for pictures from one direction" in found.reasons[0]
+    actual = verdict(**loose | {"is_alone": True})
+    assert actual.decision == "open"
+    assert "too far for pictures from one direction" in actual.reasons[0]

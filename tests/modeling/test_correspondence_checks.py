@@ -51,15 +51,15 @@ def test_a_click_on_the_wrong_corner_is_named(calibration, poses):
         pixels[view, feature] += 4.0 * np.array([np.cos(angle), np.sin(angle)])
         plain = triangulate_points(calibration, poses, pixels, visible, pixel_sigma=SIGMA)
         hidden += np.nanargmax(np.linalg.norm(plain.residuals[:, feature], axis=1)) != view
-        found = wrong_correspondences(calibration, poses, pixels, visible, pixel_sigma=SIGMA)
+        wrong = wrong_correspondences(calibration, poses, pixels, visible, pixel_sigma=SIGMA)
         named.append(
-            bool(found)
-            and all(one.feature == feature for one in found)
-            and any(view in (one.view, *one.instead) for one in found)
+            bool(wrong)
+            and all(one.feature == feature for one in wrong)
+            and any(view in (one.view, *one.instead) for one in wrong)
         )
-        if named[-1] and found[0].view == view:
-            assert found[0].distance == pytest.approx(4.0, abs=2.0)
-            assert f"feature {feature} in view {view}" in str(found[0])
+        if named[-1] and wrong[0].view == view:
+            assert wrong[0].distance == pytest.approx(4.0, abs=2.0)
+            assert f"feature {feature} in view {view}" in str(wrong[0])
     assert np.mean(named) > 0.9
     assert hidden > 0
 
@@ -68,9 +68,9 @@ def test_two_wrong_clicks_are_both_named(calibration, poses):
     pixels = clicks(calibration, poses, COUNT, 3)
     pixels[1, 4] += [8.0, 3.0]
     pixels[3, 5] += [-2.0, 9.0]
-    found = wrong_correspondences(calibration, poses, pixels, pixel_sigma=SIGMA)
-    assert {(one.view, one.feature) for one in found} == {(1, 4), (3, 5)}
-    assert all(one.p_value < 1e-6 for one in found)
+    wrong = wrong_correspondences(calibration, poses, pixels, pixel_sigma=SIGMA)
+    assert {(one.view, one.feature) for one in wrong} == {(1, 4), (3, 5)}
+    assert all(one.p_value < 1e-6 for one in wrong)
 
 
 def test_of_two_views_neither_can_be_acquitted(calibration, poses):
@@ -81,12 +81,12 @@ def test_of_two_views_neither_can_be_acquitted(calibration, poses):
     for shift in ([8.0, 0.0], [0.0, 8.0]):
         moved = pixels.copy()
         moved[0, 1] += shift
-        found = wrong_correspondences(calibration, poses, moved, visible, pixel_sigma=SIGMA)
-        if found:
+        wrong = wrong_correspondences(calibration, poses, moved, visible, pixel_sigma=SIGMA)
+        if wrong:
             break
-    assert len(found) == 1
-    assert {found[0].view, *found[0].instead} == {0, 1}
-    assert np.isnan(found[0].distance)
+    assert len(wrong) == 1
+    assert {wrong[0].view, *wrong[0].instead} == {0, 1}
+    assert np.isnan(wrong[0].distance)
 
 
 def test_what_the_robots_noise_explains_is_not_named(calibration, poses):

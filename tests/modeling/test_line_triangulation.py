@@ -32,9 +32,9 @@ def drawn(calibration, poses, count, seed=0, sigma=SIGMA):
     return Lines(middle, direction), segments + sigma * rng.standard_normal(segments.shape)
 
 
-def errors(found, truth):
+def errors(actual, truth):
     """The shifts and turns that bring the true lines to the found ones, at the found points."""
-    lines = found.lines
+    lines = actual.lines
     sign = np.sign(np.einsum("li,li->l", lines.directions, truth.directions))[:, None]
     # The true line's point nearest to the found one.
     t = np.einsum("li,li->l", lines.points - truth.points, truth.directions)[:, None]
@@ -46,33 +46,37 @@ def errors(found, truth):
 
 def test_exact_segments_give_the_line(calibration, poses):
     truth, segments = drawn(calibration, poses, 20, sigma=0.0)
-    found = triangulate_lines(calibration, poses, segments)
-    assert found.ok.all()
-    assert np.abs(errors(found, truth)).max() < 1e-8
-    assert found.rms < 1e-6
+    triangulated = triangulate_lines(calibration, poses, segments)
+    assert triangulated.ok.all()
+    assert np.abs(errors(triangulated, truth)).max() < 1e-8
+    assert triangulated.rms < 1e-6
     np.testing.assert_allclose(
-        np.linalg.norm(found.ends[:, 1] - found.ends[:, 0], axis=1), 0.0125, atol=0.002
+        np.linalg.norm(triangulated.ends[:, 1] - triangulated.ends[:, 0], axis=1),
+        0.0125,
+        atol=0.002,
     )
 
 
 def test_the_pictures_covariance_is_true(calibration, poses):
     truth, segments = drawn(calibration, poses, 300)
-    found = triangulate_lines(calibration, poses, segments, pixel_sigma=SIGMA)
-    ok = found.ok
+    triangulated = triangulate_lines(calibration, poses, segments, pixel_sigma=SIGMA)
+    ok = triangulated.ok
     assert ok.mean() > 0.9
-    statistic = mean_nees(nees(errors(found, truth)[ok], found.picture_covariance[ok]), 4)
+    statistic = mean_nees(
+        nees(errors(triangulated, truth)[ok], triangulated.picture_covariance[ok]), 4
+    )
     assert statistic.is_consistent
 
 
 def test_a_line_is_the_one_whose_picture_scipy_finds_nearest(calibration, poses):
     """By sampling the picture of the line densely, without any plane or ray."""
     _, segments = drawn(calibration, poses, 1, seed=3)
-    found = triangulate_lines(calibration, poses, segments, pixel_sigma=SIGMA)
-    axes, t = found.lines.perpendicular[0], np.linspace(-0.02, 0.02, 400)
+    triangulated = triangulate_lines(calibration, poses, segments, pixel_sigma=SIGMA)
+    axes, t = triangulated.lines.perpendicular[0], np.linspace(-0.02, 0.02, 400)
 
     def distances(step):
-        point = found.lines.points[0] + axes @ step[:2]
-        direction = found.lines.directions[0] + axes @ step[2:] * 100.0
+        point = triangulated.lines.points[0] + axes @ step[:2]
+        direction = triangulated.lines.directions[0] + axes @ step[2:] * 100.0
         curve = np.asarray(calibration.project(poses, point + t[:, None] * direction)[0])
         result = []
         for view in range(len(poses)):
@@ -87,11 +91,11 @@ def test_a_line_is_the_one_whose_picture_scipy_finds_nearest(calibration, poses)
         return np.array(result)
 
     np.testing.assert_allclose(
-        np.abs(distances(np.zeros(4))), np.abs(found.residuals[:, 0].ravel()), atol=2e-3
+        np.abs(distances(np.zeros(4))), np.abs(triangulated.residuals[:, 0].ravel()), atol=2e-3
     )
     best = least_squares(distances, np.zeros(4), x_scale=1e-5, diff_step=1e-3)
     # To a hundredth of a standard deviation.
-    std = np.sqrt(np.diagonal(found.picture_covariance[0])) * [1.0, 1.0, 0.01, 0.01]
+    std = np.sqrt(np.diagonal(triangulated.picture_covariance[0])) * [1.0, 1.0, 0.01, 0.01]
     assert (np.abs(best.x) / std).max() < 0.02
 
 
@@ -118,9 +122,9 @@ def test_what_fails_is_named(calibration, poses):
     _, segments = drawn(calibration, poses, 3)
     visible = np.ones((5, 3), dtype=bool)
     visible[1:, 0] = False
-    found = triangulate_lines(calibration, poses, segments, visible)
-    assert found.status[0] == PointStatus.TOO_FEW_VIEWS
-    assert found.ok[1:].all()
+    triangulated = triangulate_lines(calibration, poses, segments, visible)
+    assert triangulated.status[0] == PointStatus.TOO_FEW_VIEWS
+    assert triangulated.ok[1:].all()
     segments[2, 1, 1] = segments[2, 1, 0] + 0.1
     with pytest.raises(ValueError, match="view 2, line 1"):
         triangulate_lines(calibration, poses, segments, visible)

@@ -80,9 +80,9 @@ def test_each_view_is_read_with_the_camera_that_took_it(rig):
         for name, pose in zip(cameras, poses, strict=True)
     ]
     views = RigViews(rig.calibrations, cameras)
-    found = triangulate_points(views, poses, np.stack(pixels))
-    np.testing.assert_allclose(found.points, POINTS, atol=1e-9)
-    assert found.calibration_names == ()
+    triangulated = triangulate_points(views, poses, np.stack(pixels))
+    np.testing.assert_allclose(triangulated.points, POINTS, atol=1e-9)
+    assert triangulated.calibration_names == ()
     seen = SeenViews.of(views, poses)
     np.testing.assert_array_equal(seen.image_sizes[1], [800, 600])
     np.testing.assert_array_equal(seen.camera.image_size, seen.image_sizes)
@@ -98,8 +98,8 @@ def test_cameras_on_the_hand_and_next_to_the_arm_meet_in_the_base_frame():
     ]
     views = RigViews(rig, ["hand", "side"], frame="base")
     # Wherever the robot is, the camera next to the arm is where it is.
-    found = triangulate_points(views, np.stack([pose, np.eye(4)]), np.stack(pixels))
-    np.testing.assert_allclose(found.points, in_base, atol=1e-9)
+    triangulated = triangulate_points(views, np.stack([pose, np.eye(4)]), np.stack(pixels))
+    np.testing.assert_allclose(triangulated.points, in_base, atol=1e-9)
     alone = RigViews(rig, ["side"], frame="base")
     np.testing.assert_allclose(
         SeenViews.of(alone, None).camera_from_world,
@@ -134,7 +134,7 @@ def test_each_number_moves_the_pixels_as_opencv_says(calibrations, cameras, fram
         points = POINTS @ BASE_FROM_WORLD[:3, :3].T + BASE_FROM_WORLD[:3, 3]
         assert not [name for name in uncertainty.names if "_from_world" in name]
     by_view = pixel_jacobians(seen, points).by_view
-    found = np.einsum("vpil,vln->nvpi", by_view, uncertainty.view_jacobian)
+    actual = np.einsum("vpil,vln->nvpi", by_view, uncertainty.view_jacobian)
 
     def pixels(errors, twist):
         robots = [
@@ -157,7 +157,7 @@ def test_each_number_moves_the_pixels_as_opencv_says(calibrations, cameras, fram
             for change in (step, -step)
         )
         difference = (after - before) / (2.0 * step)
-        np.testing.assert_allclose(found[k], difference, rtol=1e-5, atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(actual[k], difference, rtol=1e-5, atol=1e-4, err_msg=name)
 
 
 def mean_squares(rig, cameras, poses, believed):
@@ -178,9 +178,9 @@ def mean_squares(rig, cameras, poses, believed):
     for views in believed:
         values = []
         for some in np.split(pixels, RUNS // COUNT, axis=1):
-            found = triangulate_points(views, of_views, some, pixel_sigma=SIGMA)
-            covariance = across.T @ found.covariance() @ across
-            values.append(nees((found.points - point) @ across, covariance))
+            triangulated = triangulate_points(views, of_views, some, pixel_sigma=SIGMA)
+            covariance = across.T @ triangulated.covariance() @ across
+            values.append(nees((triangulated.points - point) @ across, covariance))
         means.append(mean_nees(np.concatenate(values), 2))
     return means
 
@@ -232,11 +232,11 @@ def test_one_camera_of_a_rig_is_the_same_as_alone(rig):
         SIGMA,
         Observability(len(kept), len(kept), (), (), 1.0),
     )
-    found = CalibrationUncertainty.of(seen, views, None)
+    actual = CalibrationUncertainty.of(seen, views, None)
     known = CalibrationUncertainty.of(expected, alone, own)
-    assert [name.removeprefix("left.") for name in found.names] == list(known.names)
-    np.testing.assert_array_equal(found.view_jacobian, known.view_jacobian)
-    np.testing.assert_allclose(found.covariance, known.covariance, rtol=1e-12, atol=1e-20)
+    assert [name.removeprefix("left.") for name in actual.names] == list(known.names)
+    np.testing.assert_array_equal(actual.view_jacobian, known.view_jacobian)
+    np.testing.assert_allclose(actual.covariance, known.covariance, rtol=1e-12, atol=1e-20)
 
 
 def test_the_relative_pose_of_two_cameras_is_as_uncertain_as_their_fit_says(tmp_path_factory):
@@ -279,8 +279,8 @@ def test_lenses_of_different_kinds_go_together():
             POINTS[:, None], *turns[1], wide.K, np.array([0.02, -0.01, 0, 0])
         )[0],
     ]
-    found = project_points(views, POINTS)
-    np.testing.assert_allclose(found, np.reshape(theirs, found.shape), atol=1e-9)
+    projected = project_points(views, POINTS)
+    np.testing.assert_allclose(projected, np.reshape(theirs, projected.shape), atol=1e-9)
 
 
 def test_bad_input_is_named(rig):

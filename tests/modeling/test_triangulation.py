@@ -38,16 +38,20 @@ def clicks(calibration, poses, count, seed=0, sigma=SIGMA):
 
 def test_a_point_is_the_optimum_that_scipy_finds(calibration, poses):
     _, pixels = clicks(calibration, poses, 12)
-    found = triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA)
+    triangulated = triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA)
     commands = SE3.from_matrix(jnp.asarray(poses))
     project = jax.jit(lambda x: calibration.project(commands, x[None])[0][:, 0])
     for k in (0, 5):
         best = least_squares(
-            lambda x, k=k: np.ravel(project(x) - pixels[:, k]), found.points[k] + 1e-3, xtol=1e-14
+            lambda x, k=k: np.ravel(project(x) - pixels[:, k]),
+            triangulated.points[k] + 1e-3,
+            xtol=1e-14,
         )
-        np.testing.assert_allclose(found.points[k], best.x, atol=1e-9)
+        np.testing.assert_allclose(triangulated.points[k], best.x, atol=1e-9)
         np.testing.assert_allclose(
-            found.picture_covariance[k], SIGMA**2 * np.linalg.inv(best.jac.T @ best.jac), rtol=1e-3
+            triangulated.picture_covariance[k],
+            SIGMA**2 * np.linalg.inv(best.jac.T @ best.jac),
+            rtol=1e-3,
         )
 
 
@@ -58,9 +62,9 @@ def test_a_pinhole_without_noise_is_opencvs_triangulation(poses):
     K = np.array([[800.0, 0, 320.0], [0, 810.0, 240.0], [0, 0, 1]])
     P = [K @ host_matrices(FIVE)[k, :3] for k in range(2)]
     theirs = cv2.triangulatePoints(*P, pixels[0].T, pixels[1].T)
-    found = triangulate_points(calibration, poses[:2], pixels[:2])
-    np.testing.assert_allclose(found.points, (theirs[:3] / theirs[3]).T, atol=1e-9)
-    np.testing.assert_allclose(found.points, points, atol=1e-9)
+    triangulated = triangulate_points(calibration, poses[:2], pixels[:2])
+    np.testing.assert_allclose(triangulated.points, (theirs[:3] / theirs[3]).T, atol=1e-9)
+    np.testing.assert_allclose(triangulated.points, points, atol=1e-9)
 
 
 def test_the_pictures_covariance_is_true_for_unequal_errors(calibration, poses):
@@ -71,9 +75,11 @@ def test_the_pictures_covariance_is_true_for_unequal_errors(calibration, poses):
     noise = np.einsum("vpij,vpj->vpi", roots, rng.standard_normal((5, count, 2)))
     pixels = np.asarray(calibration.project(poses, points)[0]) + noise
     covariances = roots @ roots.swapaxes(-1, -2)
-    found = triangulate_points(calibration, poses, pixels, pixel_sigma=covariances)
-    assert found.ok.all()
-    assert mean_nees(nees(found.points - points, found.picture_covariance), 3).is_consistent
+    triangulated = triangulate_points(calibration, poses, pixels, pixel_sigma=covariances)
+    assert triangulated.ok.all()
+    assert mean_nees(
+        nees(triangulated.points - points, triangulated.picture_covariance), 3
+    ).is_consistent
 
 
 def test_what_fails_is_named(calibration, poses):
@@ -82,14 +88,14 @@ def test_what_fails_is_named(calibration, poses):
     visible[1:, 0] = False
     pixels[2, 1] = np.nan
     visible[2, 1] = False
-    found = triangulate_points(calibration, poses, pixels, visible)
-    assert found.status[0] == PointStatus.TOO_FEW_VIEWS
-    assert found.ok[1:].all()
-    assert "fewer than two views" in found.failures[0]
-    failed = ~found.ok
-    assert np.isnan(found.points[failed]).all()
-    assert np.isfinite(found.points[~failed]).all()
-    assert np.isfinite(found.residuals[2, 1]).sum() == 0
+    triangulated = triangulate_points(calibration, poses, pixels, visible)
+    assert triangulated.status[0] == PointStatus.TOO_FEW_VIEWS
+    assert triangulated.ok[1:].all()
+    assert "fewer than two views" in triangulated.failures[0]
+    failed = ~triangulated.ok
+    assert np.isnan(triangulated.points[failed]).all()
+    assert np.isfinite(triangulated.points[~failed]).all()
+    assert np.isfinite(triangulated.residuals[2, 1]).sum() == 0
 
 
 def test_views_from_one_place_are_degenerate(calibration, poses):
@@ -98,9 +104,9 @@ def test_views_from_one_place_are_degenerate(calibration, poses):
     near = same.copy()
     near[1:, :3, 3] += 1e-5 * np.random.default_rng(0).uniform(-1.0, 1.0, (4, 3))
     for place in (same, near):
-        found = triangulate_points(calibration, place, np.repeat(pixels[:1], 5, axis=0))
-        assert (found.status == PointStatus.DEGENERATE_BASELINE).all()
-        assert np.isnan(found.points).all()
+        triangulated = triangulate_points(calibration, place, np.repeat(pixels[:1], 5, axis=0))
+        assert (triangulated.status == PointStatus.DEGENERATE_BASELINE).all()
+        assert np.isnan(triangulated.points).all()
 
 
 def test_rays_that_meet_behind_a_camera_are_named():
@@ -109,8 +115,8 @@ def test_rays_that_meet_behind_a_camera_are_named():
     poses = np.repeat(np.eye(4)[None], 2, axis=0)
     poses[1, 0, 3] = 0.1
     pixels = np.array([[[300.0, 240.0]], [[340.0, 240.0]]])
-    found = triangulate_points(calibration, poses, pixels)
-    assert found.status[0] == PointStatus.BEHIND_CAMERA
+    triangulated = triangulate_points(calibration, poses, pixels)
+    assert triangulated.status[0] == PointStatus.BEHIND_CAMERA
     right = triangulate_points(calibration, poses, pixels[::-1])
     np.testing.assert_allclose(right.points, [[0.05, 0.0, 1.25]], atol=1e-9)
 
@@ -143,7 +149,7 @@ def test_a_robust_loss_resists_a_gross_error(calibration, poses):
         triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA, loss=loss)
         for loss in (None, GemanMcClure())
     )
-    errors = [np.linalg.norm(found.points - points, axis=1) for found in (plain, robust)]
+    errors = [np.linalg.norm(actual.points - points, axis=1) for actual in (plain, robust)]
     assert np.median(errors[1]) < 0.2 * np.median(errors[0])
 
 
@@ -204,9 +210,9 @@ def test_the_robots_noise_in_a_view_is_a_column_of_its_own(erring, poses):
 def test_what_is_common_does_not_blur_a_distance(erring, poses):
     robot, bound, noise = erring
     _, pixels = clicks(robot, poses, 2)
-    found = triangulate_points(robot, poses, pixels, covariance=bound, noise=noise)
-    joint = found.joint_covariance()
-    np.testing.assert_allclose(joint[3:, 3:], found.covariance()[1], rtol=1e-12)
+    triangulated = triangulate_points(robot, poses, pixels, covariance=bound, noise=noise)
+    joint = triangulated.joint_covariance()
+    np.testing.assert_allclose(joint[3:, 3:], triangulated.covariance()[1], rtol=1e-12)
     difference = np.hstack([np.eye(3), -np.eye(3)])
     together = difference @ joint @ difference.T
     apart = joint[:3, :3] + joint[3:, 3:]

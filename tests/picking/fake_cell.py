@@ -58,11 +58,11 @@ def seen(model, decision="accepted", *reasons):
     return Localization(model, 0, refined, Verdict(decision, reasons, None, -20.0, np.inf), ())
 
 
-def localizations(*found, pictures=(), command=None):
+def localizations(*actual, pictures=(), command=None):
     """What was found, with messages as `localize` has them."""
     at = Command(host_transforms(np.eye(4)[None])) if command is None else command
-    messages = [one.message.replace("rejected", "not found") for one in found if not one.accepted]
-    return Localizations(found, tuple(messages), pictures, at)
+    messages = [one.message.replace("rejected", "not found") for one in actual if not one.accepted]
+    return Localizations(actual, tuple(messages), pictures, at)
 
 
 def view_of(reason="it separates the object from 1 remaining rival"):

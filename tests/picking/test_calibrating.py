@@ -75,7 +75,7 @@ def test_a_board_that_is_not_found_is_said_with_the_number_of_views():
 
 def test_planned_views_show_most_of_the_board_from_many_sides():
     views = _planned_views(BOARD, BoardViews(24))
-    pixels = np.stack([projected(BOARD.points, one) for one in views])
+    pixels = np.stack([projected(BOARD.points, view) for view in views])
     inside = (pixels > 0.0).all(axis=-1) & (pixels < np.array(IMAGE_SIZE) - 1.0).all(axis=-1)
     # Some views are near and cut the board; the detector needs all of it in enough of them.
     assert np.median(inside.mean(axis=1)) > 0.95
@@ -121,15 +121,15 @@ def test_what_perspective_makes_of_the_circles_is_corrected(monkeypatch):
         "smartview_jax.picking.calibrating.calibrate", lambda data, progress: fitted.append(data)
     )
     calibrated = calibrate_cell(Drawn(), BOARD, drawn_calibration(), six_axes(), BoardViews(8))
-    found = calibrated.data
-    assert found.joints is not None
-    assert len(calibrated.pictures) == len(found.pixels) >= 6
+    actual = calibrated.data
+    assert actual.joints is not None
+    assert len(calibrated.pictures) == len(actual.pixels) >= 6
     # The arm is exact: what it reports is true.
-    poses = camera_from_world(found.base_from_tool)
+    poses = camera_from_world(actual.base_from_tool)
     centres = np.stack([projected(BOARD.points, pose) for pose in poses])
     as_found, corrected = (
         np.nanmean(np.where(np.asarray(d.visible)[..., None], d.pixels - centres, np.nan), axis=1)
-        for d in (found, fitted[0])
+        for d in (actual, fitted[0])
     )
     assert np.abs(as_found).max() > 0.08
     assert np.abs(corrected).max() < 0.3 * np.abs(as_found).max()

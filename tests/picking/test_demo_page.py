@@ -27,7 +27,7 @@ REASONS = (
 )
 
 
-def look_of(count, chosen, *found):
+def look_of(count, chosen, *actual):
     """Views of the region from above."""
     directions = np.column_stack(
         [np.linspace(-0.3, 0.3, count), np.full(count, 0.2), -np.ones(count)]
@@ -35,7 +35,7 @@ def look_of(count, chosen, *found):
     poses = np.linalg.inv(host_matrices(look_at(REGION.centre, directions, 0.5)))
     evidence = picture_evidence(STRIPED, CAMERA)
     command = Command(host_transforms(poses))
-    there = localizations(*found, pictures=(evidence,) * count, command=command)
+    there = localizations(*actual, pictures=(evidence,) * count, command=command)
     return Look(there, (STRIPED,) * count, command, chosen, ("view 3: why",))
 
 
@@ -67,7 +67,7 @@ def test_figure_8_has_its_parts_and_a_reason_in_a_sentence(reason):
 
 def test_two_views_that_were_enough_have_no_reason():
     section = localised_section(look_of(2, None, seen(MODEL)), CALIBRATED, REGION, strip_of("lift"))
-    assert [one.name for one in section.figures] == [f"({letter})" for letter in "abcdef"]
+    assert [figure.name for figure in section.figures] == [f"({letter})" for letter in "abcdef"]
     assert section.figures[2].text == "the last view"
     assert section.text == "Two views are searched for the models."
 

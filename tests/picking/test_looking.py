@@ -88,8 +88,8 @@ def test_what_is_accepted_is_verified_from_one_view(look):
 def test_a_view_that_brings_less_than_it_costs_is_not_taken(look):
     """The view of `look` gains one nat."""
     cell = FakeCell()
-    for found in (ACCEPTED, OPEN):
-        result = look(cell, [found], view_cost=1.5)
+    for actual in (ACCEPTED, OPEN):
+        result = look(cell, [actual], view_cost=1.5)
         assert len(result.pictures) == 2
         assert result.verification is None
         assert result.notes[0].startswith(
@@ -143,7 +143,7 @@ def test_every_search_knows_the_scene(look):
 
 def directions(moves):
     """Viewing directions of the commands that were reached; base and world are one frame."""
-    poses = [host_matrices(one.base_from_tool) for one in moves if one is not None]
+    poses = [host_matrices(move.base_from_tool) for move in moves if move is not None]
     return np.stack([pose[:3, 2] for pose in poses])
 
 

@@ -142,7 +142,7 @@ def views_of(folder, first_episode=0):
     content = yaml.safe_load((folder / "dataset.yaml").read_text())
     poses = read_poses(folder, content["poses"], "raise")
     stamps = yaml.safe_load((folder / "import.yaml").read_text())["stamps_ns"]
-    found = []
+    actual = []
     for view, pose in zip(poses.view_ids, host_matrices(poses.poses), strict=True):
         # Another episode begins a minute after the end of the one before it.
         later, time = divmod(1e-9 * stamps[view], 50.0)
@@ -156,8 +156,8 @@ def views_of(folder, first_episode=0):
             )
         )
         shown = cv2.imread(str(folder / "images" / f"{view}.png"))
-        found.append((pose, shown, episode, time))
-    return found
+        actual.append((pose, shown, episode, time))
+    return actual
 
 
 def test_one_picture_of_every_stop_of_every_episode(dataset, tmp_path):

@@ -28,8 +28,8 @@ def limited(bound=2.0):
 def solved(arm, pose, near):
     """The answer for one pose, as one of `(2, 3)`: all tests of an arm share this program."""
     poses = SE3(np.tile(np.asarray(pose.wxyz_xyz), (2, 3, 1)))
-    found = joints_for_pose(arm, poses, np.tile(near, (2, 3, 1)))
-    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[1, 2]), found)
+    solution = joints_for_pose(arm, poses, np.tile(near, (2, 3, 1)))
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[1, 2]), solution)
 
 
 def with_limits(arm, joint, bounds):
@@ -40,10 +40,10 @@ def with_limits(arm, joint, bounds):
 
 def test_limits_that_are_not_met_change_nothing():
     arm, near = limited(), JOINTS + 0.1
-    found = solved(arm, arm.base_from_tool(JOINTS), near)
-    assert found.is_solved
-    assert not arm.violated_limits(found.joints).any()
-    left = motion_between(arm.base_from_tool(found.joints), arm.base_from_tool(JOINTS))
+    solution = solved(arm, arm.base_from_tool(JOINTS), near)
+    assert solution.is_solved
+    assert not arm.violated_limits(solution.joints).any()
+    left = motion_between(arm.base_from_tool(solution.joints), arm.base_from_tool(JOINTS))
     np.testing.assert_allclose(left, 0.0, atol=1e-9)
 
 
@@ -60,10 +60,10 @@ def test_joints_stay_within_their_limits(bounds):
     assert loose.is_solved
     assert abs(loose.joints[2]) > 0.2
     tight = with_limits(free, 2, bounds)
-    found = solved(tight, pose, start)
-    assert found.is_solved
-    assert not tight.violated_limits(found.joints).any()
-    left = motion_between(tight.base_from_tool(found.joints), pose)
+    solution = solved(tight, pose, start)
+    assert solution.is_solved
+    assert not tight.violated_limits(solution.joints).any()
+    left = motion_between(tight.base_from_tool(solution.joints), pose)
     np.testing.assert_allclose(left, 0.0, atol=1e-9)
 
 
@@ -73,18 +73,18 @@ def test_a_search_may_begin_at_a_limit_or_beyond_it():
     for first in (2.0, 5.0):
         near = JOINTS.copy()
         near[4] = first
-        found = solved(arm, goal, near)
-        assert found.is_solved
-        assert not arm.violated_limits(found.joints).any()
+        solution = solved(arm, goal, near)
+        assert solution.is_solved
+        assert not arm.violated_limits(solution.joints).any()
 
 
 def test_what_stands_in_the_way_is_named():
     arm = with_limits(limited(3.0), 3, [-0.5, 0.5])
     bent = JOINTS.copy()
     bent[3] = 1.5  # the elbow alone sets how far the wrist is
-    found = solved(arm, arm.base_from_tool(bent), JOINTS * 0.5)
-    assert found.status_text() == "out of limits: joint 4"
-    assert np.isnan(found.joints).all()
+    solution = solved(arm, arm.base_from_tool(bent), JOINTS * 0.5)
+    assert solution.status_text() == "out of limits: joint 4"
+    assert np.isnan(solution.joints).all()
     far = solved(kuka_lwr4(), SE3.from_translation(jnp.array([3.0, 0.0, 0.0])), JOINTS)
     assert far.status_text().startswith("out of reach")
 
@@ -92,21 +92,21 @@ def test_what_stands_in_the_way_is_named():
 def test_a_singular_answer_says_so():
     arm, straight = kuka_lwr4(), JOINTS.copy()
     straight[3] = 0.0
-    found = solved(arm, arm.base_from_tool(straight), straight)
-    assert found.is_solved
-    assert int(found.status) & SolutionStatus.SINGULAR
+    solution = solved(arm, arm.base_from_tool(straight), straight)
+    assert solution.is_solved
+    assert int(solution.status) & SolutionStatus.SINGULAR
     assert solved(arm, arm.base_from_tool(JOINTS), JOINTS).status_text() == "ok"
 
 
 def test_the_closed_form_is_taken_where_there_is_one():
     """It alone knows which joints are singular, and gives the nearest of all its solutions."""
     arm, far = puma_560(), np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0])
-    found = joints_for_pose(arm, arm.base_from_tool(far), far + 0.6)
-    np.testing.assert_allclose(found.joints, far, atol=1e-9)
+    solution = joints_for_pose(arm, arm.base_from_tool(far), far + 0.6)
+    np.testing.assert_allclose(solution.joints, far, atol=1e-9)
     far[4] = 0.0
-    found = joints_for_pose(arm, arm.base_from_tool(far), far)
-    assert found.status_text().startswith("singular wrist")
-    np.testing.assert_allclose(found.joints, far, atol=1e-9)
+    solution = joints_for_pose(arm, arm.base_from_tool(far), far)
+    assert solution.status_text().startswith("singular wrist")
+    np.testing.assert_allclose(solution.joints, far, atol=1e-9)
 
 
 def test_an_arm_that_jit_hides_is_solved_by_iteration():
@@ -116,18 +116,18 @@ def test_an_arm_that_jit_hides_is_solved_by_iteration():
         longer = dataclasses.replace(arm, a=arm.a.at[1].add(length))
         return joints_for_pose(longer, arm.base_from_tool(joints), joints).joints
 
-    found = jax.jit(moved)(0.01)
+    actual = jax.jit(moved)(0.01)
     longer = dataclasses.replace(arm, a=arm.a.at[1].add(0.01))
-    left = motion_between(longer.base_from_tool(found), arm.base_from_tool(joints))
+    left = motion_between(longer.base_from_tool(actual), arm.base_from_tool(joints))
     np.testing.assert_allclose(left, 0.0, atol=1e-9)
 
 
 def test_many_poses_at_once():
     arm = limited()
     joints = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 3, 7))
-    found = joints_for_pose(arm, arm.base_from_tool(joints), joints + 0.02)
-    assert found.status.shape == (2, 3)
-    assert found.is_solved.all()
+    solution = joints_for_pose(arm, arm.base_from_tool(joints), joints + 0.02)
+    assert solution.status.shape == (2, 3)
+    assert solution.is_solved.all()
 
 
 @jax.jit

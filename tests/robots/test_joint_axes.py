@@ -39,9 +39,9 @@ def test_the_arm_moves_as_its_axes_do(name):
     for slides in (np.zeros(len(points), bool), np.arange(len(points)) % 2 == 1):
         arm = arm_from_axes(points, directions, home, slides.tolist())
         for joints in (np.zeros(len(points)), *rng.uniform(-3.0, 3.0, (5, len(points)))):
-            found = np.asarray(arm.base_from_tool(joints).as_matrix())
+            actual = np.asarray(arm.base_from_tool(joints).as_matrix())
             expected = moved(points, directions, slides, joints, home)
-            np.testing.assert_allclose(found, expected, atol=1e-12, rtol=1e-9)
+            np.testing.assert_allclose(actual, expected, atol=1e-12, rtol=1e-9)
 
 
 def test_an_axis_without_direction_is_named():

@@ -18,13 +18,13 @@ def speeds(poses):
 def test_the_speed_of_the_noise_is_gone():
     noise = np.random.default_rng(0).normal(size=(len(TIMES), 6)) * np.repeat([3e-4, 5e-4], 3)
     logged = motion(TIMES) @ host_exponentials(noise)
-    found = smoothed_log(Trajectory.of(TIMES, logged)).base_from_tool
-    errors = found - motion(TIMES)
+    smoothed = smoothed_log(Trajectory.of(TIMES, logged)).base_from_tool
+    errors = smoothed - motion(TIMES)
     # The path bends within a second: a tenth of it or more may be averaged, 25 poses.
     assert np.std(errors[:, :3, 3]) < 3e-4 / 3.0
     assert np.std(errors[:, :3, :3]) < 5e-4 / 3.0
     by_noise = np.std(speeds(logged) - speeds(motion(TIMES)))
-    assert np.std(speeds(found) - speeds(motion(TIMES))) < 0.05 * by_noise
+    assert np.std(speeds(smoothed) - speeds(motion(TIMES))) < 0.05 * by_noise
 
 
 def test_a_log_without_noise_stays():
@@ -41,5 +41,5 @@ def test_a_robot_that_rests_most_of_the_time_moves_as_fast():
     actual = motion(1.0 - np.cos(0.5 * np.pi * np.clip(times - 25.0, 0.0, 2.0)))
     poses = actual.copy()
     poses[:, :3, 3] += np.random.default_rng(0).normal(0.0, 1e-4, (len(times), 3))
-    found = smoothed_log(Trajectory.of(times, poses)).base_from_tool
-    assert np.abs(found - actual)[:, :3, 3].max() < 4e-4
+    smoothed = smoothed_log(Trajectory.of(times, poses)).base_from_tool
+    assert np.abs(smoothed - actual)[:, :3, 3].max() < 4e-4

@@ -25,8 +25,8 @@ def test_the_tool_is_where_both_chains_put_it(arm, positioner):
     plate = place @ np.asarray(positioner.base_from_tool(of_positioner).as_matrix())
     tool = np.asarray(arm.base_from_tool(of_arm).as_matrix())
     readings = np.hstack([of_positioner[:, ::-1], of_arm])
-    found = np.asarray(both.base_from_tool(readings).as_matrix())
-    np.testing.assert_allclose(found, np.linalg.inv(plate) @ tool, atol=1e-12)
+    actual = np.asarray(both.base_from_tool(readings).as_matrix())
+    np.testing.assert_allclose(actual, np.linalg.inv(plate) @ tool, atol=1e-12)
     count = positioner.joint_count
     np.testing.assert_array_equal(both.limits[:count], positioner.limits[::-1])
     np.testing.assert_array_equal(both.limits[count:], arm.limits)

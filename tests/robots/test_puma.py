@@ -66,8 +66,8 @@ all_joints = puma_joints
 nearest_joints = joints_for_pose
 
 
-def same_pose(found, expected, atol):
-    np.testing.assert_allclose(motion_between(found, expected), 0.0, atol=atol)
+def same_pose(actual, expected, atol):
+    np.testing.assert_allclose(motion_between(actual, expected), 0.0, atol=atol)
 
 
 def test_published_poses():
@@ -126,16 +126,16 @@ def test_every_branch_puts_the_tool_there_and_one_is_where_it_came_from(name):
     arm = ARMS[name]
     joints = np.random.default_rng(2).uniform(-np.pi, np.pi, (2000, 6))
     poses = arm.base_from_tool(joints)
-    found = all_joints(arm, poses)
-    assert found.joints.shape == (2000, 8, 6)
-    there = np.isfinite(found.joints).all(axis=-1)
-    lost = (np.asarray(found.status) & SolutionStatus.OUT_OF_REACH) != 0
+    solution = all_joints(arm, poses)
+    assert solution.joints.shape == (2000, 8, 6)
+    there = np.isfinite(solution.joints).all(axis=-1)
+    lost = (np.asarray(solution.status) & SolutionStatus.OUT_OF_REACH) != 0
     np.testing.assert_array_equal(there, ~lost)
     # Branches that do not reach are replaced, so that all arms have as many to compare.
-    reached = np.where(there[..., None], found.joints, joints[:, None])
+    reached = np.where(there[..., None], solution.joints, joints[:, None])
     expected = np.broadcast_to(np.asarray(poses.wxyz_xyz)[:, None], (2000, 8, 7))
     same_pose(arm.base_from_tool(reached), SE3(jnp.asarray(expected)), 1e-9)
-    off = np.asarray(found.joints) - joints[:, None]
+    off = np.asarray(solution.joints) - joints[:, None]
     off -= 2.0 * np.pi * np.round(off / (2.0 * np.pi))
     closest = np.nanmin(np.abs(off).max(axis=-1), axis=1)
     assert np.median(closest) < 1e-12
@@ -143,8 +143,10 @@ def test_every_branch_puts_the_tool_there_and_one_is_where_it_came_from(name):
 
 
 def test_the_branches_are_eight_different_arms():
-    found = all_joints(puma_560(), puma_560().base_from_tool(np.array([0.3, 0.6, -0.8, 1, 1, 1])))
-    turned = np.exp(1j * np.asarray(found.joints))
+    solution = all_joints(
+        puma_560(), puma_560().base_from_tool(np.array([0.3, 0.6, -0.8, 1, 1, 1]))
+    )
+    turned = np.exp(1j * np.asarray(solution.joints))
     apart = np.abs(turned[:, None] - turned[None]).max(axis=-1)
     assert (apart + np.eye(8) > 1e-3).all()
 
@@ -186,14 +188,14 @@ def test_a_straight_wrist_has_a_definite_answer_and_says_so():
     arm = tooled(puma_560())
     joints = jnp.array([0.3, 0.6, -0.8, 0.5, -arm.theta[4], 1.0])
     pose = arm.base_from_tool(joints)
-    found = nearest_joints(arm, pose, joints)
-    assert int(found.status) == SolutionStatus.WRIST_SINGULAR
-    assert found.is_solved
-    assert found.status_text().startswith("singular wrist")
+    solution = nearest_joints(arm, pose, joints)
+    assert int(solution.status) == SolutionStatus.WRIST_SINGULAR
+    assert solution.is_solved
+    assert solution.status_text().startswith("singular wrist")
     # Joint 4 is arbitrary there: it stays where it was, and zero where nothing is said.
-    np.testing.assert_allclose(found.joints, joints, atol=1e-9)
+    np.testing.assert_allclose(solution.joints, joints, atol=1e-9)
     assert 0.0 in all_joints(arm, pose).joints[:, 3]
-    same_pose(arm.base_from_tool(found.joints), pose, 1e-9)
+    same_pose(arm.base_from_tool(solution.joints), pose, 1e-9)
     # A slope of another branch that is not finite would spoil the nearest branch's.
     forward, reverse, _ = derivatives(arm, joints)
     assert np.isfinite(forward).all()
@@ -213,14 +215,14 @@ def test_a_stretched_arm_is_a_singular_elbow():
     arm = puma_560()
     straight = float(jnp.arctan2(-arm.d[3], arm.a[2]))  # the forearm on the upper arm's line
     pose = arm.base_from_tool(np.array([0.3, 0.6, straight, 0.5, 0.7, 1.0]))
-    found = all_joints(arm, pose)
-    is_singular = (np.asarray(found.status) & SolutionStatus.ELBOW_SINGULAR) != 0
+    solution = all_joints(arm, pose)
+    is_singular = (np.asarray(solution.status) & SolutionStatus.ELBOW_SINGULAR) != 0
     assert is_singular[4:].all() or is_singular[:4].all()
     view = int(np.argmax(is_singular))
-    assert "singular elbow" in found.status_text(view)
-    there = np.isfinite(found.joints).all(axis=-1)
+    assert "singular elbow" in solution.status_text(view)
+    there = np.isfinite(solution.joints).all(axis=-1)
     poses = SE3(jnp.asarray(np.broadcast_to(pose.wxyz_xyz, (there.sum(), 7))))
-    same_pose(arm.base_from_tool(np.asarray(found.joints)[there]), poses, 1e-9)
+    same_pose(arm.base_from_tool(np.asarray(solution.joints)[there]), poses, 1e-9)
 
 
 def test_a_wrist_above_the_shoulder_is_singular_and_nearer_out_of_reach():
@@ -229,8 +231,8 @@ def test_a_wrist_above_the_shoulder_is_singular_and_nearer_out_of_reach():
 
     def at(distance):
         where = jnp.array([0.0, distance, 0.6])
-        found = all_joints(arm, SE3.from_rotation_and_translation(turn, where))
-        return np.asarray(found.status)
+        solution = all_joints(arm, SE3.from_rotation_and_translation(turn, where))
+        return np.asarray(solution.status)
 
     assert (at(side) & SolutionStatus.SHOULDER_SINGULAR).all()
     assert (at(0.9 * side) == SolutionStatus.OUT_OF_REACH).all()
@@ -259,10 +261,10 @@ def above_the_axis(arm):
 
 
 def test_out_of_reach_is_nan_and_named():
-    found = nearest_joints(puma_560(), SE3.from_translation(jnp.array([2.0, 0, 0])), np.zeros(6))
-    assert np.isnan(found.joints).all()
-    assert not found.is_solved
-    assert found.status_text() == "out of reach"
+    solution = nearest_joints(puma_560(), SE3.from_translation(jnp.array([2.0, 0, 0])), np.zeros(6))
+    assert np.isnan(solution.joints).all()
+    assert not solution.is_solved
+    assert solution.status_text() == "out of reach"
 
 
 def test_out_of_limits_names_the_joint_and_still_says_where():
@@ -270,10 +272,10 @@ def test_out_of_limits_names_the_joint_and_still_says_where():
     wide, joints = dataclasses.replace(arm, limits=np.tile([-3.2, 3.2], (6, 1))), np.zeros(6)
     narrow = dataclasses.replace(arm, limits=arm.limits.at[0].set(jnp.array([1.0, 1.1])))
     pose = arm.base_from_tool(joints + np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0]))
-    found = nearest_joints(narrow, pose, joints)
-    assert found.status_text() == "out of limits: joint 1"
-    assert not found.is_solved
-    same_pose(arm.base_from_tool(found.joints), pose, 1e-9)
+    solution = nearest_joints(narrow, pose, joints)
+    assert solution.status_text() == "out of limits: joint 1"
+    assert not solution.is_solved
+    same_pose(arm.base_from_tool(solution.joints), pose, 1e-9)
     assert nearest_joints(wide, pose, joints).is_solved
 
 
@@ -282,9 +284,9 @@ def test_an_answer_within_limits_comes_before_a_nearer_one_without():
     joints = np.array([0.3, 0.6, -0.8, 0.5, 0.7, 1.0])
     arm = dataclasses.replace(arm, limits=arm.limits.at[4].set(jnp.array([0.0, 1.5])))
     flipped = joints * [1, 1, 1, 1, -1, 1] + [0.0, 0.0, 0.0, np.pi, 0.0, np.pi]
-    found = nearest_joints(arm, arm.base_from_tool(joints), flipped)
-    assert found.is_solved
-    assert found.joints[4] > 0.0
+    solution = nearest_joints(arm, arm.base_from_tool(joints), flipped)
+    assert solution.is_solved
+    assert solution.joints[4] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -295,18 +297,18 @@ def test_the_nearest_turn_within_the_limits(near, expected):
     arm, joints = puma_560(), np.array([0.3, 0.6, -0.8, 0.5, 0.7, 2.0])
     close = joints.copy()
     close[5] = near
-    found = nearest_joints(arm, arm.base_from_tool(joints), close)
-    assert found.is_solved
-    np.testing.assert_allclose(found.joints[5], expected, atol=1e-9)
+    solution = nearest_joints(arm, arm.base_from_tool(joints), close)
+    assert solution.is_solved
+    np.testing.assert_allclose(solution.joints[5], expected, atol=1e-9)
 
 
 def test_a_joint_at_its_limit_is_within():
     arm = puma_560()
     joints = np.asarray(arm.limits[:, 1]).copy()
     joints[1:3] = 0.6, -0.8
-    found = nearest_joints(arm, arm.base_from_tool(joints), joints)
-    assert found.is_solved
-    np.testing.assert_allclose(found.joints, joints, atol=1e-9)
+    solution = nearest_joints(arm, arm.base_from_tool(joints), joints)
+    assert solution.is_solved
+    np.testing.assert_allclose(solution.joints, joints, atol=1e-9)
 
 
 def test_other_arms_are_refused():

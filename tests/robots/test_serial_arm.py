@@ -62,16 +62,16 @@ def test_forward_kinematics_are_the_textbooks(convention):
     tool = SE3.exp(jnp.asarray(rng.normal(size=6)))
     arm = SerialArm(*rng.normal(size=(4, 5)), convention=convention, flange_from_tool=tool)
     joints = rng.uniform(-np.pi, np.pi, (7, 5))
-    found = arm.base_from_tool(joints).as_matrix()
-    np.testing.assert_allclose(found, [by_matrices(arm, q) for q in joints], atol=1e-13)
+    actual = arm.base_from_tool(joints).as_matrix()
+    np.testing.assert_allclose(actual, [by_matrices(arm, q) for q in joints], atol=1e-13)
 
 
 def test_a_real_arms_reported_poses_follow_from_its_joints():
     folder = shared_data("lwr4_joint")
     reported = np.genfromtxt(folder / "poses.csv", delimiter=",", skip_header=1)
     joints = np.loadtxt(folder / "joint_angles.csv", delimiter=",")
-    found = np.asarray(kuka_lwr4().base_from_tool(joints).as_matrix())
-    np.testing.assert_allclose(found[:, :3], reported[:, 1:13].reshape(-1, 3, 4), atol=2e-4)
+    actual = np.asarray(kuka_lwr4().base_from_tool(joints).as_matrix())
+    np.testing.assert_allclose(actual[:, :3], reported[:, 1:13].reshape(-1, 3, 4), atol=2e-4)
 
 
 def test_a_sliding_joint_moves_along_its_axis():
@@ -108,8 +108,8 @@ def test_works_under_jit_vmap_and_grad():
 
 def test_readings_beyond_the_limits_are_told():
     arm = SerialArm(*np.zeros((4, 3)), limits=[[-1.0, 1.0], [-np.inf, 0.5], [-np.inf, np.inf]])
-    found = arm.violated_limits(np.array([[1.5, -9.0, 99.0], [-0.5, 0.6, 0.0]]))
-    np.testing.assert_array_equal(found, [[True, False, False], [False, True, False]])
+    actual = arm.violated_limits(np.array([[1.5, -9.0, 99.0], [-0.5, 0.6, 0.0]]))
+    np.testing.assert_array_equal(actual, [[True, False, False], [False, True, False]])
     assert not six_axes().violated_limits(np.full(6, 1e3)).any()
 
 

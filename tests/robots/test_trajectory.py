@@ -11,9 +11,9 @@ TIMES = np.arange(0.0, 4.0, 0.05)
 
 def test_between_logged_poses_the_motion_goes_on_smoothly():
     times = np.random.default_rng(0).uniform(0.2, 3.7, 50)
-    found = Trajectory.of(TIMES, motion(TIMES)).at(times)
+    actual = Trajectory.of(TIMES, motion(TIMES)).at(times)
     # Twenty poses a second: the next derivative, times dt^4 / 384, is below a thousandth of a mm.
-    np.testing.assert_allclose(found, motion(times), atol=1e-6)
+    np.testing.assert_allclose(actual, motion(times), atol=1e-6)
     np.testing.assert_allclose(Trajectory.of(TIMES, motion(TIMES)).at(TIMES), motion(TIMES))
 
 

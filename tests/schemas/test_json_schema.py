@@ -26,8 +26,8 @@ def test_an_editor_sees_what_the_library_sees(tmp_path):
         with pytest.raises(jsonschema.ValidationError):
             jsonschema.validate({**description, key: value}, json.loads(json_schema("dataset")))
     paper_calibration().save(tmp_path / "calibration.yaml")
-    found = yaml.safe_load((tmp_path / "calibration.yaml").read_text())
-    jsonschema.validate(found, json.loads(json_schema("calibration")))
-    found["camera"]["alpha_u"] = -1.0
+    loaded = yaml.safe_load((tmp_path / "calibration.yaml").read_text())
+    jsonschema.validate(loaded, json.loads(json_schema("calibration")))
+    loaded["camera"]["alpha_u"] = -1.0
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(found, json.loads(json_schema("calibration")))
+        jsonschema.validate(loaded, json.loads(json_schema("calibration")))

@@ -65,8 +65,8 @@ def test_reported_is_the_nominal_arm_and_true_the_wrong_one(scenes):
         @ np.asarray(scene.calibration.base_from_world.as_matrix())
     )
     by_joints = scene.with_joint_readings.held_out.command
-    found = scene.calibration.camera_from_world(by_joints).as_matrix()[3]
-    np.testing.assert_allclose(found, camera_from_world, atol=1e-12)
+    actual = scene.calibration.camera_from_world(by_joints).as_matrix()[3]
+    np.testing.assert_allclose(actual, camera_from_world, atol=1e-12)
 
 
 def test_errors_are_of_the_stated_size_on_the_middle_links(scenes):

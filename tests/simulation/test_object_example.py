@@ -54,9 +54,9 @@ def test_visible_vertices_are_corners_of_the_pictures(example):
         towards = centre - solid.vertices
         starts = solid.vertices + 1e-5 * towards / np.linalg.norm(towards, axis=1, keepdims=True)
         seen = ~mesh.ray.intersects_any(starts, towards)
-        found = features.find(picture, calibration.camera)
+        in_picture = features.find(picture, calibration.camera)
         pixels = np.asarray(calibration.project(pose, solid.vertices)[0])
-        gaps += list(np.linalg.norm(found.corners[:, None] - pixels[seen], axis=2).min(axis=0))
+        gaps += list(np.linalg.norm(in_picture.corners[:, None] - pixels[seen], axis=2).min(axis=0))
     assert len(gaps) > 16
     # The others lie where two faces are equally bright.
     assert np.mean(np.array(gaps) < 1.5) > 0.75

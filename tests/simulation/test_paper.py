@@ -59,7 +59,7 @@ def test_unseen_viewpoints_lie_between_the_five_and_the_robot_errs_there(pattern
 
 
 def test_table_1_comes_out_in_the_papers_order():
-    found = {"staged": [], "without distortion": [], "interpolation": []}
+    actual = {"staged": [], "without distortion": [], "interpolation": []}
     for seed in range(3):
         scene, unseen = paper_scene(seed), paper_held_out(seed)
         staged = staged_fit(seed, PaperSetUp())
@@ -68,9 +68,9 @@ def test_table_1_comes_out_in_the_papers_order():
             fit_staged(scene.data, "pinhole").calibration,
             staged.interpolation(scene.data),
         )
-        for name, method in zip(found, methods, strict=True):
-            found[name].append(reprojection_errors(method, unseen.data).mean)
-    means = [np.mean(values) for values in found.values()]
+        for name, method in zip(actual, methods, strict=True):
+            actual[name].append(reprojection_errors(method, unseen.data).mean)
+    means = [np.mean(values) for values in actual.values()]
     # Within the paper's own standard deviations of the paper's means.
     assert np.abs(means[0] - 1.38) < 0.79
     assert np.abs(means[1] - 1.71) < 0.91

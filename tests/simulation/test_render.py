@@ -43,11 +43,14 @@ def test_a_detector_finds_the_points_where_the_calibration_puts_them(small_truth
     """Pattern, lens and frame conventions at once: everything but the detector is ours."""
     truth = small_truth
     pose = truth.command_for(facing(target))
-    found = detect(render(truth, pose, target, samples=SAMPLES), target)
-    assert found.reason is None
-    assert found.visible.mean() > 0.9
+    detection = detect(render(truth, pose, target, samples=SAMPLES), target)
+    assert detection.reason is None
+    assert detection.visible.mean() > 0.9
     known = np.asarray(truth.project(pose, target.points)[0])
-    gaps = [np.abs(found.pixels - known[order])[found.visible].max() for order in target.symmetries]
+    gaps = [
+        np.abs(detection.pixels - known[order])[detection.visible].max()
+        for order in target.symmetries
+    ]
     # OpenCV refines the corners of tags and boards less well than it finds circles.
     assert min(gaps) < (0.3 if isinstance(target, TagGrid | Charuco) else 0.12)
 

@@ -85,9 +85,9 @@ def test_opencv_finds_the_corners_of_the_silhouette_at_the_projected_vertices(si
     corners = hull[cosine > -0.85]
     assert len(corners) >= 4
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
-    found = cv2.cornerSubPix(picture, corners[:, None].copy(), (6, 6), (-1, -1), stop)[:, 0]
+    actual = cv2.cornerSubPix(picture, corners[:, None].copy(), (6, 6), (-1, -1), stop)[:, 0]
     # Blur rounds a corner off: OpenCV finds it up to 0.2 px inside.
-    assert np.linalg.norm(found - corners, axis=1).max() < 0.25
+    assert np.linalg.norm(actual - corners, axis=1).max() < 0.25
 
 
 def test_a_shadow_falls_where_the_light_throws_the_corners():

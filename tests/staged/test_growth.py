@@ -98,8 +98,8 @@ def test_step_2_keeps_no_matrix_of_the_whole_state():
     """It is put together where it is asked for; the views' own 6 x 6 blocks are what is kept."""
     scene = random_scene(0, views=12)
     poses = scene.calibration.camera_from_world(scene.base_from_tool)
-    found = kalman_filter(scene.data.observations, scene.calibration.camera, poses)
-    state = found.covariance.shape[0]
+    fit = kalman_filter(scene.data.observations, scene.calibration.camera, poses)
+    state = fit.covariance.shape[0]
     assert state == 5 + 6 * 12
     per_point = scene.data.observations.visible.size * 2
-    assert max(np.size(leaf) for leaf in jax.tree.leaves(found)) <= max(16 * 6 * 12, per_point)
+    assert max(np.size(leaf) for leaf in jax.tree.leaves(fit)) <= max(16 * 6 * 12, per_point)

@@ -34,10 +34,10 @@ def between(positions):
 
 
 def test_a_place_between_viewpoints_is_the_mean_of_its_neighbours():
-    found = between(tilted(CROSS))
-    np.testing.assert_allclose(found.weights(jnp.asarray(tilted(CROSS[1:].mean(0)))), 0.2)
+    actual = between(tilted(CROSS))
+    np.testing.assert_allclose(actual.weights(jnp.asarray(tilted(CROSS[1:].mean(0)))), 0.2)
     place = tilted(np.array([0.011, -0.006, 0.0]))
-    pose = found.camera_from_world(poses_at(place[None]))
+    pose = actual.camera_from_world(poses_at(place[None]))
     expected = place @ np.diag([1.0, -1.0, -1.0]) + [0.0, 0.0, 0.5]
     np.testing.assert_allclose(pose.translation()[0], expected, atol=1e-14)
 
@@ -46,22 +46,22 @@ def test_noise_across_the_plane_of_the_viewpoints_does_not_swell_the_weights():
     """A tenth of a millimetre across 30 mm used to give weights of hundreds."""
     rng = np.random.default_rng(0)
     noisy = CROSS + 1e-4 * rng.normal(size=CROSS.shape)
-    found = between(tilted(noisy))
-    assert found.spanned_axes.shape == (2, 3)
+    actual = between(tilted(noisy))
+    assert actual.spanned_axes.shape == (2, 3)
     outside = tilted(np.array([[0.01, 0.01, 0.01], [0.0, 0.0, -0.02]]))
-    assert np.abs(found.weights(jnp.asarray(outside))).max() < 1.0
-    np.testing.assert_allclose(np.sum(found.weights(jnp.asarray(outside)), axis=1), 1.0)
+    assert np.abs(actual.weights(jnp.asarray(outside))).max() < 1.0
+    np.testing.assert_allclose(np.sum(actual.weights(jnp.asarray(outside)), axis=1), 1.0)
 
 
 @pytest.mark.parametrize(("stretch", "dimensions"), [(0.0, 2), (0.05, 2), (0.8, 3)])
 def test_directions_are_spanned_where_viewpoints_spread(stretch, dimensions):
     rng = np.random.default_rng(1)
     positions = rng.normal(size=(12, 3)) * [1.0, 0.8, stretch]
-    found = between(tilted(positions))
-    assert found.spanned_axes.shape == (dimensions, 3)
-    again = found.weights(found.positions) @ found.positions
-    kept = found.spanned_axes.T @ found.spanned_axes
-    np.testing.assert_allclose((again - found.positions) @ kept, 0.0, atol=1e-12)
+    actual = between(tilted(positions))
+    assert actual.spanned_axes.shape == (dimensions, 3)
+    again = actual.weights(actual.positions) @ actual.positions
+    kept = actual.spanned_axes.T @ actual.spanned_axes
+    np.testing.assert_allclose((again - actual.positions) @ kept, 0.0, atol=1e-12)
 
 
 def test_one_line_and_one_place():
@@ -74,9 +74,9 @@ def test_one_line_and_one_place():
 
 
 def test_inside_is_what_a_linear_programme_calls_inside():
-    found = between(tilted(CROSS))
+    actual = between(tilted(CROSS))
     places = np.random.default_rng(2).uniform(-0.03, 0.03, (200, 3)) * [1.0, 1.0, 0.0]
-    inside = found.is_inside(poses_at(tilted(places)))
+    inside = actual.is_inside(poses_at(tilted(places)))
     A = np.vstack([CROSS[:, :2].T, np.ones(5)])
     expected = [linprog(np.zeros(5), A_eq=A, b_eq=[x, y, 1.0]).status == 0 for x, y, _ in places]
     # What lies within a hundredth of the hull's edge may count either way.
@@ -86,6 +86,6 @@ def test_inside_is_what_a_linear_programme_calls_inside():
 
 
 def test_far_from_the_plane_is_outside():
-    found = between(tilted(CROSS))
+    actual = between(tilted(CROSS))
     above = tilted(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]]))
-    np.testing.assert_array_equal(found.is_inside(poses_at(above)), [True, False])
+    np.testing.assert_array_equal(actual.is_inside(poses_at(above)), [True, False])

@@ -188,22 +188,22 @@ def test_a_pass_has_the_derivatives_of_the_projection(lens):
         camera, in_camera, centroids, np.zeros((2, 7, 2)), unit, pose_scale
     )
     rows, scale = jax.jit(kalman_pass.scaled_measurements)(point)
-    rows, scale, found = np.asarray(rows), np.asarray(scale), np.zeros_like(expected)
-    found[..., : len(numbers)] = rows[..., 6:-1] / scale
+    rows, scale, actual = np.asarray(rows), np.asarray(scale), np.zeros_like(expected)
+    actual[..., : len(numbers)] = rows[..., 6:-1] / scale
     for view in range(2):
         columns = slice(len(numbers) + 6 * view, len(numbers) + 6 * view + 6)
-        found[view, ..., columns] = rows[view, ..., :6] / pose_scale[view]
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+        actual[view, ..., columns] = rows[view, ..., :6] / pose_scale[view]
+    np.testing.assert_allclose(actual, expected, atol=1e-12 * np.abs(expected).max())
 
 
 def test_without_noise_it_finds_the_truth():
     scene, camera, poses = scene_and_start(pixel_noise=0.0)
-    found = kalman_filter(scene.data.observations, camera, poses)
-    assert found.converged
+    fit = kalman_filter(scene.data.observations, camera, poses)
+    assert fit.converged
     for name in ("alpha_u", "alpha_v", "u0", "v0"):
         truth = float(getattr(scene.calibration.camera, name))
-        assert float(getattr(found.camera, name)) == pytest.approx(truth, rel=1e-6)
-    assert float(found.camera.lens.k1) == pytest.approx(0.3, rel=1e-6)
+        assert float(getattr(fit.camera, name)) == pytest.approx(truth, rel=1e-6)
+    assert float(fit.camera.lens.k1) == pytest.approx(0.3, rel=1e-6)
 
 
 @pytest.mark.parametrize(("seed", "off"), [(0, 0.7), (1, 1.4), (2, 2.0)])
@@ -218,26 +218,26 @@ def test_one_plane_seen_from_few_sides_is_found_from_far_off(seed, off):
     camera = Camera(off * truth.alpha_u, off * truth.alpha_v, 320.0, 240.0, Radial(0.0), (640, 480))
     seen = scene.calibration.camera_from_world(scene.base_from_tool)
     poses = SE3.from_rotation_and_translation(seen.rotation(), off * seen.translation())
-    found = kalman_filter(scene.data.observations, camera, poses)
-    assert found.converged, found.message
+    fit = kalman_filter(scene.data.observations, camera, poses)
+    assert fit.converged, fit.message
     for name in ("alpha_u", "alpha_v", "u0", "v0"):
         expected = float(getattr(truth, name))
-        assert float(getattr(found.camera, name)) == pytest.approx(expected, rel=1e-6)
-    assert bool(found.inliers[scene.data.visible].all())
+        assert float(getattr(fit.camera, name)) == pytest.approx(expected, rel=1e-6)
+    assert bool(fit.inliers[scene.data.visible].all())
 
 
 def test_the_filter_settles_at_the_least_squares_optimum_with_its_covariance(noisy):
     """Against scipy on Eq. 8 under Eq. 9: one camera, free poses."""
-    scene, found = noisy
+    scene, actual = noisy
     observations = scene.data.observations
-    numbers, rebuild = ravel_pytree(found.camera)
+    numbers, rebuild = ravel_pytree(actual.camera)
     n = len(numbers)
 
     @jax.jit
     def residuals(step):
-        moved = SE3.exp(step[n:].reshape(-1, 6)) @ found.camera_from_world
+        moved = SE3.exp(step[n:].reshape(-1, 6)) @ actual.camera_from_world
         r = pixel_residuals(observations, rebuild(numbers + step[:n]), moved)
-        return jnp.where(found.inliers[..., None], r, 0.0).ravel()
+        return jnp.where(actual.inliers[..., None], r, 0.0).ravel()
 
     jacobian = jax.jit(jax.jacfwd(residuals))
     batch = least_squares(
@@ -251,27 +251,27 @@ def test_the_filter_settles_at_the_least_squares_optimum_with_its_covariance(noi
     covariance = np.linalg.inv(batch.jac.T @ batch.jac) * 0.15**2
     std = np.sqrt(np.diag(covariance))
     assert np.abs(batch.x / std).max() < 0.1
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.025)
+    np.testing.assert_allclose(np.sqrt(np.diag(actual.covariance)), std, rtol=0.025)
 
 
 def test_outliers_are_gated_and_good_points_kept():
     scene = random_scene(1, VIEWS, outlier_fraction=0.1)
-    found = fit_staged(scene.data).step2
-    assert found.converged
-    kept_outliers = int(np.asarray(scene.outliers & found.inliers).sum())
-    lost = int(np.asarray(scene.data.visible & ~scene.outliers & ~found.inliers).sum())
+    fit = fit_staged(scene.data).step2
+    assert fit.converged
+    kept_outliers = int(np.asarray(scene.outliers & fit.inliers).sum())
+    lost = int(np.asarray(scene.data.visible & ~scene.outliers & ~fit.inliers).sum())
     assert kept_outliers == 0
     assert lost <= 3
-    assert float(found.pixel_sigma) == pytest.approx(0.15, rel=0.1)
+    assert float(fit.pixel_sigma) == pytest.approx(0.15, rel=0.1)
 
 
 def test_views_that_fit_worse_keep_their_points(noisy):
     """Two views of 0.4 px noise among 0.15 px, as of a target of slightly another shape."""
-    scene, found = noisy
+    scene, actual = noisy
     pixels = np.array(scene.data.pixels)
     pixels[[2, 5]] += np.random.default_rng(0).normal(0.0, 0.37, pixels[[2, 5]].shape)
     blurred = dataclasses.replace(scene.data, pixels=jnp.asarray(pixels))
-    fit = kalman_filter(blurred.observations, found.camera, found.camera_from_world)
+    fit = kalman_filter(blurred.observations, actual.camera, actual.camera_from_world)
     assert np.sum(np.asarray(blurred.visible & ~fit.inliers)) <= 1
 
 
@@ -303,17 +303,17 @@ def test_a_limit_stays_while_the_noise_of_its_view_changes_by_chance():
 def test_a_point_at_the_limit_is_not_rejected_and_readmitted_for_ever():
     """In this scene its view has a larger limit without it, and a smaller one with it."""
     scene, camera, poses = scene_and_start(102)
-    found = kalman_filter(scene.data.observations, camera, poses)
-    assert found.converged, found.message
-    assert found.passes < 10
+    fit = kalman_filter(scene.data.observations, camera, poses)
+    assert fit.converged, fit.message
+    assert fit.passes < 10
 
 
 def test_a_known_camera_is_held(noisy):
-    scene, found = noisy
+    scene, actual = noisy
     held = kalman_filter(
         scene.data.observations,
         scene.calibration.camera,
-        found.camera_from_world,
+        actual.camera_from_world,
         options=HELD,
     )
     assert eqx.tree_equal(held.camera, scene.calibration.camera, rtol=1e-9, atol=1e-9)
@@ -332,24 +332,24 @@ def test_hidden_points_and_views_change_nothing(noisy):
     )
     camera = paper_calibration().camera
     poses = scene.calibration.camera_from_world(scene.base_from_tool)
-    found = kalman_filter(poisoned, camera, poses)
-    assert found.converged
-    assert np.isfinite(found.covariance).all()
-    np.testing.assert_allclose(found.camera_from_world.wxyz_xyz[5], poses.wxyz_xyz[5], atol=1e-9)
+    fit = kalman_filter(poisoned, camera, poses)
+    assert fit.converged
+    assert np.isfinite(fit.covariance).all()
+    np.testing.assert_allclose(fit.camera_from_world.wxyz_xyz[5], poses.wxyz_xyz[5], atol=1e-9)
 
 
 def test_real_data_agree_with_opencv(circles):
     data, _, fit = circles
     # The sigma of that fit is so large that it gates nothing: OpenCV uses every point.
-    found = fit.step2
+    actual = fit.step2
     points = [np.asarray(p, dtype=np.float32) for p in data.points]
     pixels = [np.asarray(p, dtype=np.float32) for p in data.pixels]
     rms, K, _, _, _ = cv2.calibrateCamera(
         points, pixels, (640, 480), None, None, flags=cv2.CALIB_FIX_K3
     )
-    assert float(found.rms) == pytest.approx(rms, rel=0.01)
-    assert float(found.camera.alpha_u) == pytest.approx(K[0, 0], rel=1e-3)
-    assert float(found.camera.v0) == pytest.approx(K[1, 2], abs=0.5)
+    assert float(actual.rms) == pytest.approx(rms, rel=0.01)
+    assert float(actual.camera.alpha_u) == pytest.approx(K[0, 0], rel=1e-3)
+    assert float(actual.camera.v0) == pytest.approx(K[1, 2], abs=0.5)
 
 
 def test_the_filter_compiles_two_programs():

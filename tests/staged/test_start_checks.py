@@ -46,8 +46,8 @@ def doubts(scene, camera=None, world=None):
     start = {
         name: host_transforms(change(host_matrices(pose))) for name, change, pose in parts if change
     }
-    found = start_doubts(start, truth, SE3(seen.wxyz_xyz), scene.data.visible, scene.data)
-    return tuple(found.values())
+    actual = start_doubts(start, truth, SE3(seen.wxyz_xyz), scene.data.visible, scene.data)
+    return tuple(actual.values())
 
 
 @pytest.mark.parametrize(

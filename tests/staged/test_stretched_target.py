@@ -50,6 +50,6 @@ def test_a_stretched_target_is_named_and_its_camera_found():
     assert fit.calibration.target_shape is not None
     (doubt,) = fit.warnings
     assert "stretched by 5.8 % along its x" in doubt or "stretched by 5.9 % along its x" in doubt
-    found, truth = fit.calibration.camera, scene.calibration.camera
-    assert float(found.alpha_u) == pytest.approx(float(truth.alpha_u), rel=0.02)
-    assert float(found.alpha_u / found.alpha_v) == pytest.approx(1.0, abs=2e-3)
+    actual, truth = fit.calibration.camera, scene.calibration.camera
+    assert float(actual.alpha_u) == pytest.approx(float(truth.alpha_u), rel=0.02)
+    assert float(actual.alpha_u / actual.alpha_v) == pytest.approx(1.0, abs=2e-3)

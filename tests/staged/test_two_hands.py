@@ -32,8 +32,8 @@ def test_wrong_pairs_do_not_move_the_bases():
     seen, own, other, scene = poses(2, 10)
     own[:2] = own[[5, 7]]
     noise = np.array([1e-4] * 3 + [5e-4] * 3) * RNG.standard_normal((10, 6))
-    found = solve_bases(host_exponentials(noise) @ seen, own, other)
-    error = transform_error(found, scene.calibration.base_from_other_base)
+    actual = solve_bases(host_exponentials(noise) @ seen, own, other)
+    error = transform_error(actual, scene.calibration.base_from_other_base)
     assert np.abs(error[:3]).max() < 4e-3
     assert np.abs(error[3:]).max() < 3e-3
 
@@ -49,9 +49,9 @@ def test_a_hand_that_does_not_turn_is_named(still, name):
 def test_the_staged_fit_finds_all_three_transforms():
     scene = two_hands(0)
     fit = fit_staged(scene.data, camera=scene.calibration.camera)
-    found, truth = fit.calibration.transforms, scene.calibration.transforms
-    assert found.keys() == truth.keys()
-    for name, transform in found.items():
+    actual, truth = fit.calibration.transforms, scene.calibration.transforms
+    assert actual.keys() == truth.keys()
+    for name, transform in actual.items():
         assert np.abs(transform_error(transform, truth[name])).max() < 5e-3
     assert fit.warnings == ()
 

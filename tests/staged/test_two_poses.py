@@ -158,11 +158,11 @@ def test_a_real_tag_on_a_hand_is_calibrated(real):
 
 def test_a_rough_start_of_a_real_tag_is_taken(real):
     data, camera, known = real
-    found, rough = known.calibration.camera_from_base, np.eye(4)
+    actual, rough = known.calibration.camera_from_base, np.eye(4)
     rough[:3, 3] = REAL_PLACE
     rough[:3, :3] = (
-        host_matrices(found)[:3, :3].T @ Rotation.from_rotvec([0.2, 0.1, 0.0]).as_matrix()
+        host_matrices(actual)[:3, :3].T @ Rotation.from_rotvec([0.2, 0.1, 0.0]).as_matrix()
     )
     fit = fit_staged(data, camera=camera, start={"camera_from_base": np.linalg.inv(rough)})
-    shift = (found.inverse() @ fit.calibration.camera_from_base).log()
+    shift = (actual.inverse() @ fit.calibration.camera_from_base).log()
     assert np.linalg.norm(shift) < 0.02

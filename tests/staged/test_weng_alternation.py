@@ -26,8 +26,8 @@ SIZE = (640, 480)
 ANGLE = np.deg2rad
 
 
-def numbers_of(found):
-    return np.stack([np.asarray(value) for value in found.intrinsics], axis=1)
+def numbers_of(actual):
+    return np.stack([np.asarray(value) for value in actual.intrinsics], axis=1)
 
 
 def pose_errors(poses, truth):
@@ -64,12 +64,12 @@ def noisy():
 def test_without_noise_each_view_gives_the_truth():
     exact = PaperSetUp(pixel_noise=0.0, translation_noise=0.0, rotation_noise=0.0)
     scene = paper_scene(0, exact)
-    found = calibrate_views(scene.data.observations, SIZE)
-    assert found.starts == (LINEAR_START,) * 5
-    assert found.usable.all()
+    fit = calibrate_views(scene.data.observations, SIZE)
+    assert fit.starts == (LINEAR_START,) * 5
+    assert fit.usable.all()
     truth = np.tile([2133.0, 2133.0, 322.0, 238.0, 0.7], (5, 1))
-    np.testing.assert_allclose(numbers_of(found), truth, rtol=1e-6)
-    shift, turn = pose_errors(found.camera_from_world, true_poses(scene))
+    np.testing.assert_allclose(numbers_of(fit), truth, rtol=1e-6)
+    shift, turn = pose_errors(fit.camera_from_world, true_poses(scene))
     assert shift.max() < 1e-8
     assert turn.max() < 1e-8
 
@@ -78,15 +78,15 @@ def test_another_number_of_views_needs_no_other_program():
     few, many = (scene_of(0, views).data.observations for views in (VIEWS, MANY_VIEWS))
     calibrate_views(few, SIZE)
     with programs_added() as added:
-        found = calibrate_views(many, SIZE)
+        fit = calibrate_views(many, SIZE)
     assert added == []
-    assert found.rms.shape == (MANY_VIEWS,)
+    assert fit.rms.shape == (MANY_VIEWS,)
 
 
 def test_each_view_reaches_the_optimum_of_eq_8(noisy):
-    scene, found = noisy
+    scene, actual = noisy
     for view in (0, 3):
-        seen = np.asarray(found.inliers[view])
+        seen = np.asarray(actual.inliers[view])
         points = np.asarray(scene.data.points[view])[seen]
         pixels = np.asarray(scene.data.pixels[view])[seen]
         pose = np.asarray(true_poses(scene).wxyz_xyz[view])
@@ -99,16 +99,16 @@ def test_each_view_reaches_the_optimum_of_eq_8(noisy):
         start = np.array([2133.0, 2133.0, 322.0, 238.0, 0.3] + [0.0] * 6) / scale
         best = least_squares(residuals, start, x_scale="jac", xtol=1e-14, ftol=1e-14)
         rms = np.sqrt(2.0 * best.cost / len(points))
-        assert float(found.rms[view]) == pytest.approx(rms, rel=1e-7)
-        np.testing.assert_allclose(numbers_of(found)[view], (best.x * scale)[:5], rtol=2e-3)
+        assert float(actual.rms[view]) == pytest.approx(rms, rel=1e-7)
+        np.testing.assert_allclose(numbers_of(actual)[view], (best.x * scale)[:5], rtol=2e-3)
 
 
 def test_the_stated_deviation_of_alpha_is_the_observed_one():
     errors, stated = [], []
     for seed in range(8):
-        found = calibrate_views(paper_scene(seed).data.observations, SIZE)
-        errors.append(np.asarray(found.intrinsics.alpha_u) / 2133.0 - 1.0)
-        stated.append(np.asarray(found.alpha_relative_std))
+        fit = calibrate_views(paper_scene(seed).data.observations, SIZE)
+        errors.append(np.asarray(fit.intrinsics.alpha_u) / 2133.0 - 1.0)
+        stated.append(np.asarray(fit.alpha_relative_std))
     ratio = np.sqrt(np.mean(np.square(errors) / np.square(stated)))
     # Forty draws: the standard deviation of their own spread is 11 %.
     assert ratio == pytest.approx(1.0, abs=0.3)
@@ -116,43 +116,43 @@ def test_the_stated_deviation_of_alpha_is_the_observed_one():
 
 def test_without_distortion_k1_stays_zero(noisy):
     scene, with_distortion = noisy
-    found = calibrate_views(scene.data.observations, SIZE, distortion=False)
-    assert (np.asarray(found.intrinsics.k1) == 0.0).all()
-    assert (np.asarray(found.rms) > np.asarray(with_distortion.rms)).all()
+    fit = calibrate_views(scene.data.observations, SIZE, distortion=False)
+    assert (np.asarray(fit.intrinsics.k1) == 0.0).all()
+    assert (np.asarray(fit.rms) > np.asarray(with_distortion.rms)).all()
 
 
 def test_gross_outliers_are_set_aside():
     scene = random_scene(seed=1, views=5, points=paper_points(), outlier_fraction=0.2)
-    found = calibrate_views(scene.data.observations, SIZE)
-    used, outliers = np.asarray(found.inliers), np.asarray(scene.outliers)
+    fit = calibrate_views(scene.data.observations, SIZE)
+    used, outliers = np.asarray(fit.inliers), np.asarray(scene.outliers)
     np.testing.assert_array_equal(used, np.asarray(scene.data.visible) & ~outliers)
-    np.testing.assert_allclose(found.intrinsics.alpha_u, 2133.0, rtol=0.01)
+    np.testing.assert_allclose(fit.intrinsics.alpha_u, 2133.0, rtol=0.01)
 
 
 def test_one_plane_however_it_leans_holds_the_centre():
     scene = planar_scene(ANGLE(np.array([35.0, 30.0, 40.0, 25.0, 45.0])))
-    found = calibrate_views(scene.data.observations, SIZE)
-    assert found.starts == (PLANAR_START,) * 5
+    fit = calibrate_views(scene.data.observations, SIZE)
+    assert fit.starts == (PLANAR_START,) * 5
     truth = np.tile([2133.0, 2133.0, 319.5, 239.5, 0.3], (5, 1))
-    np.testing.assert_allclose(numbers_of(found), truth, rtol=1e-5)
-    shift, turn = pose_errors(found.camera_from_world, true_poses(scene))
+    np.testing.assert_allclose(numbers_of(fit), truth, rtol=1e-5)
+    shift, turn = pose_errors(fit.camera_from_world, true_poses(scene))
     assert max(shift.max(), turn.max()) < 1e-6
 
 
 def test_a_frontal_view_takes_the_median_of_the_others():
     scene = planar_scene(ANGLE(np.array([35.0, 0.0, 40.0, 25.0, 45.0])), pixel_noise=0.1)
-    found = calibrate_views(scene.data.observations, SIZE)
-    assert found.starts == (
+    fit = calibrate_views(scene.data.observations, SIZE)
+    assert fit.starts == (
         PLANAR_START,
         MEDIAN_ALPHA_START,
         PLANAR_START,
         PLANAR_START,
         PLANAR_START,
     )
-    alpha = np.asarray(found.intrinsics.alpha_u)
+    alpha = np.asarray(fit.intrinsics.alpha_u)
     assert alpha[1] == pytest.approx(np.median(alpha[[0, 2, 3, 4]]), rel=1e-12)
-    assert float(found.alpha_relative_std[1]) > 0.03 > float(found.alpha_relative_std[0])
-    assert float(found.rms[1]) < 0.2
+    assert float(fit.alpha_relative_std[1]) > 0.03 > float(fit.alpha_relative_std[0])
+    assert float(fit.rms[1]) < 0.2
 
 
 def test_of_the_two_poses_of_a_plane_the_right_one_is_kept():
@@ -179,13 +179,13 @@ def test_views_that_cannot_be_calibrated_say_why(noisy):
         scene.data.observations,
         (jnp.asarray(visible), jnp.where(visible[..., None], scene.data.pixels, jnp.nan)),
     )
-    found = calibrate_views(observations, SIZE)
-    np.testing.assert_array_equal(found.usable, [True, False, False, False, True])
-    assert "5 points seen, 6 in space needed" in found.problems[1]
-    assert "lie on one line" in found.problems[2]
-    assert "0 points seen" in found.problems[3]
-    assert found.starts == (LINEAR_START, NO_START, NO_START, NO_START, LINEAR_START)
-    np.testing.assert_array_equal(numbers_of(found)[[0, 4]], numbers_of(whole)[[0, 4]])
+    fit = calibrate_views(observations, SIZE)
+    np.testing.assert_array_equal(fit.usable, [True, False, False, False, True])
+    assert "5 points seen, 6 in space needed" in fit.problems[1]
+    assert "lie on one line" in fit.problems[2]
+    assert "0 points seen" in fit.problems[3]
+    assert fit.starts == (LINEAR_START, NO_START, NO_START, NO_START, LINEAR_START)
+    np.testing.assert_array_equal(numbers_of(fit)[[0, 4]], numbers_of(whole)[[0, 4]])
 
 
 def test_poses_under_a_known_camera_with_another_lens():
@@ -202,14 +202,14 @@ def test_poses_under_a_known_camera_with_another_lens():
 
 def test_a_real_planar_set_gives_its_focal_length(circles):
     data, reference, _ = circles
-    found = calibrate_views(data.observations, data.image_size)
-    assert found.usable.all()
-    assert set(found.starts) == {PLANAR_START, MEDIAN_ALPHA_START}
-    np.testing.assert_array_equal(found.intrinsics.u0, 319.5)
-    np.testing.assert_array_equal(found.intrinsics.alpha_u, found.intrinsics.alpha_v)
+    fit = calibrate_views(data.observations, data.image_size)
+    assert fit.usable.all()
+    assert set(fit.starts) == {PLANAR_START, MEDIAN_ALPHA_START}
+    np.testing.assert_array_equal(fit.intrinsics.u0, 319.5)
+    np.testing.assert_array_equal(fit.intrinsics.alpha_u, fit.intrinsics.alpha_v)
     # OpenCV's from all views together.
-    median = float(np.median(found.intrinsics.alpha_u))
+    median = float(np.median(fit.intrinsics.alpha_u))
     assert median == pytest.approx(reference["K"][0], rel=0.03)
-    frontal = [k for k, start in enumerate(found.starts) if start == MEDIAN_ALPHA_START]
-    assert len({float(found.intrinsics.alpha_u[k]) for k in frontal}) == 1
-    assert np.asarray(found.rms).max() < 0.35
+    frontal = [k for k, start in enumerate(fit.starts) if start == MEDIAN_ALPHA_START]
+    assert len({float(fit.intrinsics.alpha_u[k]) for k in frontal}) == 1
+    assert np.asarray(fit.rms).max() < 0.35

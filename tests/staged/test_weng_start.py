@@ -31,8 +31,8 @@ def test_the_linear_start_is_exact_without_distortion():
     points = rng.uniform([-0.02, -0.02, 0.0], [0.02, 0.02, 0.02], (8, 3))
     camera = Camera(2133.0, 2050.0, 330.0, 250.0, Radial(0.0), SIZE)
     start = linear_start(points[None], *seen(camera, points, 7))
-    found = np.ravel(start.intrinsics)
-    np.testing.assert_allclose(found, [2133.0, 2050.0, 330.0, 250.0, 0.0], rtol=1e-6)
+    actual = np.ravel(start.intrinsics)
+    np.testing.assert_allclose(actual, [2133.0, 2050.0, 330.0, 250.0, 0.0], rtol=1e-6)
     np.testing.assert_allclose(pose_error(start), 0.0, atol=1e-7)
 
 
@@ -62,5 +62,5 @@ def test_planes_are_told_from_solids_by_the_visible_points_alone():
     points = np.stack([turned, thick, bumpy, bumpy])
     visible = np.ones((4, 20), dtype=bool)
     visible[3, 7] = False
-    found = coplanar(extents(points, visible))
-    np.testing.assert_array_equal(found, [True, False, False, True])
+    flags = coplanar(extents(points, visible))
+    np.testing.assert_array_equal(flags, [True, False, False, True])

@@ -40,8 +40,8 @@ def test_the_margin_to_the_border_is_kept(axis, last):
     assert nearest == pytest.approx(last)
     both = np.concatenate([place, -place])
     assert checked(both, border_margin=last - 0.1).reasons() == ("",)
-    found = checked(both, border_margin=last + 0.1)
-    assert found.reasons() == ("only 50% of the target is well inside the picture",)
+    checks = checked(both, border_margin=last + 0.1)
+    assert checks.reasons() == ("only 50% of the target is well inside the picture",)
     assert checked(both, border_margin=last + 0.1, min_visible_fraction=0.5).ok.all()
 
 
@@ -65,8 +65,8 @@ def test_camera_and_tool_keep_clear_of_the_table(part):
     assert checked(
         clearance_plane=ClearancePlane(**plane, **{f"{part}_clearance": 0.39})
     ).reasons() == ("",)
-    found = checked(clearance_plane=ClearancePlane(**plane, **{f"{part}_clearance": 0.41}))
-    assert found.reasons() == (f"the {part} is 0.400 m above the table: too low",)
+    checks = checked(clearance_plane=ClearancePlane(**plane, **{f"{part}_clearance": 0.41}))
+    assert checks.reasons() == (f"the {part} is 0.400 m above the table: too low",)
 
 
 def in_region(places, **limits):

@@ -51,27 +51,27 @@ def test_another_number_of_views_needs_no_other_programs(erring):
     five = viewpoint_commands(erring, FIVE, POINTS)
     three = jax.device_put(np.asarray(FIVE.wxyz_xyz)[:3])
     with programs_added() as added:
-        found = viewpoint_commands(erring, SE3(three), POINTS)
+        commands = viewpoint_commands(erring, SE3(three), POINTS)
     assert added == []
     for few, all_views in (
-        (found.base_from_tool.wxyz_xyz, five.base_from_tool.wxyz_xyz),
-        (found.checks.measured["in_picture"], five.checks.measured["in_picture"]),
+        (commands.base_from_tool.wxyz_xyz, five.base_from_tool.wxyz_xyz),
+        (commands.checks.measured["in_picture"], five.checks.measured["in_picture"]),
     ):
         np.testing.assert_array_equal(few, np.asarray(all_views)[:3])
-    assert found.predicted_views.camera_from_world.get_batch_axes() == (3,)
+    assert commands.predicted_views.camera_from_world.get_batch_axes() == (3,)
 
 
 def test_the_camera_gets_where_it_is_wanted_with_the_robots_error_made_up_for(erring):
-    found = viewpoint_commands(erring, FIVE, POINTS)
-    off = (found.predicted_views.camera_from_world @ FIVE.inverse()).log()
+    commands = viewpoint_commands(erring, FIVE, POINTS)
+    off = (commands.predicted_views.camera_from_world @ FIVE.inverse()).log()
     assert float(jnp.abs(off).max()) < 1e-12
-    assert found.checks.reasons() == ("",) * 5
-    assert found.joints is None
+    assert commands.checks.reasons() == ("",) * 5
+    assert commands.joints is None
     # The bare chain would have commanded something else by more than the error's size.
     bare = erring.command_for(FIVE, corrected=False)
-    assert float(jnp.abs((bare.inverse() @ found.base_from_tool).log()).max()) > 1e-3
-    again = se3_from_xyzoat(found.xyzoat)
-    np.testing.assert_allclose(again.as_matrix(), found.base_from_tool.as_matrix(), atol=1e-12)
+    assert float(jnp.abs((bare.inverse() @ commands.base_from_tool).log()).max()) > 1e-3
+    again = se3_from_xyzoat(commands.xyzoat)
+    np.testing.assert_allclose(again.as_matrix(), commands.base_from_tool.as_matrix(), atol=1e-12)
 
 
 def test_what_is_predicted_is_the_whole_chain(erring):
@@ -124,10 +124,10 @@ def test_what_is_wrong_with_a_view_is_said_in_words(erring):
 
 def test_a_single_view_has_single_checks(erring):
     wanted = look_at(CENTRE, DOWN, 0.05)
-    found = viewpoint_commands(erring, wanted, POINTS)
-    off = (found.predicted_views.camera_from_world @ wanted.inverse()).log()
+    commands = viewpoint_commands(erring, wanted, POINTS)
+    off = (commands.predicted_views.camera_from_world @ wanted.inverse()).log()
     assert float(jnp.abs(off).max()) < 1e-12
-    checks = found.checks
+    checks = commands.checks
     assert checks.ok.shape == ()
     assert len(checks.reasons()) == 1
     assert "inside the picture" in checks.reasons()[0]
@@ -155,13 +155,13 @@ def test_camera_and_tool_stay_above_the_table():
 def test_an_arms_joints_are_found_and_what_it_cannot_reach_is_said(arm_setting):
     calibration, arm, joints = arm_setting
     wanted = look_at(CENTRE, DOWN, np.array([0.2, 3.0]))
-    found = viewpoint_commands(calibration, wanted, POINTS, arm, joints)
+    commands = viewpoint_commands(calibration, wanted, POINTS, arm, joints)
     np.testing.assert_allclose(
-        arm.base_from_tool(found.joints[0]).as_matrix(),
-        SE3(found.base_from_tool.wxyz_xyz[0]).as_matrix(),
+        arm.base_from_tool(commands.joints[0]).as_matrix(),
+        SE3(commands.base_from_tool.wxyz_xyz[0]).as_matrix(),
         atol=1e-8,
     )
-    assert found.checks.reasons() == ("", "out of reach")
+    assert commands.checks.reasons() == ("", "out of reach")
     with pytest.raises(ValueError, match="give near=joints"):
         viewpoint_commands(calibration, wanted, POINTS, arm)
 
@@ -187,11 +187,11 @@ def test_an_arms_own_errors_are_made_up_for(arm_setting):
     offsets = RobotError(JointOffsets(arm), jnp.array([0.0, 2e-3, -1e-3, 1e-3, 0.0, 0.0]))
     erring = dataclasses.replace(calibration, robot_error=offsets)
     wanted = look_at(CENTRE, DOWN, np.array([0.2, 3.0]))
-    found = viewpoint_commands(erring, wanted, POINTS, near=joints)
-    reached = erring.camera_from_world(found.command).wxyz_xyz[0]
+    commands = viewpoint_commands(erring, wanted, POINTS, near=joints)
+    reached = erring.camera_from_world(commands.command).wxyz_xyz[0]
     off = (SE3(reached) @ SE3(wanted.wxyz_xyz[0]).inverse()).log()
     assert float(jnp.abs(off).max()) < 1e-8
-    assert found.checks.reasons() == ("", "the arm does not get there")
+    assert commands.checks.reasons() == ("", "the arm does not get there")
     with pytest.raises(ValueError, match="give near=joints"):
         viewpoint_commands(erring, wanted, POINTS)
 
@@ -200,8 +200,10 @@ def test_a_camera_next_to_the_arm():
     """The target moves instead; the same picture comes about."""
     base = paper_calibration()
     fixed = Calibration.eye_to_hand(base.camera, base.base_from_world.inverse(), SE3.identity())
-    found = viewpoint_commands(fixed, FIVE, POINTS, limits=Limits(clearance_plane=ClearancePlane()))
-    off = (found.predicted_views.camera_from_world @ FIVE.inverse()).log()
+    commands = viewpoint_commands(
+        fixed, FIVE, POINTS, limits=Limits(clearance_plane=ClearancePlane())
+    )
+    off = (commands.predicted_views.camera_from_world @ FIVE.inverse()).log()
     assert float(jnp.abs(off).max()) < 1e-12
-    camera = found.checks.measured["camera_clearance"]
+    camera = commands.checks.measured["camera_clearance"]
     np.testing.assert_allclose(camera, base.base_from_world.translation()[2], atol=1e-12)

@@ -88,9 +88,9 @@ def test_the_uncertainty_grows_to_the_priors(distance, relevance):
         Observability(len(names), len(names), (), (), 1.0),
     )
     commands = viewpoint_commands(CALIBRATION, poses_at([distance]))
-    found = np.sqrt(np.diagonal(camera_covariance(CALIBRATION, estimate, commands.command)[0])[:3])
+    actual = np.sqrt(np.diagonal(camera_covariance(CALIBRATION, estimate, commands.command)[0])[:3])
     share = np.sqrt((0.1 * relevance) ** 2 + 1.0 - relevance**2)
-    np.testing.assert_allclose(found, distance * PRIOR[0] * share, rtol=0.02)
+    np.testing.assert_allclose(actual, distance * PRIOR[0] * share, rtol=0.02)
 
 
 def test_views_about_the_board_are_not_refused(tmp_path_factory, tmp_path):

@@ -231,9 +231,9 @@ def hand_eye_error(fit, covariance, names, distance):
 def test_the_next_states_of_a_rig_bring_what_is_promised(tmp_path_factory):
     fit, rig = calibrated_rig(tmp_path_factory), rig_scene().rig
     model = RigInformationModel.from_fit(fit, rig)
-    found = plan_states(model, ViewLimits(), StopRule(3, least_gain=0.0))
-    plan, commands = found.plan, found.commands
-    assert len(found.view_of) == len(plan.values) == 3
+    actual = plan_states(model, ViewLimits(), StopRule(3, least_gain=0.0))
+    plan, commands = actual.plan, actual.commands
+    assert len(actual.view_of) == len(plan.values) == 3
     assert np.asarray(commands.checks.safe).all()
     before = hand_eye_error(fit, np.asarray(fit.covariance), fit.parameter_names, plan.distance)
     assert plan.before == pytest.approx(before, rel=1e-6)
@@ -242,14 +242,14 @@ def test_the_next_states_of_a_rig_bring_what_is_promised(tmp_path_factory):
     expected = hand_eye_error(fit, after, model.parameter_names, plan.distance)
     assert plan.after == pytest.approx(expected, rel=1e-5)
     assert plan.after < 0.95 * plan.before
-    for state, camera in enumerate(found.view_of):
-        assert found.seen[camera][state] == 1.0
+    for state, camera in enumerate(actual.view_of):
+        assert actual.seen[camera][state] == 1.0
     for camera, calibration in fit.calibrations.items():
         pixels, valid = calibration.project(commands.base_from_tool, rig.cameras[camera].points[0])
         last = np.array(calibration.camera.image_size) - 1
         inside = (np.asarray(pixels) >= 0) & (np.asarray(pixels) <= last)
         shown = (inside.all(axis=-1) & np.asarray(valid)).mean(axis=1)
-        np.testing.assert_allclose(found.seen[camera], shown, atol=1e-12)
+        np.testing.assert_allclose(actual.seen[camera], shown, atol=1e-12)
     # A goal that is reached already needs no state.
     enough = plan_states(model, ViewLimits(), StopRule(3, goal=1.0))
     assert (enough.view_of, len(enough.plan.camera_from_world)) == ((), 0)

@@ -130,17 +130,17 @@ def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(
 ):
     _, information = candidates
     free = jnp.ones(CANDIDATES, dtype=bool)
-    found = greedy_selection(information, survey.prior_information, goal, CHOSEN, free)
-    assert len(set(np.asarray(found).tolist())) == CHOSEN
+    actual = greedy_selection(information, survey.prior_information, goal, CHOSEN, free)
+    assert len(set(np.asarray(actual).tolist())) == CHOSEN
     total = jax.jit(jax.vmap(lambda index: goal(jnp.sum(information[index], axis=0))))
     sets = np.array(list(itertools.combinations(range(CANDIDATES), CHOSEN)))
     every = np.asarray(total(jnp.asarray(sets)))
     values = dict(zip(map(frozenset, sets.tolist()), every.tolist(), strict=True))
-    first, last = np.asarray(found).tolist()[:-1], int(found[-1])
+    first, last = np.asarray(actual).tolist()[:-1], int(actual[-1])
     others = [i for i in range(CANDIDATES) if i not in first]
     assert min(others, key=lambda i: values[frozenset((*first, i))]) == last
-    better = exchange_selection(information, survey.prior_information, goal, found, free)
-    value, improved = (values[frozenset(np.asarray(x).tolist())] for x in (found, better))
+    better = exchange_selection(information, survey.prior_information, goal, actual, free)
+    value, improved = (values[frozenset(np.asarray(x).tolist())] for x in (actual, better))
     assert improved <= value
     assert improved <= np.nanquantile(every, 0.01)
     # A view that tells more than all others together is taken once.
@@ -151,9 +151,9 @@ def test_greed_takes_the_best_next_one_and_exchange_comes_near_the_best_of_all(
         assert len(set(np.asarray(chosen).tolist())) == CHOSEN
     # What may not be taken is not.
     barred = greedy_selection(
-        information, survey.prior_information, goal, CHOSEN, free.at[found].set(False)
+        information, survey.prior_information, goal, CHOSEN, free.at[actual].set(False)
     )
-    assert not set(np.asarray(barred).tolist()) & set(np.asarray(found).tolist())
+    assert not set(np.asarray(barred).tolist()) & set(np.asarray(actual).tolist())
 
 
 def test_the_gradient_of_the_goal_is_that_of_differences(survey, goal):
@@ -222,10 +222,10 @@ def test_views_that_may_not_be_taken_are_not_and_too_few_are_an_error(directions
     def left(some):
         return some.inverse().translation()[:, 0] < CENTRE[0]
 
-    found = choose_views(
+    chosen = choose_views(
         directions, d_optimal(), CHOSEN, poses, allowed=left, min_visible_fraction=0.3
     ).camera_from_world
-    assert bool(left(found).all())
+    assert bool(left(chosen).all())
     with pytest.raises(
         ValueError, match=r"13 views requested, but only \d+ of 12 candidates may be taken"
     ):
@@ -331,8 +331,8 @@ def test_a_view_that_the_arm_does_not_reach_shows_nothing_and_is_not_chosen(arm_
     information = survey.information(all_of_them)
     assert not np.asarray(information[0]).any()
     assert np.asarray(information[1:]).any(axis=(1, 2)).all()
-    found = choose_views(survey, d_optimal(), 5, all_of_them, min_visible_fraction=0.5)
-    heights = found.camera_from_world.inverse().translation()[:, 2]
+    chosen = choose_views(survey, d_optimal(), 5, all_of_them, min_visible_fraction=0.5)
+    heights = chosen.camera_from_world.inverse().translation()[:, 2]
     assert float(jnp.max(heights)) < 1.0
     with pytest.raises(
         ValueError, match=r"6 views requested, but only 5 of 6 candidates may be taken"

@@ -64,11 +64,11 @@ def test_derivatives_are_those_of_differences(constraint, shape):
 
     start = np.zeros(sum(k * n for k, n in sizes.values()))
     expected = approx_fprime(start, values, 1e-7).reshape(-1, len(start))
-    found, first = np.zeros_like(expected), {"point": 0, "line": 15, "plane": 23}
+    actual, first = np.zeros_like(expected), {"point": 0, "line": 15, "plane": 23}
     for (kind, k), jacobian in constraint.evaluate(shape, 0).jacobians.items():
         width = sizes[kind][1]
-        found[:, first[kind] + width * k : first[kind] + width * (k + 1)] = jacobian
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+        actual[:, first[kind] + width * k : first[kind] + width * (k + 1)] = jacobian
+    np.testing.assert_allclose(actual, expected, atol=1e-5)
 
 
 def test_what_holds_is_zero():

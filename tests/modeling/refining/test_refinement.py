@@ -59,12 +59,12 @@ def observed(calibration, poses, pixels, **rest):
 
 def test_without_constraints_it_is_triangulation(calibration, poses):
     pixels = clicks(calibration, poses)
-    found = refine(None, observed(calibration, poses, pixels))
+    refined = refine(None, observed(calibration, poses, pixels))
     alone = triangulate_points(calibration, poses, pixels, pixel_sigma=SIGMA)
-    np.testing.assert_allclose(found.points, alone.points, atol=1e-9)
-    np.testing.assert_allclose(found.picture_covariance, alone.picture_covariance, rtol=1e-4)
-    np.testing.assert_allclose(found.residuals, alone.residuals, atol=1e-5)
-    assert found.result.converged
+    np.testing.assert_allclose(refined.points, alone.points, atol=1e-9)
+    np.testing.assert_allclose(refined.picture_covariance, alone.picture_covariance, rtol=1e-4)
+    np.testing.assert_allclose(refined.residuals, alone.residuals, atol=1e-5)
+    assert refined.result.converged
 
 
 def test_a_constrained_optimum_is_what_scipy_finds_without_the_constraint(calibration, poses):
@@ -87,11 +87,11 @@ def test_a_constrained_optimum_is_what_scipy_finds_without_the_constraint(calibr
     parallels = [Parallel((0, 1), (2, 3)), Parallel((0, 1), (4, 5)), Parallel((0, 1), (6, 7)),
                  Parallel((0, 2), (1, 3)), Parallel((0, 4), (1, 5)), Parallel((0, 4), (2, 6)),
                  Parallel((0, 2), (4, 6))]  # fmt: skip
-    found = refine(None, observed(calibration, poses, pixels), planes + parallels + edges)
-    assert found.result.converged
-    np.testing.assert_allclose(found.points, np.sign(BOX) * best.x, atol=2e-8)
+    refined = refine(None, observed(calibration, poses, pixels), planes + parallels + edges)
+    assert refined.result.converged
+    np.testing.assert_allclose(refined.points, np.sign(BOX) * best.x, atol=2e-8)
     covariance = np.linalg.inv(best.jac.T @ best.jac)
-    np.testing.assert_allclose(found.picture_covariance[7], covariance, rtol=1e-3, atol=1e-14)
+    np.testing.assert_allclose(refined.picture_covariance[7], covariance, rtol=1e-3, atol=1e-14)
 
 
 @pytest.mark.parametrize("sigma", [None, 1e-5])
@@ -105,13 +105,13 @@ def test_true_constraints_make_it_better_and_its_covariance_stays_true(calibrati
         pixels = clicks(calibration, poses, seed, points=points)
         known = [OnPlane((0,), sigma=sigma), OnPlane((5,), offset=0.01, sigma=None)]
         known = known[:1] if sigma else [*known, KnownLength((0, 1), SIZE[0])]
-        found = refine(None, observed(calibration, poses, pixels), known)
-        rows = found.joint_covariance([0, 1])
-        error = (found.points - points)[:2].ravel()
+        refined = refine(None, observed(calibration, poses, pixels), known)
+        rows = refined.joint_covariance([0, 1])
+        error = (refined.points - points)[:2].ravel()
         values, vectors = np.linalg.eigh(rows)
         used = values > 1e-6 * values[-1]
         squares.append(np.sum((vectors.T @ error)[used] ** 2 / values[used]))
-        plain.append(found.rms)
+        plain.append(refined.rms)
     statistic = mean_nees(np.array(squares), int(used.sum()))
     assert statistic.is_consistent, statistic
 
@@ -121,10 +121,10 @@ def test_chi_square_of_true_constraints_is_chi_square(calibration, poses):
     for seed in range(30):
         pixels = clicks(calibration, poses, seed)
         known = [SamePlane(FACES[1]), RightAngle((4, 5), (4, 6)), KnownLength((0, 4), 0.01)]
-        found = refine(None, observed(calibration, poses, pixels), known)
-        assert [one.degrees_of_freedom for one in found.verdicts] == [1, 1, 1]
-        p_values.append(found.constraints_p_value)
-        costs.append(found.verdicts[2].cost)
+        refined = refine(None, observed(calibration, poses, pixels), known)
+        assert [verdict.degrees_of_freedom for verdict in refined.verdicts] == [1, 1, 1]
+        p_values.append(refined.constraints_p_value)
+        costs.append(refined.verdicts[2].cost)
     assert kstest(p_values, "uniform").pvalue > 0.01
     assert kstest(costs, chi2(1).cdf).pvalue > 0.01
 
@@ -132,14 +132,14 @@ def test_chi_square_of_true_constraints_is_chi_square(calibration, poses):
 def test_the_cost_is_what_releasing_the_constraint_saves(calibration, poses):
     pixels = clicks(calibration, poses)
     known = [SamePlane(FACES[1]), RightAngle((4, 5), (4, 6)), KnownLength((0, 4), 0.0105)]
-    found = refine(None, observed(calibration, poses, pixels), known)
+    refined = refine(None, observed(calibration, poses, pixels), known)
 
     def chi_square(constraints):
         one = refine(None, observed(calibration, poses, pixels), constraints)
         return np.nansum(one.residuals**2) / SIGMA**2
 
     whole = chi_square(known)
-    for k, verdict in enumerate(found.verdicts):
+    for k, verdict in enumerate(refined.verdicts):
         saved = whole - chi_square(known[:k] + known[k + 1 :])
         assert verdict.cost == pytest.approx(saved, rel=0.05, abs=0.05)
 
@@ -149,20 +149,20 @@ def test_a_constraint_that_contradicts_the_pictures_is_named(calibration, poses)
     good = refine(None, observed(calibration, poses, pixels), TRUE)
     assert not good.contradictions
     assert good.result.converged
-    assert np.abs(np.concatenate([one.residuals for one in good.verdicts])).max() < 1e-7
+    assert np.abs(np.concatenate([verdict.residuals for verdict in good.verdicts])).max() < 1e-7
     wrong = KnownLength((0, 1), SIZE[0] + 5e-4)
-    found = refine(None, observed(calibration, poses, pixels), [*TRUE, wrong])
-    assert found.contradictions[0].constraint == wrong
-    assert found.contradictions[0].p_value < 1e-6
-    assert "costs" in str(found.contradictions[0])
+    refined = refine(None, observed(calibration, poses, pixels), [*TRUE, wrong])
+    assert refined.contradictions[0].constraint == wrong
+    assert refined.contradictions[0].p_value < 1e-6
+    assert "costs" in str(refined.contradictions[0])
 
 
 def test_exact_constraints_that_contradict_one_another_are_named(calibration, poses):
     pixels = clicks(calibration, poses)
     known = [KnownLength((0, 1), SIZE[0]), KnownLength((0, 1), SIZE[0] + 1e-3)]
-    found = refine(None, observed(calibration, poses, pixels), known)
-    assert {one.constraint for one in found.contradictions} == set(known)
-    assert "cannot hold together" in str(found.contradictions[0])
+    refined = refine(None, observed(calibration, poses, pixels), known)
+    assert {contradiction.constraint for contradiction in refined.contradictions} == set(known)
+    assert "cannot hold together" in str(refined.contradictions[0])
 
 
 def test_a_vertex_of_one_view_is_found_by_its_plane(calibration, poses):
@@ -174,13 +174,13 @@ def test_a_vertex_of_one_view_is_found_by_its_plane(calibration, poses):
     assert alone.status[3] == PointStatus.TOO_FEW_VIEWS
     assert np.isnan(alone.points[3]).all()
     assert alone.ok.sum() == 7
-    found = refine(None, only, [SamePlane(FACES[0])])
-    assert found.ok.all()
-    error = found.points[3] - BOX[3]
-    assert error @ np.linalg.solve(found.picture_covariance[3], error) < chi2(3).ppf(0.999)
+    refined = refine(None, only, [SamePlane(FACES[0])])
+    assert refined.ok.all()
+    error = refined.points[3] - BOX[3]
+    assert error @ np.linalg.solve(refined.picture_covariance[3], error) < chi2(3).ppf(0.999)
     assert np.linalg.norm(error) < 1e-3
-    assert found.joint_covariance([3]).shape == (3, 3)
-    np.testing.assert_allclose(found.joint_covariance([3]), found.picture_covariance[3])
+    assert refined.joint_covariance([3]).shape == (3, 3)
+    np.testing.assert_allclose(refined.joint_covariance([3]), refined.picture_covariance[3])
     hidden = visible.copy()
     hidden[:, 3] = False
     with pytest.raises(ValueError, match="point 3 needs a start"):
@@ -220,12 +220,12 @@ def test_free_poses_improve_the_points_and_the_covariance_stays_true(
         seen = observed(calibration, host_matrices(reported), clicks(calibration, poses, seed))
         estimate = bound if free == "calibration" else None
         for kind in errors:
-            found = refine(None, seen, free=kind, noise=noise, covariance=estimate)
-            errors[kind].append(found.points - BOX)
+            refined = refine(None, seen, free=kind, noise=noise, covariance=estimate)
+            errors[kind].append(refined.points - BOX)
             if kind == free and free == "poses":
                 squares.append(
                     errors[kind][-1].ravel()
-                    @ np.linalg.solve(found.joint_covariance(), errors[kind][-1].ravel())
+                    @ np.linalg.solve(refined.joint_covariance(), errors[kind][-1].ravel())
                 )
     shapes = {k: np.array(v) - np.mean(v, axis=1, keepdims=True) for k, v in errors.items()}
     assert np.std(shapes[free]) < 0.95 * np.std(shapes["nothing"])
@@ -239,10 +239,10 @@ def test_the_held_calibration_moves_the_answer_as_another_fit_would(calibration,
     alone = triangulate_points(
         calibration, poses, pixels, pixel_sigma=SIGMA, covariance=bound, noise=noise
     )
-    found = refine(None, observed(calibration, poses, pixels), covariance=bound, noise=noise)
-    assert found.calibration_names == alone.calibration_names
-    np.testing.assert_allclose(found.covariance(), alone.covariance(), rtol=1e-4)
-    np.testing.assert_allclose(found.joint_covariance(), alone.joint_covariance(), rtol=1e-3,
+    refined = refine(None, observed(calibration, poses, pixels), covariance=bound, noise=noise)
+    assert refined.calibration_names == alone.calibration_names
+    np.testing.assert_allclose(refined.covariance(), alone.covariance(), rtol=1e-4)
+    np.testing.assert_allclose(refined.joint_covariance(), alone.joint_covariance(), rtol=1e-3,
                                atol=1e-12)  # fmt: skip
     # A fifth of a millimetre of the camera's height is not the table's fault.
     lifted = BOX + np.array([0.0, 0.0, np.sqrt(alone.covariance()[0, 2, 2])])
@@ -288,24 +288,24 @@ def test_what_remains_without_a_click_is_what_a_refinement_without_it_leaves(cal
     pixels[1, 2] += [4.0, -3.0]
 
     def chi_square(clicked):
-        found = refine(None, observed(calibration, poses, clicked), SOME_FACTS)
-        soft = found.verdicts[2].residuals / 1e-4
-        return np.nansum((found.residuals / SIGMA) ** 2) + np.sum(soft**2), found.points
+        actual = refine(None, observed(calibration, poses, clicked), SOME_FACTS)
+        soft = actual.verdicts[2].residuals / 1e-4
+        return np.nansum((actual.residuals / SIGMA) ** 2) + np.sum(soft**2), actual.points
 
     _, points = chi_square(pixels)
     # With an agreement of zero every click is a suspect.
-    found = suspect_clicks(
+    actual = suspect_clicks(
         calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA, agreement=0.0
     )
-    assert len(found) == 24
-    for one in (*found[:2], found[-1]):
+    assert len(actual) == 24
+    for one in (*actual[:2], actual[-1]):
         rest = pixels.copy()
         rest[one.view, one.point] = np.nan
         assert one.chi_square == pytest.approx(chi_square(rest)[0], rel=0.03)
     # 46 coordinates and 4 facts (four points in one plane are one), 24 unknown.
-    assert found[0].degrees_of_freedom == 46 - 24 + 4
-    found = suspect_clicks(calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA)
-    assert [(one.view, one.point) for one in found] == [(1, 2)]
+    assert actual[0].degrees_of_freedom == 46 - 24 + 4
+    actual = suspect_clicks(calibration, poses, pixels, points, SOME_FACTS, pixel_sigma=SIGMA)
+    assert [(one.view, one.point) for one in actual] == [(1, 2)]
 
 
 def test_robot_noise_is_no_reason_to_suspect_a_click(calibration, poses, uncertain):
@@ -319,7 +319,7 @@ def test_robot_noise_is_no_reason_to_suspect_a_click(calibration, poses, uncerta
             noise.translation,
             noise.rotation,
         )
-        found = suspect_clicks(
+        actual = suspect_clicks(
             calibration,
             host_matrices(reported),
             clicks(calibration, poses, seed),
@@ -329,6 +329,6 @@ def test_robot_noise_is_no_reason_to_suspect_a_click(calibration, poses, uncerta
             pixel_sigma=SIGMA,
             agreement=0.0,
         )
-        rest += [one.chi_square / one.degrees_of_freedom for one in found[-1:]]
+        rest += [one.chi_square / one.degrees_of_freedom for one in actual[-1:]]
     # 8 means of 56 squares each: a standard deviation of 0.07.
     assert 0.8 < np.mean(rest) < 1.2

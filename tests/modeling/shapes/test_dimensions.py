@@ -28,15 +28,15 @@ def features():
 
 
 def test_a_length_and_its_deviation(features):
-    found = dimension(features, 0, 1)
-    assert found.value == pytest.approx(np.linalg.norm(POINTS[1] - POINTS[0]))
+    actual = dimension(features, 0, 1)
+    assert actual.value == pytest.approx(np.linalg.norm(POINTS[1] - POINTS[0]))
     # A common shift or turn leaves a length as it is: only the points' own errors remain.
-    u = (POINTS[1] - POINTS[0]) / found.value
+    u = (POINTS[1] - POINTS[0]) / actual.value
     own = features.picture_covariance[0] + features.picture_covariance[1]
-    assert found.std == pytest.approx(np.sqrt(u @ own @ u), rel=1e-6)
+    assert actual.std == pytest.approx(np.sqrt(u @ own @ u), rel=1e-6)
     # As if the calibration's errors were each point's own, it would be far worse.
     apart = features.covariance()[0] + features.covariance()[1]
-    assert np.sqrt(u @ apart @ u) > 5.0 * found.std
+    assert np.sqrt(u @ apart @ u) > 5.0 * actual.std
 
 
 def test_an_angle_and_its_deviation(features):
@@ -44,12 +44,12 @@ def test_an_angle_and_its_deviation(features):
         a, c, b = flat.reshape(3, 3)
         return np.arccos((a - c) @ (b - c) / np.linalg.norm(a - c) / np.linalg.norm(b - c))
 
-    found = angle(features, 2, 0, 1)
+    actual = angle(features, 2, 0, 1)
     chosen = POINTS[[2, 0, 1]].ravel()
     gradient = approx_fprime(chosen, value, 1e-8)
-    assert found.value == pytest.approx(value(chosen))
+    assert actual.value == pytest.approx(value(chosen))
     expected = np.sqrt(gradient @ features.joint_covariance([2, 0, 1]) @ gradient)
-    assert found.std == pytest.approx(expected, rel=1e-4)
+    assert actual.std == pytest.approx(expected, rel=1e-4)
 
 
 def test_what_cannot_be_measured_is_named(features):

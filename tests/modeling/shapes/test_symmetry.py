@@ -30,13 +30,13 @@ def distances_between(one, other):
 )
 def test_groups_are_those_of_the_books(model, group):
     """Their orders and turning angles, as SciPy lists them."""
-    found = find_symmetry(model)
-    assert found.order == len(group)
-    assert not found.confirmed
-    np.testing.assert_allclose(found.rotations[0], np.eye(3))
-    angles = np.sort(Rotation.from_matrix(found.rotations).magnitude())
+    symmetry = find_symmetry(model)
+    assert symmetry.order == len(group)
+    assert not symmetry.confirmed
+    np.testing.assert_allclose(symmetry.rotations[0], np.eye(3))
+    angles = np.sort(Rotation.from_matrix(symmetry.rotations).magnitude())
     np.testing.assert_allclose(angles, np.sort(group.magnitude()), atol=1e-6)
-    for transform in found.object_from_object:
+    for transform in symmetry.object_from_object:
         moved = model.vertices @ transform[:3, :3].T + transform[:3, 3]
         assert distances_between(moved, model.vertices).min(axis=1).max() < 1e-9
 
@@ -51,10 +51,10 @@ def test_a_cylinder_has_an_axis_and_a_box_has_none():
 def test_a_nut_has_the_symmetry_of_the_solid_not_of_its_triangles(hole):
     """As Schoenflies lists it, D6, for any number of sides of the hole."""
     nut = drilled(6, hole)
-    found = find_symmetry(nut)
-    assert found.order == len(Rotation.create_group("D6")) == 12
-    assert found.axis is None
-    np.testing.assert_allclose(found.centre, [0.0, 0.0, 0.004], atol=1e-12)
+    symmetry = find_symmetry(nut)
+    assert symmetry.order == len(Rotation.create_group("D6")) == 12
+    assert symmetry.axis is None
+    np.testing.assert_allclose(symmetry.centre, [0.0, 0.0, 0.004], atol=1e-12)
     # A hole that is 0.1 mm off is no part of it; a tenth of a corner's tolerance is.
     for distance, order in ((1e-4, 2), (1e-6, 12)):
         moved = nut.vertices.copy()
@@ -63,10 +63,10 @@ def test_a_nut_has_the_symmetry_of_the_solid_not_of_its_triangles(hole):
 
 
 def test_a_washer_is_round_whatever_its_rims_have_in_common():
-    found = find_symmetry(drilled(40, 27))
-    np.testing.assert_allclose(np.abs(found.axis), [0, 0, 1], atol=1e-9)
+    symmetry = find_symmetry(drilled(40, 27))
+    np.testing.assert_allclose(np.abs(symmetry.axis), [0, 0, 1], atol=1e-9)
     # Turned over, too.
-    assert found.order == 80
+    assert symmetry.order == 80
 
 
 def test_what_breaks_a_symmetry_is_seen():
@@ -109,11 +109,11 @@ def test_a_symmetry_is_told_in_words(model, words):
 
 
 def test_axes_count_the_turns_about_them():
-    found = find_symmetry(box(0.04, 0.04, 0.03))
-    assert [one.fold for one in found.axes] == [4, 2, 2, 2, 2]
-    np.testing.assert_allclose(found.axes[0].direction, [0, 0, 1], atol=1e-12)
+    symmetry = find_symmetry(box(0.04, 0.04, 0.03))
+    assert [axis.fold for axis in symmetry.axes] == [4, 2, 2, 2, 2]
+    np.testing.assert_allclose(symmetry.axes[0].direction, [0, 0, 1], atol=1e-12)
     # Every turn but the identity is about one of them: sum of fold - 1.
-    assert sum(one.fold - 1 for one in found.axes) == found.order - 1
+    assert sum(axis.fold - 1 for axis in symmetry.axes) == symmetry.order - 1
     odd = ObjectModel(np.array([[0.0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]]))
     assert find_symmetry(odd).words == "no turn maps it onto itself"
 

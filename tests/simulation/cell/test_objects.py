@@ -54,12 +54,12 @@ def test_a_box_is_recognised_at_any_pose():
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, [0.1, 0.2, 0.3]
     corners = box(0.06, 0.04, 0.03).moved(pose).vertices
-    found = as_box(corners)
-    assert np.allclose(np.sort(found.size), [0.03, 0.04, 0.06])
-    assert np.isclose(np.linalg.det(found.pose[:3, :3]), 1.0)
+    actual = as_box(corners)
+    assert np.allclose(np.sort(actual.size), [0.03, 0.04, 0.06])
+    assert np.isclose(np.linalg.det(actual.pose[:3, :3]), 1.0)
     # Its own corners are those that were given.
-    own = (corners - found.pose[:3, 3]) @ found.pose[:3, :3]
-    assert np.allclose(np.abs(own), 0.5 * found.size)
+    own = (corners - actual.pose[:3, 3]) @ actual.pose[:3, :3]
+    assert np.allclose(np.abs(own), 0.5 * actual.size)
 
 
 def test_a_block_with_a_slope_is_no_box():

@@ -20,30 +20,30 @@ def pose(x=0.0, y=0.0, z=0.0, rotation=None):
 
 
 def physics(*objects, fixtures=()):
-    found = Physics(objects, fixtures, Gripper(), (0.0, 0.0), (0.3, 0.3))
-    found.place_gripper(pose(z=0.3, rotation=DOWN))
-    return found
+    simulation = Physics(objects, fixtures, Gripper(), (0.0, 0.0), (0.3, 0.3))
+    simulation.place_gripper(pose(z=0.3, rotation=DOWN))
+    return simulation
 
 
-def lifted_by(found, offset=0.0):
+def lifted_by(actual, offset=0.0):
     """How far the first object rises when it is grasped and the gripper goes up 0.14 m."""
-    height = found.world_from_object(0)[2, 3]
-    found.place_gripper(pose(offset, z=0.1, rotation=DOWN))
-    found.move_fingers(0.07)
-    found.lead_gripper(pose(offset, z=0.012, rotation=DOWN))
-    found.move_fingers(0.0)
-    found.lead_gripper(pose(offset, z=0.152, rotation=DOWN))
-    return found.world_from_object(0)[2, 3] - height
+    height = actual.world_from_object(0)[2, 3]
+    actual.place_gripper(pose(offset, z=0.1, rotation=DOWN))
+    actual.move_fingers(0.07)
+    actual.lead_gripper(pose(offset, z=0.012, rotation=DOWN))
+    actual.move_fingers(0.0)
+    actual.lead_gripper(pose(offset, z=0.152, rotation=DOWN))
+    return actual.world_from_object(0)[2, 3] - height
 
 
 @pytest.mark.parametrize("solid", [BOX, stepped_block(0.05)], ids=["box", "prism"])
 def test_what_falls_rests_on_a_face(solid):
-    found = physics(CellObject("it", solid))
+    simulation = physics(CellObject("it", solid))
     tilted = np.eye(4)
     tilted[:3, :3] = Rotation.from_euler("xyz", [0.5, 0.3, 1.0]).as_matrix()
-    found.place(0, pose(z=0.08, rotation=tilted))
-    found.fall()
-    heights = np.sort(solid.moved(found.world_from_object(0)).vertices[:, 2])
+    simulation.place(0, pose(z=0.08, rotation=tilted))
+    simulation.fall()
+    heights = np.sort(solid.moved(simulation.world_from_object(0)).vertices[:, 2])
     # Three points or more on the table, to a tenth of a millimetre, and none below.
     assert np.all(np.abs(heights[:3]) < 1e-4)
     assert heights[0] > -1e-5
@@ -51,19 +51,19 @@ def test_what_falls_rests_on_a_face(solid):
 
 def test_a_stack_stands_and_loses_energy():
     """It loses what it falls, and no contact gives any of it back but for its springs' part."""
-    found = physics(*(CellObject(name, BOX) for name in "abc"))
+    simulation = physics(*(CellObject(name, BOX) for name in "abc"))
     for k in range(3):
-        found.place(k, pose(0.004 * k, z=0.03 * k + 0.002 * (k + 1)))
-    energies = [found.energy]
+        simulation.place(k, pose(0.004 * k, z=0.03 * k + 0.002 * (k + 1)))
+    energies = [simulation.energy]
     for _ in range(12):
-        found._run(0.05, lambda: False)
-        energies.append(found.energy)
+        simulation._run(0.05, lambda: False)
+        energies.append(simulation.energy)
     mass = 600.0 * 0.06 * 0.04 * 0.03
     lost = mass * 9.81 * (0.002 + 0.004 + 0.006)
     assert np.all(np.diff(energies) < 0.02 * lost)
     assert np.isclose(energies[0] - energies[-1], lost, rtol=0.02)
-    found.settle()
-    tops = [found.world_from_object(k)[2, 3] for k in range(3)]
+    simulation.settle()
+    tops = [simulation.world_from_object(k)[2, 3] for k in range(3)]
     assert np.allclose(tops, [0.0, 0.03, 0.06], atol=1e-4)
 
 
@@ -74,11 +74,11 @@ FRICTION_LIMIT = WEIGHT / (2.0 * GRIP_FORCE)
 
 def test_a_grasp_at_the_object_lifts_it_and_one_next_to_it_does_not():
     """With twice the friction that its weight needs."""
-    found = physics(CellObject("box", BOX, friction=2.0 * FRICTION_LIMIT))
-    found.settle()
-    assert abs(lifted_by(found) - 0.14) < 1e-3
-    assert found.touched_by_fingers() == {"left": {0}, "right": {0}}
-    assert abs(found.opening - 0.04) < 1e-3
+    simulation = physics(CellObject("box", BOX, friction=2.0 * FRICTION_LIMIT))
+    simulation.settle()
+    assert abs(lifted_by(simulation) - 0.14) < 1e-3
+    assert simulation.touched_by_fingers() == {"left": {0}, "right": {0}}
+    assert abs(simulation.opening - 0.04) < 1e-3
     missed = physics(CellObject("box", BOX))
     missed.settle()
     # 30 mm from its end, and so with empty fingers.
@@ -94,37 +94,37 @@ def test_what_is_too_heavy_for_the_friction_slips():
 
 
 def test_the_gripper_is_where_it_is_led():
-    found = physics()
+    simulation = physics()
     target = pose(0.05, -0.03, 0.2, DOWN)
     target[:3, :3] = Rotation.from_euler("z", 0.4).as_matrix() @ target[:3, :3]
-    found.lead_gripper(target)
-    assert np.allclose(found.world_from_gripper, target, atol=1e-5)
+    simulation.lead_gripper(target)
+    assert np.allclose(simulation.world_from_gripper, target, atol=1e-5)
 
 
 def test_an_unstable_simulation_says_so():
-    found = physics(CellObject("box", BOX))
-    found._data.joint("o0").qvel[:] = 1e12
+    simulation = physics(CellObject("box", BOX))
+    simulation._data.joint("o0").qvel[:] = 1e12
     with pytest.raises(CellError, match="became unstable"):
-        found.settle()
+        simulation.settle()
     with pytest.raises(CellError, match="drop the objects again"):
-        found.settle()
+        simulation.settle()
 
 
 def test_an_interrupted_motion_is_not_gone_on_with():
-    found = physics(CellObject("box", BOX))
+    simulation = physics(CellObject("box", BOX))
 
     def interrupt():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        found._run(1.0, interrupt)
+        simulation._run(1.0, interrupt)
     with pytest.raises(CellError, match="was interrupted"):
-        found.move_fingers(0.02)
+        simulation.move_fingers(0.02)
 
 
 def test_objects_that_do_not_rest_are_an_error(monkeypatch):
     monkeypatch.setattr("smartview_jax.simulation.cell.physics.MAX_FALL_TIME", 0.05)
-    found = physics(CellObject("box", BOX))
-    found.place(0, pose(z=0.2))
+    simulation = physics(CellObject("box", BOX))
+    simulation.place(0, pose(z=0.2))
     with pytest.raises(CellError, match="still moving"):
-        found.settle()
+        simulation.settle()

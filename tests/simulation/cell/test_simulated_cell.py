@@ -82,11 +82,11 @@ def test_out_of_reach_says_so(cell):
 def test_the_board_is_found_in_its_pictures_where_the_truth_puts_it():
     cell = small_cell(2)
     cell.move(view(cell))
-    found = sv.detection.detect(cell.picture(), cell.board.board)
-    assert found.pixels.shape == (63, 2)
+    detection = sv.detection.detect(cell.picture(), cell.board.board)
+    assert detection.pixels.shape == (63, 2)
     truth = cell.truth.calibration.uncorrected
     expected, _ = truth.project(cell._base_from_tool, cell.board.points)
-    error = np.linalg.norm(found.pixels - np.asarray(expected), axis=1)
+    error = np.linalg.norm(detection.pixels - np.asarray(expected), axis=1)
     # Circles under perspective have their centres a little off their middle.
     assert np.median(error) < 0.2
 
