@@ -91,8 +91,10 @@ def _simulated(truth: sv.Calibration, smoke: bool) -> bool:
     for count in (5,) if smoke else (5, 10, 20):
         drawn = _random(goal, told, count)
         best, middle = drawn.min(), np.median(drawn)
-        found = choose_views(survey, goal, count, views, min_visible_fraction=0.5, refine=not smoke)
-        value = float(found.value)
+        chosen = choose_views(
+            survey, goal, count, views, min_visible_fraction=0.5, refine=not smoke
+        )
+        value = float(chosen.value)
         good.append(value <= FIVE if count == 5 else value <= (1.0 - BETTER) * middle)
         bound = f"at most {FIVE} px" if count == 5 else f"at most {1.0 - BETTER:.0%} of the median"
         print(
@@ -148,9 +150,9 @@ def _index(
 ) -> np.ndarray:
     """Which of the views that were taken a plan would have taken."""
     free = jnp.ones(len(told), dtype=bool)
-    found = greedy_selection(jnp.asarray(told), survey.prior_information, goal, count, free)
+    chosen = greedy_selection(jnp.asarray(told), survey.prior_information, goal, count, free)
     return np.asarray(
-        exchange_selection(jnp.asarray(told), survey.prior_information, goal, found, free)
+        exchange_selection(jnp.asarray(told), survey.prior_information, goal, chosen, free)
     )
 
 

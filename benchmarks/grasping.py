@@ -136,7 +136,10 @@ def calibrated(seed: int) -> dict[str, Rig]:
 
 def scene_of(rig: Rig) -> GraspScene:
     """What is known around an object in the bin."""
-    walls = [Obstacle.box(one.name, one.size, one.world_from_box) for one in rig.cell.fixtures]
+    walls = [
+        Obstacle.box(fixture.name, fixture.size, fixture.world_from_box)
+        for fixture in rig.cell.fixtures
+    ]
     return GraspScene(
         rig.calibration,
         (Obstacle.table(), *walls),

@@ -221,12 +221,15 @@ def _solid_walls(cell: SimulatedCell, kind: str) -> list[Polyhedron]:
     """Return the walls of the bin, if there is one."""
     if kind != "bin":
         return []
-    return [box(*one.size).moved(one.world_from_box @ _centred(one.size)) for one in cell.fixtures]
+    return [
+        box(*fixture.size).moved(fixture.world_from_box @ _centred(fixture.size))
+        for fixture in cell.fixtures
+    ]
 
 
 def walls_of(cell: SimulatedCell, kind: str) -> np.ndarray:
     """Return the triangles of the bin's walls in the world, m; none where there is no bin."""
-    walls = [one.vertices[one.triangles] for one in _solid_walls(cell, kind)]
+    walls = [wall.vertices[wall.triangles] for wall in _solid_walls(cell, kind)]
     return np.concatenate([np.zeros((0, 3, 3)), *walls])
 
 

@@ -239,11 +239,11 @@ def _on_table(x: float, y: float, angle: float) -> np.ndarray:
 def found_in(scene: KindScene) -> Counts:
     """Return what is found in one scene."""
     began = time.process_time()
-    found = localize(scene.pictures, scene.base_from_tool, scene.calibration, scene.model)
+    localizations = localize(scene.pictures, scene.base_from_tool, scene.calibration, scene.model)
     seconds = time.process_time() - began
     right: dict[int, tuple[float, float]] = {}
     wrong = 0
-    for one in found.accepted:
+    for one in localizations.accepted:
         errors = [
             pose_errors(scene.model, one.world_from_object[None], truth)
             for truth in scene.world_from_object

@@ -89,10 +89,10 @@ def _set_of(case: RealCase) -> str:
 
 def _present(case: RealCase, evidence: Sequence[PictureEvidence]) -> Finding:
     """Return what is found of the object that the pictures show."""
-    found = localize(evidence, case.poses, case.calibration, case.model)
-    right = [one for one in found.accepted if _error(case, one)[2]]
-    first = bool(len(found)) and _error(case, found[0])[2]
-    wrong = len(found.accepted) - len(right)
+    localizations = localize(evidence, case.poses, case.calibration, case.model)
+    right = [one for one in localizations.accepted if _error(case, one)[2]]
+    first = bool(len(localizations)) and _error(case, localizations[0])[2]
+    wrong = len(localizations.accepted) - len(right)
     if not right:
         return Finding(False, first, wrong, np.nan, np.nan, np.nan)
     angle, shift, _ = _error(case, right[0])
@@ -116,7 +116,8 @@ def _absent(
     size = _extent(case.model.vertices)
     models = [_of_size(solids()[name], name, size) for name in names]
     return [
-        bool(len(localize(evidence, case.poses, case.calibration, one).accepted)) for one in models
+        bool(len(localize(evidence, case.poses, case.calibration, model).accepted))
+        for model in models
     ]
 
 

@@ -265,13 +265,13 @@ def print_renderers(count: int = SCENES, makers: list[str] | None = None) -> boo
 
 def _found(scene: MadeScene, pictures: list[np.ndarray]) -> tuple[int, int, int]:
     """Return the numbers of objects, of right accepted poses, and of wrong ones."""
-    found = localize(pictures, scene.base_from_tool, calibration(), scene.model).accepted
+    localizations = localize(pictures, scene.base_from_tool, calibration(), scene.model).accepted
     truth = scene.world_from_object
     if truth is None:
-        return 0, 0, len(found)
-    errors = [pose_errors(scene.model, one.world_from_object[None], truth) for one in found]
+        return 0, 0, len(localizations)
+    errors = [pose_errors(scene.model, one.world_from_object[None], truth) for one in localizations]
     right = sum(is_right(float(angle[0]), float(shift[0])) for angle, shift in errors)
-    return 1, right, len(found) - right
+    return 1, right, len(localizations) - right
 
 
 def main() -> int:

@@ -73,11 +73,13 @@ def _right_and_wrong(scene: LocalizationScene, spoilt: Spoilt) -> tuple[int, int
     rng = np.random.default_rng(0)
     pictures = [spoilt(one, rng) for one in scene.pictures]
     try:
-        found = localize(pictures, scene.base_from_tool, scene.calibration, scene.model).accepted
+        localizations = localize(
+            pictures, scene.base_from_tool, scene.calibration, scene.model
+        ).accepted
     except ValueError:
         # A picture on which nothing can be seen is refused.
         return 0, 0
-    poses = [one.world_from_object[None] for one in found]
+    poses = [one.world_from_object[None] for one in localizations]
     errors = [pose_errors(scene.model, pose, scene.world_from_object) for pose in poses]
     right = sum(is_right(float(angle[0]), float(shift[0])) for angle, shift in errors)
-    return right, len(found) - right
+    return right, len(localizations) - right

@@ -82,10 +82,10 @@ def trial(rigs: dict[str, Rig], kind: str, seed: int) -> dict[str, Any]:
     began = time.perf_counter()
     evidence = _evidence(scene.views, truth)
     workspace = workspace_of(cell)
-    found = localize(evidence, actual, truth, models, workspace=workspace)
+    localizations = localize(evidence, actual, truth, models, workspace=workspace)
     record["seconds"] = time.perf_counter() - began
-    record["true"] = _judged(scene, found)
-    record["bound"], record["pnp"] = _beside(scene, found, evidence, truth, actual)
+    record["true"] = _judged(scene, localizations)
+    record["bound"], record["pnp"] = _beside(scene, localizations, evidence, truth, actual)
     commands = stacked_commands([view.command for view in scene.views])
     for name in ("joint", "staged"):
         rig = rigs[name]
@@ -98,8 +98,8 @@ def trial(rigs: dict[str, Rig], kind: str, seed: int) -> dict[str, Any]:
             workspace=workspace,
         )
         record[name] = _judged(scene, own)
-    if found.open or (scene.objects and seed % VIEWED_EVERY == 0):
-        record["third"] = _third_views(rigs, scene, found, models)
+    if localizations.open or (scene.objects and seed % VIEWED_EVERY == 0):
+        record["third"] = _third_views(rigs, scene, localizations, models)
     return record
 
 

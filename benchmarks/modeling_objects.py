@@ -126,12 +126,14 @@ def nees_of_known(objects: int) -> tuple[ConsistencyStatistic, float]:
     squares, edges = [], []
     for seed in range(objects):
         clicks = paper_clicks(seed, noisy=False)
-        found = triangulate_points(
+        triangulated = triangulate_points(
             paper_calibration(), clicks.poses, clicks.pixels, pixel_sigma=CLICK_SIGMA
         )
-        ok = found.ok
-        squares.append(nees(found.points[ok] - clicks.points[ok], found.picture_covariance[ok]))
-        edges.append(edge_errors(found, clicks))
+        ok = triangulated.ok
+        squares.append(
+            nees(triangulated.points[ok] - clicks.points[ok], triangulated.picture_covariance[ok])
+        )
+        edges.append(edge_errors(triangulated, clicks))
     return mean_nees(np.concatenate(squares), 3), _rms(edges)
 
 
@@ -145,14 +147,14 @@ def nees_of_estimated(objects: int) -> tuple[ConsistencyStatistic, float]:
                            rotation_noise=NOISE.rotation)  # fmt: skip
         fit = sv.fit_joint(rig.data, paper_calibration(), noise="estimated", field=None)
         clicks = paper_clicks(seed, noisy=True)
-        found = triangulate_points(
+        triangulated = triangulate_points(
             fit.calibration, clicks.poses, clicks.pixels, covariance=fit, pixel_sigma=CLICK_SIGMA
         )
-        ok = np.flatnonzero(found.ok)
-        error = (found.points - clicks.points)[ok].ravel()
-        square += error @ np.linalg.solve(found.joint_covariance(ok.tolist()), error)
+        ok = np.flatnonzero(triangulated.ok)
+        error = (triangulated.points - clicks.points)[ok].ravel()
+        square += error @ np.linalg.solve(triangulated.joint_covariance(ok.tolist()), error)
         coordinates += len(error)
-        edges.append(edge_errors(found, clicks))
+        edges.append(edge_errors(triangulated, clicks))
     # As many runs of three numbers as there were vertices: their sum is what is chi-square.
     vertices = coordinates // 3
     return mean_nees(np.full(vertices, square / vertices), 3), _rms(edges)

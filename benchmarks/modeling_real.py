@@ -95,9 +95,9 @@ def castle() -> ObjectSet:
     """The rendered castle: vertices that agree with the pictures, seen by four of six views."""
     content = json.loads((SHARED / "visp_castle_simu" / "object.json").read_text(encoding="utf-8"))
     views = [f"Image_{k:04}" for k in (1, 8, 16, 24, 32, 40)]
-    found = read_set("visp_castle_simu", "vertex", "camera_from_world",
+    loaded = read_set("visp_castle_simu", "vertex", "camera_from_world",
                      np.array(content["vertices"]), views)  # fmt: skip
-    return _seen_by(found.of(np.array(content["trusted_vertices"])), 4)
+    return _seen_by(loaded.of(np.array(content["trusted_vertices"])), 4)
 
 
 def cube() -> ObjectSet:
@@ -161,15 +161,15 @@ def ours(data: ObjectSet) -> np.ndarray:
     covariance = homography[:, :2, :2] @ homography[:, :2, :2].swapaxes(1, 2)
     camera = sv.Camera(focal, focal, width / 2, width / 2, sv.cameras.Pinhole(), (width, width))
     calibration = sv.Calibration.eye_in_hand(camera, np.eye(4), np.eye(4))
-    found = triangulate_points(
+    triangulated = triangulate_points(
         calibration,
         np.linalg.inv(data.camera_from_world),
         pixels,
         pixel_sigma=np.repeat(covariance[:, None], pixels.shape[1], axis=1),
     )
-    if found.failures:
-        print(f"not triangulated: {found.failures}")
-    return found.points
+    if triangulated.failures:
+        print(f"not triangulated: {triangulated.failures}")
+    return triangulated.points
 
 
 def project(data: ObjectSet, points: np.ndarray) -> np.ndarray:

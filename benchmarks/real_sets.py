@@ -52,10 +52,10 @@ def run(smoke: bool = False) -> bool:
 
 def present(wanted: Iterable[tuple[str, str]] = SETS) -> list[tuple[str, str]]:
     """Return the sets that lie next to the checkout; say so where there are none."""
-    found = [entry for entry in wanted if (SHARED / entry[0]).is_dir()]
-    if not found:
+    flags = [entry for entry in wanted if (SHARED / entry[0]).is_dir()]
+    if not flags:
         print("skipped: the data sets are not next to this checkout (shared/data)")
-    return found
+    return flags
 
 
 def load(folder: str, prefix: str) -> tuple[sv.Dataset, dict]:
