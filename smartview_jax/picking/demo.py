@@ -120,20 +120,10 @@ def run_demo(
     models = [model, *(obj.solid.exact_model(obj.name) for obj in others)]
     strip = [("before", watched(cell))]
     region = Region(cell.centre, (0.24, 0.18, 0.12))
-    fit = calibrated.fit
-    walls = [Obstacle.box(wall.name, wall.size, wall.world_from_box) for wall in cell.fixtures]
-    scene = GraspScene(
-        fit.calibration,
-        (Obstacle.table(), *walls),
-        arm=cell.arm,
-        near=np.asarray(cell.where().joints),
-        estimate=fit.joint,
-        link_radius=0.04,
-    )
     # Ask the judge before the grasp moves the object.
     before = cell.judge().world_from_object
     attempt = pick(
-        cell, models, cell.gripper, region, scene,
+        cell, models, cell.gripper, region, _grasp_scene(cell, calibrated),
         progress=progress, after=lambda phase: strip.append((phase, watched(cell))),
     )  # fmt: skip
     done("looking, verifying, planning and grasping")
@@ -156,6 +146,19 @@ def run_demo(
         page, "From a board to an object in the hand", verdict_sentence(attempt, held), sections
     )
     return DemoResult(page, held, attempt, calibrated, model, error)
+
+
+def _grasp_scene(cell: SimulatedCell, calibrated: CellCalibration) -> GraspScene:
+    """Return the calibrated arm with the table and the walls of the bin."""
+    walls = [Obstacle.box(wall.name, wall.size, wall.world_from_box) for wall in cell.fixtures]
+    return GraspScene(
+        calibrated.fit.calibration,
+        (Obstacle.table(), *walls),
+        arm=cell.arm,
+        near=np.asarray(cell.where().joints),
+        estimate=calibrated.fit.joint,
+        link_radius=0.04,
+    )
 
 
 def modelled(

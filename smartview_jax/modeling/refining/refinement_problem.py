@@ -127,25 +127,10 @@ def linearise(
     blocks.points[weak] = np.eye(3)
     coupling[weak_rows], feature_gradient[weak_rows] = 0.0, 0.0
 
-    evaluations = [
-        constraint.evaluate(shape, plane)
-        for constraint, plane in zip(problem.constraints, problem.planes, strict=True)
-    ]
-    sizes = [len(evaluation.values) for evaluation in evaluations]
-    ends = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    by_unknowns = np.zeros((ends[-1], rows + border_size))
-    variance, values = np.zeros(ends[-1]), np.zeros(ends[-1])
-    slices = tuple(slice(*pair) for pair in itertools.pairwise(ends))
-    first_line, first_plane = 3 * len(shape.points), rows + numbers
-    for where, constraint, evaluation in zip(slices, problem.constraints, evaluations, strict=True):
-        values[where] = evaluation.values
-        variance[where] = 0.0 if constraint.sigma is None else constraint.sigma**2
-        for (kind, k), jacobian in evaluation.jacobians.items():
-            if kind == "point":
-                first = point_rows[k, 0]
-            else:
-                first = first_line + 4 * k if kind == "line" else first_plane + 3 * k
-            by_unknowns[where, first : first + jacobian.shape[1]] += jacobian
+    columns = _FirstColumns(point_rows[:, 0], 3 * len(shape.points), rows + numbers)
+    by_unknowns, values, variance, slices = _constraint_rows(
+        problem, shape, columns, rows + border_size
+    )
     A, C = by_unknowns[:, :rows], by_unknowns[:, rows:]
     cost = (
         pictures.cost
@@ -162,6 +147,60 @@ def linearise(
         point_rows,
         cost,
     )
+
+
+class _FirstColumns(NamedTuple):
+    """The first columns of the unknowns in the derivatives of constraints.
+
+    Attributes:
+        points: of each point.
+        lines: of the first line.
+        planes: of the first plane.
+    """
+
+    points: Int[np.ndarray, "points"]
+    lines: int
+    planes: int
+
+    def of(self, kind: str, index: int) -> int:
+        """Return the first column of a point, line or plane."""
+        if kind == "point":
+            return int(self.points[index])
+        return self.lines + 4 * index if kind == "line" else self.planes + 3 * index
+
+
+def _constraint_rows(
+    problem: RefinementProblem, shape: Shape, columns: _FirstColumns, count: int
+) -> tuple[
+    Float[np.ndarray, "rows unknowns"],
+    Float[np.ndarray, "rows"],
+    Float[np.ndarray, "rows"],
+    tuple[slice, ...],
+]:
+    """Return derivatives, values and variances of all constraints, and the rows of each.
+
+    Args:
+        problem: the problem.
+        shape: where the constraints are evaluated.
+        columns: places of the unknowns.
+        count: number of unknowns.
+    """
+    evaluations = [
+        constraint.evaluate(shape, plane)
+        for constraint, plane in zip(problem.constraints, problem.planes, strict=True)
+    ]
+    sizes = [len(evaluation.values) for evaluation in evaluations]
+    ends = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+    by_unknowns = np.zeros((ends[-1], count))
+    variance, values = np.zeros(ends[-1]), np.zeros(ends[-1])
+    slices = tuple(slice(*pair) for pair in itertools.pairwise(ends))
+    for where, constraint, evaluation in zip(slices, problem.constraints, evaluations, strict=True):
+        values[where] = evaluation.values
+        variance[where] = 0.0 if constraint.sigma is None else constraint.sigma**2
+        for (kind, k), jacobian in evaluation.jacobians.items():
+            first = columns.of(kind, k)
+            by_unknowns[where, first : first + jacobian.shape[1]] += jacobian
+    return by_unknowns, values, variance, slices
 
 
 def minimise(
