@@ -101,10 +101,10 @@ class CaptureSession:
         self.listener: Callable[[str], None] = say or (lambda _: None)
         target = folder.description.target
         self._board = target.board if isinstance(target, StackedTarget) else target
-        # Held while camera and robot are used: by one thread at a time.
+        # One thread at a time uses camera and robot.
         self._using = threading.RLock()
         self._stop_motion = threading.Event()
-        # Held while what follows is changed.
+        # Protects the attributes below.
         self._state = threading.RLock()
         self._views: list[_View] = []
         self._last_picture: np.ndarray | None = None
@@ -150,13 +150,13 @@ class CaptureSession:
         self._closing.set()
         with self._wanted:
             self._wanted.notify_all()
-        # A fit cannot be interrupted; a thread that still computed would abort the process.
+        # A fit cannot be interrupted, and a thread that still computes would abort the process.
         self._fitting.join()
         self._camera.close()
         self._robot.close()
         self._lock.release()
 
-    # What there is.
+    # The state.
 
     @property
     def view_count(self) -> int:
@@ -209,7 +209,7 @@ class CaptureSession:
             self.folder.description.image_size,
         )
 
-    # What a person or a program does.
+    # Commands of a person or a program.
 
     def plan_first(self) -> None:
         """Plan the first views from the rough transforms, if there are any and no fit yet.
@@ -251,7 +251,7 @@ class CaptureSession:
             OSError: the folder cannot be written to.
             ValueError: a picture of a wrong size, or a pose in a wrong unit.
         """
-        # To the end, so that two views are not taken at once; the state is free meanwhile.
+        # Held throughout, so that no two views are taken at once; the state stays readable.
         with self._using:
             before = self._pose()
             first = self._read()
@@ -362,7 +362,7 @@ class CaptureSession:
         with self._wanted:
             return self._wanted.wait_for(lambda: not self._is_fit_wanted(), timeout)
 
-    # What is done in the background, and for the methods above.
+    # Work in the background, and parts of the methods above.
 
     def _is_fit_wanted(self) -> bool:
         """Return whether there are enough views, and some are in no fit or all proposals failed."""

@@ -149,7 +149,7 @@ def poses_from_points(
 ) -> MeasuredPoses:
     """Return the poses of a target whose points a depth sensor measured.
 
-    A target that is larger than stated by 1 % looks as a sensor whose depths are 1 % too small.
+    A target that is 1 % larger than stated looks like a sensor whose depths are 1 % too small.
 
     Args:
         points_in_camera: measured points in the sensor's frame `(views, points, 3)`, z along its
@@ -223,12 +223,12 @@ def _axes_hint(points: Float[np.ndarray, "views points 3"]) -> str:
     ahead = (seen > 0.0).mean(axis=0)
     if ahead[2] < 0.05:
         return (
-            ". Nearly all depths are below 0: are the axes those of OpenGL, y up and z backwards? "
+            ". Nearly all depths are below 0: are these OpenGL's axes, y up and z backwards? "
             "Then give (x, -y, -z)"
         )
     if ahead[0] > 0.95:
         return (
-            ". Nearly all x are above 0: are the axes those of a robot's body in ROS, x forwards, "
+            ". Nearly all x are above 0: are these the axes of a robot's body in ROS, x forwards, "
             "y to the left and z up? Then give (-y, -z, x), or take the optical frame"
         )
     return ""
@@ -251,7 +251,7 @@ def _refuse_other_unit(
     target: Float[np.ndarray, "points 3"],
     seen: Bool[np.ndarray, "views points"],
 ) -> None:
-    """Raise a ValueError where the target's size in the measured points is another by far."""
+    """Raise a ValueError where the target's size in the measured points is far from the stated."""
     ratios = []
     for seen_points, is_seen in zip(points, seen, strict=True):
         measured, true = seen_points[is_seen], target[is_seen]
@@ -288,7 +288,7 @@ def _fitted(
     sigma, has_converged = np.full(2, max(float(size), MIN_SIGMA)), False
     for _ in range(MAX_STEPS):
         used = seen & (_distances(in_ray, sigma) < REJECTED_SIGMAS)
-        # Too few points are left in a view where most are wrong: all of them count.
+        # A view in which most points are wrong would keep too few: it keeps all of them.
         used = np.where(_has_enough(target, used)[:, None], used, seen)
         solved = _solved(in_ray, jacobian, used, sigma, prior, sensor - [1.0, 0.0])
         poses = host_exponentials(solved.step) @ poses
@@ -330,7 +330,7 @@ def _aligned(
     target: Float[np.ndarray, "points 3"],
     seen: Bool[np.ndarray, "views points"],
 ) -> Float[np.ndarray, "views 4 4"]:
-    """Return the rotations and shifts that bring the target next to the points (Kabsch).
+    """Return the poses that align the target with the measured points (Kabsch).
 
     Points far from the others are left out in three rounds.
     """
@@ -348,7 +348,7 @@ def _aligned(
 
 def _frames_of(rays: Float[np.ndarray, "views points 3"]) -> Float[np.ndarray, "views points 3 3"]:
     """Return orthonormal axes for each ray as rows: two across it, then the ray."""
-    # Rays are next to z, so that they are never along x.
+    # Rays are near z, never along x.
     x = np.array([1.0, 0.0, 0.0]) - rays[..., :1] * rays
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
     return np.stack([x, np.cross(rays, x), rays], axis=-2)
@@ -437,7 +437,7 @@ def _solved(
     sensor_step = -sensor_covariance @ right
     step = -(inverse @ gradient[:, :6, None])[..., 0] - gain @ sensor_step
     covariance = inverse + gain @ sensor_covariance @ gain.swapaxes(1, 2)
-    # Of each residual the fit takes its leverage; what remains is left to estimate the noise.
+    # The fit takes up its leverage of each residual; the rest tells the noise.
     whole = np.zeros((len(gram), 8, 8))
     whole[:, :6, :6], whole[:, :6, 6:] = covariance, -gain @ sensor_covariance
     whole[:, 6:, :6] = whole[:, :6, 6:].swapaxes(1, 2)

@@ -251,10 +251,10 @@ class _Part(NamedTuple):
         arm: name of the arm, or of the pair.
         built: its problem alone.
         step: solution of this problem for all shared parameters, zero for held ones.
-        names: name among the parameters of all arms of each of the arm's.
+        names: what each parameter of the arm is called among the parameters of all arms.
         starts: linked poses from which the steps are taken, by the target or the target's arm.
         poses: the arm's own names of the linked poses.
-        moved: those that are no parameters of all arms, but follow from poses in the first base.
+        moved: linked poses that are no parameters: they follow from poses in the first base.
     """
 
     arm: str
@@ -319,7 +319,7 @@ class _Part(NamedTuple):
 
 
 def _names_of_arm(rig: Rig, arm: str, starts: Mapping[str, Calibration]) -> dict[str, str]:
-    """Return the name among the parameters of all arms of each of one arm's."""
+    """Return what each parameter of an arm is called among the parameters of all arms."""
     of_all, part = rig_parameter_names(rig, starts), rig.of_arm(arm)
     names_by_camera = rig_parameter_names(part, {camera: starts[camera] for camera in part.cameras})
     return {
@@ -332,7 +332,7 @@ def _names_of_arm(rig: Rig, arm: str, starts: Mapping[str, Calibration]) -> dict
 def _linked_poses(
     rig: Rig, arm: str, starts: Mapping[str, Calibration]
 ) -> dict[str, tuple[str, ...]]:
-    """Return an arm's own names of each linked pose, by its target, or by a pair's other arm."""
+    """Return the parameters of each linked pose, by its target, or by a pair's other arm."""
     if is_pair(arm):
         first, other = arms_of(arm)
         return {other: step_names(base_path(first, other))}

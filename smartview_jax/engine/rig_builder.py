@@ -233,7 +233,7 @@ def _require_one_robot_error(starts: Mapping[str, Calibration]) -> None:
 
 
 def rig_parameter_names(rig: Rig, starts: Mapping[str, Calibration]) -> dict[str, tuple[str, ...]]:
-    """Return the name among a rig's parameters of each of a camera's, by the camera's name.
+    """Return what the parameters of each camera are called in a rig, by the camera's name.
 
     Cameras are in the order of the rig, whatever the order of the starts.
 

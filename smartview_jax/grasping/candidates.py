@@ -133,7 +133,7 @@ def _grasps_between(
 def candidate_grasps(model: ObjectModel, gripper: Gripper) -> list[Candidate]:
     """Return all candidates of a model: its grasps, repeated by symmetry and by half a turn.
 
-    A model without grasps gets the ones of `suggested_grasps`.
+    A model without grasps gets `suggested_grasps`.
 
     Raises:
         ValueError: the model has neither grasps nor faces.

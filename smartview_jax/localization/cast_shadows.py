@@ -93,7 +93,7 @@ def _shadow_on(
 def _log_odds_of_other_edges(
     lines: EdgeLines, wireframe: Wireframe, face: int, shadow: Float[np.ndarray, "views n 2"]
 ) -> float:
-    """Return the log-odds of an object to clutter by the edges that a shadow on a face has not.
+    """Return the log-odds of an object to clutter by the edges that a shadow does not have.
 
     Args:
         lines: edges of the object.

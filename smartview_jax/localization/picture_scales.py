@@ -16,7 +16,7 @@ def at_one_scale(
 
     Args:
         pictures: of all views.
-        views: with the cameras that took them, or already with the ones of the resized pictures.
+        views: with the cameras that took them, or already with the resized pictures' cameras.
     """
     # Numbers that differ are refused by whatever looks into the pictures.
     both = list(zip(pictures, views.cameras, strict=False))

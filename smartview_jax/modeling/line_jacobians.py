@@ -101,7 +101,7 @@ def line_jacobians(
         segments: both ends of each line's segment in each view, px.
         covariances: covariance of each end, px^2.
         visible: where a line has a segment.
-        camera_from_world: poses to use in place of the ones of `views`, such as corrected ones.
+        camera_from_world: poses to use instead of the views' own, such as corrected poses.
     """
     view_count, count = visible.shape
     if not count:

@@ -41,7 +41,7 @@ def pixel_jacobians(
     Args:
         views: camera and poses.
         points: in the world, m.
-        camera_from_world: poses to use in place of the ones of `views`, such as corrected ones.
+        camera_from_world: poses to use instead of the views' own, such as corrected poses.
     """
     view_count, count = len(views.camera_from_world), len(points)
     poses = views.poses_for(count)

@@ -213,7 +213,7 @@ def _least_motion(
     poses: Float[np.ndarray, "logged 4 4"],
     choice: MomentChoice,
 ) -> str:
-    """Return a sentence on how far the robot moved at least in the time that it had to stand."""
+    """Return a sentence on the least that the robot moved while it had to stand still."""
     duration = choice.still_for * NANOSECONDS
     ends = np.searchsorted(stamps, stamps + duration)
     begins = np.flatnonzero(ends < len(stamps))

@@ -124,7 +124,7 @@ def test_points_without_noise_leave_a_finite_covariance_and_no_doubt(along):
 @pytest.mark.parametrize(
     ("read", "words"),
     [
-        (lambda p: p * [1, -1, -1], r"those of OpenGL.* give \(x, -y, -z\)"),
+        (lambda p: p * [1, -1, -1], r"OpenGL's.* give \(x, -y, -z\)"),
         (lambda p: p[..., [2, 0, 1]] * [1, -1, -1], r"body in ROS.* give \(-y, -z, x\)"),
     ],
     ids=["OpenGL", "ROS"],
