@@ -26,7 +26,7 @@ from .parameters import (
     parameter_names,
 )
 from .prepared_poses import PreparedPoses, prepare_poses
-from .priors import ParameterChoice, ParameterOptions
+from .priors import ParameterChoice, ParameterOptions, Prior
 from .problem import JointProblem
 from .problem_builder import (
     TYPICAL_DEPTH_BIAS,
@@ -126,11 +126,9 @@ def build_rig(
         camera: [place[name] for name in of_camera] for camera, of_camera in camera_names.items()
     }
     relative = dict.fromkeys(rig.cameras, 1.0) | dict(relative_sigmas or {})
-    weighed = {
-        name: with_known_depth_noise(data, noise, relative[name])
-        for name, data in rig.cameras.items()
-    }
-    groups, cameras = _grouped(rig.with_cameras(weighed), starts, prepared, index, relative)
+    groups, cameras = _grouped(
+        _with_known_depth_noise(rig, noise, relative), starts, prepared, index, relative
+    )
 
     corrections = correction_names(rig.view_ids)
     whole, size = (*names, *corrections), len(names)
@@ -142,13 +140,7 @@ def build_rig(
     placed = np.array([len(cameras) > 0 for cameras in rig.seeing])
     is_free[size:] &= placed.repeat(6)
     fitted_field = None if field == "auto" else field
-    typical = {
-        f"{camera}.{path}": prior
-        for camera, start in starts.items()
-        if start.depth_bias is not None
-        for path, prior in TYPICAL_DEPTH_BIAS.items()
-    }
-    priors = typical | choice.priors
+    priors = _priors_of_depths(starts) | choice.priors
     mean, weight = prior_means_and_weights(whole, size, priors, noise, fitted_field, 1.0)
     states = len(rig.view_ids)
     problem = RigProblem(
@@ -172,6 +164,25 @@ def build_rig(
         cameras,
         camera_names,
     )
+
+
+def _with_known_depth_noise(rig: Rig, noise: Noise, relative_sigmas: Mapping[str, float]) -> Rig:
+    """Return a rig whose depths count relative to each camera's pixel noise."""
+    weighed = {
+        name: with_known_depth_noise(data, noise, relative_sigmas[name])
+        for name, data in rig.cameras.items()
+    }
+    return rig.with_cameras(weighed)
+
+
+def _priors_of_depths(starts: Mapping[str, Calibration]) -> dict[str, Prior]:
+    """Return the usual priors on the bias of depths, for the cameras that measure depths."""
+    return {
+        f"{camera}.{path}": prior
+        for camera, start in starts.items()
+        if start.depth_bias is not None
+        for path, prior in TYPICAL_DEPTH_BIAS.items()
+    }
 
 
 def base_path(first: str, other: str) -> str:
