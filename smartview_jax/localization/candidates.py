@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..geometry import host_transformed
 from ..modeling import CalibrationUncertainty, ObjectModel
 from .distinct_poses import pose_distances
 from .evidence import log_likelihood_of
@@ -40,7 +41,7 @@ class Prepared(NamedTuple):
 
     def middle_at(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3"]:
         """Return the middle of the vertices in the world, m."""
-        return pose[:3, :3] @ self.model.vertices.mean(axis=0) + pose[:3, 3]
+        return host_transformed(pose, self.model.vertices.mean(axis=0))
 
 
 class Query(NamedTuple):

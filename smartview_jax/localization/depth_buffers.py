@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from ..cameras import Camera
 from ..features import IdealPlane
+from ..geometry import host_transformed
 from ..modeling import SeenViews
 from .edge_lookup import DEPTH_CELL_PX
 from .wireframe import Wireframe
@@ -46,7 +47,7 @@ class DepthBuffers:
     def add(self, wireframe: Wireframe, world_from_object: Float[np.ndarray, "4 4"]) -> None:
         """Draw the faces of an object into the maps of all views."""
         vertices, corners = np.asarray(wireframe.vertices), np.asarray(wireframe.triangle_vertices)
-        in_world = vertices @ world_from_object[:3, :3].T + world_from_object[:3, 3]
+        in_world = host_transformed(world_from_object, vertices)
         for is_on_face in np.asarray(wireframe.triangle_faces).T:
             if is_on_face.any():
                 self._draw(in_world[corners[is_on_face]])
@@ -60,7 +61,7 @@ class DepthBuffers:
         """Draw a face in the world, given as a triangle fan."""
         grids = self._ray_grids()
         for view, camera_from_world in enumerate(self._views.camera_from_world):
-            in_camera = triangles @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+            in_camera = host_transformed(camera_from_world, triangles)
             if in_camera[..., 2].min() < MIN_DEPTH:
                 continue
             corners, rays = in_camera[..., :2] / in_camera[..., 2:], grids[view]

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ..argument_checks import require_instance
 from ..calibration import Calibration
 from ..engine import Noise
-from ..geometry import host_matrices, look_at, spiral_directions
+from ..geometry import host_matrices, host_transformed, look_at, spiral_directions
 from ..modeling import ObjectModel, face_plane
 from ..robots import JointsLike, SerialArm
 from ..viewpoints import Limits, viewpoint_commands
@@ -124,7 +124,9 @@ def next_view(
             "localizations: expected poses in the world frame of the calibration, found poses in "
             'the base frame: localise with RigViews(..., frame="world")'
         )
-    vertices = np.concatenate([_in_world(obj.model, obj.world_from_object) for obj in objects])
+    vertices = np.concatenate(
+        [host_transformed(obj.world_from_object, obj.model.vertices) for obj in objects]
+    )
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     given = _checked_candidates(reachable)
     distance = _distance(reachable, given, middle)
@@ -201,11 +203,6 @@ def _distance(
     return float(np.median(in_front))
 
 
-def _in_world(model: ObjectModel, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "V 3"]:
-    """Return a model's vertices in the world, m."""
-    return model.vertices @ pose[:3, :3].T + pose[:3, 3]
-
-
 def _upwards(calibration: Calibration) -> Float[np.ndarray, "3"]:
     """Return the direction of the base's z axis in the world; the world's z for eye-to-hand."""
     if calibration.mount != "eye_in_hand":
@@ -225,7 +222,7 @@ def _top_surface_views(
     heights = [float(up @ pose[:3, :3] @ plane.normal) for plane in planes]
     top = planes[int(np.argmax(heights))]
     normal = pose[:3, :3] @ top.normal
-    origin = pose[:3, :3] @ top.origin + pose[:3, 3]
+    origin = host_transformed(pose, top.origin)
     turns = np.deg2rad([0.0, 90.0, 180.0, 270.0])
     return host_matrices(look_at(origin, -normal, distance, turns))
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..geometry import host_transformed
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
 from ..runtime.padding import power_of_two_from
@@ -46,7 +47,7 @@ class Occluder(NamedTuple):
     def of_object(cls, obj: Localization) -> "Occluder":
         """Return the faces of an object at its pose."""
         wireframe, pose = Wireframe.of(obj.model), obj.world_from_object
-        in_world = np.asarray(wireframe.triangles) @ pose[:3, :3].T + pose[:3, 3]
+        in_world = host_transformed(pose, np.asarray(wireframe.triangles))
         return cls(in_world, np.asarray(wireframe.triangle_faces))
 
 

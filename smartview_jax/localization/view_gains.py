@@ -18,7 +18,7 @@ from ..calibration import Calibration
 from ..cameras import Camera
 from ..engine import Noise
 from ..features import SMOOTHED_LENGTH, scaled_camera
-from ..geometry import host_adjoints, host_cross_matrices
+from ..geometry import host_adjoints, host_cross_matrices, host_transformed
 from ..modeling import ObjectModel
 from ..runtime.array_namespace import to_device
 from ..runtime.compilation import compiled_optimised
@@ -262,7 +262,7 @@ def _predicted(
     sigma = max(float(obj.refined.edge_sigma), MIN_POINT_SIGMA)
     scatter = obj.refined.lines.scatter[obj.refined.consistent]
     point_sigma = max(float(np.median(scatter)) if len(scatter) else 0.0, MIN_POINT_SIGMA)
-    in_world = np.asarray(wireframe.samples) @ pose[:3, :3].T + pose[:3, 3]
+    in_world = host_transformed(pose, np.asarray(wireframe.samples))
     for start in range(0, len(candidates), POSES_PER_BATCH):
         batch = candidates[start : start + POSES_PER_BATCH]
         padded = repeat_last(batch, POSES_PER_BATCH)

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import host_adjoints
+from ..geometry import host_adjoints, host_transformed
 from ..modeling import CalibrationUncertainty, SeenViews
 from ..runtime.array_namespace import to_device
 from .candidates import Prepared, Query
@@ -202,7 +202,7 @@ def _starts(
     From each of them edges are found within the same distance.
     """
     camera, camera_from_world = views.cameras[view], views.camera_from_world[view]
-    depth = float((camera_from_world[:3, :3] @ entry.middle_at(pose) + camera_from_world[:3, 3])[2])
+    depth = float(host_transformed(camera_from_world, entry.middle_at(pose))[2])
     angles = 2.0 * np.pi * np.arange(POSES_PER_BATCH - 1) / (POSES_PER_BATCH - 1)
     circle = np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
     poses = np.tile(pose, (POSES_PER_BATCH, 1, 1))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..dataset import arms_of
 from ..evaluation import PoseUncertainty
-from ..geometry import host_matrices
+from ..geometry import host_matrices, host_transformed
 from ..joint import RigFit
 from .camera_scene import picture_corners
 from .figures import PlotFigure, draw_frame, draw_pyramid, method_colour, space_axes
@@ -51,7 +51,7 @@ def camera_mounts(fit: RigFit) -> PlotFigure:
             mount_from_camera = poses[name]
             draw_frame(axes, mount_from_camera, 0.5 * factor * depth, factor)
             corners = depth * picture_corners(calibration.camera)
-            corners = factor * (corners @ mount_from_camera[:3, :3].T + mount_from_camera[:3, 3])
+            corners = factor * host_transformed(mount_from_camera, corners)
             centre = factor * mount_from_camera[:3, 3]
             path = f"{name}.{calibration.transform_names[0]}.translation"
             stds = [fit.std[f"{path}.{k}"] for k in "xyz" if f"{path}.{k}" in fit.std]

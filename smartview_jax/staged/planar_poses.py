@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..geometry import host_cross_matrices, host_exponentials
+from ..geometry import host_cross_matrices, host_exponentials, host_transformed
 
 MAX_STEPS = 30
 """The largest number of steps from a mirrored pose."""
@@ -110,7 +110,7 @@ def linearised(
     Float[np.ndarray, "views rows"], Float[np.ndarray, "views rows 6"], Float[np.ndarray, "views"]
 ]:
     """Return residuals, their derivative by a twist from the left, and the sums of squares."""
-    p = sight.points @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    p = host_transformed(poses, sight.points)
     in_front = p[..., 2] > MIN_DEPTH
     z = np.where(in_front, p[..., 2], 1.0)
     ideal = p[..., :2] / z[..., None]

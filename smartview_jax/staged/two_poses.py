@@ -25,6 +25,7 @@ from ..dataset import MINIMUM_RELIABLE_VIEWS, Observations, coplanar, extents
 from ..geometry import (
     host_matrices,
     host_rotation_angles,
+    host_transformed,
     host_transforms,
     vector_text,
 )
@@ -224,7 +225,7 @@ def _is_ambiguous(
     sigma: float,
 ) -> np.ndarray:
     """Return which views would often leave less with the other pose, at a noise of the rays."""
-    p = points @ poses[:, :3, :3].swapaxes(1, 2) + poses[:, None, :3, 3]
+    p = host_transformed(poses, points)
     seen = seen & flat[:, None] & (p[..., 2] > MIN_DEPTH)
     # What an exact view of the first pose leaves with the second one: with noise, the difference
     # of the sums of squares varies by twice its root.
