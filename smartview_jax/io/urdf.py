@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from ..argument_checks import shortened_repr
 from ..extras import import_extra
 from ..files import read_text
+from ..geometry import host_poses
 from ..robots import SerialArm, arm_from_axes
 
 MAX_MAGNITUDE = 100.0
@@ -147,14 +148,13 @@ def _joints_between(joint_by_child: dict[str, Any], base: str, tip: str) -> list
 
 def _origin(joint: Any, path: Path) -> Float[np.ndarray, "4 4"]:
     """Return the pose of a joint's frame in the frame of its parent link, m."""
-    pose = np.eye(4)
-    if joint.origin is not None:
-        zeros = (0.0, 0.0, 0.0)
-        # rpy about fixed axes is R = Rz(yaw) Ry(pitch) Rx(roll): yaw, pitch, roll in reverse order.
-        angles = _parse_vector(joint.origin.rpy or zeros, joint, "origin rpy", path)[::-1]
-        pose[:3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
-        pose[:3, 3] = _parse_vector(joint.origin.xyz or zeros, joint, "origin xyz", path)
-    return pose
+    if joint.origin is None:
+        return np.eye(4)
+    zeros = (0.0, 0.0, 0.0)
+    # rpy about fixed axes is R = Rz(yaw) Ry(pitch) Rx(roll): yaw, pitch, roll in reverse order.
+    angles = _parse_vector(joint.origin.rpy or zeros, joint, "origin rpy", path)[::-1]
+    position = _parse_vector(joint.origin.xyz or zeros, joint, "origin xyz", path)
+    return host_poses(Rotation.from_euler("ZYX", angles).as_matrix(), position)
 
 
 def _parse_vector(values: Any, joint: Any, label: str, path: Path) -> np.ndarray:

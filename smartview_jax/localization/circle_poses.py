@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from ..features import EllipseOptions, IdealPlane, PictureEvidence, find_ellipses
-from ..geometry import host_exponentials
+from ..geometry import host_exponentials, host_poses
 from ..modeling import ObjectModel, SeenViews
 from .curves import closed_rims
 from .outlines import SeenEdges
@@ -181,17 +181,17 @@ def poses_from_circles(
 
 def _poses_of(rim: Circle, circle: Circle) -> Float[np.ndarray, "2 4 4"]:
     """Return the two poses that put a rim of a model onto a circle, either side up."""
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    for pose, normal in zip(poses, (circle.normal, -circle.normal), strict=True):
+    poses = []
+    for normal in (circle.normal, -circle.normal):
         turn = np.cross(rim.normal, normal)
         sine, cosine = float(np.linalg.norm(turn)), float(rim.normal @ normal)
         # Any axis across serves for half a turn.
         across = np.linalg.svd(rim.normal[None])[2][1]
         axis = turn / sine if sine > 1e-9 else across
         tangent = np.concatenate([np.zeros(3), np.arctan2(sine, cosine) * axis])
-        pose[:3, :3] = host_exponentials(tangent)[:3, :3]
-        pose[:3, 3] = circle.centre - pose[:3, :3] @ rim.centre
-    return poses
+        rotation = host_exponentials(tangent)[:3, :3]
+        poses.append(host_poses(rotation, circle.centre - rotation @ rim.centre))
+    return np.stack(poses)
 
 
 def _visible_rims(wireframe: Wireframe) -> Callable[[Float[np.ndarray, "3"]], SeenEdges]:

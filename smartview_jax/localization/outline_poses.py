@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from ..geometry import host_exponentials, spiral_directions
+from ..geometry import host_exponentials, host_poses, spiral_directions
 from ..modeling import ObjectModel
 from .circle_poses import DEFAULT_ROUND_OPTIONS, RoundOptions, SeenEllipses, supported_lengths
 from .distinct_poses import distinct_poses
@@ -129,9 +129,7 @@ def _poses_at(
         count = options.round_turns if ratio > options.round_ratio else 2
         for turn in angle + 2.0 * np.pi * np.arange(count) / count:
             about_ray = host_exponentials(np.array([0.0, 0.0, 0.0, 0.0, 0.0, turn]))[:3, :3]
-            pose = np.eye(4)
-            pose[:3, :3] = camera_from_ray @ about_ray @ hull.turn
+            rotation = camera_from_ray @ about_ray @ hull.turn
             seen_at = camera_from_ray @ (distance * np.append(centre, 1.0))
-            pose[:3, 3] = seen_at - pose[:3, :3] @ hull.middle
-            poses.append(pose[None])
+            poses.append(host_poses(rotation, seen_at - rotation @ hull.middle)[None])
     return np.concatenate(poses)

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from ..features import Features, IdealPlane, grouped_indices
+from ..geometry import host_poses
 from ..modeling import ObjectModel
 
 MIN_OVERLAP, MIN_OVERLAP_OF_LONGER = 0.5, 0.25
@@ -194,11 +195,9 @@ def poses_from_edges(scene: SpaceEdges, model: ObjectModel) -> Float[np.ndarray,
         return np.zeros((0, 4, 4))
     a, b = _alike(in_space, in_model, extent)
     rotations = in_space.frames[a] @ np.swapaxes(in_model.frames[b], -1, -2)
-    poses = np.tile(np.eye(4), (len(a), 1, 1))
-    poses[:, :3, :3] = rotations
     # R aligns the frames, and t the feet.
-    poses[:, :3, 3] = in_space.feet[a] - (rotations @ in_model.feet[b][..., None])[..., 0]
-    return poses
+    turned_feet = (rotations @ in_model.feet[b][..., None])[..., 0]
+    return host_poses(rotations, in_space.feet[a] - turned_feet)
 
 
 def _pairs_in_space(scene: SpaceEdges, extent: float, longest: float) -> EdgePairs:

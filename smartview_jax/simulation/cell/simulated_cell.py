@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ...argument_checks import require_distinct
 from ...calibration import Calibration
 from ...cameras import Camera
-from ...geometry import as_se3, check_rigid, host_transformed, host_transforms
+from ...geometry import as_se3, check_rigid, host_poses, host_transformed, host_transforms
 from ...robots import Command, CommandLike, Gripper, JointsLike, SerialArm, joints_for_pose
 from ...targets import AbstractTarget
 from ..arm_scenes import HOME_JOINTS
@@ -157,15 +157,13 @@ class SimulatedCell:
             for k, obj in enumerate(objects):
                 middle = obj.solid.vertices.mean(axis=0)
                 room = np.maximum(np.array(self._area) - 2.0 * obj.radius, 0.0)
-                pose = np.eye(4)
                 # A normal vector in four dimensions has a uniform direction, as a quaternion.
-                pose[:3, :3] = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
+                rotation = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
                 z += obj.radius
                 # One above the other, so that none is inside another at the start.
                 position = [*(self.centre[:2] + (rng.random(2) - 0.5) * room), z]
-                pose[:3, 3] = position - pose[:3, :3] @ middle
                 z += obj.radius + 0.005
-                self._physics.place(k, pose)
+                self._physics.place(k, host_poses(rotation, position - rotation @ middle))
             self._physics.fall()
             if all(self._lies_inside(k) for k in range(len(objects))):
                 return
