@@ -15,12 +15,14 @@ GRIPPER = Gripper(max_opening=0.05)
 def test_suggestions_take_every_pair_of_faces_that_fits_the_gripper():
     # 60 mm is too wide for 50 mm: two pairs remain, each approached from four sides.
     grasps = suggested_grasps(box(0.06, 0.04, 0.03), GRIPPER)
-    widths = [width_between_fingers(box(0.06, 0.04, 0.03), one.object_from_tool) for one in grasps]
+    widths = [
+        width_between_fingers(box(0.06, 0.04, 0.03), grasp.object_from_tool) for grasp in grasps
+    ]
     assert {round(1e3 * w) for w in widths} == {30, 40}
-    approaches = {tuple(one.approach.round(6)) for one in grasps}
+    approaches = {tuple(grasp.approach.round(6)) for grasp in grasps}
     assert len(approaches) == 6
     # Fingertips stay above the support, and reach down along the object within finger length.
-    assert all(0.0 < one.depth <= GRIPPER.finger_length for one in grasps)
+    assert all(0.0 < grasp.depth <= GRIPPER.finger_length for grasp in grasps)
 
 
 def test_faces_that_may_not_be_touched_are_not():
@@ -79,7 +81,7 @@ def test_a_model_without_its_bottom_is_grasped_by_what_it_has():
     grasps = suggested_grasps(opened, GRIPPER)
     # Across the box still; no longer over its height, nor from below.
     assert {round(1e3 * width_between_fingers(model, g.object_from_tool)) for g in grasps} == {40}
-    assert all(one.approach[2] < 0.5 for one in grasps)
+    assert all(grasp.approach[2] < 0.5 for grasp in grasps)
 
 
 def test_a_model_without_faces_says_what_is_missing():

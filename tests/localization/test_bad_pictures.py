@@ -85,7 +85,9 @@ def test_two_objects_that_touch_are_two(gap):
     hypotheses = [Hypothesis(0, pose, 0.0, 0.0) for pose in starts]
     localizations = localize(evidence(pictures), poses_of(views), calibration(), model,
                      hypotheses=hypotheses)  # fmt: skip
-    for one in localizations:
-        shifts = [errors(model, one.world_from_object[None], t)[1][0] for t in (POSE, second)]
+    for localization in localizations:
+        shifts = [
+            errors(model, localization.world_from_object[None], t)[1][0] for t in (POSE, second)
+        ]
         assert min(shifts) < 0.3
     assert len(localizations.accepted) == 2

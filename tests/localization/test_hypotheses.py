@@ -49,7 +49,7 @@ def test_both_objects_are_found_from_two_views(scene, found):
 def test_an_object_of_many_corners_is_found_from_one_view(scene, one_view):
     hypotheses = find_hypotheses(scene.evidence[:1], one_view, scene.models[:1], count=5)
     assert len(hypotheses) <= 5
-    poses = np.array([one.world_from_object for one in hypotheses])
+    poses = np.array([hypothesis.world_from_object for hypothesis in hypotheses])
     angles, shifts = errors(scene.models[0], poses, scene.world_from_object[0])
     # One view gives the distance ten times less well than two.
     assert ((angles < 1.0) & (shifts < 2.0))[:2].any()

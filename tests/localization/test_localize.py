@@ -128,7 +128,7 @@ def test_what_was_found_is_copied_whole(found, copied):
 def test_a_symmetry_that_is_not_known_is_ambiguous(pictures):
     turned = POSE @ MODEL.symmetry.object_from_object[1]
     localizations = find(pictures, PLAIN, starts() + starts(turned))
-    assert [one.verdict.decision for one in localizations] == ["open"]
+    assert [localization.verdict.decision for localization in localizations] == ["open"]
     assert "ambiguous" in localizations.messages[0]
     assert localizations[0].rivals
 
@@ -242,7 +242,10 @@ def test_two_instances_are_both_found():
     localizations = find(pictures, hypotheses=starts(shifted) + starts(), poses=poses)
     assert len(localizations.accepted) == 2
     middles = np.array(
-        [one.world_from_object @ [*MODEL.vertices.mean(axis=0), 1.0] for one in localizations]
+        [
+            localization.world_from_object @ [*MODEL.vertices.mean(axis=0), 1.0]
+            for localization in localizations
+        ]
     )
     assert abs(np.linalg.norm(middles[0] - middles[1]) - np.linalg.norm([0.08, 0.03])) < 1e-4
 
