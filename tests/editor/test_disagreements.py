@@ -28,12 +28,16 @@ def test_a_wrong_click_is_named_where_three_views_can_tell(scene):
     assert session.disagreements() == []
     u, v = scene.click(3, 3)
     session.click("v4", (u + 6.0, v - 5.0), ids[3])
-    (one,) = session.disagreements()
-    assert (one.kind, one.id, one.suspects) == ("points", ids[3], ((ids[3], "v4"),))
-    assert "the click in v4 is most probably wrong, 7." in str(one)
+    (disagreement,) = session.disagreements()
+    assert (disagreement.kind, disagreement.id, disagreement.suspects) == (
+        "points",
+        ids[3],
+        ((ids[3], "v4"),),
+    )
+    assert "the click in v4 is most probably wrong, 7." in str(disagreement)
     residuals = session.estimates()[ids[3]].residuals
-    assert one.residuals == {(ids[3], w): np.hypot(*r) for w, r in residuals.items()}
-    assert str(one) in str(session)
+    assert disagreement.residuals == {(ids[3], w): np.hypot(*r) for w, r in residuals.items()}
+    assert str(disagreement) in str(session)
 
 
 def test_a_file_with_a_wrong_click_is_saved_with_a_warning(scene, tmp_path):
@@ -52,9 +56,12 @@ def test_two_of_three_clicks_are_suspects_where_each_pair_with_the_third_agrees(
     curve = session.curves("v1", session.document.points[ids[3]]["v1"])["v4"].pixels
     apart = np.linalg.norm(curve - scene.click(3, 3), axis=1)
     session.click("v4", curve[np.argmin(np.abs(apart - 12.0))], ids[3])
-    (one,) = session.disagreements()
-    assert set(one.suspects) == {(ids[3], "v2"), (ids[3], "v4")}
-    assert "is left out, so nobody can tell which: click the point in another view" in one.words
+    (disagreement,) = session.disagreements()
+    assert set(disagreement.suspects) == {(ids[3], "v2"), (ids[3], "v4")}
+    assert (
+        "is left out, so nobody can tell which: click the point in another view"
+        in disagreement.words
+    )
 
 
 def test_of_two_clicks_nobody_can_tell_the_wrong_one(scene):
@@ -63,9 +70,12 @@ def test_of_two_clicks_nobody_can_tell_the_wrong_one(scene):
     step = np.array(scene.click(1, 3)) - session.curves("v1", scene.click(0, 3))["v2"].pixels[-1]
     across = 8.0 * step[::-1] * [1.0, -1.0] / np.linalg.norm(step)
     session.click("v2", scene.click(1, 3) + across, ids[3])
-    (one,) = session.disagreements()
-    assert set(one.suspects) == {(ids[3], "v1"), (ids[3], "v2")}
-    assert "contradict each other; with two clicks nobody can tell which is wrong" in one.words
+    (disagreement,) = session.disagreements()
+    assert set(disagreement.suspects) == {(ids[3], "v1"), (ids[3], "v2")}
+    assert (
+        "contradict each other; with two clicks nobody can tell which is wrong"
+        in disagreement.words
+    )
 
 
 def test_an_edge_of_another_length_than_its_equals_is_named(scene):
@@ -75,16 +85,20 @@ def test_an_edge_of_another_length_than_its_equals_is_named(scene):
     assert session.disagreements() == []
     click_elsewhere(session, scene, ids[8], 8, [0.004, 0.0, 0.0])
     disagreements = session.disagreements()
-    assert [(one.kind, one.id) for one in disagreements if one.kind != "constraints"] == [
-        ("edges", edges[2])
-    ]
+    assert [
+        (disagreement.kind, disagreement.id)
+        for disagreement in disagreements
+        if disagreement.kind != "constraints"
+    ] == [("edges", edges[2])]
     assert disagreements[0].words.startswith("54.0")
     assert "mm by its own clicks, where the others say 50.0" in disagreements[0].words
     # All clicks of the point are off, so no single one explains it.
     assert disagreements[0].suspects == ()
     # Each fact of the four alone would let them agree, and is doubted too; the page says so.
     shown = Conversation(session).greeting()["parts"]["constraints"]
-    assert {k for k, one in shown.items() if "problem" in one} == set(session.document.constraints)
+    assert {k for k, disagreement in shown.items() if "problem" in disagreement} == set(
+        session.document.constraints
+    )
 
 
 def test_the_click_that_makes_a_stated_length_wrong_is_named(scene):
@@ -93,14 +107,14 @@ def test_the_click_that_makes_a_stated_length_wrong_is_named(scene):
     session.click("v4", (u + 6.0, v - 5.0), ids[2])
     session.add_constraint("known_length", [[ids[2], ids[7]]], value=0.05)
     session.add_constraint("equal_length", [[ids[2], ids[7]], [ids[3], ids[8]]])
-    by_kind = {one.kind: one for one in session.disagreements()}
+    by_kind = {disagreement.kind: disagreement for disagreement in session.disagreements()}
     assert by_kind["edges"].id == edges[1]
-    assert {one.suspects for one in by_kind.values()} == {((ids[2], "v4"),)}
+    assert {disagreement.suspects for disagreement in by_kind.values()} == {((ids[2], "v4"),)}
     # A wrong fact is no click's fault.
     session.undo(), session.undo()
     session.click("v4", (u, v), ids[2])
     session.add_constraint("known_length", [[ids[2], ids[7]]], value=0.056)
-    by_kind = {one.kind: one for one in session.disagreements()}
+    by_kind = {disagreement.kind: disagreement for disagreement in session.disagreements()}
     assert by_kind["edges"].suspects == ()
     assert "where 56.00 mm is stated; no single wrong click explains it" in by_kind["edges"].words
 
@@ -112,7 +126,7 @@ def test_an_angle_is_said_in_degrees(scene, kind, degrees):
     click_elsewhere(session, scene, ids[8], 8, [0.0, 0.004, 0.0])
     other = {"right_angle": (0, 1), "parallel": (4, 9)}[kind]
     say(session, kind, [ids[3], ids[8]], [ids[k] for k in other])
-    one = session.disagreements()[-1]
-    said, _, sigma = one.words.split(" ")[:3]
+    disagreement = session.disagreements()[-1]
+    said, _, sigma = disagreement.words.split(" ")[:3]
     # The floor's edge is along y.
     assert abs(float(said) - degrees) < 4.0 * float(sigma) < 2.0

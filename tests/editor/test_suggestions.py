@@ -14,8 +14,8 @@ def with_edges(scene, ids, session):
         session.add_edge(ids[a], ids[b])
 
 
-def is_true(scene, ids, one):
-    ends = [[ids.index(point) for point in pair] for pair in one.items]
+def is_true(scene, ids, suggestion):
+    ends = [[ids.index(point) for point in pair] for pair in suggestion.items]
     u, v = (np.subtract(*scene.truth.vertices[pair]) for pair in ends)
     lengths = np.linalg.norm(u), np.linalg.norm(v)
     deviation = {
@@ -23,7 +23,7 @@ def is_true(scene, ids, one):
         "right_angle": u @ v,
         "parallel": np.linalg.norm(np.cross(u, v)),
     }
-    return abs(deviation[one.kind]) < 1e-9
+    return abs(deviation[suggestion.kind]) < 1e-9
 
 
 def test_the_odds_of_two_equal_edges_are_a_likelihood_ratio_times_the_share(scene):
@@ -32,19 +32,21 @@ def test_the_odds_of_two_equal_edges_are_a_likelihood_ratio_times_the_share(scen
     pairs = [(ids[0], ids[5]), (ids[1], ids[6])]
     for pair in pairs:
         session.add_edge(*pair)
-    (one,) = (one for one in session.suggestions() if one.kind == "equal_length")
+    (suggestion,) = (
+        suggestion for suggestion in session.suggestions() if suggestion.kind == "equal_length"
+    )
     (a, sigma_a), (b, sigma_b) = session.distances(pairs)
-    assert one.deviation == pytest.approx(abs(a - b), rel=1e-9)
-    assert one.sigma == pytest.approx(np.hypot(sigma_a, sigma_b), rel=1e-6)
+    assert suggestion.deviation == pytest.approx(abs(a - b), rel=1e-9)
+    assert suggestion.sigma == pytest.approx(np.hypot(sigma_a, sigma_b), rel=1e-6)
     # If they are unrelated any difference up to the longer one is as likely.
-    ratio = norm.pdf(a - b, scale=one.sigma) * max(a, b)
+    ratio = norm.pdf(a - b, scale=suggestion.sigma) * max(a, b)
 
     def excess(share):
         probability = share * ratio / (share * ratio + 1.0 - share)
         return (1.0 + probability) / 3.0 - share
 
     share = root_scalar(excess, bracket=(0.1, 0.9)).root
-    assert one.odds == pytest.approx(ratio * share / (1.0 - share), rel=1e-6)
+    assert suggestion.odds == pytest.approx(ratio * share / (1.0 - share), rel=1e-6)
 
 
 def test_what_is_suggested_of_a_house_is_true_and_is_stated_as_by_hand(scene):
@@ -52,7 +54,7 @@ def test_what_is_suggested_of_a_house_is_true_and_is_stated_as_by_hand(scene):
     ids = click_all(session, scene)
     with_edges(scene, ids, session)
     offered = session.suggestions()
-    count = Counter(one.kind for one in offered)
+    count = Counter(suggestion.kind for suggestion in offered)
     # Only what does not follow from others: in five directions 15 edges have 10 parallels, and five
     # right angles. The lengths are four.
     assert (count["parallel"], count["right_angle"]) == (10, 5)
@@ -61,8 +63,11 @@ def test_what_is_suggested_of_a_house_is_true_and_is_stated_as_by_hand(scene):
     assert not session.document.constraints
     for _ in range(6):
         verdict = Conversation(session).judge()["suggestions"]
-        assert all(is_true(scene, ids, one) for one in session.suggestions())
-        facts = [{"kind": one["kind"], "items": one["items"]} for one in verdict[::2]]
+        assert all(is_true(scene, ids, suggestion) for suggestion in session.suggestions())
+        facts = [
+            {"kind": suggestion["kind"], "items": suggestion["items"]}
+            for suggestion in verdict[::2]
+        ]
         changes = [{"do": "add_constraint", **fact} for fact in facts]
         session.change({"do": "several", "changes": changes})
     # They hold together, and what they imply is not asked again.

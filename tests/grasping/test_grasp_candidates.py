@@ -46,9 +46,9 @@ def test_a_symmetric_model_repeats_its_grasps():
     symmetric = dataclasses.replace(single, symmetry=find_symmetry(model))
     plain, repeated = candidate_grasps(single, GRIPPER), candidate_grasps(symmetric, GRIPPER)
     assert len(repeated) == symmetric.symmetry.order * len(plain) == 4 * len(plain)
-    for one in repeated:
+    for candidate in repeated:
         # Each is the same grasp to the object: as wide there.
-        width = width_between_fingers(model, one.object_from_gripper)
+        width = width_between_fingers(model, candidate.object_from_gripper)
         assert np.isclose(width, 0.04)
 
 
@@ -58,7 +58,7 @@ def test_a_surface_of_revolution_is_grasped_from_all_around():
     model = dataclasses.replace(model, grasps=(grasp,), symmetry=find_symmetry(model))
     grasps = candidate_grasps(model, GRIPPER)
     assert model.symmetry.axis is not None
-    turns = {tuple(one.object_from_gripper[:3, 0].round(6)) for one in grasps}
+    turns = {tuple(candidate.object_from_gripper[:3, 0].round(6)) for candidate in grasps}
     # Half a turn of the gripper is one of the twelve.
     assert len(turns) == REVOLUTION_STEPS
 

@@ -138,8 +138,8 @@ def test_what_is_written_opens_and_closes_the_gripper(plan, tmp_path):
     best.write(tmp_path / "grasp.json")
     entries = json.loads((tmp_path / "grasp.json").read_text())["viewpoints"]
     for actual in (rows, entries):
-        assert [one["motion"] for one in actual] == ["free", "straight", "straight", "straight"]
-        openings = [float(one["opening_m"]) for one in actual]
+        assert [grasp["motion"] for grasp in actual] == ["free", "straight", "straight", "straight"]
+        openings = [float(grasp["opening_m"]) for grasp in actual]
         assert openings == [best.opening, best.opening, 0.0, 0.0]
 
 
@@ -170,7 +170,7 @@ def test_what_stands_in_the_way_is_named(scene):
     # And another object next to it, which the open fingers would hit.
     neighbour = placed(x=0.1 - 0.045 * np.sin(0.3), y=-0.1 + 0.045 * np.cos(0.3))
     crowded = grasps_for(placed(), GRIPPER, scene.with_objects([neighbour]))
-    assert all("box" in "; ".join(one.reasons) for one in crowded.refused)
+    assert all("box" in "; ".join(grasp.reasons) for grasp in crowded.refused)
 
 
 def test_out_of_reach_is_said_with_the_phases(scene):
@@ -211,7 +211,7 @@ def test_a_large_covariance_is_named_among_collisions(scene):
     assert not len(plan)
     assert "less than 50% chance" in plan.summary.split("; ")[1]
     far = grasps_for(placed(x=3.0), GRIPPER, dataclasses.replace(scene, obstacles=()))
-    assert {one.checks_passed for one in far.refused} == {1}
+    assert {grasp.checks_passed for grasp in far.refused} == {1}
 
 
 def test_a_singular_wrist_is_refused(scene):
@@ -229,8 +229,8 @@ def test_a_singular_wrist_is_refused(scene):
     free = dataclasses.replace(scene, obstacles=(), near=joints)
     plan = grasps_for(actual, GRIPPER, free)
     assert not len(plan)
-    assert all("singular wrist" in one.reasons[0] for one in plan.refused)
-    assert all("grasp" in one.reasons[0] for one in plan.refused)
+    assert all("singular wrist" in grasp.reasons[0] for grasp in plan.refused)
+    assert all("grasp" in grasp.reasons[0] for grasp in plan.refused)
 
 
 def test_joint_limits_are_kept(scene):
@@ -269,7 +269,7 @@ def test_links_are_kept_clear_between_the_poses_too(scene, plan):
 
     def gap(spot):
         checker = CollisionChecker(bearing(spot).obstacles)
-        contacts = [checker.nearest(arm_links(one[1:], 0.01)) for one in (ends[0], ends[2])]
+        contacts = [checker.nearest(arm_links(grasp[1:], 0.01)) for grasp in (ends[0], ends[2])]
         return min(contact.clearance for contact in contacts)
 
     # Of the links' middles, half on the way, the one that is farthest from both ends.
@@ -278,7 +278,7 @@ def test_links_are_kept_clear_between_the_poses_too(scene, plan):
     blocked = bearing(spot)
     checker = CollisionChecker(blocked.obstacles)
     reasons = _joint_reasons(blocked, plan.best.joints, checker)
-    assert [("touches bearing" in one, "lift to retreat" in one) for one in reasons] == [
+    assert [("touches bearing" in grasp, "lift to retreat" in grasp) for grasp in reasons] == [
         (True,) * 2
     ]
     assert _joint_reasons(thin, plan.best.joints, CollisionChecker(())) == []

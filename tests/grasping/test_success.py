@@ -25,7 +25,7 @@ def candidate():
     import dataclasses
 
     model = dataclasses.replace(MODEL, grasps=(GRASP,))
-    return min(candidate_grasps(model, IDEAL), key=lambda one: one.opening)
+    return min(candidate_grasps(model, IDEAL), key=lambda grasp: grasp.opening)
 
 
 def covariance(**sigmas):

@@ -137,7 +137,7 @@ def test_a_tip_that_is_not_known_takes_the_blame(estimate, touches):
         for std in (0.0, 1e-3)
     )
     start = Parameters(estimate.calibration)
-    first, second = (np.linalg.norm(start.step_to(one)[-7:-4]) for one in (exact, doubtful))
+    first, second = (np.linalg.norm(start.step_to(fit)[-7:-4]) for fit in (exact, doubtful))
     assert second < 0.3 * first
 
 

@@ -42,15 +42,15 @@ def full_model(seed=0):
     )
 
 
-def assert_same(one, other):
-    np.testing.assert_array_equal(one.vertices, other.vertices)
-    np.testing.assert_array_equal(one.edges, other.edges)
-    assert one.faces == other.faces
-    assert (one.name, one.provenance) == (other.name, other.provenance)
-    assert one.tolerance == pytest.approx(other.tolerance, rel=1e-12)
-    np.testing.assert_allclose(one.vertex_covariances, other.vertex_covariances, rtol=1e-12)
-    assert len(one.grasps) == len(other.grasps)
-    for a, b in zip(one.grasps, other.grasps, strict=True):
+def assert_same(model, other):
+    np.testing.assert_array_equal(model.vertices, other.vertices)
+    np.testing.assert_array_equal(model.edges, other.edges)
+    assert model.faces == other.faces
+    assert (model.name, model.provenance) == (other.name, other.provenance)
+    assert model.tolerance == pytest.approx(other.tolerance, rel=1e-12)
+    np.testing.assert_allclose(model.vertex_covariances, other.vertex_covariances, rtol=1e-12)
+    assert len(model.grasps) == len(other.grasps)
+    for a, b in zip(model.grasps, other.grasps, strict=True):
         assert (a.name, a.face, a.opening, a.depth, a.tolerance) == (
             b.name,
             b.face,

@@ -43,8 +43,8 @@ def searched(pictures):
     return localize(pictures, poses_of(scene.views), CALIBRATION, scene.models)
 
 
-def is_right(one, truth):
-    angle, shift = errors(one.model, one.world_from_object[None], truth)
+def is_right(localization, truth):
+    angle, shift = errors(localization.model, localization.world_from_object[None], truth)
     return angle[0] < RIGHT[0] and shift[0] < RIGHT[1]
 
 
@@ -52,9 +52,9 @@ def is_right(one, truth):
 def test_in_spoilt_pictures_no_wrong_pose_is_accepted(spoilt):
     rng = np.random.default_rng(0)
     scene = searched([spoilt(picture, rng) for picture in seen_scene().pictures])
-    for one in scene.accepted:
-        assert is_right(one, seen_scene().world_from_object[one.model_index])
-    indices = {one.model_index for one in scene.accepted}
+    for localization in scene.accepted:
+        assert is_right(localization, seen_scene().world_from_object[localization.model_index])
+    indices = {localization.model_index for localization in scene.accepted}
     # Blurred by little, both are found; whatever is not accepted is explained.
     assert indices == {0, 1} if spoilt is blurred else len(indices) == 2 or scene.messages
 

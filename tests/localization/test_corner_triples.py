@@ -195,5 +195,5 @@ def test_of_many_vertices_a_part_of_all_triples_is_compared():
     assert len(vertex_triples(8)) == 56
     many = vertex_triples(60)
     assert len(many) == COMPARED_TRIPLES
-    assert len({tuple(one) for one in many.tolist()}) == COMPARED_TRIPLES
+    assert len({tuple(pose) for pose in many.tolist()}) == COMPARED_TRIPLES
     assert (np.unique(many[:, 0])[:50] == np.arange(50)).all()

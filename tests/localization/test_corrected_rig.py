@@ -28,60 +28,62 @@ def found_with(slip, **more):
     poses = np.array(poses_towards(MIDDLE, TWO_DIRECTIONS))
     poses[1] = poses[1] @ host_exponentials(slip)
     starts = [Hypothesis(0, POSE, 0.0, 0.0)]
-    (one,) = localize(evidence(pictures), poses, calibration(), BOX, hypotheses=starts, **more)
-    return one
+    (localization,) = localize(
+        evidence(pictures), poses, calibration(), BOX, hypotheses=starts, **more
+    )
+    return localization
 
 
-def squared_error(one):
-    error = error_of(one.world_from_object)
-    return error @ np.linalg.solve(one.covariance, error)
+def squared_error(localization):
+    error = error_of(localization.world_from_object)
+    return error @ np.linalg.solve(localization.covariance, error)
 
 
-def disagreement(one):
-    actual = one.verdict.evidence.disagreement
+def disagreement(localization):
+    actual = localization.verdict.evidence.disagreement
     assert actual is not None
     return actual
 
 
 @pytest.mark.parametrize("more", [{}, {"noise": EXACT}])
 def test_views_of_a_right_rig_agree(more):
-    one = found_with(np.zeros(6), **more)
-    assert one.accepted
-    assert disagreement(one).as_stated > 0.5
-    assert squared_error(one) < 30.0
+    localization = found_with(np.zeros(6), **more)
+    assert localization.accepted
+    assert disagreement(localization).as_stated > 0.5
+    assert squared_error(localization) < 30.0
 
 
 def test_a_slipped_robot_is_named_and_the_pose_not_accepted():
-    one = found_with(SLIP, noise=EXACT)
-    assert one.verdict.decision == "open"
-    assert disagreement(one).as_stated < 1e-6
-    (reason,) = one.verdict.reasons
+    localization = found_with(SLIP, noise=EXACT)
+    assert localization.verdict.decision == "open"
+    assert disagreement(localization).as_stated < 1e-6
+    (reason,) = localization.verdict.reasons
     assert reason.startswith("views 0 and 1 disagree by 0.08")
 
 
 def test_noise_that_the_robot_is_known_to_have_is_no_disagreement():
-    one = found_with(SLIP, noise=Noise(0.1, 1e-3, 3e-3))
-    assert one.accepted
-    assert disagreement(one).as_stated > 0.5
+    localization = found_with(SLIP, noise=Noise(0.1, 1e-3, 3e-3))
+    assert localization.accepted
+    assert disagreement(localization).as_stated > 0.5
 
 
 def test_a_small_error_of_a_rig_that_is_taken_as_exact_is_in_the_covariance():
-    one = found_with(SLIP)
-    assert one.accepted
-    assert disagreement(one).as_stated < 1e-6
+    localization = found_with(SLIP)
+    assert localization.accepted
+    assert disagreement(localization).as_stated < 1e-6
     # 30 is exceeded by chance once in 25,000 times.
-    assert squared_error(one) < 30.0
+    assert squared_error(localization) < 30.0
 
 
 @pytest.mark.parametrize("factor", [5.0, 14.0])
 def test_a_large_error_is_named_even_where_hardly_any_edge_is_found_in_all_views(factor):
-    one = found_with(factor * SLIP)
-    noise = disagreement(one)
-    assert one.verdict.decision == "open"
-    assert one.verdict.reasons == (noise.message,)
+    localization = found_with(factor * SLIP)
+    noise = disagreement(localization)
+    assert localization.verdict.decision == "open"
+    assert localization.verdict.reasons == (noise.message,)
     # Seen from where it is, the camera turned by what the robot slipped.
     assert noise.turn == pytest.approx(factor * np.linalg.norm(SLIP), rel=0.15)
-    assert squared_error(one) < 30.0
+    assert squared_error(localization) < 30.0
 
 
 def test_the_user_says_which_errors_are_tolerated():
@@ -101,11 +103,11 @@ def test_an_object_within_the_tolerance_of_its_model_is_no_wrong_rig():
         for tolerance, squares in squared_errors.items():
             model = dataclasses.replace(PLAIN, tolerance=tolerance)
             starts = [Hypothesis(0, POSE, 0.0, 0.0)]
-            (one,) = localize(pictures, poses, calibration(), model, hypotheses=starts)
-            error = error_of(one.world_from_object)
-            squares.append(error @ np.linalg.solve(one.refined.covariance, error))
+            (localization,) = localize(pictures, poses, calibration(), model, hypotheses=starts)
+            error = error_of(localization.world_from_object)
+            squares.append(error @ np.linalg.solve(localization.refined.covariance, error))
             if tolerance:
-                assert one.accepted, one.message
+                assert localization.accepted, localization.message
     # 6 is expected; edges that meet at a vertex are not independent.
     assert np.mean(squared_errors[TOLERANCE]) < 14.0
     assert np.mean(squared_errors[0.0]) > 30.0
@@ -115,5 +117,5 @@ def test_one_view_agrees_with_itself():
     pictures = drawn(BOX, seen_views(MIDDLE), POSE, 0.05, np.random.default_rng(0))[:1]
     poses = np.array(poses_towards(MIDDLE, TWO_DIRECTIONS))[:1]
     starts = [Hypothesis(0, POSE, 0.0, 0.0)]
-    (one,) = localize(evidence(pictures), poses, calibration(), BOX, hypotheses=starts)
-    assert one.verdict.evidence.disagreement is None
+    (localization,) = localize(evidence(pictures), poses, calibration(), BOX, hypotheses=starts)
+    assert localization.verdict.evidence.disagreement is None

@@ -74,7 +74,9 @@ def grasp_error(found, pose, base_from_world):
     tau = host_logarithms(np.linalg.inv(actual) @ world_from_gripper)
     gripper_from_object = np.linalg.inv(DOWN)
     # Of the poses that are equal by symmetry, the nearest.
-    twists = [host_logarithms(np.linalg.inv(one) @ pose) for one in found.equivalent_poses]
+    twists = [
+        host_logarithms(np.linalg.inv(equivalent) @ pose) for equivalent in found.equivalent_poses
+    ]
     xi = min(twists, key=np.linalg.norm)
     return tau + host_adjoints(gripper_from_object) @ xi, tau, gripper_from_object, errors
 
@@ -85,16 +87,17 @@ def test_what_localize_and_the_gripper_share_cancels():
         world = world_moved(SPREAD * rng.standard_normal(6))
         actual = found_in(world, (POSE, OTHER_POSE), ESTIMATE, rng)
         assert len(actual) == 2
-        for one in actual:
+        for localization in actual:
             pose = min(
-                (POSE, OTHER_POSE), key=lambda p: np.linalg.norm((p - one.world_from_object)[:3])
+                (POSE, OTHER_POSE),
+                key=lambda p: np.linalg.norm((p - localization.world_from_object)[:3]),
             )
-            eta, tau, gripper_from_object, errors = grasp_error(one, pose, world)
-            stated = error_covariance(one, gripper_from_object, errors)
+            eta, tau, gripper_from_object, errors = grasp_error(localization, pose, world)
+            stated = error_covariance(localization, gripper_from_object, errors)
             # The object errs by millimetres, and the gripper with it.
             assert np.linalg.norm(eta[:3]) < 0.2 * np.linalg.norm(tau[:3])
             squares.append(eta @ np.linalg.solve(stated[:6, :6], eta))
-            alone = PlacedObject(SYMMETRIC, one.world_from_object, one.covariance)
+            alone = PlacedObject(SYMMETRIC, localization.world_from_object, localization.covariance)
             apart = error_covariance(alone, gripper_from_object, errors)
             # Independent errors of both would make the variance ten times as large.
             assert np.trace(stated[:3, :3]) < 0.1 * np.trace(apart[:3, :3])
@@ -104,5 +107,5 @@ def test_what_localize_and_the_gripper_share_cancels():
 
 
 def test_an_exact_calibration_has_no_numbers_to_share():
-    (one,) = found_in(np.eye(4), (POSE,), None, np.random.default_rng(1))
-    assert one.calibration_jacobian is None
+    (localization,) = found_in(np.eye(4), (POSE,), None, np.random.default_rng(1))
+    assert localization.calibration_jacobian is None

@@ -37,9 +37,11 @@ def found(scene):
 
 
 def test_both_objects_are_found_from_two_views(scene, found):
-    assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
+    assert [hypothesis.score for hypothesis in found] == sorted(
+        (hypothesis.score for hypothesis in found), reverse=True
+    )
     for index, (model, truth) in enumerate(zip(scene.models, scene.world_from_object, strict=True)):
-        best = next(one for one in found if one.model == index)
+        best = next(hypothesis for hypothesis in found if hypothesis.model == index)
         angles, shifts = errors(model, best.world_from_object[None], truth)
         assert angles[0] < 0.3
         assert shifts[0] < 0.3
@@ -65,7 +67,9 @@ def test_distant_junctions_are_searched_for_in_one_view_only(scene, one_view, fo
 def test_equal_poses_of_a_symmetric_object_are_listed_once(scene, found):
     model, truth = scene.models[1], scene.world_from_object[1]
     assert model.symmetry.order == 4
-    poses = np.array([one.world_from_object for one in found if one.model == 1])
+    poses = np.array(
+        [hypothesis.world_from_object for hypothesis in found if hypothesis.model == 1]
+    )
     angles, shifts = errors(model, poses, truth)
     assert ((angles < 2.0) & (shifts < 2.0)).sum() == 1
 
@@ -96,7 +100,13 @@ def test_a_workspace_keeps_what_is_outside_of_it_from_the_list(scene, one_view):
     anywhere = find_hypotheses(scene.evidence[:1], one_view, [model])
     hypotheses = find_hypotheses(scene.evidence[:1], one_view, [model], workspace=table)
     heights = [
-        np.array([(one.world_from_object @ [*v, 1.0])[2] for one in listed for v in model.vertices])
+        np.array(
+            [
+                (hypothesis.world_from_object @ [*v, 1.0])[2]
+                for hypothesis in listed
+                for v in model.vertices
+            ]
+        )
         for listed in (anywhere, hypotheses)
     ]
     assert heights[0].min() < -0.02

@@ -98,30 +98,34 @@ def found(pictures):
 
 
 def test_an_object_is_found_with_its_covariance(found):
-    (one,) = found
-    assert one.verdict.decision == "accepted"
-    assert found.accepted == (one,)
+    (localization,) = found
+    assert localization.verdict.decision == "accepted"
+    assert found.accepted == (localization,)
     assert found.messages == ()
-    errors = [host_logarithms(np.linalg.inv(POSE) @ pose) for pose in one.equivalent_poses]
+    errors = [host_logarithms(np.linalg.inv(POSE) @ pose) for pose in localization.equivalent_poses]
     error = min(errors, key=np.linalg.norm)
     assert np.linalg.norm(error[:3]) < 1e-4
-    assert error @ np.linalg.solve(one.covariance, error) < 25.0
-    assert len(one.equivalent_poses) == 4
-    assert one.verdict.evidence.explained > 0.9
-    assert all(match.found_px <= match.visible_px + 1e-9 for match in one.matches)
+    assert error @ np.linalg.solve(localization.covariance, error) < 25.0
+    assert len(localization.equivalent_poses) == 4
+    assert localization.verdict.evidence.explained > 0.9
+    assert all(match.found_px <= match.visible_px + 1e-9 for match in localization.matches)
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_what_was_found_is_copied_whole(found, copied):
     other = copied(found)
-    assert [one.message for one in other] == [one.message for one in found]
+    assert [localization.message for localization in other] == [
+        localization.message for localization in found
+    ]
     assert other.messages == found.messages
     assert other.accepted[0].verdict == found.accepted[0].verdict
     np.testing.assert_array_equal(other[0].covariance, found[0].covariance)
     np.testing.assert_array_equal(
         other.pictures[1].edge_points.pixels, found.pictures[1].edge_points.pixels
     )
-    given, own = (one.command.base_from_tool.as_matrix() for one in (found, other))
+    given, own = (
+        localization.command.base_from_tool.as_matrix() for localization in (found, other)
+    )
     np.testing.assert_array_equal(own, given)
 
 
@@ -176,10 +180,10 @@ def test_a_box_of_another_height_is_not_accepted(pictures):
 
 def test_the_corner_of_another_block_is_not_accepted():
     """All that is seen of the box is exact, and the rest is missing, as if something hid it."""
-    (one, *_) = find(drawn(box(0.06, 0.03, 0.03), views(), POSE, 0.03))
-    assert 0.5 < one.verdict.evidence.explained < 0.82
-    assert one.verdict.decision == "open"
-    assert f"moving face {BACK} inward by 10 mm" in one.message
+    (localization, *_) = find(drawn(box(0.06, 0.03, 0.03), views(), POSE, 0.03))
+    assert 0.5 < localization.verdict.evidence.explained < 0.82
+    assert localization.verdict.decision == "open"
+    assert f"moving face {BACK} inward by 10 mm" in localization.message
 
 
 def test_a_hidden_object_is_accepted():
@@ -189,10 +193,10 @@ def test_a_hidden_object_is_accepted():
     for own, middle in zip(drawn(MODEL, views(), POSE, 0.03), middles, strict=True):
         free = np.linalg.norm(own.pixels - middle, axis=1) > 110.0
         pictures.append(EdgePoints(*(part[free] for part in own)))
-    (one, *_) = find(pictures)
-    assert 0.5 < one.verdict.evidence.explained < 0.82
-    assert one.verdict.evidence.moved.gained_px < 60.0
-    assert one.verdict.decision == "accepted"
+    (localization, *_) = find(pictures)
+    assert 0.5 < localization.verdict.evidence.explained < 0.82
+    assert localization.verdict.evidence.moved.gained_px < 60.0
+    assert localization.verdict.decision == "accepted"
 
 
 def test_of_two_models_the_right_one_is_accepted(pictures):
@@ -200,7 +204,7 @@ def test_of_two_models_the_right_one_is_accepted(pictures):
     down = np.eye(4)
     down[2, 3] = 0.01
     localizations = find(pictures, [lower, MODEL], starts(POSE @ down) + starts(model=1))
-    assert [one.model.name for one in localizations.accepted] == ["box"]
+    assert [localization.model.name for localization in localizations.accepted] == ["box"]
     assert "lower: not found" in localizations.messages[0]
 
 
@@ -212,11 +216,11 @@ def test_of_two_models_that_explain_as_much_the_more_exact_one_is_accepted(pictu
     larger = box(1.003 * 0.06, 1.003 * 0.04, 1.003 * 0.03)
     larger = dataclasses.replace(larger, name="larger", symmetry=find_symmetry(larger))
     localizations = find(pictures, [MODEL, larger], starts() + starts(model=1))
-    (one,) = localizations.accepted
-    assert one.model.name == "box"
-    found_of_it, (rival, *_) = one.verdict.evidence, one.rivals
+    (localization,) = localizations.accepted
+    assert localization.model.name == "box"
+    found_of_it, (rival, *_) = localization.verdict.evidence, localization.rivals
     assert found_of_it.log_likelihood < rival.log_likelihood + 6.0
-    assert one.verdict.margin > 6.0
+    assert localization.verdict.margin > 6.0
     assert rival.model == 1
 
 
@@ -227,7 +231,10 @@ def test_clutter_alone_is_nothing():
 
 
 def test_empty_pictures_are_no_object():
-    empty = [EdgePoints(*(part[:0] for part in one)) for one in clutter(np.random.default_rng(0))]
+    empty = [
+        EdgePoints(*(part[:0] for part in localization))
+        for localization in clutter(np.random.default_rng(0))
+    ]
     localizations = find(empty)
     assert not len(localizations)
     assert localizations.messages == ("box: not found: 3 hypotheses, none with enough edges",)
@@ -321,10 +328,10 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
     first = localize(
         evidence(box_alone[:1]), poses[:1], CALIBRATION, [MODEL, other], hypotheses=starts()
     )
-    assert {one.model.name for one in first} == {"box"}
+    assert {localization.model.name for localization in first} == {"box"}
 
     def find_hypotheses(pictures, views, models, count, *, workspace):
-        assert [one.name for one in models] == ["prism"]
+        assert [localization.name for localization in models] == ["prism"]
         assert len(pictures) == 2
         return starts(second_pose)
 
@@ -333,7 +340,9 @@ def test_a_model_that_earlier_views_do_not_show_is_searched_for_again(monkeypatc
     localizations = localize(
         evidence(both[1:]), poses[1:], CALIBRATION, [MODEL, other], previous=first
     )
-    assert {(one.model.name, one.model_index) for one in localizations} == {
+    assert {
+        (localization.model.name, localization.model_index) for localization in localizations
+    } == {
         ("box", 0),
         ("prism", 1),
     }

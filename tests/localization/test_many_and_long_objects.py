@@ -64,8 +64,13 @@ def test_a_short_edge_of_a_long_bar_has_enough_samples():
 def test_two_bars_side_by_side_are_both_found():
     places = [at(0.0, 0.0), at(0.0, 0.025)]
     actual = found_among(BAR, places, 0.55, starts(places))
-    assert [one.verdict.decision for one in actual] == ["accepted"] * 2, actual.messages
-    middles = [one.world_from_object @ [*BAR.vertices.mean(axis=0), 1.0] for one in actual]
+    assert [localization.verdict.decision for localization in actual] == ["accepted"] * 2, (
+        actual.messages
+    )
+    middles = [
+        localization.world_from_object @ [*BAR.vertices.mean(axis=0), 1.0]
+        for localization in actual
+    ]
     assert abs(middles[0] - middles[1])[:3] == pytest.approx([0.0, 0.025, 0.0], abs=2e-4)
     assert actual.messages == ()
 

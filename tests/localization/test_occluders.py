@@ -103,8 +103,10 @@ def test_a_view_behind_another_object_is_not_chosen(found):
     towards = np.linalg.inv(candidates[free])[:3, 3] - MIDDLE
     moved = POSE.copy()
     moved[:3, 3] += 0.5 * towards
-    one = found[0]
-    neighbour = one._replace(refined=one.refined._replace(world_from_object=moved))
+    localization = found[0]
+    neighbour = localization._replace(
+        refined=localization.refined._replace(world_from_object=moved)
+    )
     assert chosen(found, candidates, neighbours=[neighbour])[0] == 1 - free
     # Where it is itself, an object hides nothing of itself; nor does what was rejected hide.
     assert chosen(found, candidates, neighbours=found)[0] == free

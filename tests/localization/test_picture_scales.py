@@ -39,24 +39,26 @@ def searched(evidence, calibration):
 def test_pictures_enlarged_by_interpolation_change_neither_decision_nor_covariance():
     original = searched(seen_scene().evidence, CALIBRATION)
     actual = searched(large_evidence(), LARGE_CALIBRATION)
-    assert [one.scale for one in (*original, *actual)] == [1.0, 1.0, 0.5, 0.5]
-    for one in actual:
-        (same,) = (other for other in original if other.model_index == one.model_index)
-        assert one.verdict.decision == same.verdict.decision == "accepted"
-        grown = np.linalg.slogdet(one.covariance)[1] - np.linalg.slogdet(same.covariance)[1]
+    assert [picture.scale for picture in (*original, *actual)] == [1.0, 1.0, 0.5, 0.5]
+    for picture in actual:
+        (same,) = (other for other in original if other.model_index == picture.model_index)
+        assert picture.verdict.decision == same.verdict.decision == "accepted"
+        grown = np.linalg.slogdet(picture.covariance)[1] - np.linalg.slogdet(same.covariance)[1]
         # Of six numbers; twice as many independent edge points would halve the variances.
         assert abs(grown / 6.0) < 0.35
-        truth = seen_scene().world_from_object[one.model_index] @ one.model.object_from_object
-        tangents = host_logarithms(np.linalg.inv(one.world_from_object) @ truth)
+        truth = (
+            seen_scene().world_from_object[picture.model_index] @ picture.model.object_from_object
+        )
+        tangents = host_logarithms(np.linalg.inv(picture.world_from_object) @ truth)
         error = tangents[np.argmin(np.linalg.norm(tangents[:, 3:], axis=1))]
-        assert error @ np.linalg.solve(one.covariance, error) < 25.0
+        assert error @ np.linalg.solve(picture.covariance, error) < 25.0
 
 
 def test_pictures_of_different_sharpness_are_searched_at_the_scale_of_the_sharpest():
     scene, views = seen_scene(), SeenViews.of(LARGE_CALIBRATION, base_from_tool())
     sharper = picture_evidence(enlarged(scene.pictures[1]), LARGE, scale=0.7)
     alike, small = at_one_scale([large_evidence()[0], sharper], views)
-    assert [one.scale for one in alike] == [0.7, 0.7]
+    assert [picture.scale for picture in alike] == [0.7, 0.7]
     assert small.camera.image_size == alike[0].features.image_size == (896, 672)
     # Views of the reduced pictures stay as they are.
     assert at_one_scale(alike, small)[1] is small

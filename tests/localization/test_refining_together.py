@@ -49,8 +49,8 @@ def alone(scene, start, uncertainty, prepared):
     return Localization(model, 0, refined, verdict, ())
 
 
-def error_of(one, pose):
-    return host_logarithms(np.linalg.inv(one.world_from_object) @ pose)
+def error_of(localization, pose):
+    return host_logarithms(np.linalg.inv(localization.world_from_object) @ pose)
 
 
 def test_what_a_neighbour_hides_and_explains_misleads_no_more(views, prepared):
@@ -66,7 +66,7 @@ def test_what_a_neighbour_hides_and_explains_misleads_no_more(views, prepared):
     scene = scene_of(views, pictures)
     before = [alone(scene, pose, exact, prepared) for pose in (POSE, close)]
     after = refined_together(before, scene, [prepared], exact)
-    errors = [[error_of(one, p) for one, p in zip(x, (POSE, close), strict=True)]
+    errors = [[error_of(localization, p) for localization, p in zip(x, (POSE, close), strict=True)]
               for x in (before, after)]  # fmt: skip
     size_before, size_after = (np.linalg.norm(x[1][:3]) for x in errors)
     assert size_after < 3e-5
@@ -89,9 +89,12 @@ def test_all_objects_tell_of_the_calibrations_error(views, uncertainty, prepared
         before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER_POSE)]
         after = refined_together(before, scene, [prepared], uncertainty)
         errors = np.array(
-            [error_of(one, p) for one, p in zip(after, (POSE, OTHER_POSE), strict=True)]
+            [
+                error_of(localization, p)
+                for localization, p in zip(after, (POSE, OTHER_POSE), strict=True)
+            ]
         )
-        squares += list(nees(errors, np.array([one.covariance for one in after])))
+        squares += list(nees(errors, np.array([localization.covariance for localization in after])))
         gains.append(
             np.linalg.slogdet(after[1].covariance)[1] - np.linalg.slogdet(before[1].covariance)[1]
         )
@@ -121,11 +124,13 @@ def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model
     scene = scene_of(views, pictures)
     before = [alone(scene, pose, uncertainty, prepared) for pose in (POSE, OTHER_POSE)]
     after = refined_together(before, scene, [prepared], uncertainty)
-    own = [one.refined.equations for one in after]
-    J = block_diag(*(one.by_pose for one in own))
+    own = [localization.refined.equations for localization in after]
+    J = block_diag(*(localization.by_pose for localization in own))
     # Equations are about the refined poses: there the best tangent of all unknowns is zero.
-    r = np.concatenate([one.residuals for one in own])
-    weights = 1.0 / np.sqrt(np.concatenate([np.diagonal(one.noise) for one in own]))
+    r = np.concatenate([localization.residuals for localization in own])
+    weights = 1.0 / np.sqrt(
+        np.concatenate([np.diagonal(localization.noise) for localization in own])
+    )
     root = np.linalg.cholesky(uncertainty.covariance)
     B = np.concatenate([np.hstack([e.by_calibration @ root, 1e-4 * e.by_vertices]) for e in own])
     numbers = B.shape[1]
@@ -135,12 +140,12 @@ def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model
     )  # fmt: skip
     best = np.linalg.lstsq(A, np.append(weights * r, np.zeros(numbers)), rcond=None)[0]
     covariance = np.linalg.inv(A.T @ A)
-    for k, one in enumerate(after):
+    for k, localization in enumerate(after):
         part = slice(6 * k, 6 * k + 6)
-        sigmas = np.sqrt(np.diagonal(one.covariance))
+        sigmas = np.sqrt(np.diagonal(localization.covariance))
         np.testing.assert_allclose(best[part] / sigmas, 0.0, atol=1e-6)
         np.testing.assert_allclose(
-            one.covariance / np.outer(sigmas, sigmas),
+            localization.covariance / np.outer(sigmas, sigmas),
             covariance[part, part] / np.outer(sigmas, sigmas),
             atol=1e-6,
         )
@@ -149,6 +154,9 @@ def test_the_solution_is_that_of_all_unknowns_together(views, uncertainty, model
 def test_what_is_not_accepted_stays_as_it_is(views, uncertainty, prepared):
     pictures = drawn(MODEL, views, POSE, 0.1)
     scene = scene_of(views, pictures)
-    one = alone(scene, POSE, uncertainty, prepared)
-    left = one._replace(verdict=one.verdict._replace(decision="open"))
-    assert refined_together([one, left], scene, [prepared], uncertainty) == [one, left]
+    localization = alone(scene, POSE, uncertainty, prepared)
+    left = localization._replace(verdict=localization.verdict._replace(decision="open"))
+    assert refined_together([localization, left], scene, [prepared], uncertainty) == [
+        localization,
+        left,
+    ]

@@ -117,20 +117,21 @@ def test_known_noise_of_the_robot_explains_as_large_a_difference():
     known = np.diag(np.tile(np.repeat([1e-3, 5e-3], 3), 2) ** 2)
     names = tuple(map(str, range(12)))
     stated = CalibrationUncertainty(names, known, np.zeros((2, 15, 12)), 0)
-    by_view = [
-        [one._replace(by_calibration=np.eye(2)[one.view].repeat(6) * np.tile(one.by_camera, 2))
-         for one in seen]
-        for seen in objects
-    ]  # fmt: skip
+
+    def of_both_views(measurement):
+        of_view = np.eye(2)[measurement.view].repeat(6)
+        return measurement._replace(by_calibration=of_view * np.tile(measurement.by_camera, 2))
+
+    by_view = [[of_both_views(measurement) for measurement in seen] for seen in objects]
     assert not disagreement(by_view, stated).is_likely
     assert disagreement(by_view, stated._replace(covariance=1e-6 * known)).as_stated < 1e-6
 
 
 def test_few_measurements_tell_less():
     objects, _ = seen_objects(np.random.default_rng(5), 1e-4, 1e-3, count=1)
-    few = [[one._replace(freedom=3) for one in seen] for seen in objects]
+    few = [[measurement._replace(freedom=3) for measurement in seen] for seen in objects]
     assert disagreement(few).as_stated > disagreement(objects).as_stated
-    none = [[one._replace(freedom=2) for one in seen] for seen in objects]
+    none = [[measurement._replace(freedom=2) for measurement in seen] for seen in objects]
     assert rig_noise(none, VIEWS, EXACT) is None
 
 

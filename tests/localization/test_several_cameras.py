@@ -113,7 +113,9 @@ def grasped(rig, found, names, errors, rng):
     jacobian = found.calibration_jacobian[:, : len(names)]
     together = PlacedObject(MODEL, found.world_from_object, found.covariance, jacobian, names)
     alone = together._replace(calibration_jacobian=None)
-    return eta, *(error_covariance(one, back, known)[:6, :6] for one in (together, alone))
+    return eta, *(
+        error_covariance(localization, back, known)[:6, :6] for localization in (together, alone)
+    )
 
 
 def test_a_pose_from_a_stereo_pair_is_as_uncertain_as_it_is_said_to_be(rig, wireframe):
@@ -191,8 +193,8 @@ def test_earlier_pictures_are_read_with_the_cameras_that_took_them(rig):
 
 def test_earlier_pictures_of_another_rig_are_refused(rig):
     other = estimate({**stereo_pair(), "left": stereo_pair()["right"]})
-    one = as_checked_command(POSES[:1])
-    previous = Localizations([], (), (), one, RigViews(rig, ["left"]))
+    localization = as_checked_command(POSES[:1])
+    previous = Localizations([], (), (), localization, RigViews(rig, ["left"]))
     for calibration, said in (
         (RigViews(other, ["right"]), "another calibration of 'left', of a camera of 640x480 px"),
         (RigViews({"right": other.calibrations["right"]}, ["right"]), "of camera 'left', which"),
@@ -200,10 +202,10 @@ def test_earlier_pictures_of_another_rig_are_refused(rig):
         (rig.calibrations["left"], "its views are of several cameras; give RigViews"),
     ):
         with pytest.raises(ValueError, match=f"^previous: .*{said}"):
-            together_with(previous, calibration, one)
-    single = Localizations([], (), (), one, rig.calibrations["left"])
+            together_with(previous, calibration, localization)
+    single = Localizations([], (), (), localization, rig.calibrations["left"])
     with pytest.raises(ValueError, match=r"^previous: it was found with a single calibration"):
-        together_with(single, RigViews(rig, ["left"]), one)
+        together_with(single, RigViews(rig, ["left"]), localization)
 
 
 def test_pictures_of_a_wrong_camera_are_named(rig, pictures):

@@ -34,17 +34,17 @@ def test_each_view_is_searched_as_far_as_a_wrong_camera_pose_displaces_it(scene)
     # By 21 px along a diagonal of the first picture.
     displaced[:3, 3] += VIEWS.camera_from_world[0, :3, :3].T @ [4e-3, 4e-3, 0.0]
     seen = seen_from(scene, displaced, CalibrationUncertainty.none(VIEWS))
-    assert [one.view for one in seen] == [0, 1]
-    for one in seen:
-        error = error_of(one.world_from_object)
+    assert [place.view for place in seen] == [0, 1]
+    for place in seen:
+        error = error_of(place.world_from_object)
         # 30 is exceeded by chance once in 25,000 times.
-        assert error @ np.linalg.solve(one.covariance, error) < 30.0
+        assert error @ np.linalg.solve(place.covariance, error) < 30.0
 
 
 def test_an_error_of_a_camera_pose_moves_what_its_view_shows_and_nothing_else(scene):
     uncertainty = CalibrationUncertainty.none(VIEWS).with_view_errors(1e-3, 2e-3)
-    for one in seen_from(scene, POSE, uncertainty):
-        by_camera = np.split(one.by_calibration, 2, axis=1)
-        scale = np.abs(one.by_camera).max()
-        np.testing.assert_allclose(by_camera[one.view], one.by_camera, atol=1e-3 * scale)
-        np.testing.assert_array_equal(by_camera[1 - one.view], 0.0)
+    for place in seen_from(scene, POSE, uncertainty):
+        by_camera = np.split(place.by_calibration, 2, axis=1)
+        scale = np.abs(place.by_camera).max()
+        np.testing.assert_allclose(by_camera[place.view], place.by_camera, atol=1e-3 * scale)
+        np.testing.assert_array_equal(by_camera[1 - place.view], 0.0)

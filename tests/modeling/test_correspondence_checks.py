@@ -54,8 +54,8 @@ def test_a_click_on_the_wrong_corner_is_named(calibration, poses):
         wrong = wrong_correspondences(calibration, poses, pixels, visible, pixel_sigma=SIGMA)
         named.append(
             bool(wrong)
-            and all(one.feature == feature for one in wrong)
-            and any(view in (one.view, *one.instead) for one in wrong)
+            and all(click.feature == feature for click in wrong)
+            and any(view in (click.view, *click.instead) for click in wrong)
         )
         if named[-1] and wrong[0].view == view:
             assert wrong[0].distance == pytest.approx(4.0, abs=2.0)
@@ -69,8 +69,8 @@ def test_two_wrong_clicks_are_both_named(calibration, poses):
     pixels[1, 4] += [8.0, 3.0]
     pixels[3, 5] += [-2.0, 9.0]
     wrong = wrong_correspondences(calibration, poses, pixels, pixel_sigma=SIGMA)
-    assert {(one.view, one.feature) for one in wrong} == {(1, 4), (3, 5)}
-    assert all(one.p_value < 1e-6 for one in wrong)
+    assert {(click.view, click.feature) for click in wrong} == {(1, 4), (3, 5)}
+    assert all(click.p_value < 1e-6 for click in wrong)
 
 
 def test_of_two_views_neither_can_be_acquitted(calibration, poses):

@@ -250,7 +250,7 @@ def test_triangulation_is_differentiable_and_batched(calibration, poses):
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
     slope = (depths[1] - depths[2]) / 2e-2
     assert reverse[0, 1, 0, 0] == pytest.approx(slope, rel=1e-3)
-    alone = [triangulate_points(calibration, poses, one).points[0, 2] for one in sets]
+    alone = [triangulate_points(calibration, poses, arrays).points[0, 2] for arrays in sets]
     np.testing.assert_allclose(depths, alone, rtol=1e-12, atol=1e-15)
 
 

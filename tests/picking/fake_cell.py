@@ -61,7 +61,11 @@ def seen(model, decision="accepted", *reasons):
 def localizations(*actual, pictures=(), command=None):
     """What was found, with messages as `localize` has them."""
     at = Command(host_transforms(np.eye(4)[None])) if command is None else command
-    messages = [one.message.replace("rejected", "not found") for one in actual if not one.accepted]
+    messages = [
+        localization.message.replace("rejected", "not found")
+        for localization in actual
+        if not localization.accepted
+    ]
     return Localizations(actual, tuple(messages), pictures, at)
 
 

@@ -47,8 +47,8 @@ def strip_of(*phases):
 def test_figure_8_has_its_parts_and_a_reason_in_a_sentence(reason):
     look = look_of(3, view_of(reason), seen(MODEL))
     section = localised_section(look, CALIBRATED, REGION, strip_of("before", "pre_grasp"))
-    assert [one.name for one in section.figures] == [f"({letter})" for letter in "abcdef"]
-    texts = [one.text for one in section.figures]
+    assert [entry.name for entry in section.figures] == [f"({letter})" for letter in "abcdef"]
+    texts = [entry.text for entry in section.figures]
     assert texts[0] == "edges and features of view 1"
     assert texts[2] == "the verification view"
     assert texts[5] == "the bin, last seen: pre-grasp"
@@ -62,7 +62,7 @@ def test_figure_8_has_its_parts_and_a_reason_in_a_sentence(reason):
     assert np.ptp(alone[~coloured]) == 0
     sentences = re.split(r"(?<=\.) ", section.text)
     assert sentences[-1] == f"Why it was chosen: {reason}."
-    assert all(re.fullmatch(r"[A-Z].*[^.]\.", one) for one in sentences)
+    assert all(re.fullmatch(r"[A-Z].*[^.]\.", entry) for entry in sentences)
 
 
 def test_two_views_that_were_enough_have_no_reason():

@@ -30,7 +30,7 @@ def look(monkeypatch):
             return localizations(*answers.pop(0))
 
         def next_view(objects, *_, noise=None, **__):
-            run.looked_at.append([one.verdict.decision for one in objects])
+            run.looked_at.append([obj.verdict.decision for obj in objects])
             run.noises.append(noise)
             return view_of()
 

@@ -34,10 +34,10 @@ def attempt(monkeypatch):
     def run(found, safe=None, cell=None):
         run.obstacles = {}
 
-        def grasps_for(one, gripper, scene, motion):
-            run.obstacles[one.model.name] = [each.name for each in scene.obstacles]
-            own = [GRASP] if safe is None else safe.get(one.model.name, [])
-            return GraspPlan(tuple(own), (), one.model.name)
+        def grasps_for(obj, gripper, scene, motion):
+            run.obstacles[obj.model.name] = [each.name for each in scene.obstacles]
+            own = [GRASP] if safe is None else safe.get(obj.model.name, [])
+            return GraspPlan(tuple(own), (), obj.model.name)
 
         def look_for(cell, given, models, region, **_):
             assert given is scene
@@ -97,7 +97,7 @@ def test_what_is_not_accepted_is_not_grasped_and_named_by_its_verdict(attempt, d
 def test_what_may_be_there_is_an_obstacle(attempt):
     others = [box(name=name) for name in ("second", "third", "fourth")]
     decisions = ("accepted", "open", "rejected")
-    undecided = [seen(model, one) for model, one in zip(others, decisions, strict=True)]
+    undecided = [seen(model, obj) for model, obj in zip(others, decisions, strict=True)]
     attempt([seen(BOX), *undecided, seen(WIRE, "open")])
     assert attempt.obstacles["box"] == ["table", "second", "third"]
     assert attempt.obstacles["second"] == ["table", "box", "third"]

@@ -101,8 +101,8 @@ def test_pictures_of_different_things_agree_on_nothing(views, found):
     rng = np.random.default_rng(0)
     noise = [rng.integers(0, 255, views.pictures[0].shape, np.uint8) for _ in range(3)]
     size = np.array(noise[0].shape[::-1])
-    anywhere = [one._replace(corners=rng.uniform(5.0, size - 6.0, one.corners.shape))
-                for one in found[:3]]  # fmt: skip
+    anywhere = [track._replace(corners=rng.uniform(5.0, size - 6.0, track.corners.shape))
+                for track in found[:3]]  # fmt: skip
     proposal = propose_model(CALIBRATION, poses, noise, DEPTHS, features=anywhere)
     assert len(proposal.points) <= 3
 

@@ -83,11 +83,11 @@ def test_what_holds_is_zero():
         KnownLength((0, 4), 1.0),
         Symmetric(((0, 1), (2, 3), (4, 5), (6, 7))),
     ]
-    for one in held:
-        centre, normal = one.initial_plane(box) or (np.zeros(3), np.eye(3)[0])
+    for constraint in held:
+        centre, normal = constraint.initial_plane(box) or (np.zeros(3), np.eye(3)[0])
         shape = Shape(box, Lines(np.zeros((0, 3)), np.zeros((0, 3))), normal[None], np.zeros(1),
                       centre[None])  # fmt: skip
-        np.testing.assert_allclose(one.evaluate(shape, 0).values, 0.0, atol=1e-12)
+        np.testing.assert_allclose(constraint.evaluate(shape, 0).values, 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +110,9 @@ def test_what_makes_no_sense_is_refused(wrong):
 
 
 def test_a_constraint_is_told_in_words():
-    one = KnownLength((0, 1), 0.1, sigma=1e-4)
-    assert "KnownLength(sigma=0.0001, edge=(0, 1), length=0.1)" in str(one)
-    assert dataclasses.replace(one, sigma=None).sigma is None
+    constraint = KnownLength((0, 1), 0.1, sigma=1e-4)
+    assert "KnownLength(sigma=0.0001, edge=(0, 1), length=0.1)" in str(constraint)
+    assert dataclasses.replace(constraint, sigma=None).sigma is None
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 40.0])

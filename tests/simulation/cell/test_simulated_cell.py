@@ -126,8 +126,8 @@ def test_the_same_seed_gives_the_same_scene_and_picture():
 
 def test_dropped_objects_lie_in_the_bin(cell):
     cell.drop([BLOCK, STEP, *(CellObject(f"b{k}", box(0.03, 0.03, 0.03)) for k in range(4))])
-    for one, pose in zip(cell._objects, cell.judge().world_from_object.values(), strict=True):
-        vertices = one.solid.moved(pose).vertices
+    for obj, pose in zip(cell._objects, cell.judge().world_from_object.values(), strict=True):
+        vertices = obj.solid.moved(pose).vertices
         assert (np.abs(vertices[:, :2] - cell.centre[:2]) < [0.121, 0.091]).all()
         assert vertices[:, 2].min() > -1e-5
     # Walls of the bin are known, its objects are not.
@@ -200,7 +200,7 @@ def test_a_cell_that_refused_objects_is_as_it_was(objects, poses, named):
         with pytest.raises(ValueError, match=named):
             cell.place(objects, poses)
         assert cell.board_shown == shown
-        assert list(cell.judge().world_from_object) == [one.name for one in before]
+        assert list(cell.judge().world_from_object) == [obj.name for obj in before]
 
 
 def test_errors_of_the_arm_can_be_switched_off():
