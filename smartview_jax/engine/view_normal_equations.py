@@ -184,16 +184,8 @@ def _jacobian_columns(
     (x, y), valid = projected.distorted, projected.valid
     predicted = (camera.alpha_u * x + camera.u0, camera.alpha_v * y + camera.v0)
     residual = [jnp.where(valid, pixels[k] - predicted[k], 0.0) / pixel_sigma for k in range(2)]
-    unprojectable = visible & ~valid
     square = residual[0] ** 2 + residual[1] ** 2
-    if loss is None:
-        weight = jnp.ones_like(square)
-        cost = 0.5 * square + jnp.where(unprojectable, INVALID_PROJECTION_RESIDUAL**2, 0.0)
-    else:
-        # cost = rho(s) / 2 with s = |r|^2; its gradient is rho'(s) J^T r, hence the weight rho'(s).
-        rho, weight = jax.jvp(loss.rho, (square,), (jnp.ones_like(square),))
-        invalid_loss = loss.rho(jnp.asarray(2.0 * INVALID_PROJECTION_RESIDUAL**2))
-        cost = 0.5 * (jnp.where(valid, rho, 0.0) + jnp.where(unprojectable, invalid_loss, 0.0))
+    cost, weight = _cost_and_weight(square, valid, visible & ~valid, loss)
     # Columns and residual are multiplied by sqrt(weight), so that their products are weighted once.
     # XLA recomputes common subexpressions of several columns for each of them, unless it considers
     # them expensive, such as square roots and divisions. Hence the divisions by sigma: derivatives
@@ -235,6 +227,23 @@ def _jacobian_columns(
             )
         )
     return columns[0], columns[1], cost
+
+
+def _cost_and_weight(
+    square: Float[Array, "group points"],
+    valid: Bool[Array, "group points"],
+    unprojectable: Bool[Array, "group points"],
+    loss: AbstractLoss | None,
+) -> tuple[Float[Array, "group points"], Float[Array, "group points"]]:
+    """Return the cost of points by their squared residuals, and their weights in the gradient."""
+    if loss is None:
+        cost = 0.5 * square + jnp.where(unprojectable, INVALID_PROJECTION_RESIDUAL**2, 0.0)
+        return cost, jnp.ones_like(square)
+    # cost = rho(s) / 2 with s = |r|^2; its gradient is rho'(s) J^T r, hence the weight rho'(s).
+    rho, weight = jax.jvp(loss.rho, (square,), (jnp.ones_like(square),))
+    invalid_loss = loss.rho(jnp.asarray(2.0 * INVALID_PROJECTION_RESIDUAL**2))
+    cost = 0.5 * (jnp.where(valid, rho, 0.0) + jnp.where(unprojectable, invalid_loss, 0.0))
+    return cost, weight
 
 
 class _Projection(NamedTuple):
