@@ -241,7 +241,7 @@ class _Search(NamedTuple):
             change = mean_matrix(closure[~reference], np.ones(np.count_nonzero(~reference)))
             corrected = closure.copy()
             corrected[~reference] = np.linalg.inv(change) @ closure[~reference]
-            translation, rotation = misfits(change)[0].tolist()
+            translation, rotation = misfits(change).tolist()
             yield self._change(kind, place, (translation, rotation), 1.0, corrected)
         before_factor, after_factor = self._depth_factors(after)
         # No lens zooms so far between two pictures of one target; poses that fit nothing seem to.

@@ -10,9 +10,9 @@ import itertools
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..dataset import undetermined_twists
+from ..dataset import determine_transforms
 from .closure import MAX_CLOSURE_SCORE, Poses
-from .transform_fit import fit_transforms, misfits
+from .transform_fit import closures_of_groups, fit_transforms, misfits
 
 MAX_DISAGREEMENT = 0.5 * MAX_CLOSURE_SCORE
 """Largest disagreement of a view of a group, rotation (rad) plus translation over the distance to
@@ -25,18 +25,18 @@ MAX_TRIPLES = 150
 """Largest number of triples of views that are tried. Where only a third of the views are good, one
 triple in 27 is, and so many miss all of them with a probability of 0.003."""
 
-_REFITS = 3
+_REFITS = 2
 """Number of fits to the views that agree: three views alone leave the transforms uncertain."""
 
 
-def disagreements(closure: Poses, distance: float) -> Float[np.ndarray, "views"]:
+def disagreements(closure: Poses, distance: float) -> Float[np.ndarray, "*batch views"]:
     """Return the disagreement of each view: rotation plus translation over the distance.
 
     Args:
         closure: closure error of each view.
         distance: median distance of the target from the camera, m.
     """
-    translation, rotation = misfits(closure).T
+    translation, rotation = np.moveaxis(misfits(closure), -1, 0)
     return rotation + translation / distance
 
 
@@ -53,22 +53,23 @@ def largest_group(
     """
     count = len(robot)
     best = np.zeros(count, dtype=bool)
+    if count < MIN_GROUP:
+        return best
+    triples = _triples(count)
+    # Three views that turn about one axis do not tell the transforms, and agree with anything.
+    triples = triples[determine_transforms(robot[triples])]
+    if len(triples) == 0:
+        return best
+    agree_with_each = disagreements(closures_of_groups(robot, camera, triples), distance)
     # Triples of one group soon lead to the same views.
     tried = set[bytes]()
-    for triple in _triples(count):
-        # Three views that turn about one axis do not tell the transforms, and agree with anything.
-        if len(undetermined_twists(robot[triple])):
-            continue
-        agreeing = np.zeros(count, dtype=bool)
-        agreeing[triple] = True
+    for agreeing in agree_with_each < tolerance:
         for _ in range(_REFITS):
-            if agreeing.tobytes() in tried:
+            if agreeing.sum() < MIN_GROUP or agreeing.tobytes() in tried:
                 break
             tried.add(agreeing.tobytes())
             closure = fit_transforms(robot, camera, agreeing).closure
             agreeing = disagreements(closure, distance) < tolerance
-            if agreeing.sum() < MIN_GROUP:
-                break
         if agreeing.sum() > best.sum():
             best = agreeing
     return best
@@ -79,4 +80,4 @@ def _triples(count: int) -> Int[np.ndarray, "triples 3"]:
     if count * (count - 1) * (count - 2) // 6 <= MAX_TRIPLES:
         return np.array(list(itertools.combinations(range(count), 3)))
     rng = np.random.default_rng(0)
-    return np.argsort(rng.random((MAX_TRIPLES, count)), axis=1)[:, :3]
+    return np.sort(np.argsort(rng.random((MAX_TRIPLES, count)), axis=1)[:, :3], axis=1)

@@ -23,7 +23,7 @@ MIN_VARIANCE = 1e-18
 """Smallest variance of an error, m^2 and rad^2: a nanometre, for rendered views without any."""
 
 
-def errors_of(closure: Poses) -> Float[np.ndarray, "views 2 3"]:
+def errors_of(closure: Poses) -> Float[np.ndarray, "*batch views 2 3"]:
     """Return the closure errors of the views, of translation (m) and rotation (rad)."""
     return in_parts(host_logarithms(closure))
 
@@ -59,6 +59,6 @@ def evidence(
     return gain - parameters * np.log(numbers * effective)
 
 
-def in_parts(twists: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 2 3"]:
+def in_parts(twists: Float[np.ndarray, "*views 6"]) -> Float[np.ndarray, "*views 2 3"]:
     """Return twists by translation (m) and rotation (rad)."""
-    return twists.reshape(-1, 2, 3)
+    return twists.reshape(*twists.shape[:-1], 2, 3)

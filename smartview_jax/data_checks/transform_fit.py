@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 
 from ..calibration import mount_frames
 from ..dataset import undetermined_twists
-from ..geometry import host_logarithms, host_matrices, host_transforms
-from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
+from ..geometry import host_logarithms, host_matrices
+from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin_matrices
 from .closure import Poses
 from .misfit_evidence import errors_of, in_parts
 
@@ -36,9 +36,9 @@ class TransformFit(NamedTuple):
         return misfits(self.closure)
 
 
-def misfits(closure: Poses) -> Float[np.ndarray, "views 2"]:
+def misfits(closure: Poses) -> Float[np.ndarray, "*batch views 2"]:
     """Return the length of the twist of each closure: translation (m), rotation (rad)."""
-    return np.linalg.norm(errors_of(closure), axis=2)
+    return np.linalg.norm(errors_of(closure), axis=-1)
 
 
 def mean_misfit(closure: Poses, distance: float) -> tuple[tuple[float, float], float]:
@@ -145,14 +145,43 @@ def fit_transforms(
     robot, camera = mount_from_holder, camera_from_world
     if used is not None:
         robot, camera = robot[used], camera[used]
-    if np.isfinite([robot, camera]).all() and len(undetermined_twists(robot)):
+    if not np.isfinite([robot, camera]).all():
+        world = np.full((4, 4), np.nan)
+    elif len(undetermined_twists(robot)):
         # A closed form would divide by noise where the motion determines nothing.
         _, world = minimum_norm_transforms(robot, camera)
     else:
-        _, holder_from_world = park_martin(
-            host_transforms(robot), host_transforms(camera), np.ones(len(robot))
-        )
-        world = host_matrices(holder_from_world)
+        _, world = park_martin_matrices(robot, camera, np.ones(len(robot)))
     hand_eye = mean_camera_from_mount(world, robot, camera, np.ones(len(robot)))
-    closure = np.linalg.inv(hand_eye) @ camera_from_world @ np.linalg.inv(mount_from_holder @ world)
-    return TransformFit(hand_eye, world, closure)
+    return TransformFit(
+        hand_eye, world, _closures(hand_eye, world, mount_from_holder, camera_from_world)
+    )
+
+
+def closures_of_groups(
+    mount_from_holder: Poses, camera_from_world: Poses, groups: Int[np.ndarray, "groups used"]
+) -> Float[np.ndarray, "groups views 4 4"]:
+    """Compute the closure of all views with the transforms of each of several groups, all at once.
+
+    Args:
+        mount_from_holder: finite, `(views)`.
+        camera_from_world: finite, `(views)`.
+        groups: indices of the views to which the transforms are fitted, which they determine; few.
+    """
+    robot, camera = mount_from_holder[groups], camera_from_world[groups]
+    weights = np.ones(groups.shape[1])
+    _, worlds = park_martin_matrices(robot, camera, weights)
+    hands = mean_camera_from_mount(worlds, robot, camera, weights)
+    return _closures(hands, worlds, mount_from_holder, camera_from_world)
+
+
+def _closures(
+    camera_from_mount: Float[np.ndarray, "*batch 4 4"],
+    holder_from_world: Float[np.ndarray, "*batch 4 4"],
+    mount_from_holder: Poses,
+    camera_from_world: Poses,
+) -> Float[np.ndarray, "*batch views 4 4"]:
+    """Return the closure error of each view with given transforms."""
+    mount_from_world = mount_from_holder @ holder_from_world[..., None, :, :]
+    mount_from_camera = np.linalg.inv(camera_from_mount)[..., None, :, :]
+    return mount_from_camera @ camera_from_world @ np.linalg.inv(mount_from_world)

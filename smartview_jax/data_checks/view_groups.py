@@ -184,7 +184,7 @@ def find_groups(
     for group in others:
         change = mean_matrix(closure[group], np.ones(len(group)))
         corrected[group] = np.linalg.inv(change) @ closure[group]
-        translation, rotation = misfits(change)[0].tolist()
+        translation, rotation = misfits(change).tolist()
         turns = 0
         if kind == "camera":
             turns = _quarter_turns(fit.camera_from_mount, change, distance)

@@ -30,6 +30,7 @@ from .rig_arms import arms_of as arms_of
 from .rig_arms import is_pair as is_pair
 from .rig_arms import reported_poses as reported_poses
 from .robot_motion import contradictory_views as contradictory_views
+from .robot_motion import determine_transforms as determine_transforms
 from .robot_motion import distinct_poses as distinct_poses
 from .robot_motion import first_equal_pose as first_equal_pose
 from .robot_motion import given_places as given_places

@@ -18,7 +18,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from ..fit_result import Rejection
@@ -287,6 +287,16 @@ def undetermined_twists(mount_from_holder: Poses) -> Float[np.ndarray, "twists 6
     are none if the robot rotated about two axes.
     """
     return undetermined_motions([host_adjoints(mount_from_holder)])
+
+
+def determine_transforms(
+    mount_from_holder: Float[np.ndarray, "groups views 4 4"],
+) -> Bool[np.ndarray, "groups"]:
+    """Return which of several groups of views have no `undetermined_twists`."""
+    effects = host_adjoints(mount_from_holder)
+    groups, views = effects.shape[:2]
+    rows = (effects - effects.mean(axis=1, keepdims=True)).reshape(groups, -1, 6) / np.sqrt(views)
+    return np.linalg.svd(rows, compute_uv=False)[:, -1] >= MIN_TURN
 
 
 def undetermined_motions(

@@ -152,7 +152,7 @@ def padded(problem: _Problem) -> _Problem:
         problem,
         observations=observations,
         prepared_poses=repeat_last(problem.prepared_poses, views),
-        correction_roots=_padded_roots(problem, more_views),
+        correction_roots=_padded_roots(problem, views),
         free=free,
         per_view_free=with_zeros(problem.per_view_free),
         prior_mean=padded_as_prior(problem.prior_mean),
@@ -162,13 +162,16 @@ def padded(problem: _Problem) -> _Problem:
     )
 
 
-def _padded_roots(
-    problem: JointProblem, more_views: int
-) -> Float[np.ndarray, "corrected 6 6"] | None:
-    """Return the twists by the views' own parameters, for added views too; None if they are it."""
-    if problem.correction_roots is None:
-        return None
-    return np.concatenate([problem.correction_roots, np.tile(np.eye(6), (more_views, 1, 1))])
+def _padded_roots(problem: JointProblem, views: int) -> Float[np.ndarray, "views 6 6"]:
+    """Return each view's twist by its own parameters, for added views too.
+
+    Where these are the twist itself they become the identity, so that fits with and without errors
+    along directions share a program.
+    """
+    roots = np.tile(np.eye(6), (views, 1, 1))
+    if problem.correction_roots is not None:
+        roots[: len(problem.correction_roots)] = problem.correction_roots
+    return roots
 
 
 def padded_step(step: Step, problem: AbstractProblem) -> Step:

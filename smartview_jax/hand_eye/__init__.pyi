@@ -4,6 +4,7 @@ from .closed_form import mean_camera_from_mount as mean_camera_from_mount
 from .closed_form import mean_holder_from_world as mean_holder_from_world
 from .closed_form import motion_pairs as motion_pairs
 from .closed_form import park_martin as park_martin
+from .closed_form import park_martin_matrices as park_martin_matrices
 from .closed_form import shah as shah
 from .closed_form import tsai_lenz as tsai_lenz
 from .minimum_norm import determined_steps as determined_steps

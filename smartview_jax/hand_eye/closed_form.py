@@ -24,11 +24,14 @@ from ..geometry import (
     host_matrices,
     host_nearest_rotation,
     host_poses,
+    host_rotation_vectors,
     host_transforms,
     mean_matrix,
 )
 
 _Matrix = Float[np.ndarray, "4 4"]
+_Batch = Float[np.ndarray, "*batch 4 4"]
+_BatchOfViews = Float[np.ndarray, "*batch views 4 4"]
 _Matrices = Float[np.ndarray, "views 4 4"]
 _Weights = Float[np.ndarray, "views"]
 
@@ -75,22 +78,22 @@ def _of_transforms(
 
 
 def mean_holder_from_world(
-    camera_from_mount: _Matrix,
-    mount_from_holder: _Matrices,
-    camera_from_world: _Matrices,
+    camera_from_mount: _Batch,
+    mount_from_holder: _BatchOfViews,
+    camera_from_world: _BatchOfViews,
     weights: _Weights,
-) -> _Matrix:
+) -> _Batch:
     """Compute `holder_from_world` for a given `camera_from_mount`, averaged over the views."""
     # Eq. 10 for one view: holder_from_world = (camera_from_mount mount_from_holder)^-1
     # camera_from_world.
-    camera_from_holder = camera_from_mount @ mount_from_holder
+    camera_from_holder = camera_from_mount[..., None, :, :] @ mount_from_holder
     return mean_matrix(np.linalg.inv(camera_from_holder) @ camera_from_world, weights)
 
 
 def mean_camera_from_mount(
     holder_from_world: Float[np.ndarray, "*starts 4 4"],
-    mount_from_holder: _Matrices,
-    camera_from_world: _Matrices,
+    mount_from_holder: _BatchOfViews,
+    camera_from_world: _BatchOfViews,
     weights: _Weights,
 ) -> Float[np.ndarray, "*starts 4 4"]:
     """Compute `camera_from_mount` for a given `holder_from_world`, averaged over the views.
@@ -104,20 +107,23 @@ def mean_camera_from_mount(
 
 
 def motion_pairs(
-    mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
+    mount_from_holder: _BatchOfViews, camera_from_world: _BatchOfViews, weights: _Weights
 ) -> tuple[
-    Float[np.ndarray, "pairs 4 4"], Float[np.ndarray, "pairs 4 4"], Float[np.ndarray, "pairs"]
+    Float[np.ndarray, "*batch pairs 4 4"],
+    Float[np.ndarray, "*batch pairs 4 4"],
+    Float[np.ndarray, "pairs"],
 ]:
     """Return A, B and weights of `A X = X B` for pairs of different views, each pair once.
 
     `A = C_j C_i^-1` and `B = T_j T_i^-1` with `X = camera_from_mount`: Eq. 10 for two views with
-    `holder_from_world` eliminated. The motion from j to i is the inverse, which says the same.
+    `holder_from_world` eliminated. The motion from j to i is the inverse, which says the same. In a
+    batch, of few views, the same pairs are taken everywhere.
     """
-    first, second = _paired_views(mount_from_holder[:, :3, :3], camera_from_world[:, :3, :3])
+    first, second = _paired_views(mount_from_holder[..., :3, :3], camera_from_world[..., :3, :3])
 
-    def relative_poses(poses: _Matrices) -> Float[np.ndarray, "pairs 4 4"]:
+    def relative_poses(poses: _BatchOfViews) -> Float[np.ndarray, "*batch pairs 4 4"]:
         """Return the motions `P_j P_i^-1` of all pairs."""
-        return poses[second] @ np.linalg.inv(poses)[first]
+        return poses[..., second, :, :] @ np.linalg.inv(poses)[..., first, :, :]
 
     return (
         relative_poses(camera_from_world),
@@ -127,13 +133,14 @@ def motion_pairs(
 
 
 def _paired_views(
-    robot: Float[np.ndarray, "views 3 3"], camera: Float[np.ndarray, "views 3 3"]
+    robot: Float[np.ndarray, "*batch views 3 3"], camera: Float[np.ndarray, "*batch views 3 3"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
     """Return the indices of the views of every pair: all pairs, or well-spread ones of many views.
 
-    The number of chosen pairs grows with the views, not with their square.
+    The number of chosen pairs grows with the views, not with their square. Pairs of many views are
+    chosen by their motions, so these are no batch.
     """
-    views = len(robot)
+    views = robot.shape[-3]
     if views * (views - 1) // 2 <= MAX_PAIRS:
         return np.triu_indices(views, 1)
     # Candidates: the views form a ring, and each is paired with views at distances spread over
@@ -151,6 +158,17 @@ def _paired_views(
     return np.repeat(indices, best.shape[1]), np.take_along_axis(partners, best, axis=1).ravel()
 
 
+def park_martin_matrices(
+    mount_from_holder: _BatchOfViews, camera_from_world: _BatchOfViews, weights: _Weights
+) -> tuple[_Batch, _Batch]:
+    """Compute what `park_martin` does of finite matrices, also of a batch of few views at once."""
+    A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
+    # sum w a b^T, with the rotation vectors a and b of each pair in the rows of two matrices.
+    a, b = host_rotation_vectors(A), host_rotation_vectors(B)
+    rotation = host_nearest_rotation((w[:, None] * a).swapaxes(-1, -2) @ b)
+    return _solve_translation(rotation, A, B, w, mount_from_holder, camera_from_world, weights)
+
+
 @_of_transforms
 def park_martin(
     mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
@@ -160,11 +178,7 @@ def park_martin(
     `R_A R = R R_B` means that R maps the rotation vectors b of B to the rotation vectors a of A: R
     is the rotation nearest to `sum w a b^T`.
     """
-    A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
-    # sum w a b^T, with the rotation vectors a and b of each pair in the rows of two matrices.
-    a, b = (Rotation.from_matrix(motions[:, :3, :3]).as_rotvec() for motions in (A, B))
-    rotation = host_nearest_rotation((w[:, None] * a).T @ b)
-    return _solve_translation(rotation, A, B, w, mount_from_holder, camera_from_world, weights)
+    return park_martin_matrices(mount_from_holder, camera_from_world, weights)
 
 
 @_of_transforms
@@ -278,19 +292,23 @@ CLOSED_FORMS: dict[str, ClosedForm] = {
 
 
 def _solve_translation(
-    rotation: Float[np.ndarray, "3 3"],
-    A: Float[np.ndarray, "pairs 4 4"],
-    B: Float[np.ndarray, "pairs 4 4"],
+    rotation: Float[np.ndarray, "*batch 3 3"],
+    A: Float[np.ndarray, "*batch pairs 4 4"],
+    B: Float[np.ndarray, "*batch pairs 4 4"],
     w: Float[np.ndarray, "pairs"],
-    mount_from_holder: _Matrices,
-    camera_from_world: _Matrices,
+    mount_from_holder: _BatchOfViews,
+    camera_from_world: _BatchOfViews,
     weights: _Weights,
-) -> tuple[_Matrix, _Matrix]:
+) -> tuple[_Batch, _Batch]:
     """Solve `(R_A - I) t = R t_B - t_A` by least squares, and return both transforms."""
     # From A X = X B: R_A t + t_A = R t_B + t.
-    matrix = (w[:, None, None] * (A[:, :3, :3] - np.eye(3))).reshape(-1, 3)
-    right_hand_side = (w[:, None] * (B[:, :3, 3] @ rotation.T - A[:, :3, 3])).reshape(-1)
-    camera_from_mount = host_poses(rotation, np.linalg.lstsq(matrix, right_hand_side)[0])
+    batch, rows = rotation.shape[:-2], 3 * len(w)
+    matrix = (w[:, None, None] * (A[..., :3, :3] - np.eye(3))).reshape(*batch, rows, 3)
+    moved = B[..., :3, 3] @ rotation.swapaxes(-1, -2) - A[..., :3, 3]
+    right_hand_side = (w[:, None] * moved).reshape(*batch, rows, 1)
+    # As `np.linalg.lstsq` solves it, which takes no batch.
+    inverse = np.linalg.pinv(matrix, rcond=max(rows, 3) * np.finfo(float).eps)
+    camera_from_mount = host_poses(rotation, (inverse @ right_hand_side)[..., 0])
     return camera_from_mount, mean_holder_from_world(
         camera_from_mount, mount_from_holder, camera_from_world, weights
     )

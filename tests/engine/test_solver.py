@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 import pytest
+from programs import programs_added
 
 from smartview_jax import Noise
 from smartview_jax.engine import Step, StructuredLM, solve
@@ -38,7 +39,9 @@ def test_a_problem_along_other_axes_is_the_same_problem():
     both = np.kron(np.eye(2), turn)
     roots = np.tile(np.diag(stretches) @ both, (8, 1, 1))
     expected, _ = solve(by_axis)
-    found, _ = solve(problem.with_correction_roots(roots))
+    with programs_added() as added:
+        found, _ = solve(problem.with_correction_roots(roots))
+    assert added == [], "a fit along other axes is run by the program of the plain one"
     assert found.costs[-1] == pytest.approx(expected.costs[-1], rel=1e-9)
     np.testing.assert_allclose(found.z.shared, expected.z.shared, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(
