@@ -49,6 +49,8 @@ from .pixel_sigma import solve_with_estimated_sigma as solve_with_estimated_sigm
 from .pixel_sigma import squared_residuals as squared_residuals
 from .pixel_sigma import updated_sigma as updated_sigma
 from .pixel_sigma import with_pixel_sigma as with_pixel_sigma
+from .pose_directions import PoseDirections as PoseDirections
+from .pose_directions import twist_rotations as twist_rotations
 from .pose_jacobians import corrections_at_tool as corrections_at_tool
 from .pose_jacobians import linearise_poses as linearise_poses
 from .prepared_poses import PreparedPoses as PreparedPoses

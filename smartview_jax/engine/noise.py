@@ -3,6 +3,11 @@
 import dataclasses
 import math
 
+import numpy as np
+from jaxtyping import Float
+
+from .pose_directions import PoseDirections
+
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
@@ -24,6 +29,9 @@ class Noise:
         equals `pixel`. Errors of real pixels are correlated within a view, so that a view has
         less information than its number of points suggests: `pixel` weights the points in the
         fit, and `white_pixel` predicts the scatter of single points.
+        directions: the covariance of a reported pose's error, if it is larger in some directions
+            than in others; `translation` and `rotation` are then roots of its mean variances over
+            the axes. Predictions use it, whereas a fit with a given `Noise` uses the means.
 
     For example:
 
@@ -38,6 +46,7 @@ class Noise:
     rotation: float
     field: tuple[float, ...] = ()
     white_pixel: float | None = None
+    directions: PoseDirections | None = None
 
     def __post_init__(self) -> None:
         # Only the standard deviations of poses may be infinite (nothing known of the poses): an
@@ -54,6 +63,19 @@ class Noise:
         """Standard deviation of u and of v about the view's best pose, px."""
         # Without a separate model of whole-view errors, all pixel noise is within views.
         return self.pixel if self.white_pixel is None else self.white_pixel
+
+    def pose_covariances(
+        self, tool_from_base: Float[np.ndarray, "poses 3 3"]
+    ) -> Float[np.ndarray, "poses 6 6"]:
+        """Return the covariance of the error of reported poses, as twists at the tool (m, rad).
+
+        Args:
+            tool_from_base: rotation from the robot's base to its tool at each pose.
+        """
+        if self.directions is not None:
+            return self.directions.covariances(tool_from_base)
+        variances = np.repeat([self.translation**2, self.rotation**2], 3)
+        return np.tile(np.diag(variances), (len(tool_from_base), 1, 1))
 
     @property
     def has_pose_prior(self) -> bool:

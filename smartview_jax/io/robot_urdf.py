@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ..calibration import Calibration
 from ..export_text import checked_frame_name, origin_text, pose_matrix
 from ..geometry import host_matrices
-from ..robot_errors import AbstractArmErrors
+from ..robot_errors import AbstractArmErrors, ElasticDHErrors
 from ..robots import SerialArm
 from .export import mount_from_camera
 from .urdf import MAX_MAGNITUDE
@@ -98,6 +98,11 @@ def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> Serial
         )
     if not np.all(np.asarray(field.joint_scale_factors(error.coefficients)) == 1.0):
         raise ValueError("gear ratios were found (joint_ratio), and no URDF has them")
+    if isinstance(field, ElasticDHErrors):
+        raise ValueError(
+            "joints were found to bend under the arm's weight (joint_compliance), and no URDF has "
+            "this: calibrate with field=sv.robot_errors.DHErrors(arm) for a rigid arm"
+        )
     return field.actual_arm(error.coefficients)
 
 

@@ -130,7 +130,8 @@ def display_unit(name: str, prismatic_offsets: Collection[str] = frozenset()) ->
     is_length = ".translation." in name or ".link_length." in name or name in prismatic_offsets
     if is_length or name.startswith("target_shape.") or name == "depth_bias.offset":
         return 1e3, "mm"
-    if ".rotation." in name or ".joint_offset." in name or ".link_twist." in name:
+    angles = (".rotation.", ".joint_offset.", ".link_twist.", ".joint_compliance.")
+    if any(part in name for part in angles):
         return float(np.rad2deg(1.0)), "deg"
     if name.split(".")[-1] in ("alpha_u", "alpha_v", "u0", "v0"):
         return 1.0, "px"

@@ -23,6 +23,7 @@ from ..engine import ROBOT_ERROR, TARGET_SCALE, Direction, step_names
 from ..geometry import host_matrices, vector_text
 from ..robot_errors import nominal_arm
 from ..variance import MIN_SHAPE_SIGMAS, TargetScaleEvidence
+from .bending import bending_warnings
 from .camera_like_errors import camera_like_errors
 from .joint_fit import JointFit, half_width
 
@@ -101,6 +102,7 @@ def plausibility_warnings(
     # Where the lens is not named as the cause, the disagreement is the only sign of one.
     warnings += of_lens or (_disagreement_warnings(fit) if has_pixels else [])
     warnings += _robot_warnings(fit, bool(contradicted_values))
+    warnings += bending_warnings(fit)
     warnings += _mount_warnings(fit)
     warnings += repetition_warnings(fit.rejected)
     # Several pictures from one pose have no more information on the robot than one.

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from ..argument_checks import errors_at
 from ..calibration import Calibration
 from ..dataset import DepthSensor
-from ..engine import Noise, Observability, parameter_names
+from ..engine import Noise, Observability, PoseDirections, parameter_names
 from ..files import finite_or_null, read_yaml
 
 if TYPE_CHECKING:
@@ -152,12 +152,22 @@ def _estimate_from_dict(calibration: Calibration, entry: dict[str, Any]) -> Save
 
 def noise_to_dict(noise: Noise) -> dict[str, Any]:
     """Return a noise model as plain numbers; None stands for infinity."""
+    directions = noise.directions
     return {
         "pixel": float(noise.pixel),
         "translation": finite_or_null(noise.translation),
         "rotation": finite_or_null(noise.rotation),
         "field": [float(sigma) for sigma in noise.field],
         "white_pixel": None if noise.white_pixel is None else float(noise.white_pixel),
+        **({} if directions is None else {"directions": _directions_to_dict(directions)}),
+    }
+
+
+def _directions_to_dict(directions: PoseDirections) -> dict[str, Any]:
+    """Return the directions of errors as plain numbers."""
+    return {
+        "in_tool": [list(row) for row in directions.in_tool],
+        "in_base": [list(row) for row in directions.in_base],
     }
 
 
@@ -165,11 +175,14 @@ def noise_from_dict(entry: dict[str, Any] | None) -> Noise | None:
     """Return the noise model of a file."""
     if entry is None:
         return None
-    infinite = float("inf")
+    infinite, directions = float("inf"), entry.get("directions")
     return Noise(
         entry["pixel"],
         infinite if entry["translation"] is None else entry["translation"],
         infinite if entry["rotation"] is None else entry["rotation"],
         tuple(entry["field"]),
         entry.get("white_pixel"),
+        None
+        if directions is None
+        else PoseDirections.of(np.array(directions["in_tool"]), np.array(directions["in_base"])),
     )

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.linalg import block_diag
 
 from ..calibration import Calibration
 from ..cameras import distinct_cameras
@@ -169,7 +170,9 @@ class CalibrationUncertainty(NamedTuple):
             return known
         # Six numbers for each view, named as the corrections of a fit's own views.
         views_named = [str(k) for k in range(count)]
-        return known._with_twists(_noise_sigmas(noise), views_named, np.arange(count), per_view)
+        poses = host_matrices(padded.base_from_tool)[:count]
+        covariances = _noise_covariances(noise, poses)
+        return known._with_twists(covariances, views_named, np.arange(count), per_view)
 
     @classmethod
     def _of_rig(
@@ -206,12 +209,14 @@ class CalibrationUncertainty(NamedTuple):
                 per_view[chain.views] = by_noise[: len(chain.views)]
             first += cameras
         # Pictures of several cameras in one state share the robot's noise.
-        states = rig_views.state_indices(host_matrices(views.command.base_from_tool)[:count])
+        poses = host_matrices(views.command.base_from_tool)[:count]
+        states = rig_views.state_indices(poses)
         state_names = [str(k) for k in range(int(states.max()) + 1)]
+        covariances = _noise_covariances(noise, poses[np.unique(states, return_index=True)[1]])
         shared_part = cls(
             tuple(names[k] for k in used), known[np.ix_(used, used)], jacobian, len(used)
         )
-        return shared_part._with_twists(_noise_sigmas(noise), state_names, states, per_view)
+        return shared_part._with_twists(covariances, state_names, states, per_view)
 
     def resized(self, views: SeenViews, target: SeenViews) -> "CalibrationUncertainty":
         """Return the uncertainty of the cameras of the same pictures brought to another size.
@@ -239,7 +244,7 @@ class CalibrationUncertainty(NamedTuple):
         """
         count = len(self.view_jacobian)
         return self._with_twists(
-            np.repeat([translation, rotation], 3),
+            np.tile(np.diag(np.repeat([translation**2, rotation**2], 3)), (count, 1, 1)),
             [f"camera of view {k}" for k in range(count)],
             np.arange(count),
             np.tile(np.eye(6), (count, 1, 1)),
@@ -247,7 +252,7 @@ class CalibrationUncertainty(NamedTuple):
 
     def _with_twists(
         self,
-        sigmas: Float[np.ndarray, "6"],
+        covariances: Float[np.ndarray, "twists 6 6"],
         names: Sequence[str],
         twist_of_view: Int[np.ndarray, "views"],
         by_twist: Float[np.ndarray, "views 6 6"],
@@ -255,7 +260,7 @@ class CalibrationUncertainty(NamedTuple):
         """Return the uncertainty with further independent twists, each of one or more views.
 
         Args:
-            sigmas: standard deviations of each twist, m and rad.
+            covariances: covariance of each twist, m and rad.
             names: of the twists.
             twist_of_view: index of the twist that moves each view.
             by_twist: derivatives of each view's twist by it.
@@ -263,9 +268,7 @@ class CalibrationUncertainty(NamedTuple):
         columns = np.zeros((*self.view_jacobian.shape[:2], 6 * len(names)))
         for view, (twist, derivatives) in enumerate(zip(twist_of_view, by_twist, strict=False)):
             columns[view, -6:, 6 * twist : 6 * twist + 6] = derivatives
-        known = len(self.covariance)
-        covariance = np.diag(np.concatenate([np.zeros(known), np.tile(sigmas**2, len(names))]))
-        covariance[:known, :known] = self.covariance
+        covariance = np.asarray(block_diag(self.covariance, *covariances))
         return CalibrationUncertainty(
             (*self.names, *correction_names(names)),
             covariance,
@@ -285,16 +288,17 @@ def camera_parameter_count(views: SeenViews) -> int:
     return sum(np.size(leaf) for leaf in jax.tree.leaves(distinct_cameras(views.camera)))
 
 
-def _noise_sigmas(noise: Noise) -> Float[np.ndarray, "6"]:
-    """Return the standard deviations of a reported pose's twist.
+def _noise_covariances(
+    noise: Noise, base_from_tool: Float[np.ndarray, "poses 4 4"]
+) -> Float[np.ndarray, "poses 6 6"]:
+    """Return the covariance of the twist of each reported pose.
 
     Raises:
-        ValueError: they are infinite.
+        ValueError: it is infinite.
     """
-    sigmas = np.repeat([noise.translation, noise.rotation], 3)
-    if not np.isfinite(sigmas).all():
+    if not np.isfinite([noise.translation, noise.rotation]).all():
         raise ValueError("covariance: infinite robot noise, so the views' poses are unknown")
-    return sigmas
+    return noise.pose_covariances(base_from_tool[:, :3, :3].swapaxes(1, 2))
 
 
 @compiled

@@ -256,9 +256,12 @@ MODEL_DESCRIPTIONS = {
     "white": "of every pose independently",
     "position": "smooth, linear in the tool's position",
     "pose": "smooth, linear in the tool's pose",
+    "position_squared": "smooth, quadratic in the tool's position, as of an arm that bends",
+    "pose_squared": "smooth, quadratic in the tool's position and linear in its orientation",
     "six_axis_arm": "of a six-axis arm derived from the poses",
     "joint_offsets": "zeros of the joints",
     "dh": "zeros of the joints, lengths and twists of the links",
+    "elastic_dh": "zeros and compliances of the joints, lengths and twists of the links",
 }
 """Descriptions of the robot error models, by name."""
 

@@ -1,5 +1,6 @@
 from .arm_errors import AbstractArmErrors as AbstractArmErrors
 from .arm_errors import DHErrors as DHErrors
+from .arm_errors import ElasticDHErrors as ElasticDHErrors
 from .arm_errors import JointOffsets as JointOffsets
 from .arm_errors import JointRatios as JointRatios
 from .arm_errors import nominal_arm as nominal_arm
@@ -12,6 +13,8 @@ from .field import checked_field_choice as checked_field_choice
 from .generic_six_axis_arm import GenericSixAxisArm as GenericSixAxisArm
 from .linear_fields import LinearInPose as LinearInPose
 from .linear_fields import LinearInPosition as LinearInPosition
+from .linear_fields import QuadraticInPosition as QuadraticInPosition
+from .linear_fields import SmoothInPose as SmoothInPose
 from .robot_error import RobotError as RobotError
 from .robot_prior import RobotPrior as RobotPrior
 from .scale_error import LinearInPoseWithScales as LinearInPoseWithScales

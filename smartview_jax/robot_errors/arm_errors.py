@@ -1,4 +1,4 @@
-"""Define robot error fields of the arm itself: joint zeros, gear ratios, Denavit-Hartenberg errors.
+"""Define robot error fields of the arm itself: joint zeros and ratios, links, and elastic joints.
 
 Unlike the linear fields these are exact: the actual pose is the forward kinematics of the corrected
 parameters. An error at either end of the chain that is the same in all views is equivalent to a
@@ -15,8 +15,21 @@ import jax.numpy as jnp
 from jaxlie import SE3
 from jaxtyping import Array, Float
 
-from ..robots import Command, JointsLike, SerialArm, dh_jacobian, solve_joints_iteratively
+from ..robots import (
+    Command,
+    JointsLike,
+    SerialArm,
+    dh_jacobian,
+    gravity_loads,
+    solve_joints_iteratively,
+)
 from .field import AbstractField
+
+DEFLECTION_STEPS = 4
+"""Number of fixed-point steps from actual joint angles to readings.
+
+Each multiplies the remaining error by the largest deflection, a few milliradians.
+"""
 
 
 class AbstractArmErrors(AbstractField):
@@ -38,6 +51,13 @@ class AbstractArmErrors(AbstractField):
         """Return the actual motion of each joint per unit of its reading."""
         del coefficients
         return jnp.ones(self.arm.joint_count)
+
+    def joint_deflections(
+        self, joints: Float[Array, "*views joints"], coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "*views joints"]:
+        """Return by how much each joint yields to the load of the arm at some readings."""
+        del coefficients
+        return jnp.zeros_like(joints)
 
     def actual_pose(self, reported: Command, coefficients: Float[Array, "coefficients"]) -> SE3:
         """Return the actual `base_from_tool`.
@@ -92,7 +112,8 @@ class AbstractArmErrors(AbstractField):
                 "instead of a pose, or corrected=False for the bare chain"
             )
         joints = jnp.asarray(reported.joints, dtype=float)
-        return joints * jnp.broadcast_to(self.joint_scale_factors(coefficients), joints.shape)
+        turned = joints * jnp.broadcast_to(self.joint_scale_factors(coefficients), joints.shape)
+        return turned + self.joint_deflections(joints, coefficients)
 
     def command(
         self,
@@ -120,7 +141,12 @@ class AbstractArmErrors(AbstractField):
         actual_joints, reached = solve_joints_iteratively(
             arm, actual, near * jnp.broadcast_to(scale_factors, near.shape)
         )
-        joints = actual_joints / jnp.broadcast_to(scale_factors, actual_joints.shape)
+        scale_factors = jnp.broadcast_to(scale_factors, actual_joints.shape)
+        joints = actual_joints / scale_factors
+        # The load hardly changes within a deflection, so that this fixed point converges at once.
+        for _ in range(DEFLECTION_STEPS):
+            deflections = self.joint_deflections(joints, coefficients)
+            joints = (actual_joints - deflections) / scale_factors
         return self.arm.command(jnp.where(reached[..., None], joints, jnp.nan))
 
 
@@ -197,6 +223,36 @@ class DHErrors(AbstractArmErrors):
         offset, d, a, alpha = jnp.split(coefficients, 4)
         arm = _with_joint_offsets(self.arm, offset)
         return dataclasses.replace(arm, d=arm.d + d, a=arm.a + a, alpha=arm.alpha + alpha)
+
+
+class ElasticDHErrors(AbstractArmErrors):
+    """A robot error field of `DHErrors` and of joints that yield to the weight of the arm.
+
+    A coefficient of the compliance is the angle, rad, by which a joint yields to a torque of one
+    (`robots.gravity_loads`): about the largest that the arm's own weight exerts at its base. It is
+    positive where the joint gives way to gravity.
+    """
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        return (*DHErrors(self.arm).groups, ("joint_compliance", self.arm.joint_count))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*DHErrors(self.arm).names, *_names_per_joint(("joint_compliance",), self.arm))
+
+    @property
+    def nested_fields(self) -> tuple[AbstractField, ...]:
+        return (*DHErrors(self.arm).nested_fields, self)
+
+    def actual_arm(self, coefficients: Float[Array, "coefficients"]) -> SerialArm:
+        return DHErrors(self.arm).actual_arm(coefficients[: -self.arm.joint_count])
+
+    def joint_deflections(
+        self, joints: Float[Array, "*views joints"], coefficients: Float[Array, "coefficients"]
+    ) -> Float[Array, "*views joints"]:
+        compliances = coefficients[-self.arm.joint_count :]
+        return gravity_loads(self.arm, joints) * jnp.broadcast_to(compliances, joints.shape)
 
 
 def _with_joint_offsets(arm: SerialArm, offset: Float[Array, "joints"]) -> SerialArm:

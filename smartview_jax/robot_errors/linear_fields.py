@@ -1,4 +1,4 @@
-"""Define robot error fields for any robot: twists linear in the tool's position and orientation."""
+"""Define robot error fields for any robot: twists that are smooth functions of the tool's pose."""
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,10 @@ The half width of a uniform distribution is sqrt(3) = 1.7 standard deviations.
 
 MIN_POSITION_STD = 1e-4
 """Standard deviation of the positions, m, below which a robot counts as not having translated."""
+
+
+_SQUARE_GROUPS = (("translation_by_square", 18), ("rotation_by_square", 18))
+"""Groups of the coefficients of the squares and products of the coordinates of the position."""
 
 
 class LinearInPosition(AbstractLinearField):
@@ -109,6 +113,92 @@ class LinearInPose(AbstractLinearField):
         return jnp.concatenate(column_blocks, axis=-1)
 
 
+class QuadraticInPosition(AbstractLinearField):
+    """A robot error field that is quadratic in the tool's position, with 54 coefficients.
+
+    Arms whose joints or links bend under gravity have such errors: the load on a joint depends on
+    how far the arm reaches. Both the translation and the rotation of the error are quadratic.
+
+    Attributes:
+        centre: position of the tool where the field is zero, m.
+        reach: distance from the centre that counts as one unit, m.
+    """
+
+    centre: Float[Array, "3"]
+    reach: Float[Array, ""]
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        return (*LinearInPosition(self.centre, self.reach).groups, *_SQUARE_GROUPS)
+
+    @property
+    def reference_length(self) -> float:
+        return float(self.reach)
+
+    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
+        return max_normalised_offset(self.centre, self.reach, reported)
+
+    @property
+    def nested_fields(self) -> tuple[AbstractField, ...]:
+        return (LinearInPosition(self.centre, self.reach), self)
+
+    @one_program
+    def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 54"]:
+        offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
+        column_blocks = [_twist_basis(base_from_tool, f) for f in (offset, _products(offset))]
+        return jnp.concatenate(column_blocks, axis=-1)
+
+
+class SmoothInPose(AbstractLinearField):
+    """A robot error field that is quadratic in the tool's position and linear in its orientation.
+
+    Both the translation and the rotation of the error are; there are 90 coefficients. It contains
+    all other fields for robots of unknown geometry.
+
+    Attributes:
+        centre: position of the tool where the field is zero, m.
+        reach: distance from the centre that counts as one unit, m.
+        axes: mean first and third column of the tool's rotation, at which the field is zero.
+    """
+
+    centre: Float[Array, "3"]
+    reach: Float[Array, ""]
+    axes: Float[Array, "6"]
+
+    @classmethod
+    def from_poses(cls, base_from_tool: SE3) -> "SmoothInPose":
+        """Return the field centred on poses `(views)` and scaled by their standard deviation."""
+        linear = LinearInPose.from_poses(base_from_tool)
+        return cls(linear.centre, linear.reach, linear.axes)
+
+    @property
+    def _linear(self) -> LinearInPose:
+        """The field without the quadratic part."""
+        return LinearInPose(self.centre, self.reach, self.axes)
+
+    @property
+    def groups(self) -> tuple[tuple[str, int], ...]:
+        return (*self._linear.groups, *_SQUARE_GROUPS)
+
+    @property
+    def reference_length(self) -> float:
+        return float(self.reach)
+
+    def normalised_distance(self, reported: Command) -> Float[Array, "*views"]:
+        return max_normalised_offset(self.centre, self.reach, reported)
+
+    @property
+    def nested_fields(self) -> tuple[AbstractField, ...]:
+        quadratic = QuadraticInPosition(self.centre, self.reach)
+        return (*self._linear.nested_fields, quadratic, self)
+
+    @one_program
+    def basis(self, base_from_tool: SE3) -> Float[Array, "*views 6 90"]:
+        offset = _deviation_from_mean(self.centre, base_from_tool.translation()) / self.reach
+        squares = _twist_basis(base_from_tool, _products(offset))
+        return jnp.concatenate([self._linear.basis(base_from_tool), squares], axis=-1)
+
+
 def centre_and_reach(base_from_tool: SE3) -> tuple[Float[Array, "3"], Float[Array, ""]]:
     """Return the mean position of the tool, and the distance from it that counts as one unit, m."""
     # Made once on the host, where NumPy needs no compilation.
@@ -137,6 +227,12 @@ def _deviation_from_mean(
 ) -> Float[Array, "*views functions"]:
     """Return the difference of values from their mean."""
     return values - jnp.broadcast_to(mean, values.shape)
+
+
+def _products(offset: Float[Array, "*views 3"]) -> Float[Array, "*views 6"]:
+    """Return the squares of the coordinates of a vector, and the products of two of them."""
+    x, y, z = jnp.moveaxis(offset, -1, 0)
+    return jnp.stack([x * x, y * y, z * z, x * y, x * z, y * z], axis=-1)
 
 
 def _tool_x_and_z(base_from_tool: SE3) -> Float[Array, "*views 6"]:

@@ -45,14 +45,19 @@ _GROUP_MEDIANS: Mapping[str, float] = MappingProxyType(
         # per metre.
         "translation_by_position": 1e-3,
         "rotation_by_position": 2e-3,
+        # Per square metre: the load on a joint, and with it an error of a milliradian, changes
+        # within a metre.
+        "translation_by_square": 1e-3,
+        "rotation_by_square": 1e-3,
         # Per radian of rotation: a wrong wrist axis moves a tool of 0.3 m by 0.3 mm.
         "translation_by_orientation": 3e-4,
         "rotation_by_orientation": 1e-3,
-        # Errors of the arm itself: rad, no unit, m and rad.
+        # Errors of the arm itself: rad, no unit, m, rad, and rad under the arm's own weight.
         "joint_offset": 1e-3,
         "joint_ratio": 1e-3,
         "link_length": 3e-4,
         "link_twist": 5e-4,
+        "joint_compliance": 5e-4,
         # Relative errors of the scale, which in an arm is correct within half a percent.
         "translation_by_stretch": 5e-3,
         "translation_by_scale": 5e-3,
@@ -68,6 +73,9 @@ _PER_METRE_GROUPS = frozenset(
     }
 )
 """Groups whose medians are per metre; a field's coefficients are per reference length."""
+
+_PER_SQUARE_METRE_GROUPS = frozenset({"translation_by_square", "rotation_by_square"})
+"""Groups whose medians are per square metre."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,7 +202,7 @@ class RobotPrior:
         # hence median per metre times reference length.
         group_medians = [
             self.group_medians.get(name, self.other_group_median)
-            * (reference_length if name in _PER_METRE_GROUPS else 1.0)
+            * reference_length ** _length_power(name)
             for name, _ in groups
         ]
         return np.array([self.translation_median, self.rotation_median, *group_medians])
@@ -217,3 +225,8 @@ class RobotPrior:
             return self.geometric_std
         known = name in self.group_medians
         return self.group_geometric_std if known else self.other_group_geometric_std
+
+
+def _length_power(group: str) -> int:
+    """Return the power of a length by which the errors of a group grow with the displacement."""
+    return (group in _PER_METRE_GROUPS) + 2 * (group in _PER_SQUARE_METRE_GROUPS)

@@ -9,21 +9,24 @@ import numpy as np
 from ..argument_checks import require_one_of, shortened_repr, spelling_suggestion
 from ..robots import SerialArm, arm_from_dict, arm_to_dict
 from ..runtime.array_namespace import as_float_array
-from .arm_errors import DHErrors, JointOffsets, JointRatios
+from .arm_errors import DHErrors, ElasticDHErrors, JointOffsets, JointRatios
 from .combined import CombinedField
 from .field import AbstractField
 from .generic_six_axis_arm import GenericSixAxisArm
-from .linear_fields import LinearInPose, LinearInPosition
+from .linear_fields import LinearInPose, LinearInPosition, QuadraticInPosition, SmoothInPose
 from .robot_error import RobotError
 from .scale_error import ScaleError
 
 FIELDS: dict[str, type[AbstractField]] = {
     "position": LinearInPosition,
     "pose": LinearInPose,
+    "position_squared": QuadraticInPosition,
+    "pose_squared": SmoothInPose,
     "six_axis_arm": GenericSixAxisArm,
     "joint_offsets": JointOffsets,
     "joint_ratios": JointRatios,
     "dh": DHErrors,
+    "elastic_dh": ElasticDHErrors,
     "scale_error": ScaleError,
     "combined": CombinedField,
 }

@@ -13,6 +13,7 @@ from .gripper import Gripper as Gripper
 from .gripper import GripperBox as GripperBox
 from .joint_axes import arm_from_axes as arm_from_axes
 from .joint_axes import axis_frames_at_zero as axis_frames_at_zero
+from .joint_loads import gravity_loads as gravity_loads
 from .joint_solution import FAILURE_FLAGS as FAILURE_FLAGS
 from .joint_solution import LIMIT_TOLERANCE as LIMIT_TOLERANCE
 from .joint_solution import JointSolution as JointSolution

@@ -181,7 +181,7 @@ def dh_jacobian(
     and `alpha`. The Jacobian is geometric: each parameter is a screw about the z or the x axis of a
     frame of the chain, and no automatic differentiation is needed.
     """
-    tool, frames = _chain_frames(arm, joints)
+    tool, frames = chain_frames(arm, joints)
     theta, d = _screw_twists(arm.convention, tool, frames, 2)
     alpha, a = _screw_twists(arm.convention, tool, frames, 0)
     return jnp.swapaxes(jnp.stack([theta, d, a, alpha], axis=-2), -3, -1)
@@ -192,7 +192,7 @@ def pose_and_jacobian(
     arm: SerialArm, joints: Float[Array, "joints"]
 ) -> tuple[SE3, Float[Array, "6 joints"]]:
     """Return the tool's pose, and its twist in the tool frame per unit of each joint reading."""
-    tool, frames = _chain_frames(arm, joints)
+    tool, frames = chain_frames(arm, joints)
     # A revolute joint's reading is added to theta, a prismatic joint's to d.
     theta, d = _screw_twists(arm.convention, tool, frames, 2)
     return tool, jnp.where(jnp.array(arm.prismatic)[:, None], d, theta).T
@@ -205,7 +205,7 @@ def _screw_twists(
 
     Args:
         convention: of the Denavit-Hartenberg parameters.
-        tool, frames: results of `_chain_frames`.
+        tool, frames: results of `chain_frames`.
         axis: 2 for the screws about z (`theta` and `d`), 0 for those about x (`alpha` and `a`).
     """
     # In the standard convention the z screw is the first of a link and the x screw the second; in
@@ -229,7 +229,7 @@ def _screw_twists(
 @compiled
 def _forward_kinematics(arm: SerialArm, joints: Float[Array, "*views joints"]) -> SE3:
     """Return the pose of the tool: `SerialArm.base_from_tool`, compiled."""
-    return _chain_frames(arm, joints)[0]
+    return chain_frames(arm, joints)[0]
 
 
 @compiled
@@ -237,12 +237,12 @@ def _origins(
     arm: SerialArm, joints: Float[Array, "*views joints"]
 ) -> Float[Array, "*views origins 3"]:
     """Return the origins of all frames along the chain: `SerialArm.frame_origins`, compiled."""
-    tool, frames = _chain_frames(arm, joints)
+    tool, frames = chain_frames(arm, joints)
     along = frames.translation().reshape(*joints.shape[:-1], -1, 3)
     return jnp.concatenate([along, tool.translation()[..., None, :]], axis=-2)
 
 
-def _chain_frames(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, SE3]:
+def chain_frames(arm: SerialArm, joints: Float[Array, "*views joints"]) -> tuple[SE3, SE3]:
     """Return the tool's poses, and the frames before both screws of each joint.
 
     The tool's poses are `(*views)`, the frames `(*views, joints, 2)`; all are in the base frame.

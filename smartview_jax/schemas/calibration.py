@@ -189,6 +189,29 @@ _SigmaOrZero = Annotated[
 ]
 
 
+_SixRows = Annotated[
+    list[NumberRow], Field(min_length=6, max_length=6), Expected("six rows of six numbers")
+]
+
+
+class PoseDirectionsEntry(Entry):
+    """Covariances of the error of a reported pose that follow the axes of tool and base (m, rad).
+
+    It is a twist at the tool, translation first.
+    """
+
+    in_tool: _SixRows
+    in_base: _SixRows
+
+    @model_validator(mode="after")
+    def _check_rows(self) -> "PoseDirectionsEntry":
+        """Raise a ValueError for rows that have not six numbers."""
+        for name in ("in_tool", "in_base"):
+            if any(len(row) != 6 for row in getattr(self, name)):
+                raise ValueError(f"{name}: expected six rows of six numbers")
+        return self
+
+
 class NoiseEntry(Entry):
     """Standard deviations of pixels (px) and reported poses (m, rad); null if infinite."""
 
@@ -197,6 +220,7 @@ class NoiseEntry(Entry):
     rotation: _Sigma | None
     field: list[_Sigma]
     white_pixel: _Sigma | None = None
+    directions: PoseDirectionsEntry | None = None
 
 
 class DepthBiasEntry(Entry):

@@ -24,6 +24,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..engine import PoseDirections, twist_rotations
 from ..runtime.modules import with_fields
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
@@ -134,29 +135,23 @@ class DirectionalNoise(NamedTuple):
         blocks = np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]])
         return np.sqrt(np.linalg.eigvalsh(blocks)[..., -1].mean(axis=1))
 
-    def covariance_at(
-        self,
-        tool_from_base: Float[np.ndarray, "others 3 3"],
-        of_views: Float[np.ndarray, "views 3 3"],
-    ) -> Float[np.ndarray, "others 6 6"]:
-        """Return the covariance of the error of other poses, translation (m) first.
+    def at_any_pose(self, tool_from_base: Float[np.ndarray, "views 3 3"]) -> PoseDirections:
+        """Return the directions without the views in which they were estimated.
 
         Args:
-            tool_from_base: rotation from the robot's base to its tool at these poses.
-            of_views: the same of the views in which the directions were estimated.
+            tool_from_base: rotation from the robot's base to its tool in these views.
         """
-        total = np.zeros((len(tool_from_base), 6, 6))
+        in_tool, in_base = np.zeros((2, 6, 6))
+        turned = twist_rotations(tool_from_base.swapaxes(1, 2))
         for name, probability in self.probabilities.items():
             covariance = self.covariances[name]
             if name.startswith("base "):
-                in_base = _twist_rotations(of_views.swapaxes(1, 2))
-                common = (in_base @ covariance @ in_base.swapaxes(1, 2)).mean(axis=0)
-                turned = _twist_rotations(tool_from_base)
-                covariance = turned @ common @ turned.swapaxes(1, 2)
+                of_base = turned @ covariance @ turned.swapaxes(1, 2)
+                in_base += probability * of_base.mean(axis=0)
             else:
-                covariance = covariance.mean(axis=0)
-            total += probability * covariance
-        return total
+                in_tool += probability * covariance.mean(axis=0)
+        # Rounding in the mean of products.
+        return PoseDirections.of(*(0.5 * (part + part.T) for part in (in_tool, in_base)))
 
     def with_sizes(self, sizes: Float[np.ndarray, "2"]) -> "DirectionalNoise":
         """Return the noise whose independent parameters have other standard deviations.
@@ -185,13 +180,6 @@ class DirectionalNoise(NamedTuple):
             },
             slopes=grown[None] @ self.slopes @ transposed[None],
         )
-
-
-def _twist_rotations(rotations: Float[np.ndarray, "views 3 3"]) -> Matrices:
-    """Return the matrices that turn the translation and the rotation of twists alike."""
-    result = np.zeros((len(rotations), 6, 6))
-    result[:, :3, :3] = result[:, 3:, 3:] = rotations
-    return result
 
 
 EQUAL = "equal"
@@ -400,7 +388,7 @@ class _Search(NamedTuple):
         """Return the search for a hypothesis."""
         rotations = np.tile(np.eye(6), (len(tool_from_base), 1, 1))
         if hypothesis.frame == "base":
-            rotations = _twist_rotations(tool_from_base)
+            rotations = twist_rotations(tool_from_base)
         # H is the logarithm of variances, twice the logarithm of standard deviations.
         precision = (2.0 * np.log(prior.axis_geometric_std)) ** -2
         return cls(

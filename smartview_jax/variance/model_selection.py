@@ -31,11 +31,12 @@ from ..engine import TARGET_SCALE, is_size
 from ..robot_errors import (
     AbstractField,
     CombinedField,
-    DHErrors,
+    ElasticDHErrors,
     FieldChoice,
     GenericSixAxisArm,
     LinearInPose,
     RobotPrior,
+    SmoothInPose,
     field_name,
 )
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, maximise_each
@@ -141,14 +142,11 @@ def encompassing_field(data: Dataset | Rig, view_count: int) -> AbstractField:
     """
     # With a known arm no generic arm is needed.
     if data.arm is not None:
-        return DHErrors(data.arm)
+        return ElasticDHErrors(data.arm)
     poses = readable_poses(data)
-    linear = LinearInPose.from_poses(poses)
-    return (
-        CombinedField(linear, GenericSixAxisArm.from_poses(poses))
-        if view_count >= MIN_GENERIC_ARM_VIEWS
-        else linear
-    )
+    if view_count < MIN_GENERIC_ARM_VIEWS:
+        return LinearInPose.from_poses(poses)
+    return CombinedField(SmoothInPose.from_poses(poses), GenericSixAxisArm.from_poses(poses))
 
 
 def readable_poses(data: Dataset | Rig) -> SE3:

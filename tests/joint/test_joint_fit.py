@@ -317,6 +317,10 @@ def test_a_robot_that_errs_along_its_tool_alone_is_taken_for_what_it_is():
     assert fit.noise_estimate is not None
     assert fit.noise_estimate.directions is not None
     assert fit.noise_estimate.directions.probabilities["tool axes"] > 0.5
+    # At any pose the mean of the covariances, which hardly differ between the views.
+    anywhere = fit.noise.pose_covariances(poses[:, :3, :3].swapaxes(1, 2))
+    expected = fit.noise_estimate.directions.covariance
+    np.testing.assert_allclose(anywhere, expected, atol=0.01 * expected.max())
     # Equal errors of the same sizes take more of the rest for the robot's.
     noise = Noise(fit.noise.pixel, fit.noise.translation, fit.noise.rotation)
     equal = fit_joint(data, scene.calibration, noise=noise)

@@ -10,15 +10,21 @@ from jaxlie import SE3
 
 from smartview_jax import Calibration
 from smartview_jax.cameras import Camera, Pinhole
-from smartview_jax.robot_errors import DHErrors, JointOffsets, JointRatios, RobotError
+from smartview_jax.robot_errors import (
+    DHErrors,
+    ElasticDHErrors,
+    JointOffsets,
+    JointRatios,
+    RobotError,
+)
 from smartview_jax.robots import SerialArm, kuka_lwr4, six_axes
 
 ARMS = [six_axes(), kuka_lwr4(), SerialArm(*np.eye(4, 3), prismatic=[False, True, False])]
 
 
-@pytest.fixture(scope="module", params=[JointRatios, DHErrors])
+@pytest.fixture(scope="module", params=[JointRatios, ElasticDHErrors])
 def field(request):
-    """Joint offsets alone are the first part of either."""
+    """Joint offsets alone are the first part of either, and all of `DHErrors` of the latter."""
     return request.param(six_axes())
 
 
@@ -65,6 +71,21 @@ def test_a_joint_goes_its_ratio_times_its_reading_and_its_offset():
     np.testing.assert_allclose(motion_between(found, expected), 0.0, atol=1e-13)
 
 
+def test_a_joint_yields_to_the_weight_beyond_it():
+    """By hand: two links of 1 m, level and at 60 degrees, about joints with axes along y."""
+    arm = SerialArm([0.0, 0.0, 0.0], np.zeros(3), [0.0, 1.0, 1.0], [-np.pi / 2.0, 0.0, 0.0])
+    compliances = np.array([0.0, 0.003, 0.002])
+    error = RobotError(ElasticDHErrors(arm), jnp.concatenate([jnp.zeros(12), compliances]))
+    reading = np.array([[0.0, 0.0, -np.pi / 3.0]])
+    # Three equal masses: at the second joint, after 1 m and after 1.5 m. Levers are in parts of
+    # half of their number times the reach of 2 m; turns by +y lower the arm.
+    levers = np.array([0.0, 1.0 + 1.5, 0.5]) / (1.5 * 2.0)
+    expected = arm.base_from_tool(reading + compliances * levers)
+    found = actual_pose(error, arm.command(reading))
+    np.testing.assert_allclose(motion_between(found, expected), 0.0, atol=1e-13)
+    assert found.translation()[0, 2] < arm.base_from_tool(reading).translation()[0, 2]
+
+
 def test_a_command_keeps_readings_within_their_limits(joints):
     """What a joint goes may pass the limit that its reading keeps."""
     readings = joints * 0.9
@@ -75,7 +96,7 @@ def test_a_command_keeps_readings_within_their_limits(joints):
     np.testing.assert_allclose(told.joints, readings, atol=1e-7)
 
 
-@pytest.mark.parametrize("kind", [JointRatios, DHErrors])
+@pytest.mark.parametrize("kind", [JointRatios, ElasticDHErrors])
 def test_the_smaller_field_is_the_first_part_of_the_larger(joints, kind):
     larger = kind(six_axes())
     smaller = larger.nested_fields[0]
@@ -93,7 +114,7 @@ def test_the_smaller_field_is_the_first_part_of_the_larger(joints, kind):
 @pytest.mark.parametrize("arm", ARMS, ids=["six", "seven", "sliding"])
 def test_no_errors_leave_the_pose_as_reported(arm):
     reported = arm.command(np.full((2, arm.joint_count), 0.3))
-    for field in (*DHErrors(arm).nested_fields, JointRatios(arm)):
+    for field in (*ElasticDHErrors(arm).nested_fields, JointRatios(arm)):
         found = RobotError.zero(field).actual_pose(reported)
         np.testing.assert_array_equal(found.wxyz_xyz, reported.base_from_tool.wxyz_xyz)
 

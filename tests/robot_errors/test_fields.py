@@ -23,7 +23,9 @@ from smartview_jax.robot_errors import (
     AbstractLinearField,
     LinearInPose,
     LinearInPosition,
+    QuadraticInPosition,
     RobotError,
+    SmoothInPose,
     checked_field_choice,
 )
 from smartview_jax.robots import as_command
@@ -54,19 +56,23 @@ def poses():
     return SE3.exp(jnp.asarray(rng.normal(size=(12, 6)) * [0.2, 0.3, 0.1, 0.8, 0.8, 0.8]))
 
 
-@pytest.fixture(scope="module", params=["pose", "own"])
+@pytest.fixture(scope="module", params=["pose_squared", "own"])
 def error(request, poses):
     field = {
-        "pose": lambda: LinearInPose.from_poses(poses),
+        "pose_squared": lambda: SmoothInPose.from_poses(poses),
         "own": lambda: Sag(jnp.asarray(1.5)),
     }[request.param]()
     rng = np.random.default_rng(1)
     return RobotError(field, jnp.asarray(1e-3 * rng.normal(size=field.size)))
 
 
-def test_there_are_18_and_54_coefficients(poses):
-    assert LinearInPosition.from_poses(poses).size == 18
-    assert LinearInPose.from_poses(poses).size == 54
+def test_each_field_has_the_coefficients_of_its_groups(poses):
+    fields = SmoothInPose.from_poses(poses).nested_fields
+    kinds = [LinearInPosition, LinearInPose, QuadraticInPosition, SmoothInPose]
+    assert [type(field) for field in fields] == kinds
+    assert [field.size for field in fields] == [18, 54, 54, 90]
+    for kind in kinds[:2]:
+        assert eqx.tree_equal(kind.from_poses(poses), fields[kinds.index(kind)])
 
 
 def test_groups_names_and_columns_agree(error, poses):
@@ -89,6 +95,36 @@ def test_the_twist_is_linear_in_the_position_in_base_axes(poses):
     expected = [base_from_tool.inv().apply(offset @ matrix) for matrix in (shift, turn)]
     found = field.twist(poses, coefficients)
     np.testing.assert_allclose(found, np.concatenate(expected, axis=1), atol=1e-15)
+
+
+def test_the_twist_is_quadratic_in_the_position_in_base_axes(poses):
+    """Worked out with SciPy: the scaled offset between two vectors, by a symmetric matrix."""
+    field = SmoothInPose.from_poses(poses).nested_fields[2]
+    rng = np.random.default_rng(2)
+    symmetric = 1e-3 * rng.normal(size=(6, 3, 3))
+    symmetric = symmetric + symmetric.swapaxes(1, 2)
+    # The squares first, then the products xy, xz and yz, which the form has twice.
+    entries = [(0, 0, 1), (1, 1, 1), (2, 2, 1), (0, 1, 2), (0, 2, 2), (1, 2, 2)]
+    columns = np.array([times * symmetric[:, i, k] for i, k, times in entries])
+    halves = np.concatenate([columns[:, :3].ravel(), columns[:, 3:].ravel()])
+    coefficients = jnp.concatenate([jnp.zeros(18), jnp.asarray(halves)])
+    positions = np.asarray(poses.translation())
+    spread = 1.7 * np.sqrt(np.mean(np.var(positions, axis=0)))
+    offset = (positions - positions.mean(axis=0)) / spread
+    forms = np.einsum("vi,aik,vk->va", offset, symmetric, offset)
+    base_from_tool = Rotation.from_quat(np.asarray(poses.rotation().wxyz), scalar_first=True)
+    expected = [base_from_tool.inv().apply(form) for form in (forms[:, :3], forms[:, 3:])]
+    found = field.twist(poses, coefficients)
+    np.testing.assert_allclose(found, np.concatenate(expected, axis=1), atol=1e-15)
+
+
+def test_the_largest_field_contains_the_smaller_ones(poses):
+    """A group has the same columns in every field that has it."""
+    *smaller, largest = SmoothInPose.from_poses(poses).nested_fields
+    basis = largest.basis(poses)
+    for field in smaller:
+        places = [largest.names.index(name) for name in field.names]
+        np.testing.assert_allclose(field.basis(poses), basis[..., places], atol=1e-15)
 
 
 def test_a_field_in_the_pose_sees_turns_that_one_in_position_does_not(poses):
@@ -118,8 +154,8 @@ def test_fits_see_the_same_error(error, poses):
 @pytest.fixture(scope="module")
 def by_pose(poses):
     """The field that has most."""
-    field = LinearInPose.from_poses(poses)
-    return RobotError(field, jnp.asarray(1e-3 * np.random.default_rng(1).normal(size=54)))
+    field = SmoothInPose.from_poses(poses)
+    return RobotError(field, jnp.asarray(1e-3 * np.random.default_rng(1).normal(size=90)))
 
 
 def test_the_twist_of_each_coefficient_is_the_derivative_of_the_pose(by_pose, poses):

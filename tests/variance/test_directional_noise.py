@@ -154,10 +154,11 @@ def test_sizes_are_means_over_axes_where_rotations_follow_translations(world):
 def test_other_poses_err_along_the_same_axes(world):
     """Of the base, in whose frame the errors were drawn; at the views themselves as estimated."""
     *_, noise = estimated(world, 3, in_base(AXES))
-    np.testing.assert_allclose(noise.covariance_at(TURNS, TURNS), noise.covariance, rtol=1e-6)
+    anywhere = noise.at_any_pose(TURNS)
+    np.testing.assert_allclose(anywhere.covariances(TURNS), noise.covariance, rtol=1e-6)
     others = Rotation.random(5, random_state=8).as_matrix()
     both = np.stack([block_diag(turn, turn) for turn in others])
-    in_base_again = both.swapaxes(1, 2) @ noise.covariance_at(others, TURNS) @ both
+    in_base_again = both.swapaxes(1, 2) @ anywhere.covariances(others) @ both
     first = block_diag(TURNS[0], TURNS[0])
     common = first.T @ noise.covariance[0] @ first
     np.testing.assert_allclose(

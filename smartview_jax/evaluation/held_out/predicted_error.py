@@ -118,7 +118,7 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
             raise ValueError(
                 "the noise model leaves the robot's poses free: nothing can be predicted"
             )
-        roots = to_device(_pose_noise_roots(fit, noise, data))
+        roots = to_device(_pose_noise_roots(noise, data))
         pose_variance = np.asarray(
             _pose_noise_variance(calibration, roots, data.command, data.points)
         )
@@ -141,19 +141,10 @@ def expected_squared_errors(fit: JointFit | SavedEstimate, data: Dataset) -> Exp
     )
 
 
-def _pose_noise_roots(
-    fit: JointFit | SavedEstimate, noise: Noise, data: Dataset
-) -> Float[np.ndarray, "views 6 6"]:
+def _pose_noise_roots(noise: Noise, data: Dataset) -> Float[np.ndarray, "views 6 6"]:
     """Return the noise of each reported pose, a twist at the tool, by six unit normal numbers."""
-    estimate = fit.noise_estimate if isinstance(fit, JointFit) else None
-    if not isinstance(fit, JointFit) or estimate is None or estimate.directions is None:
-        sigmas = np.repeat([noise.translation, noise.rotation], 3)
-        return np.tile(np.diag(sigmas), (data.view_count, 1, 1))
-    fitted = fit.problem.observations.command.base_from_tool
-    unseen, seen = (
-        host_matrices(poses)[:, :3, :3].swapaxes(1, 2) for poses in (data.base_from_tool, fitted)
-    )
-    covariances = estimate.directions.covariance_at(unseen, seen)
+    tool_from_base = host_matrices(data.base_from_tool)[:, :3, :3].swapaxes(1, 2)
+    covariances = noise.pose_covariances(tool_from_base)
     return np.stack([covariance_factor(covariance) for covariance in covariances])
 
 

@@ -1,6 +1,5 @@
 import dataclasses
 import functools
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +10,7 @@ from standard_scene import POINTS, VIEWS
 from starts import nudged
 
 from smartview_jax import Noise, fit_joint
+from smartview_jax.engine import PoseDirections
 from smartview_jax.evaluation import (
     expected_reprojection_errors,
     fit_folds,
@@ -18,9 +18,7 @@ from smartview_jax.evaluation import (
     reprojection_errors,
 )
 from smartview_jax.geometry import as_se3, host_exponentials, host_matrices
-from smartview_jax.runtime.modules import with_fields
 from smartview_jax.simulation import random_scene, simulate
-from smartview_jax.variance.directional_noise import DirectionalNoise
 
 NOISE = Noise(pixel=0.15, translation=2e-4, rotation=5e-4)
 
@@ -75,15 +73,7 @@ def test_the_robots_noise_is_that_of_a_simulation(fitted):
 def test_noise_along_the_tool_moves_pixels_as_in_a_simulation(fitted):
     """A millimetre along the tool moves them less than a millimetre across it."""
     sigmas = np.array([5e-5, 5e-5, 1e-3, 5e-5, 5e-5, 5e-5])
-    covariance = np.tile(np.diag(sigmas**2), (VIEWS, 1, 1))
-    directions = DirectionalNoise(
-        *(np.sqrt(np.mean(sigmas.reshape(2, 3) ** 2, axis=1))),
-        np.tile(np.eye(6), (VIEWS, 1, 1)),
-        {"tool ellipsoid": 1.0},
-        {"tool ellipsoid": covariance},
-        np.zeros((0, VIEWS, 6, 6)),
-        np.zeros((0, 0)),
-    )
+    directions = PoseDirections.of(np.diag(sigmas**2), np.zeros((6, 6)))
     poses = noisy_scene(3).base_from_tool
     data = simulate(TRUTH, poses, POINTS, 0, 0.0).data
     rng, squares = np.random.default_rng(0), []
@@ -94,7 +84,8 @@ def test_noise_along_the_tool_moves_pixels_as_in_a_simulation(fitted):
         squares.append(reprojection_errors(TRUTH, erring).px ** 2)
     exact = dataclasses.replace(fitted, calibration=TRUTH)
     still = dataclasses.replace(exact, noise=Noise(0.15, 1e-12, 1e-12))
-    by_direction = with_fields(exact, noise_estimate=SimpleNamespace(directions=directions))
+    along = dataclasses.replace(exact.noise, directions=directions)
+    by_direction = dataclasses.replace(exact, noise=along)
     expected = [expected_reprojection_errors(f, data).px ** 2 for f in (by_direction, still)]
     share = np.nanmean(squares) / np.nanmean(expected[0] - expected[1])
     assert share == pytest.approx(1.0, abs=0.15)

@@ -1,0 +1,95 @@
+"""Say that the arm bends, and by how much: its errors then depend on how far it reaches."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..engine import ROBOT_ERROR
+from ..geometry import host_matrices
+from ..robot_errors import CombinedField, QuadraticInPosition, SmoothInPose
+from ..variance import MIN_SHAPE_SIGMAS
+from .joint_fit import JointFit
+
+MIN_BENDING_PROBABILITY = 0.5
+"""Probability of the models with errors that are quadratic in the position, above which the bending
+of an arm of unknown geometry is named."""
+
+
+def bending_warnings(fit: JointFit) -> list[str]:
+    """Return sentences on joints that yield to the arm's weight, or on curved errors of its poses.
+
+    Both are corrected where the calibration is used with its correction.
+    """
+    if fit.noise_estimate is None or fit.calibration.robot_error is None:
+        return []
+    return _yielding_joints(fit) + _curved_errors(fit)
+
+
+def _yielding_joints(fit: JointFit) -> list[str]:
+    """Return a sentence on the joints whose compliance is significant."""
+    compliances = _coefficients(fit, "joint_compliance")
+    stds = {name: fit.std[f"{ROBOT_ERROR}.{name}"] for name in compliances}
+    named = [
+        f"{name.split('.')[1]} by {np.rad2deg(abs(value)):.3f} +- {np.rad2deg(stds[name]):.3f}"
+        for name, value in compliances.items()
+        if abs(value) > MIN_SHAPE_SIGMAS * stds[name]
+    ]
+    if not named:
+        return []
+    return [
+        f"the arm bends: joint {', '.join(named)} degrees where its load is as large as that of "
+        "the arm's own weight on its base when stretched out, which is corrected"
+    ]
+
+
+def _curved_errors(fit: JointFit) -> list[str]:
+    """Return a sentence on errors that are quadratic in the position, if they are probable."""
+    assert fit.noise_estimate is not None
+    probability = sum(
+        candidate.probability
+        for candidate in fit.noise_estimate.candidates
+        if candidate.model.field.endswith("_squared")
+    )
+    curved = _coefficients(fit, "translation_by_square")
+    if not curved or probability < MIN_BENDING_PROBABILITY:
+        return []
+    rows = [fit.parameter_names.index(f"{ROBOT_ERROR}.{name}") for name in curved]
+    covariance = np.asarray(fit.covariance)[np.ix_(rows, rows)]
+    by_coefficient = _curvature(fit).reshape(-1, len(curved))
+    values = np.array(list(curved.values()))
+    count = len(by_coefficient) / 3.0
+    moments = by_coefficient.T @ by_coefficient / count
+    # rms = sqrt(c^T M c) of the coefficients c, with the gradient M c / rms.
+    rms = float(np.sqrt(values @ moments @ values))
+    gradient = moments @ values / max(rms, np.finfo(float).tiny)
+    std = float(np.sqrt(gradient @ covariance @ gradient))
+    return [
+        f"the robot's error is curved, as of an arm that bends under its weight: over the views "
+        f"{1e3 * rms:.2f} +- {1e3 * std:.2f} mm RMS from a straight line, which is corrected"
+    ]
+
+
+def _coefficients(fit: JointFit, group: str) -> dict[str, float]:
+    """Return the fitted coefficients of a group of the robot error by name."""
+    error = fit.calibration.robot_error
+    assert error is not None
+    values = zip(error.field.names, np.asarray(error.coefficients), strict=True)
+    return {
+        name: float(value)
+        for name, value in values
+        if name.startswith(f"{group}.") and f"{ROBOT_ERROR}.{name}" in fit.parameter_names
+    }
+
+
+def _curvature(fit: JointFit) -> Float[np.ndarray, "views 3 coefficients"]:
+    """Return the part of the translation that is not linear in the position, per coefficient, m."""
+    field = fit.calibration.field
+    smooth = field.first if isinstance(field, CombinedField) else field
+    assert isinstance(smooth, QuadraticInPosition | SmoothInPose)
+    poses = host_matrices(fit.problem.observations.base_from_tool)[fit.used_views]
+    offset = (poses[:, :3, 3] - np.asarray(smooth.centre)) / float(smooth.reach)
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    products = np.stack([offset[:, i] * offset[:, k] for i, k in pairs], axis=1)
+    linear = np.column_stack([np.ones(len(offset)), offset])
+    rest = products - linear @ np.linalg.lstsq(linear, products, rcond=None)[0]
+    # A coefficient is of one product, along one axis of the base.
+    return np.einsum("vf,ij->vifj", rest, np.eye(3)).reshape(len(rest), 3, -1)
