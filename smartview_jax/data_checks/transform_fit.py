@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..calibration import mount_frames
 from ..dataset import undetermined_twists
-from ..geometry import host_logarithms, host_matrices, host_transforms
+from ..geometry import host_logarithms, host_matrices
 from ..hand_eye import mean_camera_from_mount, minimum_norm_transforms, park_martin
 from .closure import Poses
 from .misfit_evidence import errors_of, in_parts
@@ -149,10 +149,7 @@ def fit_transforms(
         # A closed form would divide by noise where the motion determines nothing.
         _, world = minimum_norm_transforms(robot, camera)
     else:
-        _, holder_from_world = park_martin(
-            host_transforms(robot), host_transforms(camera), np.ones(len(robot))
-        )
-        world = host_matrices(holder_from_world)
+        _, world = park_martin.of_matrices(robot, camera, np.ones(len(robot)))
     hand_eye = mean_camera_from_mount(world, robot, camera, np.ones(len(robot)))
     closure = np.linalg.inv(hand_eye) @ camera_from_world @ np.linalg.inv(mount_from_holder @ world)
     return TransformFit(hand_eye, world, closure)
