@@ -15,20 +15,25 @@ def host_matrices(poses: SE3) -> Float[np.ndarray, "*batch 4 4"]:
     A matrix is NaN where a transform is not finite, or where its quaternion is zero.
     """
     numbers = np.asarray(poses.wxyz_xyz)
-    matrices = np.full((*numbers.shape[:-1], 4, 4), np.nan)
     given = np.isfinite(numbers).all(axis=-1) & numbers[..., :4].any(axis=-1)
-    if given.any():
-        rotations = _rotations_of_quaternions(numbers[given][:, :4])
-        matrices[given] = host_poses(rotations, numbers[given][:, 4:])
+    if given.all():
+        return host_poses(_rotations_of_quaternions(numbers[..., :4]), numbers[..., 4:])
+    matrices = np.full((*numbers.shape[:-1], 4, 4), np.nan)
+    rotations = _rotations_of_quaternions(numbers[given][:, :4])
+    matrices[given] = host_poses(rotations, numbers[given][:, 4:])
     return matrices
 
 
-def _rotations_of_quaternions(wxyz: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
+def _rotations_of_quaternions(
+    wxyz: Float[np.ndarray, "*batch 4"],
+) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the rotation matrices of quaternions, real part first, of any length but zero."""
-    # R = I + 2 (w [v] + [v]^2) / |q|^2 for q = (w, v), with [v] the matrix of v x.
-    cross = host_cross_matrices(wxyz[:, 1:])
-    turned = wxyz[:, 0, None, None] * cross + cross @ cross
-    return np.eye(3) + 2.0 * turned / np.sum(wxyz**2, axis=1)[:, None, None]
+    # R = I + 2 (w [v] + [v]^2) / |q|^2 for q = (w, v), with [v] the matrix of v x. Its entries are
+    # sums of products of two of the four numbers: for a few poses one product of matrices takes
+    # half as long as the formula.
+    products = (wxyz[..., :, None] * wxyz[..., None, :]).reshape(*wxyz.shape[:-1], 16)
+    turned = (products @ _TURNED_BY_PRODUCTS).reshape(*wxyz.shape[:-1], 3, 3)
+    return np.eye(3) + turned / np.vecdot(wxyz, wxyz)[..., None, None]
 
 
 def host_poses(
@@ -76,23 +81,49 @@ def _transform_numbers(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray
     """
     R = matrices[:, :3, :3]
     # For a unit quaternion (w, x, y, z), each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
-    diagonal = 1.0 + np.stack([R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]], axis=1) @ _DIAGONAL_SIGNS.T
-    wx, wy, wz = (R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
-    xy, xz, yz = (R[:, i, j] + R[:, j, i] for i, j in ((1, 0), (0, 2), (2, 1)))
-    w, x, y, z = diagonal.T
-    rows = np.array([[w, wx, wy, wz], [wx, x, xy, xz], [wy, xy, y, yz], [wz, xz, yz, z]])
+    rows = (R.reshape(-1, 9) @ _ROWS_BY_ENTRIES).reshape(-1, 4, 4) + np.eye(4)
     # The row is chosen as in jaxlie, so that it is far from zero.
     first, second, third = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
     chosen = np.where(third < 0.0, np.where(first > second, 1, 2), np.where(first < -second, 3, 0))
-    quaternions = rows[chosen, :, np.arange(len(R))]
+    quaternions = rows[np.arange(len(R)), chosen]
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     return np.hstack([quaternions, matrices[:, :3, 3]])
 
 
-_DIAGONAL_SIGNS = np.array(
-    [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
-)
-"""Signs of a rotation matrix's diagonal in `4 w^2 - 1`, `4 x^2 - 1`, `4 y^2 - 1`, `4 z^2 - 1`."""
+def _turned_by_products() -> Float[np.ndarray, "16 9"]:
+    """Return the entries of `2 (w [v] + [v]^2)` by products of two numbers of `(w, v)`."""
+    w_and_v = np.zeros((4, 4, 3, 3))
+    basis = np.eye(3)
+    # [v] has the rows of v x e_k in its columns, and [v]^2 is v v^T - |v|^2.
+    for k in range(3):
+        w_and_v[0, k + 1] = 2.0 * np.cross(basis[k], basis).T
+        w_and_v[k + 1, k + 1] -= 2.0 * basis
+        for j in range(3):
+            w_and_v[k + 1, j + 1] += 2.0 * np.outer(basis[k], basis[j])
+    return w_and_v.reshape(16, 9)
+
+
+_TURNED_BY_PRODUCTS = _turned_by_products()
+
+
+def _rows_by_entries() -> Float[np.ndarray, "9 16"]:
+    """Return by entries of a rotation what its quaternion's products have, times four, but for 1.
+
+    The rows are `4 w`, `4 x`, `4 y` and `4 z` times the quaternion; the diagonals have one more.
+    """
+    by_entry = np.zeros((3, 3, 4, 4))
+    for k in range(3):
+        by_entry[k, k, np.arange(4), np.arange(4)] = -1.0
+        by_entry[k, k, [0, k + 1], [0, k + 1]] = 1.0
+    for i, j, axis in ((2, 1, 1), (0, 2, 2), (1, 0, 3)):
+        for row, column in ((0, axis), (axis, 0)):
+            by_entry[i, j, row, column], by_entry[j, i, row, column] = 1.0, -1.0
+        for row, column in ((i + 1, j + 1), (j + 1, i + 1)):
+            by_entry[i, j, row, column] = by_entry[j, i, row, column] = 1.0
+    return by_entry.reshape(9, 16)
+
+
+_ROWS_BY_ENTRIES = _rows_by_entries()
 
 
 def host_logarithms(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6"]:
@@ -200,12 +231,13 @@ def host_cross_matrices(
     vectors: Float[np.ndarray, "*batch 3"],
 ) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the matrices of the vector product with vectors from the left."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    matrices = np.zeros((*vectors.shape, 3))
-    matrices[..., 0, 1], matrices[..., 0, 2] = -z, y
-    matrices[..., 1, 0], matrices[..., 1, 2] = z, -x
-    matrices[..., 2, 0], matrices[..., 2, 1] = -y, x
-    return matrices
+    entries = np.zeros((*vectors.shape[:-1], 9))
+    entries[..., _CROSS_ENTRIES[0]], entries[..., _CROSS_ENTRIES[1]] = vectors, -vectors
+    return entries.reshape(*vectors.shape, 3)
+
+
+_CROSS_ENTRIES = [7, 2, 3], [5, 6, 1]
+"""The entries of a matrix, row by row, that have x, y and z, and those that have them negated."""
 
 
 def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:

@@ -44,37 +44,44 @@ views."""
 MIN_PAIRS_PER_VIEW, CANDIDATES_PER_PAIR = 4, 3
 """Smallest number of pairs chosen for each view of many, and of candidates for each of them."""
 
-ClosedForm = Callable[
-    [SE3, SE3, Float[Array, "views"] | Float[np.ndarray, "views"]], tuple[SE3, SE3]
-]
-"""Type of a closed form: a function of `mount_from_holder`, `camera_from_world` and weights."""
 
+class ClosedForm:
+    """A method that computes both transforms from the poses of robot and camera, without a start.
 
-def _of_transforms(
-    solve: Callable[[_Matrices, _Matrices, _Weights], tuple[_Matrix, _Matrix]],
-) -> ClosedForm:
-    """Return a function of transforms, given the method for matrices of views that have weight."""
+    It is a function of `mount_from_holder`, `camera_from_world` and the weights of the views, and
+    returns `camera_from_mount` and `holder_from_world`.
+    """
 
-    @functools.wraps(solve, assigned=("__module__", "__name__", "__qualname__", "__doc__"))
-    def of_transforms(
+    def __init__(self, solve: Callable[[_Matrices, _Matrices, _Weights], tuple[_Matrix, _Matrix]]):
+        self._solve = solve
+        functools.update_wrapper(self, solve, ("__module__", "__name__", "__qualname__", "__doc__"))
+        # Documentation shows the signature for transforms, not the one for matrices.
+        del vars(self)["__wrapped__"]
+
+    def __call__(
+        self,
         mount_from_holder: SE3,
         camera_from_world: SE3,
         weights: Float[Array, "views"] | Float[np.ndarray, "views"],
     ) -> tuple[SE3, SE3]:
-        w = np.asarray(weights)
-        used = w > 0.0
-        M, C = host_matrices(mount_from_holder)[used], host_matrices(camera_from_world)[used]
-        if not np.isfinite([M, C]).all():
-            missing = host_transforms(np.full((4, 4), np.nan))
+        """Return both transforms, NaN where poses with weight are not finite."""
+        camera_from_mount, holder_from_world = self.of_matrices(
+            host_matrices(mount_from_holder), host_matrices(camera_from_world), np.asarray(weights)
+        )
+        return host_transforms(camera_from_mount), host_transforms(holder_from_world)
+
+    def of_matrices(
+        self, mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
+    ) -> tuple[_Matrix, _Matrix]:
+        """Return the same from matrices as matrices."""
+        used = weights > 0.0
+        M, C = mount_from_holder[used], camera_from_world[used]
+        if not (np.isfinite(M).all() and np.isfinite(C).all()):
+            missing = np.full((4, 4), np.nan)
             return missing, missing
         # Motions that do not determine the transforms may divide by zero; the result shows it.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            camera_from_mount, holder_from_world = solve(M, C, w[used])
-        return host_transforms(camera_from_mount), host_transforms(holder_from_world)
-
-    # Documentation shows the function's own signature, not the one for matrices.
-    del vars(of_transforms)["__wrapped__"]
-    return of_transforms
+            return self._solve(M, C, weights[used])
 
 
 def mean_holder_from_world(
@@ -169,7 +176,7 @@ def park_martin_matrices(
     return _solve_translation(rotation, A, B, w, mount_from_holder, camera_from_world, weights)
 
 
-@_of_transforms
+@ClosedForm
 def park_martin(
     mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
 ) -> tuple[_Matrix, _Matrix]:
@@ -181,7 +188,7 @@ def park_martin(
     return park_martin_matrices(mount_from_holder, camera_from_world, weights)
 
 
-@_of_transforms
+@ClosedForm
 def tsai_lenz(
     mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
 ) -> tuple[_Matrix, _Matrix]:
@@ -210,7 +217,7 @@ def tsai_lenz(
     )
 
 
-@_of_transforms
+@ClosedForm
 def daniilidis(
     mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
 ) -> tuple[_Matrix, _Matrix]:
@@ -251,7 +258,7 @@ def daniilidis(
     )
 
 
-@_of_transforms
+@ClosedForm
 def shah(
     mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
 ) -> tuple[_Matrix, _Matrix]:

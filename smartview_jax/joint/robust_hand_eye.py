@@ -20,9 +20,8 @@ from ..geometry import (
     host_poses,
     host_rotation_angles,
     host_rotation_vectors,
-    host_transforms,
 )
-from ..hand_eye import CLOSED_FORMS, mean_holder_from_world, motion_pairs
+from ..hand_eye import CLOSED_FORMS, ClosedForm, mean_holder_from_world, motion_pairs
 
 TRIPLES = 200
 """Number of triples: with half of all pairs wrong, none is right once in 10^11."""
@@ -247,13 +246,15 @@ def _mixture(
     return np.asarray(cost), weight > 0.5
 
 
-def _closed_form(form, T: _Matrices, C: _Matrices, weights: np.ndarray) -> np.ndarray | None:
+def _closed_form(
+    form: ClosedForm, T: _Matrices, C: _Matrices, weights: np.ndarray
+) -> np.ndarray | None:
     """Return `camera_from_mount` by a closed form; None if the motion does not determine it."""
     try:
-        hand = np.asarray(form(host_transforms(T), host_transforms(C), weights)[0].as_matrix())
+        hand, _ = form.of_matrices(T, C, weights)
     except (ValueError, np.linalg.LinAlgError):
         return None
-    return np.array(hand) if np.isfinite(hand).all() else None
+    return hand if np.isfinite(hand).all() else None
 
 
 def _translation_and_scale(

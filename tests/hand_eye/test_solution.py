@@ -3,6 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 from host_poses import motion_between
 from jaxlie import SE3
 
@@ -52,6 +53,15 @@ def test_closed_forms_find_the_truth(exact, name):
     hand_eye, world = CLOSED_FORMS[name](T, C, jnp.ones(VIEWS))
     assert distance(hand_eye, scene.calibration.camera_from_tool) < 1e-10
     assert distance(world, scene.calibration.base_from_world) < 1e-10
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_closed_forms_take_matrices_as_they_take_transforms(noisy, name):
+    _, T, C = noisy
+    weights = np.linspace(0.0, 2.0, VIEWS)
+    expected = map(host_matrices, CLOSED_FORMS[name](T, C, weights))
+    found = CLOSED_FORMS[name].of_matrices(host_matrices(T), host_matrices(C), weights)
+    np.testing.assert_allclose(found, list(expected), atol=1e-14)
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
@@ -165,6 +175,22 @@ def test_bfgs_reaches_the_same_optimum_from_every_start(noisy):
     assert np.abs(gradient).max() < 1e-5
     assert distance(result.holder_from_world, scene.calibration.base_from_world) < 5e-3
     assert result.hand_eye_difference[0] < 5e-3
+
+
+def test_only_the_papers_start_needs_bfgs(noisy, monkeypatch):
+    """The closed forms are near the minimum, where Gauss-Newton converges by itself."""
+    _, T, C = noisy
+    begun = []
+
+    def minimize(cost, start, **options):
+        begun.append(cost(start)[0])
+        return scipy.optimize.minimize(cost, start, **options)
+
+    monkeypatch.setattr("smartview_jax.hand_eye.solution.minimize", minimize)
+    searches = solve_hand_eye(T, C).searches
+    # One for each of both unknowns.
+    assert len(begun) == 2
+    assert VIEWS**2 * begun[0] == pytest.approx(searches[0].initial_cost)
 
 
 def test_the_unit_of_length_matters_and_can_be_chosen(noisy):
