@@ -127,7 +127,7 @@ def fit_rig(
     joined = join_arms(rig, arms, choice.priors, devices) if several else None
     fit = _assembled(rig, arms, joined, tuple(rejected), choice)
     disagreement = () if joined is None else joined.disagreement
-    tests = [held_camera_test(arm) for arm in arms.values()]
+    tests = [held_camera_test(arm.judged or arm) for arm in arms.values()]
     held = [text for test in tests for text in test.warnings]
     wider = fit.covariance, fit.std
     for test in tests:
@@ -185,7 +185,8 @@ def _assembled(
         freedom = correction.degrees_of_freedom
         common = common + added
         std = np.sqrt(std**2 + np.diagonal(added))
-    of_states = per_view_std(reduced, common, 1.0)[np.asarray(built.problem.per_view_free)]
+    of_states = per_view_std(reduced, common, 1.0, built.problem.correction_roots)
+    of_states = of_states[np.asarray(built.problem.per_view_free)]
     calibrations, residuals, inliers, pixel_sigmas, sensors = {}, {}, {}, {}, {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):
@@ -229,7 +230,7 @@ def _assembled(
         },
         residuals=residuals,
         inliers=inliers,
-        pose_corrections=np.asarray(solution.z.per_view),
+        pose_corrections=built.problem.host_corrections(np.asarray(solution.z.per_view)),
         view_ids=rig.view_ids,
         rejected=(*rejected, *left_out),
         built=built,
@@ -325,10 +326,10 @@ def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
 
 def _estimate_warnings(fit: RigFit, arm: str, prior: RobotPrior) -> list[str]:
     """Return warnings about the estimated sizes of an arm's errors, and about the target's size."""
-    estimate, noise = fit.noise_estimates.get(arm), fit.noises[arm]
+    estimate = fit.noise_estimates.get(arm)
     if estimate is None:
         return []
-    warnings = []
+    warnings, noise = [], estimate.largest_noise
     for name, size in estimate.target_scales.items():
         if size.probability >= MIN_SCALE_PROBABILITY:
             target = " ".join(["the target", *name.split(".")[:-1]])
@@ -336,11 +337,12 @@ def _estimate_warnings(fit: RigFit, arm: str, prior: RobotPrior) -> list[str]:
                 f"{target} may be {size.scale:.4f} +- {size.std:.4f} of its stated size "
                 f"(probability {size.probability:.2f}): measure it"
             )
+    along = "" if estimate.directions is None else " in their worst direction"
     if not is_plausible(noise, prior):
         warnings.append(
             f"the robot's poses err by {1e3 * noise.translation:.3g} mm and "
-            f"{np.degrees(noise.rotation):.3g} degrees, which is much for a robot: mispaired "
-            "views, a camera or a target that moved?"
+            f"{np.degrees(noise.rotation):.3g} degrees{along}, which is much for a robot: "
+            "mispaired views, a camera or a target that moved?"
         )
     if not estimate.converged:
         warnings.append("the estimate of the errors' sizes did not converge: take more views")
