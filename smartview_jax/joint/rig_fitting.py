@@ -48,6 +48,7 @@ from .open_directions import OpenDirections
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
 from .several_arms import JoinedArms, added_by_estimation, join_arms
+from .told_by_others import with_told_by_others
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
 from .view_rejection import is_plausible
@@ -124,10 +125,15 @@ def fit_rig(
             ),
             _named(progress, arm) if several else progress,
         )
-    joined = join_arms(rig, arms, choice.priors, devices) if several else None
+    joined, tests = None, [held_camera_test(arm.judged or arm) for arm in arms.values()]
+    if several:
+        joined = join_arms(rig, arms, choice.priors, devices)
+        motion = _undetermined_motion(rig, arms, starts, choice, joined.bases)
+        told = {name: with_told_by_others(arm, motion.held) for name, arm in arms.items()}
+        if any(told[name] is not arm for name, arm in arms.items()):
+            arms, joined = told, join_arms(rig, told, choice.priors, devices)
     fit = _assembled(rig, arms, joined, tuple(rejected), choice)
     disagreement = () if joined is None else joined.disagreement
-    tests = [held_camera_test(arm.judged or arm) for arm in arms.values()]
     held = [text for test in tests for text in test.warnings]
     wider = fit.covariance, fit.std
     for test in tests:
