@@ -2,20 +2,21 @@
 
 A lift errs along z of its base, a SCARA turns about z alone, a tool changer has play along the
 tool, a worn gear turns its joint by another angle in every view. The generator is NumPy alone: a
-pinhole camera sees a board of 54 points from 0.35 to 0.55 m, on the hand or next to the arm. Each
-set is fitted by default, and with errors that are alike in all directions. Printed are RMS errors
-of the default's mount (mm, degrees), their ratio to the other fit's, the share of the 95 %
-intervals of its six parameters that hold the truth in the other fit and by default, and the mean
-NEES of both, which is 6 for a covariance that is right.
+pinhole camera sees a board of 54 points from 0.35 to 0.55 m, on the hand or next to the arm; or two
+cameras on one hand see it, in one fit. Each set is fitted by default, and with errors that are
+alike in all directions. Printed are RMS errors of the default's mounts (mm, degrees), their ratio
+to the other fit's, the share of the 95 % intervals of their six parameters that hold the truth in
+the other fit and by default, and the mean NEES of both, which is 6 for a covariance that is right.
 
     python -m benchmarks directions
     python -m benchmarks.directions --seeds 30 --views 10 20 40
+    python -m benchmarks.directions --seeds 30 --views 20 --mounts "two cameras" --robots equal lift
 """
 
 import argparse
 import sys
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -28,7 +29,9 @@ from smartview_jax.robot_errors import RobotPrior
 
 SEEDS, VIEWS = 10, (10, 20, 40)
 
-MOUNTS = ("eye_in_hand", "eye_to_hand")
+TWO_CAMERAS = "two cameras"
+
+MOUNTS = ("eye_in_hand", "eye_to_hand", TWO_CAMERAS)
 
 PIXEL_NOISE = 0.15
 
@@ -43,6 +46,10 @@ ALIKE = RobotPrior(directional_probability=0.0)
 
 COVERAGE, MAX_EQUAL_RATIO = (0.92, 0.999), 1.03
 """Bounds of the coverage over all cells, and of the errors' ratio for a robot with equal errors."""
+
+
+_Judged: TypeAlias = tuple[np.ndarray, np.ndarray, float]
+"""The error of a mount, which of its intervals hold the truth, and the NEES."""
 
 
 class Errors(NamedTuple):
@@ -84,7 +91,13 @@ ROBOTS: dict[str, Errors | Joint] = {
 }
 
 
-def run(smoke: bool = False, seeds: int = SEEDS, views: Collection[int] = VIEWS) -> bool:
+def run(
+    smoke: bool = False,
+    seeds: int = SEEDS,
+    views: Collection[int] = VIEWS,
+    mounts: Collection[str] = MOUNTS,
+    robots: Collection[str] = tuple(ROBOTS),
+) -> bool:
     """Print a row for each cell; True where intervals hold and equal errors cost nothing."""
     if smoke:
         return bool(np.isfinite(_row("wrist", 10, "eye_in_hand", 1)).all())
@@ -93,12 +106,12 @@ def run(smoke: bool = False, seeds: int = SEEDS, views: Collection[int] = VIEWS)
     for count in views:
         # Every number of views has programs of its own, which a process cannot hold all.
         jax.clear_caches()
-        for mount in MOUNTS:
-            for robot in ROBOTS:
+        for mount in mounts:
+            for robot in robots:
                 coverage, ratio = _row(robot, count, mount, seeds)
                 coverages.append(coverage)
                 ratios += [ratio] if robot == "equal" else []
-    mean, worst = float(np.mean(coverages)), float(np.mean(ratios))
+    mean, worst = float(np.mean(coverages)), float(np.mean(ratios or [1.0]))
     good = COVERAGE[0] <= mean <= COVERAGE[1] and worst <= MAX_EQUAL_RATIO
     print(f"coverage {mean:.3f}; a robot with equal errors: {worst:.2f}{'' if good else '  OUT'}")
     return good
@@ -108,15 +121,12 @@ def _row(robot: str, views: int, mount: str, seeds: int) -> tuple[float, float]:
     """Print a row; return the coverage, and the ratio of the errors to the other fit's."""
     judged = []
     for seed in range(seeds):
-        data, truth = simulated(robot, views, mount, seed)
-        staged = sv.fit_staged(data, "radial").calibration
-        fits = (sv.fit_joint(data, staged), sv.fit_joint(data, staged, robot_prior=ALIKE))
-        judged.append([_judged(fit, truth) for fit in fits])
+        judged += _of_seed(robot, views, mount, seed)
     errors, held, nees = (
         np.array([[entry[k] for entry in pair] for pair in judged]) for k in range(3)
     )
     # Per fit: RMS over the seeds of the lengths of translation and rotation.
-    rms = np.sqrt(np.mean(np.sum(errors.reshape(seeds, 2, 2, 3) ** 2, axis=3), axis=0))
+    rms = np.sqrt(np.mean(np.sum(errors.reshape(-1, 2, 2, 3) ** 2, axis=3), axis=0))
     ratio, coverage = rms[0] / rms[1], held.mean(axis=(0, 2))
     sizes = f"{1e3 * rms[0, 0]:.3f} mm, {np.rad2deg(rms[0, 1]):.4f} deg"
     print(
@@ -128,12 +138,32 @@ def _row(robot: str, views: int, mount: str, seeds: int) -> tuple[float, float]:
     return float(coverage[0]), float(ratio.max())
 
 
-def _judged(fit: JointFit, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the error of the mount, which of its intervals hold the truth, and the NEES."""
-    path = fit.calibration.transform_names[0]
+def _of_seed(robot: str, views: int, mount: str, seed: int) -> list[list[_Judged]]:
+    """Return how good both fits of a set are, for each of its cameras."""
+    if mount == TWO_CAMERAS:
+        rig, truths = simulated_rig(robot, views, seed)
+        rigs = (sv.calibrate(rig), sv.calibrate(rig, robot_prior=ALIKE))
+        return [
+            [
+                _judged(fit, fit.calibrations[name], f"{name}.camera_from_tool", truth)
+                for fit in rigs
+            ]
+            for name, truth in truths.items()
+        ]
+    data, truth = simulated(robot, views, mount, seed)
+    staged = sv.fit_staged(data, "radial").calibration
+    fits = (sv.fit_joint(data, staged), sv.fit_joint(data, staged, robot_prior=ALIKE))
+    path = staged.transform_names[0]
+    return [[_judged(fit, fit.calibration, path, truth) for fit in fits]]
+
+
+def _judged(
+    fit: JointFit | sv.RigFit, calibration: sv.Calibration, path: str, truth: np.ndarray
+) -> _Judged:
+    """Return the error of a mount, which of its intervals hold the truth, and the NEES."""
     names = [name for name in fit.parameter_names if name.startswith(f"{path}.")]
     rows = [fit.parameter_names.index(name) for name in names]
-    error = _error(fit.calibration, truth)
+    error = _error(calibration, truth)
     widths = np.array([fit.confidence_half_width(name) for name in names])
     nees = error @ np.linalg.solve(fit.covariance[np.ix_(rows, rows)], error)
     return error, np.abs(error) <= widths, float(nees)
@@ -148,24 +178,59 @@ def _error(calibration: sv.Calibration, truth: np.ndarray) -> np.ndarray:
 
 def simulated(robot: str, views: int, mount: str, seed: int) -> tuple[sv.Dataset, np.ndarray]:
     """Return a data set, and the true transform from the mount to the camera."""
+    pixels, reported, _ = _simulated_views(robot, views, mount, seed)
+    data = sv.Dataset.from_arrays(POINTS, pixels, reported, IMAGE_SIZE, mount=mount)
+    return data, _transforms(mount)[0]
+
+
+def simulated_rig(robot: str, views: int, seed: int) -> tuple[sv.Rig, dict[str, np.ndarray]]:
+    """Return two cameras on one hand, and the true transform from the hand to each."""
+    pixels, reported, first_from_world = _simulated_views(robot, views, "eye_in_hand", seed)
+    turn = Rotation.from_euler("xyz", [4.0, 12.0, -25.0], degrees=True).as_matrix()
+    second_from_first = _pose(turn, [-0.1, 0.03, 0.02])
+    rng = np.random.default_rng([seed, views, 1])
+    seen = np.array([_picture(second_from_first @ pose) for pose in first_from_world])
+    seen[~_is_inside(seen)] = np.nan
+    seen += PIXEL_NOISE * rng.normal(size=seen.shape)
+    first_from_tool = _transforms("eye_in_hand")[0]
+    truth = {"first": first_from_tool, "second": second_from_first @ first_from_tool}
+    cameras = {
+        name: sv.Dataset.from_arrays(POINTS, of_camera, reported, IMAGE_SIZE)
+        for name, of_camera in zip(truth, (pixels, seen), strict=True)
+    }
+    return sv.Rig(cameras), truth
+
+
+def _simulated_views(
+    robot: str, views: int, mount: str, seed: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return pixels, reported poses of the tool, and true poses of the board in the camera."""
     rng = np.random.default_rng([seed, views])
     camera_from_mount, holder_from_world = _transforms(mount)
-    pixels, reported = [], []
+    pixels, reported, poses = [], [], []
     while len(pixels) < views:
         camera_from_world = _viewpoint(rng)
-        seen = POINTS @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
-        picture = ((seen / seen[:, 2:]) @ CAMERA.T)[:, :2]
-        if not ((picture > 0.0) & (picture < IMAGE_SIZE)).all():
+        picture = _picture(camera_from_world)
+        if not _is_inside(picture).all():
             continue
         holder_from_mount = holder_from_world @ np.linalg.inv(camera_from_world) @ camera_from_mount
         in_hand = mount == "eye_in_hand"
         pose = holder_from_mount if in_hand else np.linalg.inv(holder_from_mount)
         reported.append(pose @ _drawn_error(ROBOTS[robot], pose, rng))
         pixels.append(picture + PIXEL_NOISE * rng.normal(size=picture.shape))
-    data = sv.Dataset.from_arrays(
-        POINTS, np.array(pixels), np.array(reported), IMAGE_SIZE, mount=mount
-    )
-    return data, camera_from_mount
+        poses.append(camera_from_world)
+    return np.array(pixels), np.array(reported), np.array(poses)
+
+
+def _picture(camera_from_world: np.ndarray) -> np.ndarray:
+    """Return the pixels of the board's points."""
+    seen = POINTS @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+    return ((seen / seen[:, 2:]) @ CAMERA.T)[:, :2]
+
+
+def _is_inside(pixels: np.ndarray) -> np.ndarray:
+    """Return which points are in the picture."""
+    return ((pixels > 0.0) & (pixels < IMAGE_SIZE)).all(axis=-1)
 
 
 def _viewpoint(rng: np.random.Generator) -> np.ndarray:
@@ -220,5 +285,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--views", type=int, nargs="*", default=VIEWS)
-    arguments = parser.parse_args()
-    sys.exit(0 if run(seeds=arguments.seeds, views=arguments.views) else 1)
+    parser.add_argument("--mounts", nargs="*", default=MOUNTS)
+    parser.add_argument("--robots", nargs="*", default=ROBOTS)
+    sys.exit(0 if run(**vars(parser.parse_args())) else 1)

@@ -17,9 +17,11 @@ from jaxtyping import Bool, Float
 from scipy.optimize import minimize
 
 from ..calibration import mount_frames
+from .largest_group import MAX_DISAGREEMENT, largest_group
 from .misfit_evidence import MIN_VARIANCE, VERY_STRONG_EVIDENCE
 from .position_equations import fit_positions, robot_column, transform_columns
 from .transform_fit import fit_transforms, median_distance, motions_of_views
+from .view_consistency import MAX_REJECTED_FRACTION
 
 MIN_VIEWS = 8
 """Fewest views: transforms, size, focal length and variances have 10 numbers, 8 views 24."""
@@ -117,7 +119,8 @@ def find_focus_change(
     if motions is None:
         return None
     robot, camera = motions
-    camera_from_mount = fit_transforms(robot, camera).camera_from_mount
+    fit = fit_transforms(robot, camera)
+    camera_from_mount = fit.camera_from_mount
     # The middle of the target: its corners are farther or nearer where its tilt is seen wrongly.
     positions = camera[:, :3, :3] @ seen.middle + camera[:, :3, 3]
     depths = positions[:, 2]
@@ -138,6 +141,12 @@ def find_focus_change(
     highest = errors.deviance(np.log([errors.sigma])) - numbers - least_gain
     if errors.least_deviance(MIN_SIZE * depths) > highest:
         return None
+    # No lens turns the target: a picture that does not fit by its rotation is of another pose.
+    if (fit.misfit[:, 1] > MAX_DISAGREEMENT).any():
+        turned = ~largest_group(robot, camera, np.inf)
+        if 0 < turned.sum() <= MAX_REJECTED_FRACTION * len(views):
+            rest = used & ~np.isin(np.arange(len(used)), views[turned])
+            return find_focus_change(mount_from_holder, camera_from_world, rest, seen, mount)
     focus = errors.likelihood(along)
     size = focus.size
     if size < MIN_SIZE:

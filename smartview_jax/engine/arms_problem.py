@@ -175,6 +175,21 @@ class ArmsProblem(AbstractRigProblem):
         return with_fields(self, arms=tuple(arms))
 
     @property
+    def correction_roots(self) -> Float[np.ndarray, "states 6 6"] | None:
+        """The twist of each correction by its own parameters, as in `AbstractProblem`."""
+        problems = [arm.problem for arm in self.arms]
+        if all(problem.correction_roots is None for problem in problems):
+            return None
+        return np.concatenate(
+            [
+                np.tile(np.eye(6), (len(problem.per_view_free), 1, 1))
+                if problem.correction_roots is None
+                else np.asarray(problem.correction_roots)
+                for problem in problems
+            ]
+        )
+
+    @property
     def states_of_arms(self) -> tuple[slice, ...]:
         """The rows of each arm's states among all states."""
         ends = np.cumsum([0, *(len(arm.problem.per_view_free) for arm in self.arms)])

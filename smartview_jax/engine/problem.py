@@ -18,6 +18,7 @@ from ..calibration import Calibration, TargetShape, chain_of_matrices
 from ..dataset import AnyObservations, Observations, PoseObservations
 from ..geometry import host_logarithms, moved_points, pose_matrices, transforms_of
 from ..robot_errors import RobotError
+from ..robots import Command
 from ..runtime.array_namespace import AnyArray
 from ..runtime.modules import HostModule, with_fields
 from .abstract_problem import AbstractProblem, NormalEquations, ViewBlocks
@@ -68,11 +69,10 @@ class JointProblem(AbstractProblem):
         parameters: the start, from which steps are taken.
         observations: points, pixels, visibility and reported poses.
         pixel_sigma: standard deviation of u and of v, px.
-        free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
+        free, per_view_free, prior_mean, prior_weight, scale, mesh, correction_roots: as in
+            `AbstractProblem`.
         loss: robust loss; None is least squares.
         prepared_poses: precomputed quantities of the robot error field; None without a field.
-        correction_roots: the twist of each view's correction by its own six parameters, where the
-            errors of poses differ by direction; None if the parameters are the twist.
     """
 
     parameters: Parameters
@@ -116,14 +116,6 @@ class JointProblem(AbstractProblem):
         """Return the problem with other axes of the views' own parameters; None for the twist."""
         return with_fields(self, correction_roots=roots)
 
-    def host_corrections(
-        self, per_view: Float[np.ndarray, "corrected 6"]
-    ) -> Float[np.ndarray, "corrected 6"]:
-        """Return the twists of the views' corrections, given their own parameters."""
-        if self.correction_roots is None:
-            return per_view
-        return np.einsum("vij,vj->vi", np.asarray(self.correction_roots), per_view)
-
     @property
     def visible_count(self) -> int:
         """The number of visible points in all pictures, or of numbers of tracked poses."""
@@ -145,6 +137,11 @@ class JointProblem(AbstractProblem):
     def has_pixels(self) -> bool:
         """Whether the observations are points in pictures."""
         return not isinstance(self.observations, PoseObservations)
+
+    @property
+    def command(self) -> Command:
+        """What the robot reported in each view."""
+        return self.observations.command
 
     @property
     def robot_error(self) -> RobotError | None:

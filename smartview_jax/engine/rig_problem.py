@@ -7,7 +7,7 @@ errors, and views that were taken in one state of the robot share the correction
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,12 +18,15 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
 from ..robots import Command
+from ..runtime.array_namespace import AnyArray
 from ..runtime.modules import HostModule
 from .abstract_problem import AbstractRigProblem, NormalEquations, ViewBlocks
 from .parameters import Step
 from .prepared_poses import PreparedPoses, prepare_poses
 from .problem import FittedChain, JointProblem
 from .schur import BlockArrow
+
+_Tree = TypeVar("_Tree")
 
 
 class CameraGroup(HostModule):
@@ -52,7 +55,8 @@ class RigProblem(AbstractRigProblem):
         start_error: the robot's error at the start; None without a field.
         pixel_sigma: factor of all cameras' pixel sigmas.
         camera_mask: as in `AbstractRigProblem`.
-        free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
+        free, per_view_free, prior_mean, prior_weight, scale, mesh, correction_roots: as in
+            `AbstractProblem`.
     """
 
     groups: tuple[CameraGroup, ...]
@@ -66,6 +70,7 @@ class RigProblem(AbstractRigProblem):
     prior_weight: Step
     scale: Step
     mesh: Mesh | None = eqx.field(static=True, default=None)
+    correction_roots: Float[AnyArray, "states 6 6"] | None = None
 
     @property
     def robot_error(self) -> RobotError | None:
@@ -99,6 +104,19 @@ class RigProblem(AbstractRigProblem):
         prepared = prepare_poses(self.start_error, self.command, corrections)
         groups = tuple(_with_prepared_poses(group, prepared) for group in self.groups)
         return dataclasses.replace(self, groups=groups)
+
+    def with_correction_roots(self, roots: Float[np.ndarray, "states 6 6"]) -> "RigProblem":
+        """Return the problem with other axes of the states' own parameters."""
+        groups = tuple(
+            eqx.tree_at(
+                lambda g: g.problems.correction_roots,
+                group,
+                _of_views(group, roots),
+                is_leaf=lambda x: x is None,
+            )
+            for group in self.groups
+        )
+        return dataclasses.replace(self, groups=groups, correction_roots=roots)
 
     def observation_residuals(self, z: Step) -> tuple[Any, ...]:
         """Return the whitened residuals of each group's pixels, and of its depths if it has any."""
@@ -191,8 +209,12 @@ def _with_prepared_poses(group: CameraGroup, prepared: PreparedPoses | None) -> 
     """Return a group whose robot error field is evaluated at the prepared poses of the states."""
     if prepared is None:
         return group
+    return eqx.tree_at(lambda g: g.problems.prepared_poses, group, _of_views(group, prepared))
+
+
+def _of_views(group: CameraGroup, of_states: _Tree) -> _Tree:
+    """Return arrays by state for the views of each camera; padding has the last state's."""
     states = np.asarray(group.state_index)
-    of_views = jax.tree.map(
-        lambda x: np.asarray(x)[np.minimum(states, len(np.asarray(x)) - 1)], prepared
+    return jax.tree.map(
+        lambda x: np.asarray(x)[np.minimum(states, len(np.asarray(x)) - 1)], of_states
     )
-    return eqx.tree_at(lambda g: g.problems.prepared_poses, group, of_views)

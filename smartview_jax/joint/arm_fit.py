@@ -28,7 +28,7 @@ from .gross_errors import without_views
 from .rig_rejection import Contradiction, contradiction, suspect_state
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
-from .view_rejection import inflation_reason, is_plausible
+from .view_rejection import inflation_reason, is_plausible, judging_prior
 
 
 class SolvedArm(NamedTuple):
@@ -42,6 +42,8 @@ class SolvedArm(NamedTuple):
         equations: the normal equations at the solution.
         undetermined: what the robot's motion does not determine, and is held.
         rejected: what was left out, with the camera's name.
+        judged: the fit for errors that are alike in all directions, with which states and held
+            values are judged; None if this is it.
     """
 
     rig: Rig
@@ -51,6 +53,7 @@ class SolvedArm(NamedTuple):
     equations: NormalEquations
     undetermined: UndeterminedMotion
     rejected: tuple[tuple[str, Rejection], ...] = ()
+    judged: "SolvedArm | None" = None
 
     @property
     def at_optimum(self) -> tuple[Rig, BuiltRig, Step, BlockArrow]:
@@ -97,12 +100,17 @@ def fit_arm(
         ValueError: an unknown path, or a start at which no point of a view can be projected.
     """
 
-    def fit_once(rig: Rig) -> SolvedArm:
-        """Fit the rig as it is."""
+    def fit_once(
+        rig: Rig, prior: RobotPrior, estimate: RigNoiseEstimate | None = None
+    ) -> SolvedArm:
+        """Fit the rig as it is, with a known estimate of the noise if there is one."""
         bases = bases_of_pair(rig, starts)
         motion = undetermined_motion_of_rig(rig, starts, choice, bases, options.held_first)
-        holding = options._replace(choice=choice.holding(*motion.held))
-        built, start, estimate = _built(rig, starts, holding, progress)
+        if estimate is None:
+            holding = options._replace(choice=choice.holding(*motion.held), robot_prior=prior)
+            built, start, estimate = _built(rig, starts, holding, progress)
+        else:
+            built, start = estimate.built, estimate.step
         if progress is not None:
             count = sum(int(np.asarray(data.visible).sum()) for data in rig.cameras.values())
             shared = len(built.shared_names)
@@ -116,26 +124,33 @@ def fit_arm(
         for name, data in rig.cameras.items()
     }
     rig = rig.with_cameras(weighed)
+    first = fitted = fit_once(rig, options.robot_prior)
+    judging, left_out = options.robot_prior, []
+    if first.estimate is not None and first.estimate.alike is not None:
+        judging = judging_prior(options.robot_prior)
+        fitted = fit_once(rig, judging, first.estimate.alike)
     # The noise is estimated again without a wrong pose, since one inflates it for all states.
-    fitted, left_out = fit_once(rig), []
     while (estimate := fitted.estimate) is not None:
         wrong = contradiction(*fitted.at_optimum)
         if wrong is not None:
-            fitted = fit_once(_without(fitted.rig, wrong))
+            fitted = fit_once(_without(fitted.rig, wrong), judging)
         else:
             # One wrong pose may inflate the noise so much that no state fails the test.
             plausible = is_plausible(estimate.noise, options.robot_prior)
             suspect = None if plausible else suspect_state(*fitted.at_optimum)
             if suspect is None:
                 break
-            refitted = fit_once(_without(fitted.rig, suspect))
+            refitted = fit_once(_without(fitted.rig, suspect), judging)
             assert refitted.estimate is not None
             reason = inflation_reason(estimate.noise, refitted.estimate.noise)
             if reason is None:
                 break
             fitted, wrong = refitted, suspect._replace(reason=reason)
         left_out += [(name, Rejection(wrong.view_id, None, wrong.reason)) for name in wrong.cameras]
-    return fitted._replace(rejected=tuple(left_out))
+    if judging is options.robot_prior:
+        return fitted._replace(rejected=tuple(left_out))
+    final = fit_once(fitted.rig, options.robot_prior) if left_out else first
+    return final._replace(rejected=tuple(left_out), judged=fitted)
 
 
 def _built(

@@ -67,7 +67,12 @@ from .held_parameters import HeldValueTest, held_value_test
 from .joint_fit import JointFit
 from .plausibility import plausibility_warnings
 from .undetermined import require_moving_robot, undetermined_motion, with_undetermined
-from .view_rejection import inconsistent_view, inflation_reason, suspect_view
+from .view_rejection import (
+    inconsistent_view,
+    inflation_reason,
+    judging_prior,
+    suspect_view,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -249,9 +254,7 @@ def fit_joint(
     first, first_data, judging = accepted, used_data, robot_prior
     estimate = accepted.noise_estimate
     if estimate is not None and estimate.alike is not None:
-        # A wrong pose, and a wrong value that is held, look like errors along one direction: views
-        # and values are judged by errors that are alike in all.
-        judging = _alike(robot_prior)
+        judging = judging_prior(robot_prior)
         accepted, matrix = fit_once(used_data, judging, estimate.alike)
     while not keeps_all:
         # The view is left out, not down-weighted: a pose of another picture has no information.
@@ -273,11 +276,6 @@ def fit_joint(
         accepted = first if used_data is first_data else fit_once(used_data)[0]
     stated = None if isinstance(used_data, PoseDataset) else held_value_test(judged)
     return _finish_fit(accepted, used_data, all_data, stated)
-
-
-def _alike(prior: RobotPrior | None) -> RobotPrior:
-    """Return the prior for robots whose poses err alike in all directions."""
-    return dataclasses.replace(prior or RobotPrior(), directional_probability=0.0)
 
 
 def _embedded(

@@ -138,6 +138,13 @@ class RigFit(eqx.Module):
                 f"{arm if self.bases else 'robot'}: {1e3 * robot.translation:.3f} mm and "
                 f"{np.degrees(robot.rotation):.4f} degrees of noise in {states} states"
             )
+            estimate = self.noise_estimates.get(arm)
+            if estimate is not None and estimate.directions is not None:
+                worst = estimate.largest_noise
+                lines.append(
+                    f"  on average over their axes; {1e3 * worst.translation:.3f} mm and "
+                    f"{np.degrees(worst.rotation):.4f} degrees in their worst direction"
+                )
         for name, base in self._named_bases():
             x, y, z = 1e3 * host_matrices(base.transform)[:3, 3]
             lines += [

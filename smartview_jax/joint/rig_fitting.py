@@ -48,6 +48,7 @@ from .open_directions import OpenDirections
 from .plausibility import MIN_SCALE_PROBABILITY, principal_point_warnings
 from .rig_fit import RigFit
 from .several_arms import JoinedArms, added_by_estimation, join_arms
+from .told_by_others import with_told_by_others
 from .undetermined_motion import UndeterminedMotion
 from .undetermined_rig import undetermined_motion_of_rig
 from .view_rejection import is_plausible
@@ -124,10 +125,15 @@ def fit_rig(
             ),
             _named(progress, arm) if several else progress,
         )
-    joined = join_arms(rig, arms, choice.priors, devices) if several else None
+    joined, tests = None, [held_camera_test(arm.judged or arm) for arm in arms.values()]
+    if several:
+        joined = join_arms(rig, arms, choice.priors, devices)
+        motion = _undetermined_motion(rig, arms, starts, choice, joined.bases)
+        told = {name: with_told_by_others(arm, motion.held) for name, arm in arms.items()}
+        if any(told[name] is not arm for name, arm in arms.items()):
+            arms, joined = told, join_arms(rig, told, choice.priors, devices)
     fit = _assembled(rig, arms, joined, tuple(rejected), choice)
     disagreement = () if joined is None else joined.disagreement
-    tests = [held_camera_test(arm) for arm in arms.values()]
     held = [text for test in tests for text in test.warnings]
     wider = fit.covariance, fit.std
     for test in tests:
@@ -185,7 +191,8 @@ def _assembled(
         freedom = correction.degrees_of_freedom
         common = common + added
         std = np.sqrt(std**2 + np.diagonal(added))
-    of_states = per_view_std(reduced, common, 1.0)[np.asarray(built.problem.per_view_free)]
+    of_states = per_view_std(reduced, common, 1.0, built.problem.correction_roots)
+    of_states = of_states[np.asarray(built.problem.per_view_free)]
     calibrations, residuals, inliers, pixel_sigmas, sensors = {}, {}, {}, {}, {}
     chains = (solution.chain,) if joined is None else solution.chain
     for arm, of_cameras in zip(arms.values(), chains, strict=True):
@@ -229,7 +236,7 @@ def _assembled(
         },
         residuals=residuals,
         inliers=inliers,
-        pose_corrections=np.asarray(solution.z.per_view),
+        pose_corrections=built.problem.host_corrections(np.asarray(solution.z.per_view)),
         view_ids=rig.view_ids,
         rejected=(*rejected, *left_out),
         built=built,
@@ -325,10 +332,10 @@ def rig_warnings(fit: RigFit, prior: RobotPrior) -> tuple[str, ...]:
 
 def _estimate_warnings(fit: RigFit, arm: str, prior: RobotPrior) -> list[str]:
     """Return warnings about the estimated sizes of an arm's errors, and about the target's size."""
-    estimate, noise = fit.noise_estimates.get(arm), fit.noises[arm]
+    estimate = fit.noise_estimates.get(arm)
     if estimate is None:
         return []
-    warnings = []
+    warnings, noise = [], estimate.largest_noise
     for name, size in estimate.target_scales.items():
         if size.probability >= MIN_SCALE_PROBABILITY:
             target = " ".join(["the target", *name.split(".")[:-1]])
@@ -336,11 +343,12 @@ def _estimate_warnings(fit: RigFit, arm: str, prior: RobotPrior) -> list[str]:
                 f"{target} may be {size.scale:.4f} +- {size.std:.4f} of its stated size "
                 f"(probability {size.probability:.2f}): measure it"
             )
+    along = "" if estimate.directions is None else " in their worst direction"
     if not is_plausible(noise, prior):
         warnings.append(
             f"the robot's poses err by {1e3 * noise.translation:.3g} mm and "
-            f"{np.degrees(noise.rotation):.3g} degrees, which is much for a robot: mispaired "
-            "views, a camera or a target that moved?"
+            f"{np.degrees(noise.rotation):.3g} degrees{along}, which is much for a robot: "
+            "mispaired views, a camera or a target that moved?"
         )
     if not estimate.converged:
         warnings.append("the estimate of the errors' sizes did not converge: take more views")

@@ -5,6 +5,8 @@ pose standard deviations so much that no view fails the test: then the fits with
 most suspect view are compared.
 """
 
+import dataclasses
+
 import numpy as np
 
 from ..dataset import MINIMUM_RELIABLE_VIEWS, Dataset
@@ -60,6 +62,15 @@ def suspect_view(data: Dataset, fit: JointFit, matrix: BlockArrow) -> int | None
         return None
     scores = pose_outlier_test(fit.problem, fit.solution.z, matrix, sigmas_known=False)
     return int(np.argmin(np.asarray(scores.p_value)))
+
+
+def judging_prior(prior: RobotPrior | None) -> RobotPrior:
+    """Return the prior of robots' errors with which views and held values are judged.
+
+    A wrong pose, and a wrong value that is held, look like errors along one direction: they are
+    judged by errors that are alike in all.
+    """
+    return dataclasses.replace(prior or RobotPrior(), directional_probability=0.0)
 
 
 def is_plausible(noise: Noise, prior: RobotPrior) -> bool:

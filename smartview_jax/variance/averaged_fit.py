@@ -20,6 +20,7 @@ from ..robot_errors import AbstractField, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .directional_noise import DirectionalNoise
 from .fisher_scoring import LikelihoodMaximum, StandardDeviationPrior, fisher_information
+from .kenward_roger import SmallSampleCorrection, small_sample_correction
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
     LinearisedViews,
@@ -28,7 +29,11 @@ from .likelihood import (
     marginalise,
     posterior_mode_step,
 )
-from .model_average import averaged_models
+from .model_average import (
+    averaged_models,
+    between_directions_covariance,
+    between_models_covariance,
+)
 from .model_comparison import ModelComparison, noise_from_sigmas
 from .model_selection import (
     Candidate,
@@ -77,6 +82,20 @@ class AveragedFit(NamedTuple):
     converged: bool
     noise_corrections: Float[np.ndarray, "views 6"]
     directions: DirectionalNoise | None = None
+
+    @property
+    def small_sample_correction(self) -> SmallSampleCorrection:
+        """What the uncertain standard deviations and directions add to the covariance."""
+        return small_sample_correction(self.views, self.maximum, self.directions)
+
+    @property
+    def between_models_covariance(self) -> Float[np.ndarray, "shared shared"]:
+        """The covariance of the shared parameters between the models of the robot's error."""
+        sigmas = self.maximum.sigmas
+        covariance = between_models_covariance(self.views, self.fitted, self.probabilities, sigmas)
+        if self.directions is None:
+            return covariance
+        return covariance + between_directions_covariance(self.views, self.directions, sigmas)
 
     @property
     def shape(self) -> TargetShape | None:

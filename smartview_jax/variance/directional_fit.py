@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..engine import JointProblem, host_step
+from ..engine import JointProblem, RigProblem, host_step
 from ..geometry import host_matrices
 from ..robot_errors import RobotPrior
 from .averaged_fit import (
@@ -38,16 +38,16 @@ def fit_by_direction(second: SecondPass, prior: RobotPrior) -> SecondPass | None
     # The errors of two hands, and of a tracker, have no common axes.
     if (
         not prior.directional_probability
-        or not isinstance(problem, JointProblem)
+        or not isinstance(problem, JointProblem | RigProblem)
         or not (problem.has_pixels and average.fitted)
-        or problem.observations.command.hands is not None
+        or problem.command.hands is not None
         or not _is_white(average)
     ):
         return None
     of_directions = DirectionalPrior(
         prior.directional_geometric_std, prior.geometric_std, prior.directional_probability
     )
-    base_from_tool = host_matrices(problem.observations.command.base_from_tool)
+    base_from_tool = host_matrices(problem.command.base_from_tool)
     tool_from_base = base_from_tool[:, :3, :3].swapaxes(1, 2)
     for _ in range(DIRECTIONAL_FITS):
         linearised = average.views

@@ -227,8 +227,12 @@ def estimate_directions(
         prior: what is known of the directions.
     """
     prior = prior or DirectionalPrior()
-    if not views.per_view_free.all():
+    free = np.asarray(views.per_view_free)
+    unseen = ~free.any(axis=1)
+    if not (free.all(axis=1) | unseen).all():
         return None
+    # A state that no camera saw tells nothing, whether its correction is held or not.
+    views = views._replace(per_view_free=free | unseen[:, None])
     held = np.append(np.asarray(sigmas.field) <= 10.0 * ROBOT_SIGMA_FLOOR, False)
     views = views.with_held((views.group_index >= 0) & held[views.group_index])
     candidates = hypotheses()

@@ -22,12 +22,13 @@ from ..engine import (
 )
 from ..robot_errors import AbstractField, FieldChoice, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
-from .averaged_fit import average_over_models, averaged_noise
+from .averaged_fit import SecondPass, average_over_models, averaged_noise
+from .directional_fit import fit_by_direction
+from .directional_noise import DirectionalNoise
 from .fisher_scoring import StandardDeviationPrior
 from .free_poses import choice_for_free_poses, fit_free_poses
-from .kenward_roger import SmallSampleCorrection, small_sample_correction
+from .kenward_roger import SmallSampleCorrection
 from .likelihood import ROBOT_SIGMA_FLOOR, StandardDeviations
-from .model_average import between_models_covariance
 from .model_comparison import (
     Linearisation,
     ModelComparison,
@@ -77,6 +78,9 @@ class RigNoiseEstimate(NamedTuple):
         small_sample_correction: contribution of the uncertain standard deviations to the
             covariance of the shared parameters.
         between_models_covariance: covariance of the shared parameters between the models.
+        directions: the directions in which the robot's poses err most; None if they err alike in
+            all. The standard deviations of poses in `noise` are then means over the axes.
+        alike: the estimate for errors that are alike in all directions; None if this is it.
     """
 
     name: str
@@ -90,6 +94,16 @@ class RigNoiseEstimate(NamedTuple):
     step: Step
     small_sample_correction: SmallSampleCorrection
     between_models_covariance: Float[np.ndarray, "shared shared"]
+    directions: DirectionalNoise | None = None
+    alike: "RigNoiseEstimate | None" = None
+
+    @property
+    def largest_noise(self) -> Noise:
+        """The noise, with that of the poses in the directions in which these err most."""
+        if self.directions is None:
+            return self.noise
+        translation, rotation = map(float, self.directions.worst)
+        return dataclasses.replace(self.noise, translation=translation, rotation=rotation)
 
 
 def estimate_rig_noise(
@@ -119,6 +133,25 @@ def estimate_rig_noise(
     first, relative = _compare(rig, starts, cameras, field, choice, prior)
     poses = sum(camera.pose_parameters for camera in cameras.values())
     second = average_over_models(first, choice.fixed, prior, poses, report)
+    alike = _estimate_of(first, second, relative, prior)
+    # Where no smooth error was compared, what follows the states would be taken for directions.
+    by_direction = None if field is None else fit_by_direction(second, prior)
+    if by_direction is None:
+        return alike
+    return _estimate_of(first, by_direction, relative, prior)._replace(alike=alike)
+
+
+def _estimate_of(
+    first: ModelComparison, second: SecondPass, relative: dict[str, float], prior: RobotPrior
+) -> RigNoiseEstimate:
+    """Return the estimate, given the fit of the averaged model.
+
+    Args:
+        first: the comparison of the models.
+        second: the fit.
+        relative: factor on the pixel sigma of each camera.
+        prior: prior of the standard deviations of an arm's errors.
+    """
     average, built = second.average, second.built
     assert isinstance(built, BuiltRig)
     target_scales = {
@@ -143,10 +176,9 @@ def estimate_rig_noise(
         average.converged,
         dataclasses.replace(built, problem=problem),
         average.z,
-        small_sample_correction(average.views, average.maximum),
-        between_models_covariance(
-            average.views, average.fitted, average.probabilities, average.maximum.sigmas
-        ),
+        average.small_sample_correction,
+        average.between_models_covariance,
+        average.directions,
     )
 
 

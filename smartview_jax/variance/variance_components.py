@@ -21,7 +21,6 @@ from ..runtime.modules import with_fields
 from .averaged_fit import AveragedFit, SecondPass, average_over_models, averaged_noise
 from .depth_weights import with_weighed_depths
 from .directional_fit import fit_by_direction
-from .kenward_roger import small_sample_correction
 from .lens_terms import lens_evidence
 from .likelihood import (
     ROBOT_SIGMA_FLOOR,
@@ -30,7 +29,6 @@ from .likelihood import (
     marginalise,
     posterior_mode_step,
 )
-from .model_average import between_directions_covariance, between_models_covariance
 from .model_comparison import (
     ModelComparison,
     compare_models,
@@ -129,15 +127,7 @@ def _estimate_of(
     assert isinstance(built, BuiltProblem)
     chain, linearised, maximum = average.chain, average.views, average.maximum
     error = chain.calibration.robot_error
-    directions = average.directions
-    correction = small_sample_correction(linearised, maximum, directions)
-    between_models = between_models_covariance(
-        linearised, average.fitted, average.probabilities, maximum.sigmas
-    )
-    if directions is not None:
-        between_models = between_models + between_directions_covariance(
-            linearised, directions, maximum.sigmas
-        )
+    correction = average.small_sample_correction
     field_group_count = sum(name not in TARGET_GROUPS for name in views.group_names)
     parameter_names = (*built.shared_names, *views.shape_names)
     lens = lens_evidence(
@@ -183,12 +173,12 @@ def _estimate_of(
         tuple(map(float, correction.relative_std[: 3 + field_group_count])),
         parameter_names,
         correction,
-        between_models,
+        average.between_models_covariance,
         prior,
         average.noise_corrections,
         lens,
         first.evidence,
-        directions,
+        average.directions,
     )
 
 

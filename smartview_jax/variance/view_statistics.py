@@ -20,6 +20,7 @@ from ..engine import (
     AbstractProblem,
     JointProblem,
     NormalEquations,
+    RigProblem,
     Step,
     chain_without_padding,
     equations_without_padding,
@@ -123,14 +124,14 @@ class ViewStatistics:
     def with_correction_roots(self, roots: Float[np.ndarray, "views 6 6"]) -> "ViewStatistics":
         """Return the statistics with other axes of the views' own parameters."""
         views = copy.copy(self)
-        views.problem = self.one_camera.with_correction_roots(roots)
+        problem = self.problem
+        assert isinstance(problem, JointProblem | RigProblem)
+        views.problem = problem.with_correction_roots(roots)
         return views
 
     def corrections(self, per_view: Float[np.ndarray, "views 6"]) -> Float[np.ndarray, "views 6"]:
         """Return the twists at the tool, given each view's own parameters."""
-        if isinstance(self.problem, JointProblem):
-            return self.problem.host_corrections(per_view)
-        return per_view
+        return self.problem.host_corrections(per_view)
 
     def _set_shape(self, shape: TargetShape) -> None:
         """Set the target's shape, and displace the points of the problem by it."""

@@ -99,6 +99,17 @@ def test_poses_without_noise_are_judged_as_well():
     assert found(*looking_down(0, lift=5e-3, noise=0.0), noise=1e-12) is None
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_two_exchanged_pictures_are_no_change_of_the_focus_and_hide_none(seed):
+    robot, camera = moving_alike(seed)
+    exchanged = np.arange(VIEWS)
+    exchanged[[2, 5]] = 5, 2
+    assert found(robot, camera[exchanged]) is None
+    changes = np.random.default_rng(seed).normal(0.0, 0.006, VIEWS)
+    changed = with_focal_lengths(camera, 1.0 + changes)[exchanged]
+    assert found(robot, changed).relative_std == pytest.approx(0.006, rel=0.5)
+
+
 def test_a_small_target_tells_its_distance_badly():
     robot, camera = moving_alike(2, noise=(5e-5, 0.005))
     noisy = with_focal_lengths(camera, 1.0 + np.random.default_rng(0).normal(0.0, 0.004, VIEWS))

@@ -55,3 +55,16 @@ def test_the_gradient_is_the_derivative_of_the_cost(pair):
     gradient = ravel_pytree(found.gradient)[0]
     np.testing.assert_allclose(gradient, jacobian.T @ residuals, rtol=1e-7, atol=1e-4)
     np.testing.assert_allclose(found.cost, 0.5 * residuals @ residuals, rtol=1e-12)
+
+
+def test_each_view_has_the_axes_of_its_state(pair):
+    rng = np.random.default_rng(0)
+    states = len(pair.per_view_free)
+    roots, own = rng.normal(size=(states, 6, 6)), rng.normal(size=(states, 6))
+    along = pair.with_correction_roots(roots)
+    twists = [root @ each for root, each in zip(roots, own, strict=True)]
+    np.testing.assert_allclose(along.host_corrections(own), twists, rtol=1e-12)
+    for group in along.groups:
+        seen = np.asarray(group.state_index) < states
+        of_views = np.asarray(group.problems.correction_roots)[seen]
+        np.testing.assert_array_equal(of_views, roots[np.asarray(group.state_index)[seen]])

@@ -7,7 +7,7 @@ import pytest
 from fit_scenes import MANY_VIEWS, scene_of
 from scipy.linalg import expm
 
-from smartview_jax import fit_joint
+from smartview_jax import Rig, fit_joint, fit_rig
 from smartview_jax.geometry import as_se3, host_matrices
 
 
@@ -27,12 +27,19 @@ def scene():
     return scene_of(3, MANY_VIEWS)
 
 
-def test_the_size_of_rotations_counts_what_translations_tell_too(scene):
-    """A worn joint turns the tool about an axis 0.3 m away: its translations tell its rotations."""
+@pytest.fixture(scope="module")
+def worn(scene):
+    """A worn joint turns the tool about an axis 0.3 m away: the twists, the data and their fit."""
     rng = np.random.default_rng(1)
-    worn = np.outer(rng.normal(0.0, 5e-3, MANY_VIEWS), [0.0, 0.3, 0.0, 0.0, 0.0, 1.0])
-    twists = worn + rng.normal(size=(MANY_VIEWS, 6)) * np.repeat([2e-5, 5e-5], 3)
-    fit = fit_joint(with_errors(scene, twists), scene.calibration)
+    turns = np.outer(rng.normal(0.0, 5e-3, MANY_VIEWS), [0.0, 0.3, 0.0, 0.0, 0.0, 1.0])
+    twists = turns + rng.normal(size=(MANY_VIEWS, 6)) * np.repeat([2e-5, 5e-5], 3)
+    data = with_errors(scene, twists)
+    return twists, data, fit_joint(data, scene.calibration)
+
+
+def test_the_size_of_rotations_counts_what_translations_tell_too(worn):
+    """The translations of a turn about a distant axis tell its angle."""
+    twists, _, fit = worn
     estimate = fit.noise_estimate
     assert estimate is not None
     assert estimate.directions is not None
@@ -46,6 +53,31 @@ def test_the_size_of_rotations_counts_what_translations_tell_too(scene):
     shown = str(fit)
     assert f"{1e3 * estimate.largest_pose_sigmas[0]:.2g} mm" in shown
     assert "in their worst direction" in shown
+
+
+def test_a_rig_of_one_camera_has_the_directions_of_the_camera_alone(scene, worn):
+    """They differ by the bow of the board, which a rig does not ask for."""
+    twists, data, alone = worn
+    rig = fit_rig(Rig({"camera": data}), {"camera": scene.calibration})
+    estimate, expected = rig.noise_estimate, alone.noise_estimate
+    assert estimate is not None
+    assert estimate.alike.directions is None
+    # The translations along y follow the rotations about z.
+    pairs = np.ix_(range(MANY_VIEWS), [1, 5], [1, 5])
+    np.testing.assert_allclose(
+        estimate.directions.covariance[pairs], expected.directions.covariance[pairs], rtol=0.05
+    )
+    noise = estimate.largest_noise
+    found = [noise.translation, noise.rotation]
+    np.testing.assert_allclose(found, expected.largest_pose_sigmas, rtol=0.02)
+    assert f"{1e3 * noise.translation:.3f} mm and" in str(rig).split("on average")[1]
+    # Twists, not the parameters along the axes of the errors.
+    turns = rig.pose_corrections[:, 5]
+    assert np.std(turns - twists[:, 5]) < 0.1 * np.std(twists[:, 5])
+    for name in ("camera_from_tool.translation.x", "camera_from_tool.rotation.z"):
+        assert rig.std[f"camera.{name}"] == pytest.approx(alone.std[name], rel=0.1)
+    name = f"pose_corrections.{data.view_ids[3]}.rotation.z"
+    assert rig.std[name] == pytest.approx(alone.std[name], rel=0.1)
 
 
 def test_an_error_along_one_axis_is_judged_by_its_size_there(scene):

@@ -7,6 +7,7 @@ from scipy.optimize import fsolve, minimize
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
+from smartview_jax.runtime.modules import with_fields
 from smartview_jax.variance.directional_noise import estimate_directions, in_own_axes
 from smartview_jax.variance.fisher_scoring import LikelihoodMaximum
 from smartview_jax.variance.kenward_roger import small_sample_correction
@@ -244,6 +245,31 @@ def test_undecided_hypotheses_widen_the_covariance_by_their_disagreement(world):
     away = [textbook(world, observed, each)[1] - at for each in (equal, axes)]
     expected = 0.25 * np.outer(away[0], away[0]) + 0.75 * np.outer(away[1], away[1])
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_state_that_nobody_saw_changes_nothing(world):
+    """Its correction is held, and the views tell nothing of it."""
+    _, views, expected = estimated(world, 1, in_base(AXES))
+    matrix, gradient, offset = views.matrix, views.gradient, views.offset_from_prior
+    free = np.append(views.per_view_free, np.zeros((1, 6), dtype=bool), axis=0)
+    unseen = views._replace(
+        matrix=with_fields(
+            matrix, border=with_zero(matrix.border), per_view=with_zero(matrix.per_view)
+        ),
+        gradient=gradient._replace(per_view=with_zero(gradient.per_view)),
+        offset_from_prior=offset._replace(per_view=with_zero(offset.per_view)),
+        per_view_free=free,
+    )
+    noise = estimate_directions(unseen, TRUTH, np.append(TURNS, TURNS[:1], axis=0))
+    assert noise is not None
+    assert noise.probabilities == pytest.approx(expected.probabilities)
+    np.testing.assert_allclose(noise.covariance[:VIEWS], expected.covariance, rtol=1e-6)
+    np.testing.assert_allclose(noise.covariance[-1], expected.covariance[0], rtol=1e-6)
+
+
+def with_zero(blocks):
+    """The blocks of all views, and a block of zeros."""
+    return np.append(blocks, np.zeros_like(blocks[:1]), axis=0)
 
 
 def test_held_corrections_have_no_directions(world):
