@@ -79,7 +79,7 @@ def main() -> int:
         "--results",
         type=Path,
         metavar="FILE",
-        help="localization, mutations, weak_robots: earlier records, to go on from",
+        help="capture, localization, mutations, weak_robots: earlier records, to go on from",
     )
     arguments = parser.parse_args()
     unknown = set(arguments.names) - set(BENCHMARKS)
@@ -104,6 +104,7 @@ def _holds(name: str, arguments: argparse.Namespace) -> bool:
     print(f"\n== {name}: {BENCHMARKS[name]}")
     options = {
         "startup": {"against": arguments.against},
+        "capture": {"results": arguments.results},
         "localization": {"results": arguments.results},
         "mutations": {"results": arguments.results},
         "weak_robots": {"results": arguments.results},

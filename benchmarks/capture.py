@@ -8,14 +8,23 @@ of the hand-eye transform, of the point that the stated error is about.
 
 The arm has 0.3 of the errors in `simulation.random_truth`, as one that its maker has calibrated,
 and the pictures have half the size.
+
+    python -m benchmarks capture --results build/capture.jsonl
+    python -m benchmarks.capture --seeds 6 --jobs 1 --results build/capture.jsonl
+
+With `--results` every cell is written to the file when it is done, and cells that it holds are not
+captured again: an interrupted benchmark continues.
 """
 
+import argparse
 import dataclasses
+import json
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -62,6 +71,7 @@ class Captured(NamedTuple):
         lowest: smallest height of the gripper above the table, m.
         lost: announced views that are not in the folder.
         halves: rows without a picture, and pictures without a row.
+        seconds: time of both processes.
     """
 
     reached: bool
@@ -71,6 +81,7 @@ class Captured(NamedTuple):
     lowest: float
     lost: int
     halves: int
+    seconds: float
 
 
 def truth_of(seed: int, divisor: int) -> CellTruth:
@@ -153,6 +164,7 @@ def _process(arguments: list[str], kill_after: int | None) -> tuple[list[str], l
 
 def captured(seed: int, divisor: int, goal: float) -> Captured:
     """Return what came out of one cell, whose first process was killed."""
+    begun = time.monotonic()
     with tempfile.TemporaryDirectory() as parent:
         folder = Path(parent) / "data"
         arguments = [str(folder), str(seed), str(divisor), str(goal)]
@@ -167,36 +179,75 @@ def captured(seed: int, divisor: int, goal: float) -> Captured:
         if not result:
             result = [0.0, len(names), np.nan, np.nan, np.nan]
         reached, views, stated, true, lowest = result
-        return Captured(
-            bool(reached), int(views), stated, true, lowest, lost, len(names ^ pictures)
-        )
+        seconds, halves = time.monotonic() - begun, len(names ^ pictures)
+        return Captured(bool(reached), int(views), stated, true, lowest, lost, halves, seconds)
 
 
-def run(smoke: bool = False) -> bool:
-    """Print one line for each cell; True where all reached the goal, touched and lost nothing."""
-    seeds, divisor, goal = (1, 4, SMOKE_GOAL) if smoke else (SEEDS, 2, GOAL)
-    print(f"goal {goal:g} mm")
-    print(f"{'seed':>4}{'views':>7}{'stated mm':>11}{'true mm':>9}{'lowest m':>10}{'lost':>6}")
-    with ThreadPoolExecutor(1 if smoke else JOBS) as workers:
-        found = []
-        for seed, one in enumerate(
-            workers.map(lambda seed: captured(seed, divisor, goal), range(seeds))
-        ):
-            found.append(one)
+def _kept(path: Path | None) -> dict[int, Captured]:
+    """Return the cells that a file of results holds, by seed."""
+    if path is None or not path.exists():
+        return {}
+    records = map(json.loads, path.read_text(encoding="utf-8").splitlines())
+    return {record.pop("seed"): Captured(**record) for record in records}
+
+
+def _cells(seeds: int, divisor: int, goal: float, jobs: int, path: Path | None) -> list[Captured]:
+    """Capture the cells that the file does not hold; print and return all."""
+    kept, cells = _kept(path), []
+
+    def cell_of(seed: int) -> Captured:
+        if seed not in kept:
+            kept[seed] = captured(seed, divisor, goal)
+            if path is not None:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"seed": seed, **kept[seed]._asdict()}) + "\n")
+        return kept[seed]
+
+    with ThreadPoolExecutor(jobs) as workers:
+        for seed, cell in enumerate(workers.map(cell_of, range(seeds))):
+            cells.append(cell)
             print(
-                f"{seed:4}{one.views:7}{one.stated:11.2f}{one.true:9.2f}{one.lowest:10.3f}"
-                f"{one.lost + one.halves:6}{'' if one.reached else '  NOT REACHED'}",
+                f"{seed:4}{cell.views:7}{cell.stated:11.2f}{cell.true:9.2f}{cell.lowest:10.3f}"
+                f"{cell.lost + cell.halves:6}{cell.seconds:6.0f}"
+                f"{'' if cell.reached else '  NOT REACHED'}",
                 flush=True,
             )
-    reached = sum(one.reached for one in found)
-    collisions = sum(not one.lowest > 0.0 for one in found)
-    lost = sum(one.lost + one.halves for one in found)
-    ratio = float(np.mean([(one.true / one.stated) ** 2 for one in found]))
+    return cells
+
+
+def run(
+    smoke: bool = False,
+    results: Path | None = None,
+    seeds: int = SEEDS,
+    jobs: int = JOBS,
+) -> bool:
+    """Print one line for each cell; True where all reached the goal, touched and lost nothing."""
+    seeds, divisor, goal, jobs = (1, 4, SMOKE_GOAL, 1) if smoke else (seeds, 2, GOAL, jobs)
+    print(f"goal {goal:g} mm")
+    headings = f"{'seed':>4}{'views':>7}{'stated mm':>11}{'true mm':>9}{'lowest m':>10}"
+    print(f"{headings}{'lost':>6}{'s':>6}")
+    cells = _cells(seeds, divisor, goal, jobs, results)
+    reached = sum(cell.reached for cell in cells)
+    collisions = sum(not cell.lowest > 0.0 for cell in cells)
+    lost = sum(cell.lost + cell.halves for cell in cells)
+    ratio = float(np.mean([(cell.true / cell.stated) ** 2 for cell in cells]))
     # In the worst case the error has one direction, and its square one degree of freedom.
-    limit = float(chi2.ppf(0.995, len(found)) / len(found))
+    limit = float(chi2.ppf(0.995, len(cells)) / len(cells))
+    views = [cell.views for cell in cells]
     print(
-        f"{reached} of {len(found)} reached the goal; {collisions} collisions; {lost} lost rows; "
-        f"views {min(one.views for one in found)} to {max(one.views for one in found)}; mean "
-        f"square of true over stated error {ratio:.2f} (1 is right, below {limit:.2f} is asked)"
+        f"{reached} of {len(cells)} reached the goal; {collisions} collisions; {lost} lost rows; "
+        f"views {min(views)} to {max(views)}; mean square of true over stated error {ratio:.2f} "
+        f"(1 is right, below {limit:.2f} is asked)"
     )
-    return reached == len(found) and not collisions and not lost and ratio < limit
+    return reached == len(cells) and not collisions and not lost and ratio < limit
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--jobs", type=int, default=JOBS, help="cells at the same time")
+    parser.add_argument("--results", type=Path, metavar="FILE")
+    arguments = parser.parse_args()
+    holds = run(results=arguments.results, seeds=arguments.seeds, jobs=arguments.jobs)
+    sys.exit(0 if holds else 1)

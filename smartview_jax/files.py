@@ -8,7 +8,7 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,7 @@ def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
         option: command-line option that named the folder, for the error message.
     """
     folder = Path(folder)
+    refuse_existing(folder)
     existing_parent = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing_parent.is_dir():
         raise ValueError(f"{option}: {existing_parent} is a file; expected a folder to write to")
@@ -94,8 +95,12 @@ def file_transaction(
         names: names of all files that such runs may write. A file that this run does not write is
             removed, so that results of different runs are never mixed. By default nothing is
             removed, and all files are moved in the order in which they were written.
+
+    Raises:
+        FileExistsError: a file has the folder's name.
     """
     folder = Path(folder)
+    refuse_existing(folder)
     existing_parent = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
     with _temporary_folder(existing_parent, folder.name) as temporary_folder:
         try:
@@ -200,6 +205,33 @@ def require_file(path: Path) -> None:
         raise FileNotFoundError(f"{path}: is a folder, expected a file")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file")
+
+
+def refuse_existing(folder: Path, names: Iterable[str] = ()) -> None:
+    """Raise a FileExistsError where files cannot be written, or would be overwritten.
+
+    Args:
+        folder: the folder, which need not exist.
+        names: of its files that must not exist yet.
+    """
+    if folder.is_file():
+        raise FileExistsError(f"{folder}: is a file, expected a folder")
+    for path in (folder / name for name in names):
+        if path.exists():
+            raise FileExistsError(f"{path}: exists already; nothing is overwritten")
+
+
+def require_folder(path: Path, expected: str = "a folder") -> None:
+    """Raise a FileNotFoundError if there is no such folder, or a file in its place.
+
+    Args:
+        path: of the folder.
+        expected: what it should be, for the message.
+    """
+    if path.is_file():
+        raise FileNotFoundError(f"{path}: is a file, expected {expected}")
+    if not path.is_dir():
+        raise FileNotFoundError(f"{path}: no such folder")
 
 
 def read_text(path: str | os.PathLike[str]) -> str:

@@ -20,7 +20,6 @@ from jaxtyping import Array, Bool, Float, ScalarLike
 
 from ..argument_checks import errors_at
 from ..cameras import AbstractLens, Camera
-from ..files import read_yaml
 from ..geometry import (
     PoseLike,
     ViewedRegion,
@@ -34,6 +33,7 @@ from ..runtime.array_namespace import AnyArray, as_float_array
 from ..runtime.compilation import is_traced
 from ..runtime.modules import with_fields
 from ..runtime.padding import over_padded_views
+from ..schemas.calibration_content import calibration_content
 from .chain import (
     BASES,
     ONE_ARM_MOUNTS,
@@ -493,6 +493,6 @@ class Calibration(eqx.Module):
             FileNotFoundError: the file is missing.
             ValueError: naming the file and the entry that is wrong.
         """
-        content = read_yaml(path)
+        content = calibration_content(path)
         with errors_at(path):
             return cls.from_dict(content, lens, field)

@@ -254,6 +254,10 @@ def import_(
     'smartview-jax[lerobot]'.
     """
     with errors_reported(debug):
+        is_lerobot = (recording / sv.recordings.INFO_FILE).is_file()
+        if not is_lerobot:
+            # Before any option: whoever mistyped the recording has not begun to think of them.
+            _refuse_other_recordings(recording)
         if pictured.target is None and source.tag is None:
             raise ValueError(
                 "--target: expected the target in the pictures, such as charuco (or --tag for "
@@ -262,7 +266,7 @@ def import_(
         target, mount = pictured.target, pictured.mount
         choice = moments.choice()
         with progress_line() as progress:
-            if (recording / sv.recordings.INFO_FILE).is_file():
+            if is_lerobot:
                 if target is None:
                     raise ValueError("--tag: not for a data set of LeRobot; it needs --target")
                 sources = lerobot.sources(source)
@@ -274,6 +278,16 @@ def import_(
                     recording, folder, source.sources(), target, mount, choice, progress
                 )
         _print_summary(written)
+
+
+def _refuse_other_recordings(path: Path) -> None:
+    """Raise an error for a path that is no bag of ROS and no data set of LeRobot."""
+    try:
+        sv.recordings.bag_files(path)
+    except ValueError as error:
+        raise ValueError(
+            f"{error}, or the folder of a data set of LeRobot, with {sv.recordings.INFO_FILE}"
+        ) from error
 
 
 def _print_summary(written: "sv.recordings.ImportedFolder") -> None:

@@ -57,12 +57,17 @@ def load_samples(file: Path, mount: str | None) -> "tuple[sv.Dataset, str]":
     """
     if file.name == sv.io.DESCRIPTION_FILE:
         raise ValueError(f"{file}: describes a data set: give its folder, {file.parent}")
+    try:
+        samples = sv.io.read_easy_handeye(file, mount or "eye_in_hand")
+    except ValueError as error:
+        raise ValueError(
+            f"{error}; expected the folder of a data set, or a file of easy_handeye2's samples"
+        ) from error
     if mount is None:
         raise ValueError(
             f"{file}: the file does not tell where the camera is: give --mount eye_in_hand, or "
             "eye_to_hand for a fixed camera"
         )
-    samples = sv.io.read_easy_handeye(file, mount)
     data = sv.dataset.PoseDataset.from_poses(
         samples.base_from_tool, samples.camera_from_world, mount
     )

@@ -53,6 +53,14 @@ class _Subcommands(Mapping[str, Any]):
             self._loaded[name] = _imported_subcommand(name)
         return self._loaded[name]
 
+    def __contains__(self, name: object) -> bool:
+        return name in SUBCOMMANDS
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a subcommand; the default only for a word that is none."""
+        # Mapping's own `get` would take any KeyError while a file is imported for a wrong word.
+        return self[name] if name in SUBCOMMANDS else default
+
     def __iter__(self) -> Iterator[str]:
         return iter(SUBCOMMANDS)
 

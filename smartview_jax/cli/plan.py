@@ -130,6 +130,7 @@ def plan(
                 raise ValueError("--camera: only with --start; the calibrations have their cameras")
             plan_rig(paths, limits, stop, robot, json)
             return
+        _refuse_other_paths(paths, bool(start))
         with progress_line() as progress:
             if start:
                 progress("reading the description of the data set")
@@ -162,6 +163,30 @@ def plan(
         # After the table, where the result is seen last.
         say = partial(typer.echo, "\n".join(words))
         sheet.give("plan", json, say, **plan_entries(view_plan), words=words)
+
+
+def _refuse_other_paths(paths: list[Path], first: bool) -> None:
+    """Raise an error for other arguments than a calibration and its data set, or a folder alone.
+
+    Args:
+        paths: arguments of the subcommand.
+        first: whether the first views are planned, for which there is no calibration yet.
+    """
+    given = ", ".join(map(str, paths))
+    for path in paths:
+        if not path.exists():
+            raise FileNotFoundError(f"{path}: no such file or folder")
+    if first and len(paths) != 1:
+        raise ValueError(
+            f"--start: expected the data-set folder alone (smartview new begins one), found {given}"
+        )
+    if not first and len(paths) != 2:
+        raise ValueError(
+            "expected calibration.yaml and its data-set folder, or with --start the folder alone; "
+            f"found {given}"
+        )
+    if not paths[-1].is_dir():
+        raise ValueError(f"{paths[-1]}: is a file, expected the folder of a data set")
 
 
 def _with_readings(
@@ -197,10 +222,6 @@ def next_views(
     """
     if camera is not None:
         raise ValueError("--camera: only with --start; the calibration contains its camera")
-    if len(paths) != 2 or not paths[1].is_dir():
-        raise ValueError(
-            "expected calibration.yaml and its data-set folder; or, with --start, the folder alone"
-        )
     estimate = sv.load_estimate(paths[0])
     data = sv.load_dataset(paths[1], "mask", progress=progress, keep_detections=False)
     # Without an arm there are no readings, and the robot is commanded by poses.
@@ -220,8 +241,6 @@ def first_views(
     limits: "sv.viewpoints.ViewLimits",
 ) -> "sv.viewpoints.Situation":
     """Return the situation given rough transforms and the description of a folder."""
-    if len(paths) != 1:
-        raise ValueError("--start: expected the data-set folder alone (smartview new begins one)")
     described = sv.io.read_folder_description(paths[0])
     transforms = parse_transforms(start, described.mount)
     # dataset.yaml may state the target's pose; the option takes precedence.

@@ -33,9 +33,10 @@ def is_rig_plan(paths: Sequence[Path], first: bool) -> bool:
         )
     if len(paths) != 2 or not sv.joint.is_rig(paths[0]):
         raise ValueError(
-            f"{paths[-1]} has several cameras: expected the folder that calibrate wrote for it, "
-            f"with {sv.joint.RIG_FILE}, and this folder; of several arms, the file of the arm to "
-            f"plan for, such as left{sv.joint.JOINT_SUFFIX}"
+            f"{paths[-1]} has several cameras: expected the folder RESULTS that smartview "
+            f"calibrate {paths[-1]} --out RESULTS writes, with {sv.joint.RIG_FILE}, and this "
+            "folder; of several arms, the file of the arm to plan for, such as "
+            f"left{sv.joint.JOINT_SUFFIX}"
         )
     return True
 

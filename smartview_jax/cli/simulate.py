@@ -9,6 +9,7 @@ import typer
 
 import smartview_jax as sv
 
+from ..files import refuse_existing
 from .options import DebugOption, PoseFormatOption, with_option_groups
 from .terminal import errors_reported, progress_line
 
@@ -61,8 +62,7 @@ def simulate(
     truth.yaml.
     """
     with errors_reported(debug):
-        if (folder / sv.io.DESCRIPTION_FILE).exists():
-            raise FileExistsError(f"{folder / sv.io.DESCRIPTION_FILE}: exists already")
+        refuse_existing(folder, [sv.io.DESCRIPTION_FILE])
         sv.geometry.pose_codec(pose_format)
         board = sv.targets.Chessboard(9, 6, 0.004)
         scene = sv.simulation.random_target_scene(

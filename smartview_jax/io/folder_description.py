@@ -22,7 +22,7 @@ from jaxlie import SE3
 
 from .. import schemas
 from ..argument_checks import errors_at
-from ..files import read_yaml
+from ..files import read_yaml, require_folder
 from ..geometry import pose_codec, transform_from_dict
 from ..targets import AbstractTarget, AprilGrid, target_from_dict
 from .detections import DETECTIONS_FILE
@@ -52,9 +52,10 @@ class DescribedFolder(NamedTuple):
         """Read the description of a folder, which is not validated yet.
 
         Raises:
-            FileNotFoundError: the folder has no such file.
+            FileNotFoundError: there is no such folder, or it has no such file.
             ValueError: the file is not readable.
         """
+        require_folder(Path(folder), "the folder of a data set")
         path = Path(folder) / file
         if not path.exists():
             hint = "; smartview new begins a data set" if file == DESCRIPTION_FILE else ""
@@ -72,6 +73,21 @@ class DescribedFolder(NamedTuple):
         description = schemas.validate_content(self.content, schema, self.path)
         content = {key: value for key, value in self.content.items() if value is not None}
         return self._replace(content=content), description
+
+    def of_one_camera(self, otherwise: str = "") -> "tuple[DescribedFolder, schemas.DatasetFile]":
+        """Return the folder and its description, as `validated` does, if it has one camera.
+
+        Args:
+            otherwise: end of the message for several cameras, with what is to be done.
+
+        Raises:
+            ValueError: the folder has several cameras, or the content does not fit.
+        """
+        if self.is_rig:
+            raise ValueError(
+                f"{self.path}: cameras: expected a folder with one camera, found several{otherwise}"
+            )
+        return self.validated(schemas.DATASET_SCHEMA)
 
     @property
     def is_rig(self) -> bool:
@@ -114,7 +130,7 @@ def read_folder_description(folder: str | Path) -> FolderDescription:
         FileNotFoundError: the folder has no `dataset.yaml`.
         ValueError: a wrong entry; the message names it and the file.
     """
-    described, description = DescribedFolder.of(folder).validated(schemas.DATASET_SCHEMA)
+    described, description = DescribedFolder.of(folder).of_one_camera()
     path = described.path
     if description.mount == "hand_to_hand":
         raise ValueError(f"{path}: mount: expected one arm, found hand_to_hand, views of two arms")

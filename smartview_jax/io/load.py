@@ -6,9 +6,9 @@ from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
-from .. import schemas
 from ..dataset import Dataset
 from ..detection import DetectionLimits
+from ..files import require_folder
 from ..geometry import PoseLike
 from .dataset_folder import load_dataset_folder
 from .folder_description import DESCRIPTION_FILE, DescribedFolder
@@ -66,10 +66,7 @@ def load_dataset(
         15 1500 (640, 480)
     """
     folder = Path(folder)
-    if folder.is_file():
-        raise FileNotFoundError(f"{folder}: is a file, expected the folder of a data set")
-    if not folder.is_dir():
-        raise FileNotFoundError(f"{folder}: no such folder")
+    require_folder(folder, "the folder of a data set")
     if (folder / DESCRIPTION_FILE).is_file():
         options = LoadOptions(bad_views, progress, keep_detections, detection_limits)
         data = load_dataset_folder(folder, options, holder_from_world)
@@ -96,7 +93,7 @@ def load_pose_log(folder: str | os.PathLike[str]) -> PoseLog | None:
     """
     if not (Path(folder) / DESCRIPTION_FILE).is_file():
         return None
-    described, description = DescribedFolder.of(folder).validated(schemas.DATASET_SCHEMA)
+    described, description = DescribedFolder.of(folder).of_one_camera()
     if description.poses is None or description.poses.picture_times is None:
         return None
     log = read_pose_log(described.folder, described.content["poses"])

@@ -9,7 +9,7 @@ from .. import schemas
 from ..argument_checks import require_one_of
 from ..dataset import ONE_ARM, arms_of, is_pair
 from ..detection import read_picture
-from ..files import parse_yaml, write_atomically
+from ..files import parse_yaml, refuse_existing, write_atomically
 from ..geometry import PoseCodec, pose_codec
 from ..targets import AbstractTarget, target_to_dict
 from .csv_tables import write_table
@@ -204,9 +204,7 @@ def write_new_dataset(
         )
     tables = new_pose_tables(arms)
     description = folder / DESCRIPTION_FILE
-    for path in (description, *(folder / table for table in tables.values())):
-        if path.exists():
-            raise FileExistsError(f"{path}: exists already; nothing is overwritten")
+    refuse_existing(folder, (DESCRIPTION_FILE, *tables.values()))
     codec = pose_codec(ROBOTS[robot].codec)
     cameras = image_sizes if isinstance(image_sizes, Mapping) else {}
     text = _DESCRIPTION.format(
@@ -311,9 +309,7 @@ def write_description(
     """
     codec = pose_codec(pose_format)
     description, table = folder / DESCRIPTION_FILE, folder / POSES_FILE
-    for path in (description, table):
-        if path.exists():
-            raise FileExistsError(f"{path}: exists already; nothing is overwritten")
+    refuse_existing(folder, (DESCRIPTION_FILE, POSES_FILE))
     content = {
         "smartview_dataset": FORMAT_VERSION,
         "camera": {"image_size": [int(size) for size in image_size]},

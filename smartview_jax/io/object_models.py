@@ -63,7 +63,11 @@ def load_object_model(path: str | os.PathLike[str]) -> ObjectModel:
         ValueError: it is not JSON, not an object model, or a part of the model is wrong; the
             message names the file and the line or entry.
     """
-    content = parse_json(read_text(path), path)
+    try:
+        content = parse_json(read_text(path), path)
+    except ValueError as error:
+        expected = "expected an object model, such as smartview model writes"
+        raise ValueError(f"{error}; {expected}") from error
     with errors_at(path):
         return object_model_from_dict(content)
 

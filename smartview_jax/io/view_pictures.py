@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .. import schemas
 from ..geometry import host_matrices
 from ..robots import Command
 from .dataset_folder import camera_pictures
 from .folder_description import DescribedFolder, described_camera
+from .object_views import OBJECT_VIEWS_FILE
 from .robot_readings import read_sound_readings
 
 
@@ -45,7 +45,9 @@ def load_view_pictures(folder: str | os.PathLike[str]) -> ViewPictures:
         FileNotFoundError: the folder or its description is missing.
         ValueError: the description is wrong or names no pictures, or a pose is not valid.
     """
-    described, description = DescribedFolder.of(folder).validated(schemas.DATASET_SCHEMA)
+    described, description = DescribedFolder.of(folder).of_one_camera(
+        f"; {OBJECT_VIEWS_FILE} describes pictures of an object by several cameras"
+    )
     if description.pictures is None:
         raise ValueError(
             f"{described.path}: entry 'pictures' is missing: a model needs pictures of the object"

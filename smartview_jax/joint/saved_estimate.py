@@ -15,7 +15,8 @@ from ..argument_checks import errors_at
 from ..calibration import Calibration
 from ..dataset import DepthSensor
 from ..engine import Noise, Observability, PoseDirections, parameter_names
-from ..files import finite_or_null, read_yaml
+from ..files import finite_or_null
+from ..schemas.calibration_content import calibration_content
 
 if TYPE_CHECKING:
     from .joint_fit import JointFit
@@ -123,8 +124,8 @@ def load_with_uncertainty(
         FileNotFoundError: the file is missing.
         ValueError: a wrong entry; the message names it and the file.
     """
+    content = calibration_content(path)
     with errors_at(path):
-        content = read_yaml(path)
         calibration = Calibration.from_dict(content)
         entry = content.get("uncertainty")
         return calibration, None if entry is None else _estimate_from_dict(calibration, entry)

@@ -148,7 +148,7 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         ImportError: `rosbags` is not installed.
     """
     path = Path(path)
-    files = _files_of(path)
+    files = bag_files(path)
     highlevel = import_extra("rosbags.highlevel", "ros", "reading bags of ROS")
     typesys = import_extra("rosbags.typesys", "ros", "reading bags of ROS")
     # Older bags of ROS 2 have no definitions of their messages; ROS's own changed little.
@@ -164,8 +164,13 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         reader.close()
 
 
-def _files_of(path: Path) -> list[Path]:
-    """Return the files, or the one folder, that the library opens as one bag."""
+def bag_files(path: Path) -> list[Path]:
+    """Return the files, or the one folder, that make up a bag; none of them is read yet.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: a file of another kind, or a folder without a bag.
+    """
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such bag")
     expected = f"expected a file {', '.join(SUFFIXES)}, or the folder of a bag of ROS 2"

@@ -3,6 +3,7 @@ from .calibrated_rig import RELATIVE_POSE_SCHEMA as RELATIVE_POSE_SCHEMA
 from .calibration import CALIBRATION_SCHEMA as CALIBRATION_SCHEMA
 from .calibration import PINHOLE_SCHEMA as PINHOLE_SCHEMA
 from .calibration import read_calibration_file as read_calibration_file
+from .calibration_content import calibration_content as calibration_content
 from .dataset import DATASET_SCHEMA as DATASET_SCHEMA
 from .dataset import DatasetFile as DatasetFile
 from .dataset import RoughPose as RoughPose

@@ -5,8 +5,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, TypeAdapter, model_validator
 
-from ..files import read_yaml
 from .arm import ArmEntry, TransformEntry
+from .calibration_content import calibration_content
 from .covariances import check_covariance
 from .entry import (
     Entry,
@@ -345,7 +345,7 @@ def read_calibration_file(path: str | os.PathLike[str]) -> dict[str, Any]:
         FileNotFoundError: the file is missing.
         ValueError: naming the file and the entry that is wrong.
     """
-    content = read_yaml(path)
+    content = calibration_content(path)
     validate_content(content, CALIBRATION_SCHEMA, path)
     return content
 

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from ..dataset import Rig
 from ..engine import RANK_TOLERANCE
 from ..robots import CommandLike
-from ..runtime.array_namespace import to_device
+from ..runtime.array_namespace import AnyArray, to_device
 from ..runtime.compilation import one_program
 from .information_model import InformationModel
 from .rig_information import RigInformationModel
@@ -30,13 +30,33 @@ class OptimalityCriterion(eqx.Module):
     """An optimality criterion, which maps an information matrix to one number.
 
     Attributes:
-        weight_matrix: matrix M of the mean square `step @ M @ step` of the quantity of interest,
-            for a deviation `step` of the free parameters; None for the volume.
+        weight_root: root W of the matrix M = W W^T of the mean square `step @ M @ step` of the
+            quantity of interest, for a deviation `step` of the free parameters; None for the
+            volume.
         unit: unit of the number.
     """
 
-    weight_matrix: Float[Array, "free free"] | None
+    weight_root: Float[Array, "free rank"] | None
     unit: str = eqx.field(static=True)
+
+    @classmethod
+    def of_matrix(
+        cls, weight_matrix: Float[AnyArray, "free free"], unit: str
+    ) -> "OptimalityCriterion":
+        """Return the criterion of a positive semidefinite matrix M, whose root is computed."""
+        matrix = np.asarray(weight_matrix)
+        # Scaled to unit diagonal, or the roots of small numbers would have few digits.
+        scales = np.sqrt(np.diagonal(matrix))
+        scales[scales == 0.0] = 1.0
+        values, vectors = np.linalg.eigh(matrix / np.outer(scales, scales))
+        root = scales[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return cls(to_device(root), unit)
+
+    @property
+    def weight_matrix(self) -> Float[np.ndarray, "free free"] | None:
+        """The matrix M; None for the volume."""
+        root = None if self.weight_root is None else np.asarray(self.weight_root)
+        return None if root is None else root @ root.T
 
     @one_program
     def __call__(self, information: Float[Array, "free free"]) -> Float[Array, ""]:
@@ -46,8 +66,9 @@ class OptimalityCriterion(eqx.Module):
         """
         # With F = D C D, D = sqrt(diag F), C = L L^T and P = F^-1:
         #     D-optimal: det(P)^(1/(2n)) = exp(-(sum log L_ii + sum log D_ii) / n)
-        #     A-optimal: sqrt(trace(M P)) = sqrt(sum of (A M) * A), with A = L^-1 D^-1
-        # where D holds the `scales`, L is the `factor` and A the `inverse_factor`.
+        #     A-optimal: sqrt(trace(M P)) = sqrt(trace(W^T P W)) = norm(L^-1 D^-1 W)
+        # where D holds the `scales`, L is the `factor` and W the `weight_root`, whose few columns
+        # cost a twentieth of the inverse.
         # Scaling to unit diagonal keeps the precision of the Cholesky factor, since pixels and
         # radians differ by many orders of magnitude.
         scales = jnp.sqrt(jnp.diagonal(information))
@@ -55,11 +76,11 @@ class OptimalityCriterion(eqx.Module):
         factor = jnp.linalg.cholesky(scaled)
         is_regular = jnp.min(jnp.diagonal(factor)) > RANK_TOLERANCE
         factor = jnp.where(is_regular, factor, jnp.nan)
-        if self.weight_matrix is None:
+        if self.weight_root is None:
             half_log_determinant = jnp.sum(jnp.log(jnp.diagonal(factor)) + jnp.log(scales))
             return jnp.exp(-half_log_determinant / len(scales))
-        inverse_factor = solve_triangular(factor, jnp.diag(1.0 / scales), lower=True)
-        return jnp.sqrt(jnp.sum((inverse_factor @ self.weight_matrix) * inverse_factor))
+        scaled_root = self.weight_root / scales[:, None]
+        return jnp.linalg.norm(solve_triangular(factor, scaled_root, lower=True))
 
 
 def d_optimal() -> OptimalityCriterion:
@@ -98,7 +119,8 @@ def a_optimal(
     # A rotation about an axis does not displace points on the axis: on average over directions, two
     # of three axes displace the point, hence 2/3 lever_arm^2.
     weights = is_translation + 2.0 / 3.0 * lever_arm**2 * is_rotation
-    return OptimalityCriterion(to_device(np.diag(weights / fitted)), "m")
+    root = np.diag(np.sqrt(weights / fitted))
+    return OptimalityCriterion(to_device(root[:, weights > 0.0]), "m")
 
 
 def _mounts(
@@ -139,7 +161,7 @@ def i_optimal(
     """
     if isinstance(information_model, RigInformationModel):
         rig = views if isinstance(views, Rig) else information_model.planned(views)
-        return OptimalityCriterion(information_model.pixel_moment_matrix(rig), "px")
+        return OptimalityCriterion.of_matrix(information_model.pixel_moment_matrix(rig), "px")
     if not isinstance(views, SE3):
         raise TypeError("i_optimal: the views of one camera are poses camera_from_world")
-    return OptimalityCriterion(information_model.pixel_moment_matrix(views), "px")
+    return OptimalityCriterion.of_matrix(information_model.pixel_moment_matrix(views), "px")
