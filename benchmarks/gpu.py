@@ -53,7 +53,7 @@ def _problem(folder: Path, name: str, size: tuple[int, int, bool], platforms: li
     for call in ("fit_joint", "solve"):
         command = python("smartview", "forward", call)(path, ROUNDS)
         found = [measured(command, platform) for platform in platforms]
-        costs += [one["cost"] for one in found]
+        costs += [trial["cost"] for trial in found]
         _print_row(f"{name} {size[0]} x {size[1]} {call}", found)
     path.unlink()
     return max(costs) <= min(costs) * (1.0 + 1e-9)
@@ -71,7 +71,7 @@ def _many(folder: Path, platforms: list[str], count: int) -> bool:
     for row in found:
         row["seconds"] = [count * row["device_seconds"]]
     _print_row("  their program alone", found)
-    costs = [one["cost"] for one in found]
+    costs = [trial["cost"] for trial in found]
     return max(costs) <= min(costs) * (1.0 + 1e-9)
 
 
@@ -80,8 +80,10 @@ def _products(name: str, views: int, points: int, platforms: list[str]) -> None:
     command = [sys.executable, "-m", "benchmarks.peers.small_products", str(views), str(points)]
     found = [measured(command, platform) for platform in platforms]
     for row in found[0]:
-        _print_row(f"{name}: {row}", [{"seconds": [one[row]]} for one in found])
+        _print_row(f"{name}: {row}", [{"seconds": [trial[row]]} for trial in found])
 
 
 def _print_row(name: str, found: list[dict]) -> None:
-    print(f"{name:26}" + "".join(f"{median([one], 'seconds'):12.6f}" for one in found), flush=True)
+    print(
+        f"{name:26}" + "".join(f"{median([trial], 'seconds'):12.6f}" for trial in found), flush=True
+    )

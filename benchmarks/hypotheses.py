@@ -74,7 +74,7 @@ def search(
     seconds = time.perf_counter() - began
     if not found:
         return np.inf, seconds
-    poses = np.array([one.world_from_object for one in found])
+    poses = np.array([result.world_from_object for result in found])
     angles, shifts = pose_errors(model, poses, world_from_object)
     right = np.flatnonzero((angles < near[0]) & (shifts < near[1]))
     return (float(right[0]) if len(right) else np.inf), seconds
@@ -83,7 +83,7 @@ def search(
 def search_scene(scene: LocalizationScene, view_counts: tuple[int, ...]) -> dict[int, Search]:
     """Return the outcome of searches in one scene by the number of pictures."""
     began = time.perf_counter()
-    evidence = [picture_evidence(one, scene.calibration.camera) for one in scene.pictures]
+    evidence = [picture_evidence(picture, scene.calibration.camera) for picture in scene.pictures]
     seconds = (time.perf_counter() - began) / len(evidence)
     found = {}
     for count in view_counts:
@@ -95,10 +95,10 @@ def search_scene(scene: LocalizationScene, view_counts: tuple[int, ...]) -> dict
 
 def _row(name: str, views: int, found: list[Search], goal: float | None) -> bool:
     """Print a line of the table; return whether the goal is met."""
-    ranks = np.array([one.rank for one in found])
+    ranks = np.array([result.rank for result in found])
     listed = (ranks < LISTED).mean()
     fine = goal is None or bool(listed >= goal)
-    seconds = [float(np.median([one[k] for one in found])) for k in (1, 2)]
+    seconds = [float(np.median([result[k] for result in found])) for k in (1, 2)]
     print(
         f"{name:16}{views:6}{len(found):8}{(ranks == 0).mean():8.1%}{listed:9.1%}"
         f"{seconds[0]:10.2f}{seconds[1]:9.2f}{'' if fine else '  TOO FEW'}",
@@ -123,9 +123,9 @@ def _scenes(smoke: bool) -> bool:
             for seed in seeds
             for name in names
         ]
-        good &= _row(kind, 2, [one[2] for one in found], GOALS[kind])
+        good &= _row(kind, 2, [result[2] for result in found], GOALS[kind])
         # One picture alone cannot tell a small near block from a large far one: no goal.
-        _row(kind, 1, [one[1] for one in found], None)
+        _row(kind, 1, [result[1] for result in found], None)
     return good
 
 
@@ -143,7 +143,7 @@ def _real(smoke: bool) -> bool:
         found.setdefault(kind, []).append(_search_real(case))
     for name, searches in found.items():
         _row(name[:15], case_views[name], searches, None)
-    every = [one.rank for searches in found.values() for one in searches]
+    every = [result.rank for searches in found.values() for result in searches]
     share = float((np.array(every) < LISTED).mean())
     print(f"real cases with a right hypothesis in {LISTED}: {share:.1%} of {len(every)}")
     return share >= MIN_REAL
@@ -152,7 +152,7 @@ def _real(smoke: bool) -> bool:
 def _search_real(case: RealCase) -> Search:
     """Return the outcome of the search in one real case."""
     began = time.perf_counter()
-    evidence = [picture_evidence(one, case.calibration.camera) for one in case.pictures]
+    evidence = [picture_evidence(picture, case.calibration.camera) for picture in case.pictures]
     seconds = time.perf_counter() - began
     views = SeenViews.of(case.calibration, case.poses)
     near = REAL_NEAR[0], REAL_NEAR[1] * case.unit

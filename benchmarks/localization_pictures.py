@@ -66,13 +66,15 @@ def print_real_pictures(smoke: bool = False) -> bool:
         own = [case for case in cases if _set_of(case) == name]
         findings, accepted, searched = [], 0, 0
         for case in own:
-            evidence = [picture_evidence(one, case.calibration.camera) for one in case.pictures]
+            evidence = [
+                picture_evidence(picture, case.calibration.camera) for picture in case.pictures
+            ]
             findings.append(_present(case, evidence))
             absent = _absent(case, evidence, ABSENT[: 1 if smoke else None])
             accepted, searched = accepted + sum(absent), searched + len(absent)
         _print_row(name, findings, accepted, searched)
-        good &= all(one.accepted and not one.edge_rms > MAX_EDGE_RMS for one in findings)
-        good &= not any(one.wrong for one in findings)
+        good &= all(entry.accepted and not entry.edge_rms > MAX_EDGE_RMS for entry in findings)
+        good &= not any(entry.wrong for entry in findings)
         absent_accepted, absent_searched = absent_accepted + accepted, absent_searched + searched
     low, high = interval(absent_accepted, absent_searched)
     print(f"of objects that are not there {absent_accepted} of {absent_searched} were accepted: "
@@ -90,7 +92,7 @@ def _set_of(case: RealCase) -> str:
 def _present(case: RealCase, evidence: Sequence[PictureEvidence]) -> Finding:
     """Return what is found of the object that the pictures show."""
     localizations = localize(evidence, case.poses, case.calibration, case.model)
-    right = [one for one in localizations.accepted if _error(case, one)[2]]
+    right = [entry for entry in localizations.accepted if _error(case, entry)[2]]
     first = bool(len(localizations)) and _error(case, localizations[0])[2]
     wrong = len(localizations.accepted) - len(right)
     if not right:
@@ -100,11 +102,11 @@ def _present(case: RealCase, evidence: Sequence[PictureEvidence]) -> Finding:
     return Finding(True, first, wrong, rms, angle, shift / _extent(case.model.vertices))
 
 
-def _error(case: RealCase, one: Localization) -> tuple[float, float, bool]:
+def _error(case: RealCase, entry: Localization) -> tuple[float, float, bool]:
     """Return degrees and length from the reference pose, and whether that is right."""
     angle, shift = (
         float(x[0])
-        for x in pose_errors(case.model, one.world_from_object[None], case.world_from_object)
+        for x in pose_errors(case.model, entry.world_from_object[None], case.world_from_object)
     )
     return angle, shift, angle < REAL_NEAR[0] and shift < REAL_NEAR[1] * case.unit
 
@@ -134,13 +136,13 @@ def _extent(vertices: np.ndarray) -> float:
 
 def _print_row(name: str, findings: Sequence[Finding], accepted: int, searched: int) -> None:
     """Print the results for one object, with medians over accepted poses."""
-    accepted_ones = [one for one in findings if one.accepted]
+    accepted_poses = [entry for entry in findings if entry.accepted]
     rms, angle, shift = (
-        np.median([getattr(one, key) for one in accepted_ones]) if accepted_ones else np.nan
+        np.median([getattr(entry, key) for entry in accepted_poses]) if accepted_poses else np.nan
         for key in ("edge_rms", "degrees", "relative")
     )
+    right, wrong = (sum(getattr(f, key) for f in findings) for key in ("best_is_right", "wrong"))
     print(
-        f"{name:20}{len(findings):6}{len(accepted_ones):10}"
-        f"{sum(one.best_is_right for one in findings):13}{sum(one.wrong for one in findings):7}"
+        f"{name:20}{len(findings):6}{len(accepted_poses):10}{right:13}{wrong:7}"
         f"{rms:10.2f}{angle:9.2f}{shift:9.2%}{searched:9}{accepted:10}"
     )

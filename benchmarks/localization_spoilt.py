@@ -71,7 +71,7 @@ def print_spoilt_pictures(smoke: bool = False) -> bool:
 def _right_and_wrong(scene: LocalizationScene, spoilt: Spoilt) -> tuple[int, int]:
     """Return the numbers of right and of wrong poses that are accepted in spoilt pictures."""
     rng = np.random.default_rng(0)
-    pictures = [spoilt(one, rng) for one in scene.pictures]
+    pictures = [spoilt(picture, rng) for picture in scene.pictures]
     try:
         localizations = localize(
             pictures, scene.base_from_tool, scene.calibration, scene.model
@@ -79,7 +79,7 @@ def _right_and_wrong(scene: LocalizationScene, spoilt: Spoilt) -> tuple[int, int
     except ValueError:
         # A picture on which nothing can be seen is refused.
         return 0, 0
-    poses = [one.world_from_object[None] for one in localizations]
+    poses = [obj.world_from_object[None] for obj in localizations]
     errors = [pose_errors(scene.model, pose, scene.world_from_object) for pose in poses]
     right = sum(is_right(float(angle[0]), float(shift[0])) for angle, shift in errors)
     return right, len(localizations) - right

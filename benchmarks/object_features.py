@@ -62,21 +62,21 @@ def reference_pictures(
     """Read some views of a set; pictures whose intrinsics differ are resampled to the first's."""
     folder = SHARED / name
     content = json.loads((folder / "cameras.json").read_text(encoding="utf-8"))
-    cameras = [one for one in content["cameras"] if views is None or one["view"] in views]
+    cameras = [entry for entry in content["cameras"] if views is None or entry["view"] in views]
     rows = list(csv.DictReader((folder / "corners.csv").read_text(encoding="utf-8").splitlines()))
     common = np.array(cameras[0]["K"], dtype=float)
     common[0, 1] = 0.0
     pictures, corners = [], []
-    for one in cameras:
-        picture = read_picture(folder / one["image"])
+    for entry in cameras:
+        picture = read_picture(folder / entry["image"])
         # Without distortion the change of intrinsics, and of skew, is a homography.
-        change = common @ np.linalg.inv(np.array(one["K"], dtype=float))
+        change = common @ np.linalg.inv(np.array(entry["K"], dtype=float))
         if np.abs(change - np.eye(3)).max() > 1e-9:
             size = content["width"], content["height"]
             picture = cv2.warpPerspective(
                 picture, change, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
             )
-        own = [row for row in rows if row["view"] == one["view"]]
+        own = [row for row in rows if row["view"] == entry["view"]]
         corners.append(
             {
                 same.get(int(row[feature]), int(row[feature])): (
@@ -89,7 +89,7 @@ def reference_pictures(
     size = content["width"], content["height"]
     fu, fv, u0, v0 = (common[place] for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     camera = sv.Camera(fu, fv, u0, v0, Pinhole(), size)
-    poses = np.linalg.inv(np.array([one[pose] for one in cameras], dtype=float))
+    poses = np.linalg.inv(np.array([entry[pose] for entry in cameras], dtype=float))
     calibration = sv.Calibration.eye_in_hand(camera, np.eye(4), np.eye(4))
     return ReferencePictures(calibration, poses, pictures, corners)
 
@@ -150,7 +150,7 @@ def _real_sets(smoke: bool) -> bool:
         found = [features.find(picture, data.calibration.camera) for picture in data.pictures]
         gap = recall(data, found)
         gaps.append(gap)
-        mean = np.mean([len(one.corners) for one in found])
+        mean = np.mean([len(entry.corners) for entry in found])
         line = f"{name:18}{len(found):6}{mean:9.0f}{(gap < NEAR).mean():8.1%}{np.median(gap):6.2f}"
         if depths is None:
             # The cube moved and the camera did not: its poses come from the same edges.
