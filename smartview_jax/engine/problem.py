@@ -146,7 +146,7 @@ class JointProblem(AbstractProblem):
 
     @property
     def command(self) -> Command:
-        """What the robot reported in each view."""
+        """The command that the robot reported in each view."""
         return self.observations.command
 
     @property
