@@ -230,7 +230,7 @@ def _picture(camera_from_world: np.ndarray) -> np.ndarray:
 
 def _is_inside(pixels: np.ndarray) -> np.ndarray:
     """Return which points are in the picture."""
-    return ((pixels > 0.0) & (pixels < IMAGE_SIZE)).all(axis=-1)
+    return np.all((pixels > 0.0) & (pixels < IMAGE_SIZE), axis=-1)
 
 
 def _viewpoint(rng: np.random.Generator) -> np.ndarray:

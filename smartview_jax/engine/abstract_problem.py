@@ -14,7 +14,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float, Int
 
 from ..robot_errors import RobotError
-from ..runtime.array_namespace import AnyArray, to_device_together
+from ..runtime.array_namespace import to_device_together
 from ..runtime.modules import HostModule, with_fields
 from .parameters import Step, host_step
 from .schur import BlockArrow
@@ -65,8 +65,6 @@ class AbstractProblem(HostModule):
             for solvers that treat all parameters alike.
         pixel_sigma: standard deviation of u and of v, px, or the unit of tracked poses' noise.
         mesh: devices over which the views are distributed; None is one device.
-        correction_roots: the twist of each view's correction by its own six parameters, where the
-            errors of poses differ by direction; None if the parameters are the twist.
     """
 
     free: eqx.AbstractVar[Int[Array, "free"]]
@@ -76,7 +74,6 @@ class AbstractProblem(HostModule):
     scale: eqx.AbstractVar[Step]
     pixel_sigma: eqx.AbstractVar[Float[Array, ""]]
     mesh: eqx.AbstractVar[Mesh | None]
-    correction_roots: eqx.AbstractVar[Float[AnyArray, "corrected 6 6"] | None]
 
     @property
     @abc.abstractmethod
@@ -142,13 +139,20 @@ class AbstractProblem(HostModule):
     ) -> _Problem:
         """Return the problem with the robot error field at poses corrected for noise."""
 
+    @property
+    @abc.abstractmethod
+    def host_correction_roots(self) -> Float[np.ndarray, "corrected 6 6"] | None:
+        """The twist of each view's correction by its own six parameters.
+
+        None if the parameters are the twist, as where poses err alike in all directions.
+        """
+
     def host_corrections(
         self, per_view: Float[np.ndarray, "corrected 6"]
     ) -> Float[np.ndarray, "corrected 6"]:
         """Return the twists of the views' corrections, given their own parameters."""
-        if self.correction_roots is None:
-            return per_view
-        return np.einsum("vij,vj->vi", np.asarray(self.correction_roots), per_view)
+        roots = self.host_correction_roots
+        return per_view if roots is None else np.einsum("vij,vj->vi", roots, per_view)
 
     def with_free(self: _Problem, kept: Int[np.ndarray, "kept"]) -> _Problem:
         """Return the problem with some of its free shared parameters; the others are held."""

@@ -175,17 +175,16 @@ class ArmsProblem(AbstractRigProblem):
         return with_fields(self, arms=tuple(arms))
 
     @property
-    def correction_roots(self) -> Float[np.ndarray, "states 6 6"] | None:
+    def host_correction_roots(self) -> Float[np.ndarray, "states 6 6"] | None:
         """The twist of each correction by its own parameters, as in `AbstractProblem`."""
-        problems = [arm.problem for arm in self.arms]
-        if all(problem.correction_roots is None for problem in problems):
+        roots = [arm.problem.host_correction_roots for arm in self.arms]
+        if all(of_arm is None for of_arm in roots):
             return None
+        states = [len(arm.problem.per_view_free) for arm in self.arms]
         return np.concatenate(
             [
-                np.tile(np.eye(6), (len(problem.per_view_free), 1, 1))
-                if problem.correction_roots is None
-                else np.asarray(problem.correction_roots)
-                for problem in problems
+                np.tile(np.eye(6), (count, 1, 1)) if of_arm is None else of_arm
+                for of_arm, count in zip(roots, states, strict=True)
             ]
         )
 

@@ -69,10 +69,11 @@ class JointProblem(AbstractProblem):
         parameters: the start, from which steps are taken.
         observations: points, pixels, visibility and reported poses.
         pixel_sigma: standard deviation of u and of v, px.
-        free, per_view_free, prior_mean, prior_weight, scale, mesh, correction_roots: as in
-            `AbstractProblem`.
+        free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
         loss: robust loss; None is least squares.
         prepared_poses: precomputed quantities of the robot error field; None without a field.
+        correction_roots: the twist of each view's correction by its own six parameters, where the
+            errors of poses differ by direction; None if the parameters are the twist.
     """
 
     parameters: Parameters
@@ -117,6 +118,11 @@ class JointProblem(AbstractProblem):
         return with_fields(self, correction_roots=roots)
 
     @property
+    def host_correction_roots(self) -> Float[np.ndarray, "corrected 6 6"] | None:
+        """The roots of the corrections as a NumPy array, as in `AbstractProblem`."""
+        return None if self.correction_roots is None else np.asarray(self.correction_roots)
+
+    @property
     def visible_count(self) -> int:
         """The number of visible points in all pictures, or of numbers of tracked poses."""
         return int(np.asarray(self.observations.visible).sum())
@@ -140,7 +146,7 @@ class JointProblem(AbstractProblem):
 
     @property
     def command(self) -> Command:
-        """What the robot reported in each view."""
+        """The command that the robot reported in each view."""
         return self.observations.command
 
     @property

@@ -55,8 +55,9 @@ class RigProblem(AbstractRigProblem):
         start_error: the robot's error at the start; None without a field.
         pixel_sigma: factor of all cameras' pixel sigmas.
         camera_mask: as in `AbstractRigProblem`.
-        free, per_view_free, prior_mean, prior_weight, scale, mesh, correction_roots: as in
-            `AbstractProblem`.
+        free, per_view_free, prior_mean, prior_weight, scale, mesh: as in `AbstractProblem`.
+        correction_roots: the twist of each state's correction by its own six parameters, where the
+            errors of poses differ by direction; None if the parameters are the twist.
     """
 
     groups: tuple[CameraGroup, ...]
@@ -71,6 +72,11 @@ class RigProblem(AbstractRigProblem):
     scale: Step
     mesh: Mesh | None = eqx.field(static=True, default=None)
     correction_roots: Float[AnyArray, "states 6 6"] | None = None
+
+    @property
+    def host_correction_roots(self) -> Float[np.ndarray, "states 6 6"] | None:
+        """The roots of the corrections as a NumPy array, as in `AbstractProblem`."""
+        return None if self.correction_roots is None else np.asarray(self.correction_roots)
 
     @property
     def robot_error(self) -> RobotError | None:

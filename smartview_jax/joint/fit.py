@@ -367,7 +367,7 @@ def _assemble_fit(
         reduced,
         common_covariance,
         factor,
-        None if problem.correction_roots is None else np.asarray(problem.correction_roots),
+        problem.host_correction_roots,
     )
     correction_std = correction_std[np.asarray(problem.per_view_free)]
 

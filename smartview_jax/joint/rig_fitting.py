@@ -191,7 +191,7 @@ def _assembled(
         freedom = correction.degrees_of_freedom
         common = common + added
         std = np.sqrt(std**2 + np.diagonal(added))
-    of_states = per_view_std(reduced, common, 1.0, built.problem.correction_roots)
+    of_states = per_view_std(reduced, common, 1.0, built.problem.host_correction_roots)
     of_states = of_states[np.asarray(built.problem.per_view_free)]
     calibrations, residuals, inliers, pixel_sigmas, sensors = {}, {}, {}, {}, {}
     chains = (solution.chain,) if joined is None else solution.chain

@@ -85,7 +85,7 @@ class AveragedFit(NamedTuple):
 
     @property
     def small_sample_correction(self) -> SmallSampleCorrection:
-        """What the uncertain standard deviations and directions add to the covariance."""
+        """The contribution of uncertain standard deviations and directions to the covariance."""
         return small_sample_correction(self.views, self.maximum, self.directions)
 
     @property
