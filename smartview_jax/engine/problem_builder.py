@@ -231,11 +231,17 @@ def with_free_camera_poses(
     return repositioned, identity_start
 
 
+def without_region(start: Calibration) -> Calibration:
+    """Return the start without the region of viewpoints, which describes an earlier fit's data.
+
+    So starts from a fit and from elsewhere share the solver's program.
+    """
+    return start if start.region is None else with_fields(start, region=None)
+
+
 def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
     """Return the start with another lens, initialised from the present one; None keeps it."""
-    # The region describes the data of an earlier fit, so it does not apply to a start.
-    if start.region is not None:
-        start = with_fields(start, region=None)
+    start = without_region(start)
     if lens is None:
         return start
     return eqx.tree_at(lambda c: c.camera.lens, start, initial_lens(lens, start.camera.lens))
