@@ -210,22 +210,27 @@ def build_problem(
 
 
 def with_free_camera_poses(
-    data: Dataset, camera: Camera, camera_from_world: SE3, field: AbstractField | None = None
+    data: Dataset,
+    camera: Camera,
+    camera_from_world: SE3,
+    field: AbstractField | None = None,
+    mount: str = "eye_in_hand",
 ) -> tuple[Dataset, Calibration]:
     """Return data and a start in which camera poses of the views replace the reported poses.
 
     With both transforms held, the corrections of the reported poses are then free camera poses: the
-    corrected pose of a view is `exp(correction) @ camera_from_world`. A robot error field (without
-    joints) gets zero coefficients and has no effect, but gives the problem the structure of a fit
-    with this field.
+    corrected pose of a view is `exp(correction) @ camera_from_world` for a camera on the hand, and
+    `camera_from_world @ exp(-correction)` for one next to the robot. The mount, and a robot error
+    field (without joints), which gets zero coefficients, have no effect, but give the problem the
+    structure of a fit with these.
     """
     identity = host_transforms(np.eye(4))
     error = None if field is None else RobotError.zero(field)
-    identity_start = Calibration(camera, identity, identity, "eye_in_hand", robot_error=error)
+    identity_start = Calibration(camera, identity, identity, mount, robot_error=error)
     repositioned = with_fields(
         data,
-        base_from_tool=host_mount_from_holder("eye_in_hand", camera_from_world),
-        mount="eye_in_hand",
+        base_from_tool=host_mount_from_holder(mount, camera_from_world),
+        mount=mount,
         hands=None,
     )
     return repositioned, identity_start
