@@ -211,32 +211,43 @@ def _require_same_setup(data: Dataset, start: Calibration) -> None:
 
 
 def with_free_camera_poses(
-    data: Dataset, camera: Camera, camera_from_world: SE3, field: AbstractField | None = None
+    data: Dataset,
+    camera: Camera,
+    camera_from_world: SE3,
+    field: AbstractField | None = None,
+    mount: str = "eye_in_hand",
 ) -> tuple[Dataset, Calibration]:
     """Return data and a start in which camera poses of the views replace the reported poses.
 
     With both transforms held, the corrections of the reported poses are then free camera poses: the
-    corrected pose of a view is `exp(correction) @ camera_from_world`. A robot error field (without
-    joints) gets zero coefficients and has no effect, but gives the problem the structure of a fit
-    with this field.
+    corrected pose of a view is `exp(correction) @ camera_from_world` for a camera on the hand, and
+    `camera_from_world @ exp(-correction)` for one next to the robot. The mount, and a robot error
+    field (without joints), which gets zero coefficients, have no effect, but give the problem the
+    structure of a fit with these.
     """
     identity = host_transforms(np.eye(4))
     error = None if field is None else RobotError.zero(field)
-    identity_start = Calibration(camera, identity, identity, "eye_in_hand", robot_error=error)
+    identity_start = Calibration(camera, identity, identity, mount, robot_error=error)
     repositioned = with_fields(
         data,
-        base_from_tool=host_mount_from_holder("eye_in_hand", camera_from_world),
-        mount="eye_in_hand",
+        base_from_tool=host_mount_from_holder(mount, camera_from_world),
+        mount=mount,
         hands=None,
     )
     return repositioned, identity_start
 
 
+def without_region(start: Calibration) -> Calibration:
+    """Return the start without the region of viewpoints, which describes an earlier fit's data.
+
+    So starts from a fit and from elsewhere share the solver's program.
+    """
+    return start if start.region is None else with_fields(start, region=None)
+
+
 def with_lens(start: Calibration, lens: str | AbstractLens | None) -> Calibration:
     """Return the start with another lens, initialised from the present one; None keeps it."""
-    # The region describes the data of an earlier fit, so it does not apply to a start.
-    if start.region is not None:
-        start = with_fields(start, region=None)
+    start = without_region(start)
     if lens is None:
         return start
     return eqx.tree_at(lambda c: c.camera.lens, start, initial_lens(lens, start.camera.lens))

@@ -37,6 +37,7 @@ from .problem_builder import (
     with_depth_bias,
     with_field,
     with_known_depth_noise,
+    without_region,
 )
 from .rig_problem import CameraGroup, RigProblem
 
@@ -113,7 +114,7 @@ def build_rig(
     if field == "auto":
         _require_one_robot_error(starts)
     starts = {
-        name: with_depth_bias(with_field(starts[name], field), data)
+        name: with_depth_bias(with_field(without_region(starts[name]), field), data)
         for name, data in rig.cameras.items()
     }
     rig = _with_bases_of(rig, starts)

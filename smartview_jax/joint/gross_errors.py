@@ -14,7 +14,7 @@ import numpy as np
 from jaxlie import SE3
 from jaxtyping import Bool, Float
 
-from ..calibration import Calibration, host_mount_from_holder
+from ..calibration import ONE_ARM_MOUNTS, Calibration, host_mount_from_holder
 from ..data_checks import find_consistent_views, median_reprojection_errors
 from ..dataset import Dataset, Observations, medians_by_view, view_residuals
 from ..engine import (
@@ -200,10 +200,11 @@ def _robust_poses(
     Returns:
         The pixel sigma, px; the norm of every point's residual, px; every view's best pose.
     """
-    # Only priors and held parameters of the camera are used. The field has no effect, but with it
-    # the fit shares the compiled program of later fits.
+    # Only priors and held parameters of the camera are used. Field and mount have no effect, but
+    # with them the fit shares the compiled program of later fits.
     field = encompassing_field(data, len(data.usable_views())) if data.arm is None else None
-    free_pose_data, identity_start = with_free_camera_poses(data, start.camera, poses, field)
+    mount = data.mount if data.mount in ONE_ARM_MOUNTS else "eye_in_hand"
+    free_pose_data, identity_start = with_free_camera_poses(data, start.camera, poses, field, mount)
     # A robust fit of a pose needs enough points in the view.
     count = np.asarray(data.visible).sum(axis=1)
     is_checked = 2 * np.sum(count[count > MAX_UNCHECKED_POINTS]) > np.sum(count)

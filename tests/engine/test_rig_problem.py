@@ -11,6 +11,7 @@ from starts import nudged
 from smartview_jax import Noise, Rig
 from smartview_jax.engine import StructuredLM, build_rig, solve, with_lens
 from smartview_jax.simulation import paper_calibration
+from smartview_jax.staged import with_region
 
 NOISE = Noise(0.15, 1e-4, 2e-4)
 """Noise of the scene below, as stated."""
@@ -68,3 +69,15 @@ def test_each_view_has_the_axes_of_its_state(pair):
         seen = np.asarray(group.state_index) < states
         of_views = np.asarray(group.problems.correction_roots)[seen]
         np.testing.assert_array_equal(of_views, roots[np.asarray(group.state_index)[seen]])
+
+
+def test_a_start_from_a_fit_shares_the_program_of_any_other():
+    """The viewpoints that an earlier fit has seen are no part of the problem."""
+    data, start = scene_of(0, translation_noise=1e-4).data, paper_calibration()
+    fitted = with_region(start, data)
+    assert fitted.region is not None
+    structures = {
+        jax.tree.structure(build_rig(Rig({"only": data}), {"only": begin}, noise=NOISE).problem)
+        for begin in (start, fitted)
+    }
+    assert len(structures) == 1

@@ -1,4 +1,7 @@
+import dataclasses
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -6,9 +9,11 @@ from fit_scenes import MANY_VIEWS, scene_of
 from jaxlie import SE3
 from starts import nudged
 
-from smartview_jax import fit_joint
-from smartview_jax.geometry import host_logarithms, host_matrices
+from smartview_jax import Calibration, Noise, fit_joint
+from smartview_jax.engine import build_problem, padded, solve
+from smartview_jax.geometry import as_se3, host_logarithms, host_matrices
 from smartview_jax.joint.gross_errors import remove_gross_errors
+from smartview_jax.variance import encompassing_field
 
 SEEDS = (0, 1, 4)
 ROBOT = {"translation_noise": 1e-4, "rotation_noise": 2e-4}
@@ -49,6 +54,32 @@ def test_the_mispaired_view_goes_with_its_reason(screenings):
         assert view == "7"
         assert "it fits the pose of no other view either: moved, or a wrong pose?" in reason
         assert not np.asarray(data.visible)[7].any()
+
+
+def test_a_fixed_camera_leaves_out_the_same_by_the_program_of_its_fit(
+    spoilt, screenings, monkeypatch
+):
+    """The same pictures, as if the robot had held the target by the inverse poses."""
+    clean, _, data = spoilt[0]
+    turned = as_se3(np.linalg.inv(host_matrices(data.base_from_tool)))
+    fixed = dataclasses.replace(data, mount="eye_to_hand", base_from_tool=turned)
+    hand = clean.calibration
+    start = Calibration.eye_to_hand(hand.camera, hand.camera_from_mount, hand.holder_from_world)
+    problems = []
+
+    def recorded(problem, *args, **kwargs):
+        problems.append(problem)
+        return solve(problem, *args, **kwargs)
+
+    monkeypatch.setattr("smartview_jax.joint.gross_errors.solve", recorded)
+    found, points = remove_gross_errors(fixed, start)
+    _, expected, expected_points = screenings[0]
+    np.testing.assert_array_equal(found.visible, expected.visible)
+    assert [entry[:2] for entry in points] == [entry[:2] for entry in expected_points]
+    field = encompassing_field(fixed, MANY_VIEWS)
+    noise = Noise(1.0, 1.0, 1.0, field=(1.0,) * len(field.groups))
+    later = build_problem(found, start, noise=noise, field=field).problem
+    assert {jax.tree.structure(padded(x)) for x in problems} == {jax.tree.structure(padded(later))}
 
 
 def test_points_are_listed_with_how_far_they_are(screenings):
