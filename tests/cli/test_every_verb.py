@@ -47,7 +47,7 @@ CASES = (
     Case("calibrate", "data/dataset.yaml", 2, "describes a data set: give its folder"),
     Case("capture", "live --camera simulated --robot simulated --no-browser", 0, "live is at http"),
     Case("capture", "--print-program rapid", 0, "MODULE SmartviewCapture"),
-    Case("capture", "nowhere", 2, "nowhere: no such folder"),
+    Case("capture", "nowhere", 2, "nowhere/dataset.yaml"),
     Case("check", "data", 0, "camera and robot agree: ready for smartview calibrate"),
     Case("check", "inverted", 1, "problem: "),
     Case("check", "nowhere", 2, "nowhere: no such folder"),
