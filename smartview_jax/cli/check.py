@@ -377,9 +377,22 @@ def _agreement(
     }
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     if not problems and not fit.conventions.change:
-        doubts += _doubts_of_motion(fit.conventions, camera is not None, data.joints is not None)
+        # A wrong pose moves by some other length than the camera did.
+        report = _report_of_kept_views(data, fit) if reasons else fit.conventions
+        doubts += _doubts_of_motion(report, camera is not None, data.joints is not None)
     doubts += [text for text in fit.warnings if text not in problems]
     return problems, doubts, fit
+
+
+def _report_of_kept_views(
+    data: "sv.Dataset", fit: "sv.StagedFit"
+) -> "sv.data_checks.ConventionReport":
+    """Return how the views that the fit used move, without the ones that it left out."""
+    robot, camera = (
+        sv.geometry.host_transforms(sv.geometry.host_matrices(poses)[list(fit.views)])
+        for poses in (data.base_from_tool, fit.step2.camera_from_world)
+    )
+    return sv.data_checks.check_conventions(robot, camera, data.mount)
 
 
 def _doubts_of_motion(

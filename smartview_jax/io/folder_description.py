@@ -22,7 +22,7 @@ from jaxlie import SE3
 
 from .. import schemas
 from ..argument_checks import errors_at
-from ..files import read_yaml, require_folder
+from ..files import read_yaml
 from ..geometry import pose_codec, transform_from_dict
 from ..targets import AbstractTarget, AprilGrid, target_from_dict
 from .detections import DETECTIONS_FILE
@@ -52,11 +52,12 @@ class DescribedFolder(NamedTuple):
         """Read the description of a folder, which is not validated yet.
 
         Raises:
-            FileNotFoundError: there is no such folder, or it has no such file.
+            FileNotFoundError: the folder has no such file, or is a file itself.
             ValueError: the file is not readable.
         """
-        require_folder(Path(folder), "the folder of a data set")
         path = Path(folder) / file
+        if path.parent.is_file():
+            raise FileNotFoundError(f"{folder}: is a file, expected the folder of a data set")
         if not path.exists():
             hint = "; smartview new begins a data set" if file == DESCRIPTION_FILE else ""
             raise FileNotFoundError(f"{path}: no such file{hint}")

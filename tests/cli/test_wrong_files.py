@@ -51,7 +51,8 @@ CASES = {
     "plan results/calibration.yaml notes.txt": "notes.txt: is a file, expected the folder of a "
     "data set",
     "model notes.txt --no-browser": "notes.txt: is a file, expected the folder of a data set",
-    "model nowhere --no-browser": "nowhere: no such folder",
+    "model nowhere --no-browser": "nowhere/dataset.yaml: no such file; smartview new "
+    "begins a data set",
     # A file in the place of a new folder.
     "new notes.txt --robot ur": "notes.txt: is a file, expected a folder",
     "simulate notes.txt": "notes.txt: is a file, expected a folder",

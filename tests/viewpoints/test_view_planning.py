@@ -16,6 +16,7 @@ from smartview_jax.simulation import paper_calibration, paper_points, random_vie
 from smartview_jax.simulation.arm_scenes import HOME_JOINTS
 from smartview_jax.viewpoints import (
     InformationModel,
+    OptimalityCriterion,
     ViewRange,
     a_optimal,
     choose_views,
@@ -97,6 +98,24 @@ def test_the_goals_are_those_of_the_bound_of_the_chosen_views(survey, goal, test
     _, logarithm = np.linalg.slogdet(bound.covariance)
     size = 0.5 * logarithm / len(bound.covariance)
     assert float(np.log(d_value)) == pytest.approx(size, abs=1e-6)
+
+
+def test_a_criterion_of_a_matrix_keeps_small_numbers():
+    scales = np.array([1e3, 1.0, 1e-4, 1e-4])
+    mixing = np.random.default_rng(0).normal(size=(4, 2))
+    matrix = scales[:, None] * (mixing @ mixing.T) * scales
+    criterion = OptimalityCriterion.of_matrix(matrix, "px")
+    assert criterion.weight_matrix is not None
+    units = np.outer(scales, scales)
+    np.testing.assert_allclose(criterion.weight_matrix / units, matrix / units, atol=1e-13)
+    information = np.diag([1e-6, 1.0, 1e6, 1e8]) + 1e-7
+    expected = np.sqrt(np.trace(matrix @ np.linalg.inv(information)))
+    assert float(criterion(jnp.asarray(information))) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_hand_eye_transform_has_six_columns(survey):
+    """A thousand candidates are compared at a time: all columns would take ten times as long."""
+    assert a_optimal(survey, 0.2).weight_root.shape == (len(survey.parameter_names), 6)
 
 
 def test_priors_past_views_and_an_exact_robot_count_as_in_the_bound(candidates):
