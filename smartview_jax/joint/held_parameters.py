@@ -123,12 +123,41 @@ class _Refit(NamedTuple):
             names: names of all of them.
             cost: of the fit under test.
         """
-        gain = (cost - self.cost) / len(names) / (self.cost / self.freedom)
-        if not (gain > 0.0 and fdtrc(len(names), self.freedom, gain) < MAX_P_VALUE):
+        if not self._is_better(cost, len(names)):
             return []
         sigmas = {name: abs(self.difference[name]) / self.std[name] for name in names}
-        farthest = sorted(sigmas, key=lambda name: -sigmas[name])[:MAX_NAMED_VALUES]
+        farthest = sorted(sigmas, key=lambda name: -sigmas[name])
         return [name for name in farthest if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
+
+    def _is_better(self, cost: float, more: int) -> bool:
+        """Return whether a fit of that cost is worse by more than chance, by an F test.
+
+        Args:
+            cost: of the fit.
+            more: number of parameters that are free here, and held in that fit.
+        """
+        if more == 0:
+            return False
+        gain = (cost - self.cost) / more / (self.cost / self.freedom)
+        return gain > 0.0 and float(fdtrc(more, self.freedom, gain)) < MAX_P_VALUE
+
+    def believing(
+        self, right: Sequence[str], problem: AbstractProblem, names: Sequence[str], z: Step
+    ) -> "_Refit":
+        """Return the fit that holds values which the pictures do not contradict.
+
+        A wrong value then widens no interval that right values make narrow. It is this fit if the
+        pictures contradict these values too, once the others are free.
+
+        Args:
+            right: names of these values.
+            problem, names, z: as of `_refit`.
+        """
+        free = [k for k, name in enumerate(names) if name in self.difference and name not in right]
+        narrow = _refit(problem, names, z, np.array(free))
+        if narrow is None or self._is_better(narrow.cost, len(right)):
+            return self
+        return narrow
 
     def effect_of_held(self, names: Sequence[str]) -> Float[np.ndarray, "fitted fitted"]:
         """Return the covariance of the errors that wrong held values cause in the other parameters.
@@ -211,14 +240,16 @@ def _contradicted_values(
     # The estimated target shape may compensate for wrong held values, so both shapes are tried.
     free = np.union1d(np.asarray(problem.free), held)
     all_names = parameter_names(problem.parameters.start)
-    refits = (
-        _refit(shaped, all_names, z, free) for shaped in (problem, _with_stated_shape(problem, fit))
-    )
-    determined = [refit for refit in refits if refit is not None]
+    determined = [
+        (refit, shaped)
+        for shaped in (problem, _with_stated_shape(problem, fit))
+        if (refit := _refit(shaped, all_names, z, free)) is not None
+    ]
     if not determined:
         return [], None
-    refit = min(determined, key=lambda candidate: candidate.cost)
-    contradicted = refit.contradicted([all_names[k] for k in held], before)
+    refit, shaped = min(determined, key=lambda candidate: candidate[0].cost)
+    held_names = [all_names[k] for k in held]
+    contradicted = refit.contradicted(held_names, before)
     if not contradicted:
         return [], None
     assert isinstance(refit.problem, JointProblem)
@@ -231,7 +262,12 @@ def _contradicted_values(
     return [
         f"{text}; freed, the residual falls from {rms:.3g} to "
         f"{_rms(refit.problem, refit.chain):.3g} px RMS: correct or free them"
-    ], refit
+    ], refit.believing(_others(held_names, contradicted), shaped, all_names, z)
+
+
+def _others(names: Sequence[str], without: Sequence[str]) -> list[str]:
+    """Return the names that are not among some."""
+    return [name for name in names if name not in without]
 
 
 def _contradiction_text(
@@ -247,7 +283,8 @@ def _contradiction_text(
         estimated, held: value and unit of each parameter in that fit and as held.
     """
     listed = ", ".join(
-        f"{name} {refit.text(name, estimated)} (held at {held[name][0]:.6g})" for name in names
+        f"{name} {refit.text(name, estimated)} (held at {held[name][0]:.6g})"
+        for name in names[:MAX_NAMED_VALUES]
     )
     return f"the pictures contradict held parameters: estimated {listed}"
 
@@ -276,7 +313,8 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
     refit = _refit(problem, names, z, np.union1d(free, held))
     if refit is None:
         return nothing
-    contradicted = refit.contradicted([names[k] for k in held], arm.solution.costs[-1])
+    held_names = [names[k] for k in held]
+    contradicted = refit.contradicted(held_names, arm.solution.costs[-1])
     if not contradicted:
         return nothing
     start = problem.host_start_values()
@@ -286,6 +324,7 @@ def held_camera_test(arm: SolvedArm) -> HeldValueTest:
         name: (value + refit.difference[name], unit) for name, (value, unit) in stated.items()
     }
     text = _contradiction_text(contradicted, refit, estimated, stated)
+    refit = refit.believing(_others(held_names, contradicted), problem, names, z)
     return HeldValueTest(
         (f"{text}: correct them, or leave out these cameras (camera=, --camera)",),
         fitted,

@@ -93,6 +93,20 @@ def test_a_held_principal_point_is_named_with_the_value_that_the_pictures_want(s
     assert before > after
 
 
+def test_a_wrong_value_widens_no_interval_that_right_values_make_narrow(scene):
+    """The principal point's u moves the mount along x and about y; the focal length is right."""
+    options = {"fixed": ("camera",), "noise": NOISE, "field": None}
+    right = fit_joint(scene.data, start_with(scene), **options)
+    wrong_u0 = jnp.asarray(float(scene.calibration.camera.u0) + 5.0)
+    wrong = fit_joint(scene.data, start_with(scene, u0=wrong_u0), **options)
+    assert len(contradictions(wrong)) == 1
+    times = {name: wrong.std[name] / std for name, std in right.std.items()}
+    assert times["camera_from_tool.translation.x"] > 5.0
+    assert times["camera_from_tool.translation.y"] < 1.1
+    assert times["camera_from_tool.rotation.x"] < 1.1
+    assert standardised_error(wrong, scene) < 2.5
+
+
 @pytest.mark.parametrize("lens", [Pinhole(), Radial(0.0)])
 def test_a_camera_given_without_its_distortion_is_named(distorted, lens):
     """Whether its lens could have a distortion, or not."""
