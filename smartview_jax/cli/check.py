@@ -387,12 +387,14 @@ def _agreement(
 def _report_of_kept_views(
     data: "sv.Dataset", fit: "sv.StagedFit"
 ) -> "sv.data_checks.ConventionReport":
-    """Return how the views that the fit used move, without the ones that it left out."""
-    robot, camera = (
-        sv.geometry.host_transforms(sv.geometry.host_matrices(poses)[list(fit.views)])
-        for poses in (data.base_from_tool, fit.step2.camera_from_world)
+    """Return how robot and camera move in the views that the fit did not leave out."""
+    if fit.calibration.base_from_other_base is not None:
+        data = data.with_bases(fit.calibration.base_from_other_base)
+    weights = np.zeros(data.view_count)
+    weights[list(fit.views)] = 1.0
+    return sv.data_checks.check_conventions(
+        data.base_from_tool, fit.step2.camera_from_world, data.mount, weights
     )
-    return sv.data_checks.check_conventions(robot, camera, data.mount)
 
 
 def _doubts_of_motion(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from board_scene import BOARD, VIEWS, board_folder, run
 from detected_sample import detected_sample
 from fit_scenes import scene_of
+from two_hands_scene import two_hands
 
 from smartview_jax import Rig
-from smartview_jax.cli.check import _checked
+from smartview_jax.cli.check import _checked, _report_of_kept_views
 from smartview_jax.geometry import host_matrices, host_transforms
 from smartview_jax.io import save_dataset
 from smartview_jax.rig_pipeline import reference_camera, usable_view_counts
@@ -80,6 +82,20 @@ def test_views_that_are_left_out_do_not_suggest_another_size():
     )
     (size,) = (text for text in doubts if "times as far as the robot says" in text)
     assert float(size.split()[3]) == pytest.approx(1.06, abs=0.02)
+
+
+def test_the_motion_of_two_hands_is_compared_with_their_bases_where_the_fit_put_them():
+    scene = two_hands(0)
+    poses = scene.data.with_bases(scene.calibration.base_from_other_base).base_from_tool
+    camera = scene.calibration.camera_from_world(poses)
+    fit = SimpleNamespace(
+        views=range(2, scene.data.view_count),
+        calibration=scene.calibration,
+        step2=SimpleNamespace(camera_from_world=camera),
+    )
+    report = _report_of_kept_views(scene.data, fit)
+    assert report.length_ratio == pytest.approx(1.0, abs=1e-9)
+    assert max(report.closure_error) < 1e-9
 
 
 def test_a_target_of_twice_its_size_is_doubted(folder):
