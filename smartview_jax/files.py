@@ -67,7 +67,6 @@ def refuse_unwritable(folder: str | os.PathLike[str], option: str) -> None:
         option: command-line option that named the folder, for the error message.
     """
     folder = Path(folder)
-    refuse_existing(folder)
     existing_parent = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not existing_parent.is_dir():
         raise ValueError(f"{option}: {existing_parent} is a file; expected a folder to write to")
