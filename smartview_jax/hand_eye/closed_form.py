@@ -58,6 +58,10 @@ class ClosedForm:
         # Documentation shows the signature for transforms, not the one for matrices.
         del vars(self)["__wrapped__"]
 
+    def __reduce__(self) -> str:
+        # Pickled by name, as functions are, so that other processes can be given it.
+        return self._solve.__name__
+
     def __call__(
         self,
         mount_from_holder: SE3,
@@ -73,7 +77,7 @@ class ClosedForm:
     def of_matrices(
         self, mount_from_holder: _Matrices, camera_from_world: _Matrices, weights: _Weights
     ) -> tuple[_Matrix, _Matrix]:
-        """Return the same from matrices as matrices."""
+        """Return both transforms as matrices, of poses that are matrices; see `__call__`."""
         used = weights > 0.0
         M, C = mount_from_holder[used], camera_from_world[used]
         if not (np.isfinite(M).all() and np.isfinite(C).all()):
@@ -123,8 +127,8 @@ def motion_pairs(
     """Return A, B and weights of `A X = X B` for pairs of different views, each pair once.
 
     `A = C_j C_i^-1` and `B = T_j T_i^-1` with `X = camera_from_mount`: Eq. 10 for two views with
-    `holder_from_world` eliminated. The motion from j to i is the inverse, which says the same. In a
-    batch, of few views, the same pairs are taken everywhere.
+    `holder_from_world` eliminated. The motion from j to i is the inverse, which says the same. A
+    batch has the same pairs everywhere; its views are few (`MAX_PAIRS`).
     """
     first, second = _paired_views(mount_from_holder[..., :3, :3], camera_from_world[..., :3, :3])
 
@@ -144,8 +148,8 @@ def _paired_views(
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
     """Return the indices of the views of every pair: all pairs, or well-spread ones of many views.
 
-    The number of chosen pairs grows with the views, not with their square. Pairs of many views are
-    chosen by their motions, so these are no batch.
+    The number of chosen pairs grows with the views, not with their square. They are chosen by the
+    motions, so that many views cannot come as a batch.
     """
     views = robot.shape[-3]
     if views * (views - 1) // 2 <= MAX_PAIRS:
@@ -168,7 +172,10 @@ def _paired_views(
 def park_martin_matrices(
     mount_from_holder: _BatchOfViews, camera_from_world: _BatchOfViews, weights: _Weights
 ) -> tuple[_Batch, _Batch]:
-    """Compute what `park_martin` does of finite matrices, also of a batch of few views at once."""
+    """Compute both transforms as `park_martin` does, from finite matrices.
+
+    Each set of views of a batch has at most `MAX_PAIRS` pairs.
+    """
     A, B, w = motion_pairs(mount_from_holder, camera_from_world, weights)
     # sum w a b^T, with the rotation vectors a and b of each pair in the rows of two matrices.
     a, b = host_rotation_vectors(A), host_rotation_vectors(B)

@@ -40,7 +40,7 @@ MINIMUM_NORM_START = "minimum norm"
 
 
 class SearchRecord(NamedTuple):
-    """The record of one BFGS search: its start, its cost before and after, and its outcome."""
+    """The record of one search: its start, its cost before and after, and its outcome."""
 
     name: str
     initial_cost: float
@@ -177,7 +177,7 @@ def _by_both_searches(
         world_searches,
         (world_best.name, hand_eye_best.name),
         converged,
-        "converged" if converged else "BFGS did not converge; the best of its answers was taken",
+        "converged" if converged else "the best search did not converge; its answer was taken",
     )
 
 
@@ -221,7 +221,7 @@ def _search(
         pair_weight: total weight of the pairs. Costs are recorded as sums, as Eq. 17 states them.
         starts: 4x4 matrices by name.
     """
-    # The closed forms are near the minimum; the paper's start is BFGS's, as in the paper.
+    # The closed forms are near the minimum; from the paper's start BFGS searches, as in the paper.
     solutions = [_minimise(factor, start, name != PAPER_START) for name, start in starts.items()]
     records = tuple(
         SearchRecord(
@@ -259,9 +259,10 @@ class _Minimum(NamedTuple):
 def _minimise(
     factor: Float[np.ndarray, "rows 13"], start: Float[np.ndarray, "4 4"], is_near: bool
 ) -> _Minimum:
-    """Minimise `|| factor x ||^2` by BFGS over yaw, pitch, roll and translation from a start.
+    """Minimise `|| factor x ||^2` over yaw, pitch, roll and translation from a start.
 
-    Near the minimum Gauss-Newton is tried first, in a fraction of BFGS's time.
+    BFGS searches as in the paper. Near the minimum Gauss-Newton is tried first, which takes a
+    fraction of its time.
     """
     after_start = _after_start(factor, start)
 
@@ -342,7 +343,7 @@ fraction of BFGS's steps.
 """
 
 _MAX_GAUSS_NEWTON_STEPS = 20
-"""Largest number of Gauss-Newton steps after BFGS. Each gains a factor of about the cost's root."""
+"""Largest number of Gauss-Newton steps in a row. Each gains a factor of about the cost's root."""
 
 
 def _after_start(

@@ -1,3 +1,5 @@
+import pickle
+
 import cv2
 import jax
 import jax.numpy as jnp
@@ -62,6 +64,11 @@ def test_closed_forms_take_matrices_as_they_take_transforms(noisy, name):
     expected = map(host_matrices, CLOSED_FORMS[name](T, C, weights))
     found = CLOSED_FORMS[name].of_matrices(host_matrices(T), host_matrices(C), weights)
     np.testing.assert_allclose(found, list(expected), atol=1e-14)
+
+
+@pytest.mark.parametrize("name", CLOSED_FORMS)
+def test_closed_forms_are_sent_to_other_processes(name):
+    assert pickle.loads(pickle.dumps(CLOSED_FORMS[name])) is CLOSED_FORMS[name]
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
