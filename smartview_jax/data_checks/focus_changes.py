@@ -141,11 +141,12 @@ def find_focus_change(
     highest = errors.deviance(np.log([errors.sigma])) - numbers - least_gain
     if errors.least_deviance(MIN_SIZE * depths) > highest:
         return None
-    # No lens turns the target: a picture that does not fit by its rotation is of another pose.
+    # No lens turns the target: a picture whose rotation does not fit was taken at another pose.
     if (fit.misfit[:, 1] > MAX_DISAGREEMENT).any():
         turned = ~largest_group(robot, camera, np.inf)
         if 0 < turned.sum() <= MAX_REJECTED_FRACTION * len(views):
-            rest = used & ~np.isin(np.arange(len(used)), views[turned])
+            rest = used.copy()
+            rest[views[turned]] = False
             return find_focus_change(mount_from_holder, camera_from_world, rest, seen, mount)
     focus = errors.likelihood(along)
     size = focus.size

@@ -25,6 +25,9 @@ MAX_TRIPLES = 150
 """Largest number of triples of views that are tried. Where only a third of the views are good, one
 triple in 27 is, and so many miss all of them with a probability of 0.003."""
 
+MAX_CLOSURES = 20_000
+"""Largest number of closures that are computed at once: ten megabytes."""
+
 _REFITS = 2
 """Number of fits to the views that agree: three views alone leave the transforms uncertain."""
 
@@ -48,7 +51,7 @@ def largest_group(
     Args:
         robot: `mount_from_holder`, finite.
         camera: `camera_from_world`, finite.
-        distance: median distance of the target from the camera, m.
+        distance: median distance of the target from the camera, m; infinity for rotations alone.
         tolerance: largest disagreement of a view of the group.
     """
     count = len(robot)
@@ -58,12 +61,15 @@ def largest_group(
     triples = _triples(count)
     # Three views that turn about one axis do not tell the transforms, and agree with anything.
     triples = triples[determine_transforms(robot[triples])]
-    if len(triples) == 0:
-        return best
-    agree_with_each = disagreements(closures_of_groups(robot, camera, triples), distance)
+    at_once = max(MAX_CLOSURES // count, 1)
+    parts = (triples[first : first + at_once] for first in range(0, len(triples), at_once))
+    agreeing_views = itertools.chain.from_iterable(
+        disagreements(closures_of_groups(robot, camera, part), distance) < tolerance
+        for part in parts
+    )
     # Triples of one group soon lead to the same views.
     tried = set[bytes]()
-    for agreeing in agree_with_each < tolerance:
+    for agreeing in agreeing_views:
         for _ in range(_REFITS):
             if agreeing.sum() < MIN_GROUP or agreeing.tobytes() in tried:
                 break

@@ -166,7 +166,7 @@ def closures_of_groups(
     Args:
         mount_from_holder: finite, `(views)`.
         camera_from_world: finite, `(views)`.
-        groups: indices of the views to which the transforms are fitted, which they determine; few.
+        groups: indices of the few views of each group; their motion determines the transforms.
     """
     robot, camera = mount_from_holder[groups], camera_from_world[groups]
     weights = np.ones(groups.shape[1])

@@ -39,6 +39,24 @@ def test_groups_are_fitted_together_as_one_by_one(motions):
         np.testing.assert_allclose(closures, fit_transforms(robot, camera, used).closure, atol=1e-9)
 
 
+def test_many_views_are_compared_with_few_triples_at_a_time(motions, monkeypatch):
+    robot, camera = motions
+    camera[:2] = camera[[1, 0]]
+    expected = largest_group(robot, camera, distance=0.5)
+    counts = []
+
+    def counted(robot, camera, groups):
+        counts.append(len(groups))
+        return closures_of_groups(robot, camera, groups)
+
+    module = "smartview_jax.data_checks.largest_group"
+    monkeypatch.setattr(f"{module}.closures_of_groups", counted)
+    monkeypatch.setattr(f"{module}.MAX_CLOSURES", 35)
+    np.testing.assert_array_equal(largest_group(robot, camera, distance=0.5), expected)
+    # All triples of ten views, three at a time.
+    assert counts == [3] * 40
+
+
 def test_views_that_tell_no_transforms_are_no_group(motions):
     """Two views; and any number that turn about one axis, which agree with anything."""
     robot, camera = motions
