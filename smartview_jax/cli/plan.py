@@ -13,6 +13,7 @@ import typer
 import smartview_jax as sv
 
 from ..argument_checks import errors_at
+from ..files import require_folder
 from . import options
 from .fit_options import StartOption, parse_transforms
 from .options import parse_numbers, with_option_groups
@@ -185,8 +186,7 @@ def _refuse_other_paths(paths: list[Path], first: bool) -> None:
             "expected calibration.yaml and its data-set folder, or with --start the folder alone; "
             f"found {given}"
         )
-    if not paths[-1].is_dir():
-        raise ValueError(f"{paths[-1]}: is a file, expected the folder of a data set")
+    require_folder(paths[-1], "the folder of a data set")
 
 
 def _with_readings(

@@ -28,9 +28,9 @@ def _rotations_of_quaternions(
     wxyz: Float[np.ndarray, "*batch 4"],
 ) -> Float[np.ndarray, "*batch 3 3"]:
     """Return the rotation matrices of quaternions, real part first, of any length but zero."""
-    # R = I + 2 (w [v] + [v]^2) / |q|^2 for q = (w, v), with [v] the matrix of v x. Its entries are
-    # sums of products of two of the four numbers: for a few poses one product of matrices takes
-    # half as long as the formula.
+    # R = I + 2 (w [v] + [v]^2) / |q|^2 for q = (w, v), with [v] the matrix of v x. The entries of
+    # the second term are sums of products of two of the four numbers: for a few poses one product
+    # of matrices takes half as long as the formula.
     products = (wxyz[..., :, None] * wxyz[..., None, :]).reshape(*wxyz.shape[:-1], 16)
     turned = (products @ _TURNED_BY_PRODUCTS).reshape(*wxyz.shape[:-1], 3, 3)
     return np.eye(3) + turned / np.vecdot(wxyz, wxyz)[..., None, None]
@@ -80,7 +80,7 @@ def _transform_numbers(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray
     from jaxlie's result, and it refuses the mirrored matrices that masked views may have.
     """
     R = matrices[:, :3, :3]
-    # For a unit quaternion (w, x, y, z), each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
+    # 4 q q^T of the unit quaternion q: each row is 4 w, 4 x, 4 y or 4 z times the quaternion.
     rows = (R.reshape(-1, 9) @ _ROWS_BY_ENTRIES).reshape(-1, 4, 4) + np.eye(4)
     # The row is chosen as in jaxlie, so that it is far from zero.
     first, second, third = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
@@ -91,25 +91,25 @@ def _transform_numbers(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray
 
 
 def _turned_by_products() -> Float[np.ndarray, "16 9"]:
-    """Return the entries of `2 (w [v] + [v]^2)` by products of two numbers of `(w, v)`."""
-    w_and_v = np.zeros((4, 4, 3, 3))
+    """Return the matrix from the 16 products of `(w, v)` to the entries of `2 (w [v] + [v]^2)`."""
+    by_products = np.zeros((4, 4, 3, 3))
     basis = np.eye(3)
-    # [v] has the rows of v x e_k in its columns, and [v]^2 is v v^T - |v|^2.
+    # The columns of [v] are v x e_i, and [v]^2 is v v^T - |v|^2 I.
     for k in range(3):
-        w_and_v[0, k + 1] = 2.0 * np.cross(basis[k], basis).T
-        w_and_v[k + 1, k + 1] -= 2.0 * basis
+        by_products[0, k + 1] = 2.0 * np.cross(basis[k], basis).T
+        by_products[k + 1, k + 1] -= 2.0 * basis
         for j in range(3):
-            w_and_v[k + 1, j + 1] += 2.0 * np.outer(basis[k], basis[j])
-    return w_and_v.reshape(16, 9)
+            by_products[k + 1, j + 1] += 2.0 * np.outer(basis[k], basis[j])
+    return by_products.reshape(16, 9)
 
 
 _TURNED_BY_PRODUCTS = _turned_by_products()
 
 
 def _rows_by_entries() -> Float[np.ndarray, "9 16"]:
-    """Return by entries of a rotation what its quaternion's products have, times four, but for 1.
+    """Return the matrix from the entries of a rotation to the products of its quaternion.
 
-    The rows are `4 w`, `4 x`, `4 y` and `4 z` times the quaternion; the diagonals have one more.
+    The products are the 4x4 matrix `4 q q^T - I` of the quaternion `q = (w, x, y, z)`.
     """
     by_entry = np.zeros((3, 3, 4, 4))
     for k in range(3):
@@ -237,7 +237,7 @@ def host_cross_matrices(
 
 
 _CROSS_ENTRIES = [7, 2, 3], [5, 6, 1]
-"""The entries of a matrix, row by row, that have x, y and z, and those that have them negated."""
+"""Where a cross matrix has x, y and z, and where -x, -y and -z: indices of entries, row by row."""
 
 
 def host_adjoints(matrices: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*batch 6 6"]:

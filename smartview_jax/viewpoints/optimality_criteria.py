@@ -67,8 +67,8 @@ class OptimalityCriterion(eqx.Module):
         # With F = D C D, D = sqrt(diag F), C = L L^T and P = F^-1:
         #     D-optimal: det(P)^(1/(2n)) = exp(-(sum log L_ii + sum log D_ii) / n)
         #     A-optimal: sqrt(trace(M P)) = sqrt(trace(W^T P W)) = norm(L^-1 D^-1 W)
-        # where D holds the `scales`, L is the `factor` and W the `weight_root`, whose few columns
-        # cost a twentieth of the inverse.
+        # where D holds the `scales`, L is the `factor` and W the `weight_root`: the six columns of
+        # a hand-eye transform cost a twentieth of the inverse.
         # Scaling to unit diagonal keeps the precision of the Cholesky factor, since pixels and
         # radians differ by many orders of magnitude.
         scales = jnp.sqrt(jnp.diagonal(information))
