@@ -10,13 +10,13 @@ import pytest
 from board_scene import BOARD, VIEWS, board_folder, run
 from detected_sample import detected_sample
 from fit_scenes import scene_of
-from two_hands_scene import two_hands
 
 from smartview_jax import Rig
 from smartview_jax.cli.check import _checked, _report_of_kept_views
-from smartview_jax.geometry import host_matrices, host_transforms
+from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
 from smartview_jax.io import save_dataset
 from smartview_jax.rig_pipeline import reference_camera, usable_view_counts
+from smartview_jax.robots import HandPoses
 from smartview_jax.simulation import random_scene
 
 
@@ -85,15 +85,19 @@ def test_views_that_are_left_out_do_not_suggest_another_size():
 
 
 def test_the_motion_of_two_hands_is_compared_with_their_bases_where_the_fit_put_them():
-    scene = two_hands(0)
-    poses = scene.data.with_bases(scene.calibration.base_from_other_base).base_from_tool
-    camera = scene.calibration.camera_from_world(poses)
+    data, rng = detected_sample(), np.random.default_rng(0)
+    sizes = [0.1, 0.1, 0.1, 0.5, 0.5, 0.5]
+    first, second = host_exponentials(rng.normal(0.0, sizes, (2, data.view_count, 6)))
+    bases, hand, board = host_exponentials(rng.normal(size=(3, 6)))
+    camera = hand @ np.linalg.inv(first) @ bases @ second @ board
+    hands = HandPoses(host_transforms(first), host_transforms(second))
     fit = SimpleNamespace(
-        views=range(2, scene.data.view_count),
-        calibration=scene.calibration,
-        step2=SimpleNamespace(camera_from_world=camera),
+        views=range(2, data.view_count),
+        calibration=SimpleNamespace(base_from_other_base=host_transforms(bases)),
+        step2=SimpleNamespace(camera_from_world=host_transforms(camera)),
     )
-    report = _report_of_kept_views(scene.data, fit)
+    data = dataclasses.replace(data, hands=hands, mount="hand_to_hand")
+    report = _report_of_kept_views(data, fit)
     assert report.length_ratio == pytest.approx(1.0, abs=1e-9)
     assert max(report.closure_error) < 1e-9
 
