@@ -13,6 +13,7 @@ from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_urdf, robot_urdf
 from smartview_jax.robot_errors import (
     DHErrors,
+    ElasticDHErrors,
     JointOffsets,
     JointRatios,
     LinearInPosition,
@@ -153,6 +154,21 @@ def test_an_arm_without_errors_is_named(tmp_path):
     poses = poses_by_tree(robot_urdf(calibration, puma_560()), np.zeros(6))
     expected = host_matrices(puma_560().base_from_tool(np.zeros(6)))
     np.testing.assert_allclose(poses["tool0"], expected, atol=1e-12)
+
+
+def test_joints_that_hardly_yield_are_rigid_in_the_file():
+    """As of a rigid arm, whose calibration averages over models with joints that yield."""
+    rigid = calibrated(puma_560())
+    elastic = rigid.robot_error.converted_to(ElasticDHErrors(puma_560()))
+
+    def yielding(radians):
+        coefficients = elastic.coefficients.at[-5].set(radians)
+        error = dataclasses.replace(elastic, coefficients=coefficients)
+        return dataclasses.replace(rigid, robot_error=error)
+
+    assert robot_urdf(yielding(3e-5)) == robot_urdf(rigid)
+    with pytest.raises(ValueError, match=r"joint_compliance\), by 0\.\d+ mm at the tool"):
+        robot_urdf(yielding(1.5e-3))
 
 
 def test_what_no_urdf_can_say_is_refused():
