@@ -378,20 +378,21 @@ def _agreement(
     doubts = [f"view {view}: {text}" for view, text in reasons.items() if view not in reported]
     if not problems and not fit.conventions.change:
         # A wrong pose moves by some other length than the camera did.
-        report = _report_of_kept_views(data, fit) if reasons else fit.conventions
+        report = _report_without_doubted_views(data, fit) if reasons else fit.conventions
         doubts += _doubts_of_motion(report, camera is not None, data.joints is not None)
     doubts += [text for text in fit.warnings if text not in problems]
     return problems, doubts, fit
 
 
-def _report_of_kept_views(
+def _report_without_doubted_views(
     data: "sv.Dataset", fit: "sv.StagedFit"
 ) -> "sv.data_checks.ConventionReport":
-    """Return how robot and camera move in the views that the fit did not leave out."""
+    """Return how robot and camera move in the views that are neither left out nor suspicious."""
     if fit.calibration.base_from_other_base is not None:
         data = data.with_bases(fit.calibration.base_from_other_base)
     weights = np.zeros(data.view_count)
     weights[list(fit.views)] = 1.0
+    weights[[view for view, _ in fit.conventions.suspicious_views]] = 0.0
     return sv.data_checks.check_conventions(
         data.base_from_tool, fit.step2.camera_from_world, data.mount, weights
     )

@@ -12,8 +12,8 @@ from detected_sample import detected_sample
 from fit_scenes import scene_of
 
 from smartview_jax import Rig
-from smartview_jax.cli.check import _checked, _report_of_kept_views
-from smartview_jax.geometry import host_exponentials, host_matrices, host_transforms
+from smartview_jax.cli.check import _checked, _report_without_doubted_views
+from smartview_jax.geometry import host_exponentials, host_transforms
 from smartview_jax.io import save_dataset
 from smartview_jax.rig_pipeline import reference_camera, usable_view_counts
 from smartview_jax.robots import HandPoses
@@ -67,21 +67,9 @@ def test_two_rows_that_were_exchanged_are_doubted(folder):
     assert ended.exit_code == 0, ended.output
     assert "doubt: view 3: its rotation differs from the robot's by " in ended.output
     assert "doubt: view 6: its rotation differs from the robot's by " in ended.output
+    # Without these two the others agree, and move as far.
+    assert ended.output.count("doubt: ") == 2
     assert "camera and robot agree, apart from these doubts: " in ended.output
-
-
-def test_views_that_are_left_out_do_not_suggest_another_size():
-    """Without them the camera moves 1.06 times as far in these pictures, with them 0.82 times."""
-    data = detected_sample()
-    rows = np.arange(data.view_count)
-    rows[[3, 7]] = 7, 3
-    poses = host_transforms(host_matrices(data.base_from_tool)[rows])
-    doubts = _checked(dataclasses.replace(data, base_from_tool=poses), "sample", None).doubts
-    assert any(
-        text.startswith("view 3: ") and "it fits the pose of view 7" in text for text in doubts
-    )
-    (size,) = (text for text in doubts if "times as far as the robot says" in text)
-    assert float(size.split()[3]) == pytest.approx(1.06, abs=0.02)
 
 
 def test_the_motion_of_two_hands_is_compared_with_their_bases_where_the_fit_put_them():
@@ -90,16 +78,18 @@ def test_the_motion_of_two_hands_is_compared_with_their_bases_where_the_fit_put_
     first, second = host_exponentials(rng.normal(0.0, sizes, (2, data.view_count, 6)))
     bases, hand, board = host_exponentials(rng.normal(size=(3, 6)))
     camera = hand @ np.linalg.inv(first) @ bases @ second @ board
+    camera[[0, 2]] = camera[[2, 0]]
     hands = HandPoses(host_transforms(first), host_transforms(second))
     fit = SimpleNamespace(
-        views=range(2, data.view_count),
+        views=range(1, data.view_count),
+        conventions=SimpleNamespace(suspicious_views=((2, "its rotation differs"),)),
         calibration=SimpleNamespace(base_from_other_base=host_transforms(bases)),
         step2=SimpleNamespace(camera_from_world=host_transforms(camera)),
     )
     data = dataclasses.replace(data, hands=hands, mount="hand_to_hand")
-    report = _report_of_kept_views(data, fit)
+    report = _report_without_doubted_views(data, fit)
     assert report.length_ratio == pytest.approx(1.0, abs=1e-9)
-    assert max(report.closure_error) < 1e-9
+    assert max(report.closure_error) < 1e-7
 
 
 def test_a_target_of_twice_its_size_is_doubted(folder):
