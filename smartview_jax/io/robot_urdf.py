@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ..calibration import Calibration
 from ..export_text import checked_frame_name, origin_text, pose_matrix
 from ..geometry import host_matrices
-from ..robot_errors import AbstractArmErrors, ElasticDHErrors
+from ..robot_errors import AbstractArmErrors, ElasticDHErrors, RobotPrior
 from ..robots import SerialArm
 from .export import mount_from_camera
 from .urdf import MAX_MAGNITUDE
@@ -74,6 +74,8 @@ def robot_urdf(
 def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> SerialArm:
     """Return the arm as it is: with the zeros, lengths and twists that the calibration found.
 
+    Joints that bend less than robots usually repeat their orientation are taken as rigid.
+
     Args:
         calibration: the calibration.
         arm: the arm of a calibration without robot error.
@@ -98,7 +100,10 @@ def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> Serial
         )
     if not np.all(np.asarray(field.joint_scale_factors(error.coefficients)) == 1.0):
         raise ValueError("gear ratios were found (joint_ratio), and no URDF has them")
-    if isinstance(field, ElasticDHErrors):
+    # An average over models has a trace of bending wherever rigid joints are not certain.
+    is_elastic = isinstance(field, ElasticDHErrors)
+    compliances = np.asarray(error.coefficients)[-field.arm.joint_count :]
+    if is_elastic and np.abs(compliances).max() > RobotPrior().rotation_median:
         raise ValueError(
             "joints were found to bend under the arm's weight (joint_compliance), and no URDF has "
             "this: calibrate with field=sv.robot_errors.DHErrors(arm) for a rigid arm"

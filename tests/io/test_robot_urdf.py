@@ -13,6 +13,7 @@ from smartview_jax.geometry import host_matrices
 from smartview_jax.io import load_urdf, robot_urdf
 from smartview_jax.robot_errors import (
     DHErrors,
+    ElasticDHErrors,
     JointOffsets,
     JointRatios,
     LinearInPosition,
@@ -153,6 +154,20 @@ def test_an_arm_without_errors_is_named(tmp_path):
     poses = poses_by_tree(robot_urdf(calibration, puma_560()), np.zeros(6))
     expected = host_matrices(puma_560().base_from_tool(np.zeros(6)))
     np.testing.assert_allclose(poses["tool0"], expected, atol=1e-12)
+
+
+def test_joints_that_hardly_bend_are_rigid_and_others_are_refused():
+    """An average over models has a trace of bending; 1e-4 rad is what robots usually repeat."""
+    rigid = calibrated(puma_560())
+    coefficients = np.asarray(rigid.robot_error.coefficients)
+    bending = []
+    for compliance in (5e-5, -2e-4):
+        bent = np.append(coefficients, np.full(6, compliance))
+        error = RobotError(ElasticDHErrors(puma_560()), jnp.asarray(bent))
+        bending.append(dataclasses.replace(rigid, robot_error=error))
+    assert robot_urdf(bending[0]) == robot_urdf(rigid)
+    with pytest.raises(ValueError, match="joints were found to bend"):
+        robot_urdf(bending[1])
 
 
 def test_what_no_urdf_can_say_is_refused():
