@@ -102,11 +102,12 @@ def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> Serial
         raise ValueError("gear ratios were found (joint_ratio), and no URDF has them")
     # An average over models has a trace of bending wherever rigid joints are not certain.
     is_elastic = isinstance(field, ElasticDHErrors)
-    compliances = np.asarray(error.coefficients)[-field.arm.joint_count :]
-    if is_elastic and np.abs(compliances).max() > RobotPrior().rotation_median:
+    largest = np.abs(np.asarray(error.coefficients)[-field.arm.joint_count :]).max()
+    if is_elastic and largest > RobotPrior().rotation_median:
         raise ValueError(
-            "joints were found to bend under the arm's weight (joint_compliance), and no URDF has "
-            "this: calibrate with field=sv.robot_errors.DHErrors(arm) for a rigid arm"
+            f"joints bend by up to {np.rad2deg(largest):.3f} degrees under the arm's weight "
+            "(joint_compliance), which may be by chance, and no URDF has this: calibrate with "
+            "field=sv.robot_errors.DHErrors(arm) for a rigid arm"
         )
     return field.actual_arm(error.coefficients)
 
