@@ -82,6 +82,8 @@ def robot_urdf(
 def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> SerialArm:
     """Return the arm as it is: with the zeros, lengths and twists that the calibration found.
 
+    Joints that bend less than robots usually repeat their orientation are taken as rigid.
+
     Args:
         calibration: the calibration.
         arm: the arm of a calibration without robot error.

@@ -36,8 +36,8 @@ def _yielding_joints(fit: JointFit) -> list[str]:
     if not named:
         return []
     return [
-        f"the arm bends: joint {', '.join(named)} degrees where its load is as large as that of "
-        "the arm's own weight on its base when stretched out, which is corrected"
+        f"the arm bends: joint {', '.join(named)} degrees under a torque as large as the arm's own "
+        "weight exerts at its base when it is stretched out; this is corrected"
     ]
 
 
@@ -64,7 +64,7 @@ def _curved_errors(fit: JointFit) -> list[str]:
     std = float(np.sqrt(gradient @ covariance @ gradient))
     return [
         f"the robot's error is curved, as of an arm that bends under its weight: over the views "
-        f"{1e3 * rms:.2f} +- {1e3 * std:.2f} mm RMS from a straight line, which is corrected"
+        f"{1e3 * rms:.2f} +- {1e3 * std:.2f} mm RMS from a straight line; this is corrected"
     ]
 
 

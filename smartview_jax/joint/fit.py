@@ -47,7 +47,6 @@ from ..engine import (
     with_lens,
 )
 from ..fit_result import FitCode, FitResult, Rejection
-from ..geometry import host_matrices
 from ..robot_errors import (
     AbstractField,
     FieldChoice,
@@ -323,15 +322,6 @@ def _finish_fit(
     return with_fields(fit, covariance=wider[0], std=wider[1], warnings=warnings)
 
 
-def _noise_anywhere(noise_estimate: NoiseEstimate, problem: JointProblem) -> Noise:
-    """Return the estimated noise, with its directions at any pose of the robot."""
-    if noise_estimate.directions is None:
-        return noise_estimate.noise
-    poses = host_matrices(problem.observations.command.base_from_tool)
-    directions = noise_estimate.directions.at_any_pose(poses[:, :3, :3].swapaxes(1, 2))
-    return dataclasses.replace(noise_estimate.noise, directions=directions)
-
-
 def _assemble_fit(
     data: Dataset,
     built: BuiltProblem,
@@ -405,7 +395,7 @@ def _assemble_fit(
             **dict(zip(built.shared_names, map(float, degrees_of_freedom), strict=True)),
             **shape_freedom,
         },
-        noise=built.noise if noise_estimate is None else _noise_anywhere(noise_estimate, problem),
+        noise=built.noise if noise_estimate is None else noise_estimate.noise,
         noise_estimate=noise_estimate,
         rejected=_all_rejections(data, rejected_points, built.unprojectable),
         observability=observability(scaled_jacobian, built.shared_names, chain.calibration),

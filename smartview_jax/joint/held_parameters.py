@@ -130,14 +130,12 @@ class _Refit(NamedTuple):
         return [name for name in farthest if sigmas[name] > MIN_DIFFERENCE_SIGMAS]
 
     def _is_better(self, cost: float, more: int) -> bool:
-        """Return whether a fit of that cost is worse by more than chance, by an F test.
+        """Return whether this fit is better than another by more than chance, by an F test.
 
         Args:
-            cost: of the fit.
-            more: number of parameters that are free here, and held in that fit.
+            cost: of the other fit.
+            more: number of parameters that are free here, and held in the other fit.
         """
-        if more == 0:
-            return False
         gain = (cost - self.cost) / more / (self.cost / self.freedom)
         return gain > 0.0 and float(fdtrc(more, self.freedom, gain)) < MAX_P_VALUE
 
@@ -153,6 +151,8 @@ class _Refit(NamedTuple):
             right: names of these values.
             problem, names, z: as of `_refit`.
         """
+        if not right:
+            return self
         free = [k for k, name in enumerate(names) if name in self.difference and name not in right]
         narrow = _refit(problem, names, z, np.array(free))
         if narrow is None or self._is_better(narrow.cost, len(right)):

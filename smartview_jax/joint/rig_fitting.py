@@ -129,7 +129,10 @@ def fit_rig(
     if several:
         joined = join_arms(rig, arms, choice.priors, devices)
         motion = _undetermined_motion(rig, arms, starts, choice, joined.bases)
-        told = {name: with_told_by_others(arm, motion.held) for name, arm in arms.items()}
+        # Of what each arm holds alone, enough stays held for what all arms together leave open.
+        held_alone = {name for arm in arms.values() for name in arm.undetermined.held}
+        held_together = motion.pinned_by(held_alone)
+        told = {name: with_told_by_others(arm, held_together) for name, arm in arms.items()}
         if any(told[name] is not arm for name, arm in arms.items()):
             arms, joined = told, join_arms(rig, told, choice.priors, devices)
     fit = _assembled(rig, arms, joined, tuple(rejected), choice)

@@ -24,7 +24,7 @@ def with_told_by_others(arm: SolvedArm, held: Collection[str]) -> SolvedArm:
 
     Args:
         arm: the fit of one arm, or of a pair of arms.
-        held: names of the parameters that all arms together leave open.
+        held: names of the parameters to hold because all arms together leave them open.
     """
     told = [name for name in arm.undetermined.held if name not in held]
     if not told:

@@ -46,6 +46,20 @@ class UndeterminedMotion(NamedTuple):
         directions = np.linalg.solve(self.directions[:, columns], self.directions)
         return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
+    def pinned_by(self, candidates: Collection[str]) -> tuple[str, ...]:
+        """Return which of some parameters to hold so that no direction is left.
+
+        These are all of them if they do not suffice.
+
+        Args:
+            candidates: names of the parameters; others than those of the transforms pin nothing.
+        """
+        columns = [k for k, name in enumerate(self.names) if name in candidates]
+        pivots = _pivots(self.directions, columns)
+        if len(pivots) < len(self.directions):
+            return tuple(candidates)
+        return tuple(self.names[k] for k in pivots)
+
     @property
     def undetermined_names(self) -> tuple[str, ...]:
         """The names of the parameters that are called undetermined."""

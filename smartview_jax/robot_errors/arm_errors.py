@@ -143,7 +143,7 @@ class AbstractArmErrors(AbstractField):
         )
         scale_factors = jnp.broadcast_to(scale_factors, actual_joints.shape)
         joints = actual_joints / scale_factors
-        # The load hardly changes within a deflection, so that this fixed point converges at once.
+        # The load hardly changes within a deflection, so that few steps suffice.
         for _ in range(DEFLECTION_STEPS):
             deflections = self.joint_deflections(joints, coefficients)
             joints = (actual_joints - deflections) / scale_factors

@@ -127,6 +127,11 @@ class QuadraticInPosition(AbstractLinearField):
     centre: Float[Array, "3"]
     reach: Float[Array, ""]
 
+    @classmethod
+    def from_poses(cls, base_from_tool: SE3) -> "QuadraticInPosition":
+        """Return the field centred on poses `(views)` and scaled by their standard deviation."""
+        return cls(*centre_and_reach(base_from_tool))
+
     @property
     def groups(self) -> tuple[tuple[str, int], ...]:
         return (*LinearInPosition(self.centre, self.reach).groups, *_SQUARE_GROUPS)
@@ -153,7 +158,7 @@ class SmoothInPose(AbstractLinearField):
     """A robot error field that is quadratic in the tool's position and linear in its orientation.
 
     Both the translation and the rotation of the error are; there are 90 coefficients. It contains
-    all other fields for robots of unknown geometry.
+    `LinearInPosition`, `LinearInPose` and `QuadraticInPosition`.
 
     Attributes:
         centre: position of the tool where the field is zero, m.

@@ -11,7 +11,8 @@ def gravity_loads(
 ) -> Float[Array, "*views joints"]:
     """Return the torque of gravity about each joint, in parts of the largest that is possible.
 
-    The masses of an arm are rarely known: equal masses are taken at the end of every link.
+    The masses of an arm are rarely known: equal masses are taken at the end of every link, where
+    its common normal meets the next joint's axis, and at the tool.
     Stretched out horizontally, the arm loads a joint at its base by about one. The base's z axis
     points up. A prismatic joint has no load.
     """
@@ -21,7 +22,7 @@ def gravity_loads(
     screw = 0 if arm.convention == "standard" else 1
     axes = frames.rotation().as_matrix()[..., screw, :, 2]
     origins = frames.translation()
-    ends = jnp.concatenate([origins[..., 1:, 0, :], tool.translation()[..., None, :]], axis=-2)
+    ends = jnp.concatenate([origins[..., 1:, screw, :], tool.translation()[..., None, :]], axis=-2)
     # With the axis z through the point p, and a mass at c that gravity pulls along -e,
     #     torque = z . ((c - p) x -e) = (z x e) . (c - p).
     # The masses beyond the joint add up, of which there are n - j from joint j on.
@@ -30,7 +31,9 @@ def gravity_loads(
     lever = beyond - jnp.broadcast_to(count, beyond.shape) * origins[..., screw, :]
     # Since e points along z of the base, z x e = (z_y, -z_x, 0).
     torque = axes[..., 1] * lever[..., 0] - axes[..., 0] * lever[..., 1]
-    tool_length = jnp.linalg.norm(arm.flange_from_tool.translation())
+    # Unlike a norm, `hypot` has a derivative at zero, where many tools are.
+    tool_at = arm.flange_from_tool.translation()
+    tool_length = jnp.hypot(jnp.hypot(tool_at[0], tool_at[1]), tool_at[2])
     reach = jnp.sum(jnp.hypot(arm.a, arm.d)) + tool_length
     largest = 0.5 * arm.joint_count * jnp.where(reach > 0.0, reach, 1.0)
     is_loaded = jnp.broadcast_to(~jnp.array(arm.prismatic), torque.shape)

@@ -11,11 +11,14 @@ from ..calibration import TargetShape
 from ..engine import (
     ROBOT_ERROR,
     AbstractBuiltProblem,
+    JointProblem,
     Noise,
+    RigProblem,
     Step,
     is_size,
     solve,
 )
+from ..geometry import host_matrices
 from ..robot_errors import AbstractField, RobotPrior
 from ..runtime.blas_threads import on_one_blas_thread
 from .directional_noise import DirectionalNoise
@@ -296,17 +299,26 @@ def _maximum_at(
 
 
 def averaged_noise(
-    sigmas: StandardDeviations,
+    average: AveragedFit,
     views: ViewStatistics,
     field: AbstractField | None,
     prior: RobotPrior,
 ) -> Noise:
-    """Return the noise of the averaged model, with the prior's medians for held groups."""
-    noise = noise_from_sigmas(sigmas, views.white_sigma)
+    """Return the noise of the averaged model, with the prior's medians for held groups.
+
+    Its directions hold at any pose of the robot.
+    """
+    noise = noise_from_sigmas(average.maximum.sigmas, views.white_sigma)
     fitted = dict(zip(views.group_names, noise.field, strict=True))
     names = () if field is None else tuple(name for name, _ in field.groups)
     values = (
         fitted.get(name, float(median))
         for name, median in zip(names, prior.medians(field)[2:], strict=True)
     )
-    return dataclasses.replace(noise, field=tuple(values))
+    directions = None
+    if average.directions is not None:
+        problem = views.problem
+        assert isinstance(problem, JointProblem | RigProblem)
+        poses = host_matrices(problem.command.base_from_tool)
+        directions = average.directions.at_any_pose(poses[:, :3, :3].swapaxes(1, 2))
+    return dataclasses.replace(noise, field=tuple(values), directions=directions)

@@ -47,15 +47,17 @@ MIN_GENERIC_ARM_VIEWS = 10
 
 With fewer views, its guessed proportions fit almost anything: in one of ten sets of eight simulated
 views of a robot with white noise alone, the error was twice as large with it; and with random sets
-of six views of koide_charuco 20231006, an arm with seven joints, 2 to 3 times as large.
+of six views of koide_charuco 20231006, an arm with seven joints, 2 to 3 times as large. From the
+same number on, errors that are quadratic in the position are candidates.
 """
 
-WHITE_NOISE_ODDS, LINEAR_IN_POSITION_ODDS, LINEAR_IN_POSE_ODDS, GENERIC_ARM_ODDS = np.exp(
+WHITE_NOISE_ODDS, SMALLEST_FIELD_ODDS, LARGER_FIELD_ODDS, GENERIC_ARM_ODDS = np.exp(
     [3.0, 0.0, -3.0, 1.0]
 )
 """Prior odds of the models of the robot error: white noise alone, and with it a field.
 
-The fields are linear in position, linear in the pose, and an arm of unknown geometry.
+The smallest field is linear in position, or for a known arm the zeros of its joints; each of those
+that contain it has the odds of a larger one. The last is an arm of unknown geometry.
 
 An unneeded error model costs more than missing a small error. At odds of 7 instead of 20 for white
 noise, errors with five and six simulated views without a smooth error were 2 to 6 % larger than
@@ -186,7 +188,7 @@ def _models_of_any_robot(
     if requested != "auto":
         return white | {field_name(basis): Candidate(_group_names(basis), 0.0)}
     linear, arm = _split_basis(basis)
-    odds = (LINEAR_IN_POSITION_ODDS, LINEAR_IN_POSE_ODDS)
+    odds = (SMALLEST_FIELD_ODDS, LARGER_FIELD_ODDS)
     nested = linear.nested_fields
     models = {
         field_name(part): Candidate(_group_names(part), float(np.log(odds[min(k, 1)])))

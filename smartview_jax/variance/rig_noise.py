@@ -99,11 +99,13 @@ class RigNoiseEstimate(NamedTuple):
 
     @property
     def largest_noise(self) -> Noise:
-        """The noise, with that of the poses in the directions in which these err most."""
+        """The noise, with the sizes of the poses' errors in the directions of the largest."""
         if self.directions is None:
             return self.noise
         translation, rotation = map(float, self.directions.worst)
-        return dataclasses.replace(self.noise, translation=translation, rotation=rotation)
+        return dataclasses.replace(
+            self.noise, translation=translation, rotation=rotation, directions=None
+        )
 
 
 def estimate_rig_noise(
@@ -168,7 +170,7 @@ def _estimate_of(
     )
     return RigNoiseEstimate(
         max(second.field_probabilities, key=lambda name: second.field_probabilities[name]),
-        averaged_noise(average.maximum.sigmas, second.views, second.field, prior),
+        averaged_noise(average, second.views, second.field, prior),
         second.field,
         relative,
         first.candidates,

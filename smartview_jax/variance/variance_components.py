@@ -147,7 +147,7 @@ def _estimate_of(
         scale_std = float(maximum.sigmas.field[views.group_names.index(TARGET_SCALE)])
     return NoiseEstimate(
         max(second.field_probabilities, key=lambda name: second.field_probabilities[name]),
-        averaged_noise(maximum.sigmas, views, fitted_field, prior),
+        averaged_noise(average, views, fitted_field, prior),
         fitted_field,
         first.basis,
         with_fields(

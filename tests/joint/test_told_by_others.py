@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from smartview_jax import Prior, Rig, fit_rig
 from smartview_jax.engine import STEP_NAMES
 from smartview_jax.geometry import host_logarithms, host_matrices, host_transforms
+from smartview_jax.joint.undetermined_motion import UndeterminedMotion
 from smartview_jax.simulation import simulate
 
 CAMERAS = ("left_table", "right_table")
@@ -40,6 +41,14 @@ def rig():
     seen = dataclasses.replace(seen, view_ids=data.view_ids)
     cameras = {"left_table": rig.cameras["left_table"], "right_table": seen}
     return Rig(cameras, rig.targets, rig.arms)
+
+
+def test_of_held_parameters_enough_stay_to_hold_what_all_arms_leave_open():
+    """One arm holds b and c for its two open directions; together one is left, largest along a."""
+    motion = UndeterminedMotion(("a", "b", "c"), np.array([[0.8, 0.6, 0.0]]), ("a",))
+    assert motion.pinned_by(("c", "b")) == ("b",)
+    assert motion.pinned_by(("c", "d")) == ("c", "d")
+    assert UndeterminedMotion((), np.zeros((0, 0)), ()).pinned_by(("c", "d")) == ()
 
 
 def known_base(std):

@@ -71,6 +71,13 @@ def test_a_rig_of_one_camera_has_the_directions_of_the_camera_alone(scene, worn)
     found = [noise.translation, noise.rotation]
     np.testing.assert_allclose(found, expected.largest_pose_sigmas, rtol=0.02)
     assert f"{1e3 * noise.translation:.3f} mm and" in str(rig).split("on average")[1]
+    # Predictions for the rig, and for one camera of it, know the directions, too.
+    tool_from_base = host_matrices(data.base_from_tool)[:, :3, :3].swapaxes(1, 2)
+    for fitted in (rig, rig.estimate("camera")):
+        anywhere = fitted.noise.pose_covariances(tool_from_base)
+        np.testing.assert_allclose(
+            anywhere[pairs], expected.directions.covariance[pairs], rtol=0.05
+        )
     # Twists, not the parameters along the axes of the errors.
     turns = rig.pose_corrections[:, 5]
     assert np.std(turns - twists[:, 5]) < 0.1 * np.std(twists[:, 5])
