@@ -2,8 +2,8 @@
 
 The joint zeros, link lengths and twists that were found are part of the chain, so that any
 program's forward kinematics gives the actual pose of the tool for the controller's joint readings.
-Only the kinematics is written: no shapes and no masses. Joints are rigid in a URDF: where the
-calibration has some that yield to the arm's weight, they may do so by little (`MAX_BENDING`).
+Only the kinematics is written: no shapes and no masses. Joints are rigid in a URDF: bending under
+the arm's weight is left out where it is small (`MAX_BENDING`), and refused elsewhere.
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ BASE_LINK = "base_link"
 """Name of the link of the base frame."""
 
 MAX_BENDING = 1e-4
-"""Largest displacement of the tool by joints that yield to the arm's weight, m, root mean square
-over the arm's poses, that is left out: good arms come back to a pose within about as much.
+"""Largest displacement of the tool by joints that bend under the arm's weight (RMS over the arm's
+poses, m) up to which a URDF leaves the bending out; good arms repeat a pose about as well.
 
-A calibration averages over models: joints of a rigid arm yield a little in it, too.
+A calibration averages over models: in it even the joints of a rigid arm bend a little.
 """
 
 
@@ -82,7 +82,7 @@ def robot_urdf(
 def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> SerialArm:
     """Return the arm as it is: with the zeros, lengths and twists that the calibration found.
 
-    Joints that bend less than robots usually repeat their orientation are taken as rigid.
+    Joints that displace the tool by at most `MAX_BENDING` as they bend are taken as rigid.
 
     Args:
         calibration: the calibration.
@@ -120,7 +120,7 @@ def actual_arm(calibration: Calibration, arm: SerialArm | None = None) -> Serial
 
 
 def _bending(error: RobotError, arm: SerialArm) -> float:
-    """Return by how far yielding joints displace the tool, m: RMS over poses within the limits."""
+    """Return by how far bending joints displace the tool, m: RMS over poses within the limits."""
     lower, upper = np.clip(np.asarray(arm.limits), -np.pi, np.pi).T
     joints = np.random.default_rng(0).uniform(lower, upper, (100, arm.joint_count))
     command = arm.command(joints)
