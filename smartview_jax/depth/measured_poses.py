@@ -149,7 +149,7 @@ def poses_from_points(
 ) -> MeasuredPoses:
     """Return the poses of a target whose points a depth sensor measured.
 
-    A target that is 1 % larger than stated looks like a sensor whose depths are 1 % too small.
+    A target that is 1 % larger than stated looks like a sensor whose depths are 1 % too large.
 
     Args:
         points_in_camera: measured points in the sensor's frame `(views, points, 3)`, z along its
