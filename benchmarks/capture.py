@@ -222,7 +222,7 @@ def run(
     seeds: int = SEEDS,
     jobs: int = JOBS,
 ) -> bool:
-    """Print one line for each cell; True where all reached the goal, touched and lost nothing."""
+    """Print one line for each cell; True where all reached it and nothing was touched or lost."""
     seeds, divisor, goal, jobs = (1, 4, SMOKE_GOAL, 1) if smoke else (seeds, 2, GOAL, jobs)
     # A smoke test's cell is another one, with smaller pictures.
     results = None if smoke else results

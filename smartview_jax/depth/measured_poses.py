@@ -168,6 +168,8 @@ def poses_from_points(
         >>> measured = sv.depth.poses_from_points(points / 1.02, target)
         >>> print(f"{measured.sensor.scale:.3f}")
         1.020
+        >>> print(f"{sv.depth.poses_from_points(points, target / 1.01).sensor.scale:.3f}")
+        0.990
     """
     points, target = _checked(points_in_camera, target_points)
     seen = np.asarray(np.isfinite(points).all(axis=2))
